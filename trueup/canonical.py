@@ -1,0 +1,49 @@
+"""One way to bytes, one way to a digest.
+
+Canonical bytes are RFC 8785 (JSON Canonicalization Scheme); a digest is SHA-256 in lower-case hexadecimal.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
+
+import rfc8785
+
+from trueup.errors import TrueupError
+
+Json: TypeAlias = "None | bool | int | float | str | Sequence[Json] | Mapping[str, Json]"
+
+_DIGEST = re.compile(r"[0-9a-f]{64}")
+
+
+class NotCanonical(TrueupError):
+    """The value has no canonical form."""
+
+    code = "not-canonical"
+    hint = "RFC 8785 knows no NaN, no infinity and no integer from 2^53 on: send such integers as strings."
+
+
+def canonical_bytes(value: Json) -> bytes:
+    """The RFC 8785 bytes of a JSON value. Raises NotCanonical."""
+    try:
+        return rfc8785.dumps(value)  # type: ignore[arg-type]
+    except rfc8785.CanonicalizationError as error:
+        raise NotCanonical(f"the value has no canonical form: {error}") from error
+
+
+def digest_of_bytes(data: bytes | memoryview) -> str:
+    """SHA-256 of the bytes, 64 lower-case hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def digest_of(value: Json) -> str:
+    """SHA-256 of the canonical bytes of a JSON value."""
+    return digest_of_bytes(canonical_bytes(value))
+
+
+def is_digest(text: str) -> bool:
+    """Whether the text has the form of a digest."""
+    return _DIGEST.fullmatch(text) is not None

@@ -1,0 +1,166 @@
+"""Every figure of the chapter, from a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.chapter.data import DEPLOYMENT, DT_S, FAMILY_BOX, NOMINAL, PLANT, SHIFTED, START_SCALE, U_MAX, ChapterData, draw, drive, excitation
+from trueup.control.estimator import bring_forward
+from trueup.control.loop import Deployed, Run, run_loop
+from trueup.control.planner import RandomShooting
+from trueup.control.watchdog import inject_sensor_failure
+from trueup.fit.identify import Identification, identify
+from trueup.fit.residual import family_box, fit_blind, fit_conditioned, fit_residual
+from trueup.fit.score import Scoring, rollout_errors
+from trueup.gate.decision import default_gate
+from trueup.gate.judge import judge, run_trial
+from trueup.model.predictor import Nominal, Predictor
+from trueup.monitor.residuals import one_step_residuals
+from trueup.monitor.thresholds import QuantileThreshold
+
+Array = NDArray[np.float64]
+Value = float | int | str | bool
+PLANNER_SEED, MONITOR_SEED = 7, 4242
+TICKS = 200
+REFERENCE = 0.55 * np.sin(2.0 * np.pi * 0.15 * (DT_S * np.arange(TICKS)))
+DELAYS = (0, 1, 2, 3, 5, 8)
+HORIZONS = (1, 10, 50, 200)
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of figures: rows by name, and in each its columns by name."""
+
+    title: str
+    rows: Mapping[str, Mapping[str, Value]]
+
+
+def run_chapter(progress: Callable[[str, float], None] = lambda _what, _share: None) -> list[Table]:
+    """Every table of the chapter, unrounded."""
+    progress("data and fits", 0.0)
+    data = draw()
+    identified, found = identify(PLANT, [data.adaptation])
+    predictors: dict[str, Predictor] = {
+        "nominal": Nominal(PLANT),
+        "blind": fit_blind(PLANT, data.pooled),
+        "conditioned": fit_conditioned(PLANT, data.pooled, identified.parameters),
+        "residual": fit_residual(PLANT, [data.adaptation])[0],
+    }
+    tables = [_data(data), _membership(data), _identification(found), _stability()]
+    steps: list[tuple[str, Callable[[], list[Table]]]] = [
+        ("closed loop", lambda: _closed_loop(predictors)),
+        ("delay sweep", lambda: [_delay_sweep(predictors)]),
+        ("open loop", lambda: [_open_loop(predictors, data), _bound()]),
+        ("monitor", lambda: [_monitor()]),
+        ("gate", lambda: [_gate(predictors, data)]),
+        ("watchdog", lambda: [_watchdog()]),
+    ]
+    for done, (what, make) in enumerate(steps, 1):
+        progress(what, done / (len(steps) + 1))
+        tables += make()
+    progress("done", 1.0)
+    return tables
+
+
+def _data(data: ChapterData) -> Table:
+    observed = family_box(data.pooled)
+    rows: dict[str, dict[str, Value]] = {name: {"low": low, "high": high} for name, (low, high) in observed.items()}
+    return Table("Training plants", {"transitions": {"pooled": len(data.pooled.states)}, **rows})
+
+
+def _membership(data: ChapterData) -> Table:
+    samples = family_box(data.pooled)
+    plants = {"deployment": DEPLOYMENT, "shifted": SHIFTED, "(0.65, 0.5, 1.0)": (0.65, 0.5, 1.0)}
+    return Table("Membership", {name: {"family box": _inside(p, FAMILY_BOX), "sample box": _inside(p, samples)} for name, p in plants.items()})
+
+
+def _inside(parameters: tuple[float, ...], box: Mapping[str, tuple[float, float]]) -> bool:
+    return all(box[name][0] <= x <= box[name][1] for name, x in zip("kcb", parameters, strict=True))
+
+
+def _identification(found: Identification) -> Table:
+    return Table("Identification", {"deployment": {**found.parameters, "rank": found.rank, "condition": found.condition}})
+
+
+def _stability() -> Table:
+    return Table("Strictly stable", {name: {"stable": PLANT.is_stable(p)} for name, p in (("nominal", NOMINAL), ("deployment", DEPLOYMENT), ("shifted", SHIFTED))})
+
+
+def _loop(predictor: Predictor, parameters: tuple[float, ...], delay: int = 0, u_max: float = U_MAX, *, forward: bool = False) -> Run:
+    estimate = (lambda seen, issued: bring_forward(predictor, seen, issued)) if forward else None
+    return run_loop(Deployed(PLANT, parameters, u_max), RandomShooting(predictor, u_max), REFERENCE, np.random.default_rng(PLANNER_SEED), delay, estimate)
+
+
+def _closed_loop(predictors: Mapping[str, Predictor]) -> list[Table]:
+    regimes: dict[str, tuple[tuple[float, ...], int, float]] = {
+        "nominal plant": (NOMINAL, 0, U_MAX),
+        "deployment plant": (DEPLOYMENT, 0, U_MAX),
+        "deployment + sensor delay of 3": (DEPLOYMENT, 3, U_MAX),
+        "deployment + u_max 0.5": (DEPLOYMENT, 0, 0.5),
+    }
+    runs = {regime: {name: _loop(p, *setting) for name, p in predictors.items()} for regime, setting in regimes.items()}
+    errors = {regime: {name: run.tracking_error(REFERENCE) for name, run in row.items()} for regime, row in runs.items()}
+    breaches = {regime: {name: run.breaches(PLANT) for name, run in row.items()} for regime, row in runs.items()}
+    return [Table("Tracking error", errors), Table("Envelope breaches", breaches)]
+
+
+def _delay_sweep(predictors: Mapping[str, Predictor]) -> Table:
+    chosen = {name: predictors[name] for name in ("nominal", "blind", "residual")}
+    rows: dict[str, dict[str, Value]] = {f"delay {d}": {name: _loop(p, DEPLOYMENT, d).tracking_error(REFERENCE) for name, p in chosen.items()} for d in DELAYS}
+    for delay in DELAYS:
+        rows[f"delay {delay}"] |= {f"{name}, brought forward": _loop(p, DEPLOYMENT, delay, forward=True).tracking_error(REFERENCE) for name, p in chosen.items()}
+    return Table("Delay sweep", rows)
+
+
+def _open_loop(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
+    scoring = Scoring(HORIZONS[-1] * DT_S)
+    errors = {name: rollout_errors(p, data.test, scoring)[0][0] for name, p in predictors.items()}
+    return Table("Open loop", {name: {str(h): float(row[h]) for h in HORIZONS} for name, row in errors.items()})
+
+
+def rollout_bound(defect: float, lipschitz: float, steps: int) -> float:
+    """B_H = defect x sum of lipschitz^j for j < H: bounds a rollout from an equal start, and predicts nothing."""
+    return defect * float(sum(lipschitz**j for j in range(steps)))
+
+
+def _bound() -> Table:
+    zero, linear = rollout_bound(0.001, 1.02, 0), rollout_bound(0.001, 1.0, 50)
+    return Table("Rollout bound", {"no step": {"bound": zero}, "L = 1, 50 steps of 0.001": {"bound": linear}})
+
+
+def _monitor() -> Table:
+    rng, nominal = np.random.default_rng(MONITOR_SEED), Nominal(PLANT)
+    groups: list[list[Array]] = []
+    for parameters in (NOMINAL, NOMINAL, SHIFTED):
+        residuals = []
+        for _ in range(20):
+            issued = excitation(120, rng)
+            states = drive(parameters, START_SCALE * rng.standard_normal(2), issued)
+            residuals.append(one_step_residuals(nominal, states, issued[:, None]))
+        groups.append(residuals)
+    threshold = QuantileThreshold.calibrate(groups[0])
+    alarm = threshold.alarms(groups[2])[0]
+    row = {"threshold": threshold.level, "held-out exceedance": threshold.exceedance(groups[1]), "shifted exceedance": threshold.exceedance(groups[2])}
+    return Table("Monitor", {"quantile 0.99": {**row, "first run starts at": alarm.starts_at, "alarm declared at": alarm.declared_at}})
+
+
+def _gate(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
+    gate = default_gate(PLANT.horizon_s)
+    nominal = predictors["nominal"]
+    rows: dict[str, dict[str, Value]] = {}
+    for name, candidate in (("A", predictors["residual"]), ("B", fit_residual(PLANT, [data.mismatched])[0])):
+        trial = run_trial(gate, candidate, nominal, [data.validation])
+        decision = judge(gate, trial, plant=PLANT.digest, candidate=name, incumbent="nominal", generation=0)
+        rows["nominal"] = {"one-step": float(trial.incumbent.one_step[0]), "rollout mean": float(trial.incumbent.rollout[0]), "decision": "baseline"}
+        rows[name] = {"one-step": float(trial.candidate.one_step[0]), "rollout mean": float(trial.candidate.rollout[0]), "decision": "accept" if decision.accepted else "reject"}
+    return Table("Gate", rows)
+
+
+def _watchdog() -> Table:
+    found = inject_sensor_failure(control_s=0.010, sensor_s=0.050, timeout_s=0.12, ticks=400, dies_at=200)
+    row: dict[str, Value] = {"first trip [s]": found.first_trip_s or float("nan"), "forced commands": found.forced, "peak age [s]": found.peak_age_s}
+    return Table("Watchdog", {"sensor stops at tick 200": row})

@@ -1,0 +1,1 @@
+"""What happened: recorded commands and observations of one run."""

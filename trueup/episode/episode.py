@@ -1,0 +1,79 @@
+"""Episode: what one run did, on one clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.episode.layout import Layout
+from trueup.errors import NotAnEpisode, RoleRefused
+
+GAP_PERIODS = 5.0  # an interval this many median periods long is a gap: nothing is predicted across it
+
+
+class Role(StrEnum):
+    """What an episode may be used for."""
+
+    TRAINING = "training"
+    ADAPTATION = "adaptation"
+    VALIDATION = "validation"
+    TEST = "test"
+    REFERENCE = "reference"
+    RETAINED = "retained"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Episode:
+    """Time-aligned commands and observations.
+
+    `t_s` [s] counts from the first sample, strictly increasing, `(samples,)`. `observations` is `(samples,
+    observation channels)`, `commands` `(samples, command channels)`: row i is the command in force from `t_s[i]` on.
+    A channel that the log lacks is a column of nan, named in `missing`. The arrays cannot be written to.
+    """
+
+    t_s: NDArray[np.float64]
+    commands: NDArray[np.float64]
+    observations: NDArray[np.float64]
+    layout: Layout
+    role: Role
+    conditions: Mapping[str, str]
+    start_ns: int
+    digest: str
+
+    def __post_init__(self) -> None:
+        samples = len(self.t_s)
+        shapes = (samples, len(self.layout.commands)), (samples, len(self.layout.observations))
+        if samples < 2 or (self.commands.shape, self.observations.shape) != shapes:
+            raise NotAnEpisode(f"an episode needs two aligned samples at least, this has {samples}", rule="samples")
+        for array in (self.t_s, self.commands, self.observations):
+            array.setflags(write=False)
+        object.__setattr__(self, "conditions", MappingProxyType(dict(self.conditions)))
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Names of the declared channels of which the log holds nothing."""
+        channels = self.layout.observations + self.layout.commands
+        columns = np.hstack([self.observations, self.commands])
+        return tuple(c.name for c, column in zip(channels, columns.T, strict=True) if np.isnan(column).all())
+
+    @property
+    def period_s(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.t_s)))
+
+    @property
+    def gaps(self) -> NDArray[np.int64]:
+        """Samples before which more than GAP_PERIODS median periods passed, `(gaps,)`."""
+        return np.flatnonzero(np.diff(self.t_s) > GAP_PERIODS * self.period_s) + 1
+
+    def require(self, *roles: Role) -> Episode:
+        """This episode, if its role is one of those given. Raises RoleRefused."""
+        if self.role not in roles:
+            allowed = " or ".join(roles)
+            raise RoleRefused(f"episode {self.digest[:12]} has the role {self.role}, {allowed} is needed", role=str(self.role), digest=self.digest)
+        return self

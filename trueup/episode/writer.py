@@ -1,0 +1,151 @@
+"""Episode to MCAP, as a robot would have recorded it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from enum import StrEnum
+from typing import BinaryIO
+
+import numpy as np
+import orjson
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from trueup.episode.episode import Role
+from trueup.episode.joint_state import FIELDS
+from trueup.episode.layout import Channel, Layout
+
+ROS2_DEFINITION = """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+class Encoding(StrEnum):
+    """How messages are written."""
+
+    CDR = "cdr"
+    JSON = "json"
+    PROTOBUF = "protobuf"
+
+
+Values = Mapping[str, Sequence[float]]
+Encode = Callable[[int, Sequence[str], Values], bytes]
+
+
+def write_episode(
+    stream: BinaryIO,
+    *,
+    stamps_ns: NDArray[np.int64],
+    observations: NDArray[np.float64],
+    commands: NDArray[np.float64],
+    layout: Layout,
+    role: Role,
+    conditions: Mapping[str, str],
+    encoding: Encoding = Encoding.CDR,
+    compression: CompressionType = CompressionType.ZSTD,
+) -> None:
+    """Write `(samples, channels)` observations and as many commands, or one less, as JointState on the layout's topics."""
+    writer = Writer(stream, compression=compression)
+    writer.start(profile="ros2" if encoding is Encoding.CDR else "", library="trueup")
+    name, schema_encoding, definition, encode = _FORMATS[encoding]()
+    schema = writer.register_schema(name, schema_encoding, definition)
+    observed, issued = (writer.register_channel(topic, encoding, schema) for topic in (layout.observation_topic, layout.command_topic))
+    states, orders = _Rows(layout.observations), _Rows(layout.commands)
+    for i, stamp in enumerate(stamps_ns.tolist()):
+        for channel, rows, values in ((observed, states, observations), (issued, orders, commands)):
+            if i < len(values):
+                data = encode(stamp, rows.joints, rows.fields(values[i]))
+                writer.add_message(channel, log_time=stamp, data=data, publish_time=stamp, sequence=i)
+    writer.add_metadata("episode", {"role": str(role), **conditions})
+    writer.finish()
+
+
+class _Rows:
+    """Which value of a sample stands where in a JointState."""
+
+    def __init__(self, channels: Sequence[Channel]) -> None:
+        self.joints = list(dict.fromkeys(c.joint or "joint" for c in channels))
+        self._columns = {f: [(self.joints.index(c.joint or "joint"), i) for i, c in enumerate(channels) if c.field is f] for f in FIELDS}
+
+    def fields(self, sample: NDArray[np.float64]) -> Values:
+        return {f.value: self._fill(sample, pairs) for f, pairs in self._columns.items()}
+
+    def _fill(self, sample: NDArray[np.float64], pairs: Sequence[tuple[int, int]]) -> list[float]:
+        values = [float("nan")] * len(self.joints) if pairs else []
+        for joint, column in pairs:
+            values[joint] = float(sample[column])
+        return values
+
+
+def _cdr() -> tuple[str, str, bytes, Encode]:
+    return "sensor_msgs/msg/JointState", "ros2msg", ROS2_DEFINITION.encode(), _encode_cdr
+
+
+def _encode_cdr(stamp_ns: int, names: Sequence[str], values: Values) -> bytes:
+    body = bytearray(struct.pack("<iIIB", stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000, 1, 0))
+    _count(body, len(names))
+    for name in names:
+        text = name.encode() + b"\0"
+        _count(body, len(text))
+        body += text
+    for field in FIELDS:
+        numbers = values.get(field.value, ())
+        _count(body, len(numbers))
+        if numbers:
+            body += bytes(-len(body) % 8) + struct.pack(f"<{len(numbers)}d", *numbers)
+    return b"\0\1\0\0" + bytes(body)
+
+
+def _count(body: bytearray, count: int) -> None:
+    body += bytes(-len(body) % 4) + struct.pack("<I", count)
+
+
+def _json() -> tuple[str, str, bytes, Encode]:
+    numbers = {"type": "array", "items": {"type": ["number", "null"]}}
+    schema = {"type": "object", "properties": {"header": {"type": "object"}, "name": {"type": "array", "items": {"type": "string"}}, **{f.value: numbers for f in FIELDS}}}
+    return "sensor_msgs.JointState", "jsonschema", orjson.dumps(schema), _encode_json
+
+
+def _encode_json(stamp_ns: int, names: Sequence[str], values: Values) -> bytes:
+    stamp = {"sec": stamp_ns // 1_000_000_000, "nanosec": stamp_ns % 1_000_000_000}
+    return orjson.dumps({"header": {"stamp": stamp, "frame_id": ""}, "name": list(names), **values})
+
+
+def _protobuf() -> tuple[str, str, bytes, Encode]:
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415  (loads slowly, few logs need it)
+
+    file = descriptor_pb2.FileDescriptorProto(name="sensor_msgs/JointState.proto", package="sensor_msgs", syntax="proto3")
+    f = descriptor_pb2.FieldDescriptorProto
+    for name, fields in (
+        ("Time", [("sec", f.TYPE_INT32, 1), ("nanosec", f.TYPE_UINT32, 1)]),
+        ("Header", [("stamp", ".sensor_msgs.Time", 1), ("frame_id", f.TYPE_STRING, 1)]),
+        ("JointState", [("header", ".sensor_msgs.Header", 1), ("name", f.TYPE_STRING, 3), *((str(x), f.TYPE_DOUBLE, 3) for x in FIELDS)]),
+    ):
+        kind = file.message_type.add(name=name)
+        for number, (field, what, label) in enumerate(fields, 1):
+            typed = {"type": f.TYPE_MESSAGE, "type_name": what} if isinstance(what, str) else {"type": what}
+            kind.field.add(name=field, number=number, label=label, **typed)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    message = message_factory.GetMessageClass(pool.FindMessageTypeByName("sensor_msgs.JointState"))
+
+    def encode(stamp_ns: int, names: Sequence[str], values: Values) -> bytes:
+        stamp = {"sec": stamp_ns // 1_000_000_000, "nanosec": stamp_ns % 1_000_000_000}
+        return message(header={"stamp": stamp}, name=names, **values).SerializeToString()
+
+    return "sensor_msgs.JointState", "protobuf", descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), encode
+
+
+_FORMATS: dict[Encoding, Callable[[], tuple[str, str, bytes, Encode]]] = {Encoding.CDR: _cdr, Encoding.JSON: _json, Encoding.PROTOBUF: _protobuf}

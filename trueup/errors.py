@@ -1,0 +1,118 @@
+"""Every error that trueup raises, as one tree.
+
+    TrueupError
+    ├── BadEpisode               the bytes are no episode
+    │   ├── MalformedMcap        a rule of the MCAP container is broken, at a byte
+    │   ├── TooLarge             a declared limit on size is exceeded
+    │   └── NotAnEpisode         sound MCAP, but not what an episode must hold
+    ├── BadPlant                 plant.json breaks a rule, at a field
+    ├── BadArtifact              a manifest, an array or a digest does not hold
+    ├── BadGate                  a gate that cannot judge
+    ├── RoleRefused              data used for what its role forbids
+    ├── NotIdentifiable          the data do not determine what was asked
+    └── LedgerError              what we did cannot be explained
+        ├── PointerMoved         the serving pointer is no longer where the caller believes
+        └── BrokenChain          the audit log does not add up
+
+An error's docstring is its message when none is given. `code` is stable and machine-readable; `hint` says what to
+do next; `facts` are the values that a program may want (byte, field, expected, found).
+"""
+
+from __future__ import annotations
+
+
+class TrueupError(Exception):
+    """Something went wrong in trueup."""
+
+    code = "trueup-error"
+    hint = "Read the message; if it does not help, report it with the request id."
+
+    def __init__(self, message: str | None = None, *, hint: str | None = None, **facts: object) -> None:
+        self.message = message or (type(self).__doc__ or "").splitlines()[0]
+        self.hint = hint or type(self).hint
+        self.facts = facts
+        super().__init__(self.message)
+
+
+class BadEpisode(TrueupError):
+    """The bytes are not an episode."""
+
+    code = "bad-episode"
+    hint = "Record again, or convert with a tool that writes MCAP (ros2 bag record -s mcap)."
+
+
+class MalformedMcap(BadEpisode):
+    """The file breaks a rule of the MCAP container format."""
+
+    code = "malformed-mcap"
+    hint = "Repair it with `mcap recover`, or record again; `byte` is where the rule is broken."
+
+
+class TooLarge(BadEpisode):
+    """The file exceeds a declared limit."""
+
+    code = "too-large"
+    hint = "Split the recording, or raise the named limit in the settings."
+
+
+class NotAnEpisode(BadEpisode):
+    """The file is sound MCAP but holds no episode."""
+
+    code = "not-an-episode"
+    hint = "An episode needs JointState messages on the plant's observation and command topics and a metadata record named `episode`."
+
+
+class BadPlant(TrueupError):
+    """The plant's description breaks a rule."""
+
+    code = "bad-plant"
+    hint = "Correct the field named in `field`; docs/contract.md lists every field."
+
+
+class BadArtifact(TrueupError):
+    """The artifact is damaged or does not fit."""
+
+    code = "bad-artifact"
+    hint = "Fetch it again; if the digest still differs the stored copy is damaged and must not be served."
+
+
+class BadGate(TrueupError):
+    """The gate cannot judge."""
+
+    code = "bad-gate"
+    hint = "A gate names at least one rule, and a trial holds at least one held-out episode."
+
+
+class RoleRefused(TrueupError):
+    """The episode's role forbids this use."""
+
+    code = "role-refused"
+    hint = "Fit from adaptation episodes, gate on validation episodes, report on test episodes."
+
+
+class NotIdentifiable(TrueupError):
+    """The data do not determine what was asked of them."""
+
+    code = "not-identifiable"
+    hint = "Record an episode that excites the joint more: other speeds, both directions, the whole command range."
+
+
+class LedgerError(TrueupError):
+    """The ledger cannot explain the state."""
+
+    code = "ledger-error"
+    hint = "Stop promoting; run `trueup audit --verify`."
+
+
+class PointerMoved(LedgerError):
+    """The serving pointer is not at the generation that the caller expects."""
+
+    code = "pointer-moved"
+    hint = "Ask what is serving now, decide again against it, and send its generation."
+
+
+class BrokenChain(LedgerError):
+    """An audit entry does not follow from the one before it."""
+
+    code = "broken-chain"
+    hint = "The log was edited from `sequence` on; compare with an exported copy."

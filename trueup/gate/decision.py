@@ -1,0 +1,121 @@
+"""Gate and Decision: a rule frozen before any score, and what it decided."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+
+import numpy as np
+
+from trueup.canonical import Json, digest_of
+from trueup.errors import BadGate
+from trueup.fit.score import EVERY, FIRST, Score, Scoring
+from trueup.gate.rule import Rule, Trial, Verdict, rules
+
+SCHEMA = "trueup.gate/1"
+DECISION_SCHEMA = "trueup.decision/1"
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Rules, all of which must pass, and the scoring they judge. Its digest freezes both. Raises BadGate without rules."""
+
+    rules: tuple[Rule, ...]
+    scoring: Scoring
+
+    def __post_init__(self) -> None:
+        if not self.rules:
+            raise BadGate("a gate without rules would pass everything")
+        if not (np.isfinite(self.scoring.horizon_s) and self.scoring.horizon_s > 0.0) or self.scoring.windows not in (FIRST, EVERY):
+            raise BadGate("a gate scores over a positive horizon, from the `first` window or from `every` one")
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the canonical document."""
+        return digest_of(self.document())
+
+    def document(self) -> dict[str, Json]:
+        """The gate as JSON."""
+        return {"schema": SCHEMA, "rules": [{"rule": r.name, **asdict(r)} for r in self.rules], "scoring": self.scoring.document()}  # type: ignore[call-overload]
+
+    @staticmethod
+    def from_document(document: Mapping[str, Json]) -> Gate:
+        """Read a gate. Raises BadGate."""
+        try:
+            if document["schema"] != SCHEMA or set(document) != {"schema", "rules", "scoring"}:
+                raise BadGate(f"a gate holds schema ({SCHEMA}), rules and scoring, nothing else")
+            scoring = document["scoring"]
+            return Gate(tuple(_rule(r) for r in document["rules"]), Scoring(float(scoring["horizon_s"]), str(scoring["windows"])))  # type: ignore[union-attr,arg-type,index,call-overload]
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadGate(f"the gate cannot be read: {error!r}") from error
+
+
+def _rule(document: Mapping[str, Json]) -> Rule:
+    given = dict(document)
+    kind = rules().get(str(given.pop("rule")))
+    if kind is None:
+        raise BadGate(f"the rule {document['rule']!r} is not known", hint=f"Rules are {', '.join(rules())}.")
+    known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
+    if set(given) - known:
+        raise BadGate(f"the rule {kind.name} has no {', '.join(sorted(set(given) - known))}", hint=f"It has {', '.join(sorted(known))}.")
+    bounds = {key: float(value) for key, value in given.items()}  # type: ignore[arg-type]
+    if not all(np.isfinite(v) and v > 0.0 for v in bounds.values()):
+        raise BadGate(f"the bounds of {kind.name} must be positive numbers")
+    return kind(**bounds)
+
+
+def default_gate(horizon_s: float) -> Gate:
+    """Rollout mean below 0.98 of the incumbent's and one-step error no worse, over the first window of each episode."""
+    return Gate((rules()["rollout_improves"](), rules()["one_step_no_worse"]()), Scoring(horizon_s, FIRST))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What a gate decided of a candidate against the incumbent that served at `generation`.
+
+    It holds every figure, so that it can be recomputed, and the generation, so that it cannot be replayed after a move.
+    """
+
+    plant: str
+    gate: str
+    candidate: str
+    incumbent: str
+    generation: int
+    episodes: tuple[str, ...]
+    verdicts: tuple[Verdict, ...]
+    figures: Mapping[str, Json]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether every rule passed."""
+        return all(v.passed for v in self.verdicts)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the canonical document: the decision's name."""
+        return digest_of(self.document())
+
+    def document(self) -> dict[str, Json]:
+        """The decision as JSON."""
+        return {
+            "schema": DECISION_SCHEMA,
+            "plant": self.plant,
+            "gate": self.gate,
+            "candidate": self.candidate,
+            "incumbent": self.incumbent,
+            "generation": self.generation,
+            "episodes": list(self.episodes),
+            "accepted": self.accepted,
+            "verdicts": [v.document() for v in self.verdicts],
+            "figures": self.figures,
+        }
+
+
+def figures(score: Score) -> dict[str, Json]:
+    """A score as JSON, one number for each episode; what is no number stands as null."""
+    return {"rollout": _numbers(score.rollout), "one_step": _numbers(score.one_step)}
+
+
+def _numbers(values: np.ndarray) -> list[Json]:
+    return [float(x) if np.isfinite(x) else None for x in values]

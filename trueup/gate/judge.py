@@ -1,0 +1,34 @@
+"""Judge: a trial under a frozen gate becomes a decision."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from trueup.episode.episode import Episode, Role
+from trueup.errors import BadGate
+from trueup.fit.score import score
+from trueup.gate.decision import Decision, Gate, figures
+from trueup.gate.rule import Trial
+from trueup.model.predictor import Predictor
+
+HELD_OUT = (Role.VALIDATION, Role.RETAINED)
+
+
+def run_trial(gate: Gate, candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episode], progress: Callable[[float], None] = lambda _: None) -> Trial:
+    """Score both predictors on held-out episodes. Raises RoleRefused for any other role, BadGate without episodes."""
+    if not episodes:
+        raise BadGate("there is no held-out episode to judge on")
+    for episode in episodes:
+        episode.require(*HELD_OUT)
+    scores = []
+    for share, predictor in ((0.5, candidate), (1.0, incumbent)):
+        scores.append(score(predictor, episodes, gate.scoring))
+        progress(share)
+    return Trial(scores[0], scores[1], tuple(e.digest for e in episodes))
+
+
+def judge(gate: Gate, trial: Trial, *, plant: str, candidate: str, incumbent: str, generation: int) -> Decision:
+    """Every rule's verdict on the trial; `candidate` and `incumbent` are artifact digests, `plant` the plant's."""
+    verdicts = tuple(rule(trial) for rule in gate.rules)
+    found = {"candidate": figures(trial.candidate), "incumbent": figures(trial.incumbent)}
+    return Decision(plant, gate.digest, candidate, incumbent, generation, trial.episodes, verdicts, found)

@@ -1,0 +1,1 @@
+"""What we did: the serving pointer and the audit log."""

@@ -1,0 +1,1 @@
+"""What we believe: plants, their dynamics, and predictors."""
