@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.episode.episode import Episode, Role
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
 from trueup.fit.residual import PooledTransitions
 from trueup.model.plant import Plant
 

@@ -4,27 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import StrEnum
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.episode.layout import Layout
+from trueup.episode.role import Role
 from trueup.errors import NotAnEpisode, RoleRefused
 
-GAP_PERIODS = 5.0  # an interval this many median periods long is a gap: nothing is predicted across it
-
-
-class Role(StrEnum):
-    """What an episode may be used for."""
-
-    TRAINING = "training"
-    ADAPTATION = "adaptation"
-    VALIDATION = "validation"
-    TEST = "test"
-    REFERENCE = "reference"
-    RETAINED = "retained"
+GAP_PERIODS = 5.0  # an interval this many median periods long is a gap
 
 
 @dataclass(frozen=True, slots=True, eq=False)

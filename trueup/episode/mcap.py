@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.episode.container import Limits, Metadata, Topic, Walk
-from trueup.episode.episode import Episode, Role
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
 from trueup.episode.joint_state import Columns, Decoder, decoder
 from trueup.episode.layout import Channel, Layout
 from trueup.errors import NotAnEpisode

@@ -12,7 +12,7 @@ import orjson
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from trueup.episode.episode import Role
+from trueup.episode.role import Role
 from trueup.episode.joint_state import FIELDS
 from trueup.episode.layout import Channel, Layout
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.episode.episode import Episode, Role
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from trueup.episode.episode import Episode, Role
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
 from trueup.errors import BadGate
 from trueup.fit.score import score
 from trueup.gate.decision import Decision, Gate, figures

@@ -1,0 +1,1 @@
+"""What can be done: each file one step, one function, one transaction, one audit entry."""

@@ -1,0 +1,36 @@
+"""Add an artifact as the next version of its plant's model."""
+
+from __future__ import annotations
+
+from trueup.artifact.artifact import Artifact
+from trueup.canonical import Json
+from trueup.errors import BadArtifact
+from trueup_service.actions import find
+from trueup_service.actions.stamp import Stamp
+from trueup_service.registry.records import ArtifactRecord
+from trueup_service.registry.store import Writer
+
+
+def add_artifact(writer: Writer, plant: str, artifact: Artifact, job: str | None, stamp: Stamp) -> tuple[ArtifactRecord, bool]:
+    """The version, and whether it is new. The caller has unpacked the artifact, and its arrays are durable. Raises BadArtifact."""
+    registered = find.plant(writer, plant)
+    require_plant(artifact, registered.digest)
+    writer.lock_plant(plant)
+    known = writer.artifact(plant, artifact.digest)
+    if known is not None:
+        return known, False
+    document = artifact.document
+    arrays = document["arrays"]["sha256"] if isinstance(document["arrays"], dict) else None
+    version = writer.latest_version(plant) + 1
+    record = ArtifactRecord(plant, version, artifact.digest, str(document["kind"]), artifact.manifest.decode(), arrays and str(arrays), job, stamp.now, stamp.actor)
+    writer.add_artifact(record)
+    facts: dict[str, Json] = {"version": version, "kind": record.kind, "arrays": record.arrays, "job": job}
+    writer.append_audit(at=stamp.now, kind="artifact:added", actor=stamp.actor, plant=plant, subject=artifact.digest, facts=facts)
+    return record, True
+
+
+def require_plant(artifact: Artifact, digest: str) -> None:
+    """Raises BadArtifact if the artifact was made for another configuration than this plant's."""
+    made_for = artifact.document.get("plant")
+    if not isinstance(made_for, dict) or made_for.get("sha256") != digest:
+        raise BadArtifact("the artifact was made for another plant", expected=digest, hint="Fit it again for this plant's description.")

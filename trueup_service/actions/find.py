@@ -1,0 +1,47 @@
+"""Find what a request names, or say that it is not there."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from trueup_service.errors import NotFound
+from trueup_service.registry.records import ArtifactRecord, DecisionRecord, EpisodeRecord, GateRecord, JobRecord, Move, PlantRecord
+from trueup_service.registry.store import Reader
+
+
+T = TypeVar("T")
+
+
+def plant(reader: Reader, name: str) -> PlantRecord:
+    return _found(reader.plant(name), "plant", name)
+
+
+def episode(reader: Reader, plant: str, digest: str) -> EpisodeRecord:
+    return _found(reader.episode(plant, digest), "episode", digest)
+
+
+def artifact(reader: Reader, plant: str, digest: str) -> ArtifactRecord:
+    return _found(reader.artifact(plant, digest), "artifact", digest)
+
+
+def gate(reader: Reader, plant: str, digest: str) -> GateRecord:
+    return _found(reader.gate(plant, digest), "gate", digest)
+
+
+def job(reader: Reader, name: str) -> JobRecord:
+    return _found(reader.job(name), "job", name)
+
+
+def decision(reader: Reader, plant: str, digest: str) -> DecisionRecord:
+    found = _found(reader.decision(digest), "decision", digest)
+    return _found(found if found.plant == plant else None, "decision", digest)
+
+
+def serving(reader: Reader, plant: str) -> Move:
+    return _found(reader.serving(plant), "plant", plant)
+
+
+def _found(record: T | None, noun: str, name: str) -> T:
+    if record is None:
+        raise NotFound(f"there is no {noun} {name!r} here", noun=noun, name=name)
+    return record

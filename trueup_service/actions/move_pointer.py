@@ -1,0 +1,56 @@
+"""Move a serving pointer: forward by a decision, back by a tested switch."""
+
+from __future__ import annotations
+
+from trueup.canonical import Json
+from trueup.ledger.pointer import Judged, NothingToRollBackTo, ServingPointer, promote, require_generation, roll_back
+from trueup_service.actions import find
+from trueup_service.actions.stamp import Stamp
+from trueup_service.registry.records import ArtifactRecord, Move, MoveKind
+from trueup_service.registry.store import Reader, Writer
+
+
+def promote_decision(writer: Writer, plant: str, decision: str, expected_generation: int, stamp: Stamp) -> Move:
+    """The new position, at the decision's candidate. Raises PointerMoved, NotAccepted, NotFound."""
+    now = find.serving(writer, plant)
+    made = find.decision(writer, plant, decision)
+    judged = Judged(made.digest, made.accepted, made.candidate, made.incumbent, made.generation)
+    pointer = promote(_pointer(now), judged, expected_generation, _later(now, stamp))
+    artifact = find.artifact(writer, plant, pointer.artifact)
+    move = Move(plant, pointer.generation, MoveKind.PROMOTED, artifact.digest, artifact.version, decision, now.generation, pointer.since, stamp.actor)
+    return _move(writer, now, move, stamp, {"gate": made.gate})
+
+
+def previous_artifact(reader: Reader, plant: str, expected_generation: int) -> tuple[Move, ArtifactRecord]:
+    """The position that a rollback would return to, and its artifact. Raises PointerMoved, NothingToRollBackTo."""
+    now = find.serving(reader, plant)
+    require_generation(_pointer(now), expected_generation)
+    back = None if now.back_to is None else reader.move(plant, now.back_to)
+    if back is None:
+        raise NothingToRollBackTo(plant=plant)
+    return back, find.artifact(reader, plant, back.artifact)
+
+
+def roll_back_pointer(writer: Writer, plant: str, expected_generation: int, tested: dict[str, Json], stamp: Stamp) -> Move:
+    """The new position, at the artifact that served before; `tested` is the record of its switchback test."""
+    now = find.serving(writer, plant)
+    back, artifact = previous_artifact(writer, plant, expected_generation)
+    pointer = roll_back(_pointer(now), artifact.digest, expected_generation, _later(now, stamp))
+    move = Move(plant, pointer.generation, MoveKind.ROLLED_BACK, artifact.digest, artifact.version, back.decision, back.back_to, pointer.since, stamp.actor)
+    return _move(writer, now, move, stamp, {"switchback": tested})
+
+
+def _move(writer: Writer, before: Move, move: Move, stamp: Stamp, facts: dict[str, Json]) -> Move:
+    writer.move_serving(move)
+    moved: dict[str, Json] = {"move": move.kind, "generation": move.generation, "from": before.artifact, "decision": move.decision, **facts}
+    writer.append_audit(at=stamp.now, kind="pointer:moved", actor=stamp.actor, plant=move.plant, subject=move.artifact, facts=moved)
+    return move
+
+
+def _pointer(move: Move) -> ServingPointer:
+    return ServingPointer(move.plant, move.generation, move.artifact, move.decision, move.at)
+
+
+def _later(before: Move, stamp: Stamp) -> str:
+    """The time of a move is never before the one it follows, whatever the clock does."""
+    return max(before.at, stamp.now)

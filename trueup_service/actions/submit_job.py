@@ -1,0 +1,58 @@
+"""Submit a job: freeze everything that it will read, and hand it to the engine in the same transaction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from trueup.canonical import Json
+from trueup.episode.role import Role
+from trueup.errors import BadGate, NotIdentifiable, RoleRefused
+from trueup.gate.judge import HELD_OUT
+from trueup_service.actions import find
+from trueup_service.actions.stamp import Stamp
+from trueup_service.jobs import JobQueue
+from trueup_service.registry.records import EpisodeRecord, JobRecord, JobState
+from trueup_service.registry.store import Writer
+
+
+def submit_fit(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+    """A fit of `method` from adaptation episodes: those named, or all there are now. Raises RoleRefused, NotIdentifiable."""
+    find.plant(writer, plant)
+    episodes = _episodes(writer, plant, request.get("episodes"), (Role.ADAPTATION,))
+    if not episodes:
+        raise NotIdentifiable("there is no adaptation episode to fit", hint="Upload one whose metadata says role = adaptation.")
+    frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(writer, plant).artifact}
+    return _submit(writer, queue, JobRecord(job, plant, "fit", frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now), stamp)
+
+
+def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+    """A trial of a candidate against what serves now, under a gate declared before. Raises RoleRefused, BadGate."""
+    candidate = find.artifact(writer, plant, str(request["candidate"]))
+    gate = find.gate(writer, plant, str(request["gate"]))
+    episodes = _episodes(writer, plant, request.get("episodes"), HELD_OUT)
+    if not episodes:
+        raise BadGate("there is no held-out episode to judge on", hint="Upload one whose metadata says role = validation.")
+    now = find.serving(writer, plant)
+    frozen: dict[str, Json] = {"candidate": candidate.digest, "gate": gate.digest, "episodes": _digests(episodes), "incumbent": now.artifact, "generation": now.generation}
+    return _submit(writer, queue, JobRecord(job, plant, "gate", frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now), stamp)
+
+
+def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) -> list[EpisodeRecord]:
+    if named is None:
+        return writer.episodes_of_role(plant, roles)
+    found = [find.episode(writer, plant, str(digest)) for digest in named]  # type: ignore[union-attr]
+    for episode in found:
+        if episode.role not in roles:
+            raise RoleRefused(f"episode {episode.digest[:12]} has the role {episode.role}, {' or '.join(roles)} is needed", role=episode.role, digest=episode.digest)
+    return found
+
+
+def _digests(episodes: Sequence[EpisodeRecord]) -> list[str]:
+    return list(dict.fromkeys(e.digest for e in episodes))
+
+
+def _submit(writer: Writer, queue: JobQueue, record: JobRecord, stamp: Stamp) -> JobRecord:
+    writer.add_job(record)
+    queue.enqueue(writer.connection, record.id)
+    writer.append_audit(at=stamp.now, kind="job:submitted", actor=stamp.actor, plant=record.plant, subject=record.id, facts={"kind": record.kind, "request": record.request})
+    return record

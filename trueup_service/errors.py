@@ -1,0 +1,75 @@
+"""Errors that only the service raises; `http/problems.py` gives each its status."""
+
+from __future__ import annotations
+
+from trueup.errors import TrueupError
+
+
+class NotFound(TrueupError):
+    """There is no such thing here."""
+
+    code = "not-found"
+    hint = "List the collection to see what there is."
+
+
+class Conflict(TrueupError):
+    """It exists already, and is different."""
+
+    code = "conflict"
+    hint = "What is registered never changes: choose another name."
+
+
+class KeyReused(TrueupError):
+    """The idempotency key was used for another request."""
+
+    code = "idempotency-key-reused"
+    hint = "Send a new Idempotency-Key for a new request; the same key only repeats the same one."
+
+
+class DigestMismatch(TrueupError):
+    """The bytes received are not those that the digest names."""
+
+    code = "digest-mismatch"
+    hint = "The upload was damaged on its way, or the digest is of other bytes: send it again."
+
+
+class TooLargeUpload(TrueupError):
+    """The upload is larger than the service takes."""
+
+    code = "upload-too-large"
+    hint = "Split the recording, or raise TRUEUP_UPLOAD_LIMIT_BYTES."
+
+
+class Kept(TrueupError):
+    """What was registered is kept: it serves, a decision names it, or somebody may have to recompute from it."""
+
+    code = "kept"
+    hint = "Roll back or promote to change what serves; nothing has to be deleted for that."
+
+
+class BadRequest(TrueupError):
+    """The request cannot be understood."""
+
+    code = "bad-request"
+    hint = "Compare the request with /docs."
+
+
+class SwitchbackFailed(TrueupError):
+    """The artifact to go back to did not pass its switchback test; the pointer has not moved."""
+
+    code = "switchback-failed"
+    hint = "Keep what serves, and promote a sound artifact instead."
+
+
+class InspectionFailed(TrueupError):
+    """The inspection of the upload was ended at its limit."""
+
+    code = "inspection-limit"
+    hint = "The file needs more memory or time than a sound recording of its size: check it, or raise the inspection limits."
+
+
+class NotReady(TrueupError):
+    """The service cannot do this now."""
+
+    code = "not-ready"
+    hint = "Try again; /readyz says what is missing."

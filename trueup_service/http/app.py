@@ -1,0 +1,42 @@
+"""The application: routers, errors, and what lives as long as it does."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from fastapi import FastAPI
+
+from trueup import __version__
+from trueup_service.http import problems
+from trueup_service.http.observing import Observing
+from trueup_service.http.routers import artifacts, audit, decisions, episodes, gates, jobs, operations, plants, serving
+from trueup_service.http.serving_answers import ServingAnswers
+from trueup_service.wiring import Parts
+
+DESCRIPTION = """Find where a robot's dynamics model is wrong, correct it, and serve the correction only if it has earned it.
+
+A recorded episode goes in (`POST …/episodes`), a job fits a candidate (`POST …/jobs`), a gate that was declared before decides,
+and the serving pointer moves (`POST …/serving/promote`) or goes back (`POST …/serving/rollback`). Everything done stands in `/v1/audit`.
+
+Errors are `application/problem+json` with a stable `code` and a `hint`. Every POST takes an `Idempotency-Key`."""
+
+
+def create_app(parts: Parts) -> FastAPI:
+    """The service over these parts."""
+
+    @asynccontextmanager
+    async def alive(app: FastAPI) -> AsyncIterator[None]:
+        app.state.answers = ServingAnswers(parts.database, parts.settings.watch_interval_s)
+        app.state.inspections = asyncio.Semaphore(parts.settings.inspections)
+        yield
+        parts.close()
+
+    app = FastAPI(title="trueup", version=__version__, description=DESCRIPTION, lifespan=alive)
+    app.state.parts = parts
+    problems.install(app)
+    for module in (plants, episodes, artifacts, gates, jobs, decisions, serving, audit, operations):
+        app.include_router(module.router)
+    app.add_middleware(Observing)
+    return app

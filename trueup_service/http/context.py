@@ -1,0 +1,51 @@
+"""What every route needs: the parts, who is asking, and the request as a unit of work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+from fastapi import Depends, Header, Path, Query, Request, Response
+
+from trueup.canonical import Json, digest_of
+from trueup_service.actions.once import Key, once
+from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.registry.store import Writer
+from trueup_service.wiring import Parts
+
+NOBODY = "unauthenticated"
+END_OF_TIME = "9999-12-31T23:59:59.999999Z"
+
+
+async def _parts(request: Request) -> Parts:
+    parts: Parts = request.app.state.parts
+    return parts
+
+
+async def _stamp(actor: Annotated[str | None, Header(alias="Trueup-Actor", max_length=200, description="Who is doing this; stands in the audit log")] = None) -> Stamp:
+    return Stamp(actor or NOBODY, time_text(datetime.now(UTC)))
+
+
+With = Annotated[Parts, Depends(_parts)]
+By = Annotated[Stamp, Depends(_stamp)]
+IdempotencyKey = Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=255, description="The same key repeats the same request's answer; with another request it is refused")]
+PlantName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A plant's name")]
+DigestPath = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")]
+Limit = Annotated[int, Query(ge=1, le=1000, description="Most items in the answer")]
+Before = Annotated[str, Query(max_length=27, description="Only what was made before this time; `next` of the page before")]
+
+
+def create(parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], tuple[Any, bool]], response: Response) -> dict[str, Any]:
+    """Run an action that makes something, once under its idempotency key; 201 if it is new, 200 if it was there."""
+
+    def run(writer: Writer) -> dict[str, Json]:
+        record, new = act(writer)
+        return {"record": asdict(record), "new": new}
+
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        answer = once(writer, Key(scope, key, digest_of(request)), stamp.now, lambda: run(writer))
+    response.status_code = 201 if answer["new"] else 200
+    return answer["record"]  # type: ignore[return-value]

@@ -1,0 +1,61 @@
+"""Around every request: an id, one JSON log line, and metrics."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import re
+import secrets
+import time
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any
+
+from prometheus_client import Counter, Histogram
+
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+log = logging.getLogger("trueup.access")
+REQUESTS = Counter("trueup_http_requests_total", "Requests answered", ["method", "route", "status"])
+SECONDS = Histogram("trueup_http_request_seconds", "Time to answer [s]", ["method", "route"], buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1, 5, 30))
+GIVEN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
+
+
+class Observing:
+    """ASGI middleware; takes the caller's `X-Request-Id` if it is a plain one, and answers with it."""
+
+    def __init__(self, app: App) -> None:
+        self._app = app
+        self._ids = (f"{secrets.token_hex(4)}-{n}" for n in itertools.count(1))
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        given = next((v for k, v in scope["headers"] if k == b"x-request-id"), b"")
+        name = given.decode() if GIVEN_ID.fullmatch(given) else next(self._ids)
+        scope["request_id"] = name
+        began, status = time.perf_counter(), 500
+
+        async def answer(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                message["headers"] = [*message["headers"], (b"x-request-id", name.encode())]
+            await send(message)
+
+        try:
+            await self._app(scope, receive, answer)
+        finally:
+            self._note(scope, name, status, time.perf_counter() - began)
+
+    @staticmethod
+    def _note(scope: Scope, name: str, status: int, seconds: float) -> None:
+        route = getattr(scope.get("route"), "path", "none")
+        REQUESTS.labels(scope["method"], route, status).inc()
+        SECONDS.labels(scope["method"], route).observe(seconds)
+        if log.isEnabledFor(logging.INFO):
+            log.info("request", extra={"request_id": name, "method": scope["method"], "path": scope["path"], "status": status, "seconds": round(seconds, 6)})

@@ -1,0 +1,100 @@
+"""Errors as problem details (RFC 9457): one table from error to status."""
+
+from __future__ import annotations
+
+import logging
+from http import HTTPStatus
+
+import orjson
+from fastapi import FastAPI, Request, Response
+from fastapi.exceptions import RequestValidationError
+from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
+from starlette.exceptions import HTTPException
+
+from trueup import errors
+from trueup.canonical import NotCanonical
+from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
+from trueup_service import errors as service
+from trueup_service.registry.blobs import BlobMissing
+
+log = logging.getLogger("trueup.http")
+
+MEDIA_TYPE = "application/problem+json"
+
+STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
+    errors.BadEpisode: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.BadPlant: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.BadArtifact: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.BadGate: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.NotIdentifiable: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.RoleRefused: HTTPStatus.FORBIDDEN,
+    errors.PointerMoved: HTTPStatus.CONFLICT,
+    errors.BrokenChain: HTTPStatus.INTERNAL_SERVER_ERROR,
+    NotCanonical: HTTPStatus.UNPROCESSABLE_ENTITY,
+    NotAccepted: HTTPStatus.CONFLICT,
+    NothingToRollBackTo: HTTPStatus.CONFLICT,
+    BlobMissing: HTTPStatus.INTERNAL_SERVER_ERROR,
+    service.NotFound: HTTPStatus.NOT_FOUND,
+    service.Conflict: HTTPStatus.CONFLICT,
+    service.KeyReused: HTTPStatus.CONFLICT,
+    service.DigestMismatch: HTTPStatus.UNPROCESSABLE_ENTITY,
+    service.TooLargeUpload: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    service.Kept: HTTPStatus.CONFLICT,
+    service.BadRequest: HTTPStatus.BAD_REQUEST,
+    service.SwitchbackFailed: HTTPStatus.CONFLICT,
+    service.InspectionFailed: HTTPStatus.UNPROCESSABLE_ENTITY,
+    service.NotReady: HTTPStatus.SERVICE_UNAVAILABLE,
+}
+
+
+def status_of(error: errors.TrueupError) -> HTTPStatus:
+    """The status of an error: that of the nearest class in the table."""
+    return next((STATUS[kind] for kind in type(error).__mro__ if kind in STATUS), HTTPStatus.INTERNAL_SERVER_ERROR)
+
+
+def problem(request: Request, status: int, code: str, detail: str, hint: str, facts: dict[str, object] | None = None) -> Response:
+    """A problem document: stable `code`, what to do next in `hint`, values in `facts`, and the request's id."""
+    body = {
+        "type": f"urn:trueup:problem:{code}",
+        "title": HTTPStatus(status).phrase,
+        "status": int(status),
+        "detail": detail,
+        "code": code,
+        "hint": hint,
+        "facts": facts or {},
+        "request_id": request.scope.get("request_id"),
+    }
+    return Response(orjson.dumps(body, default=str), status, media_type=MEDIA_TYPE)
+
+
+def install(app: FastAPI) -> None:
+    """Answer every error as a problem."""
+
+    @app.exception_handler(errors.TrueupError)
+    def _ours(request: Request, error: errors.TrueupError) -> Response:
+        return problem(request, status_of(error), error.code, error.message, error.hint, error.facts)
+
+    @app.exception_handler(RequestValidationError)
+    def _invalid(request: Request, error: RequestValidationError) -> Response:
+        found = [{"field": ".".join(map(str, e["loc"])), "message": e["msg"]} for e in error.errors()]
+        first = found[0] if found else {"field": "", "message": "invalid"}
+        return problem(request, HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-request", f"{first['field']}: {first['message']}", "Correct the named fields; /docs shows what each takes.", {"fields": found})
+
+    @app.exception_handler(HTTPException)
+    def _plain(request: Request, error: HTTPException) -> Response:
+        code = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
+        answer = problem(request, error.status_code, code, str(error.detail), "Compare the request with /docs.")
+        answer.headers.update(error.headers or {})
+        return answer
+
+    @app.exception_handler(OperationalError)
+    @app.exception_handler(PoolTimeout)
+    def _database(request: Request, error: Exception) -> Response:
+        log.error("the database failed", exc_info=error, extra={"request_id": request.scope.get("request_id")})
+        return problem(request, HTTPStatus.SERVICE_UNAVAILABLE, "not-ready", "the database cannot be used now", "Try again with the same Idempotency-Key; /readyz says what is missing.")
+
+    @app.exception_handler(Exception)
+    def _unexpected(request: Request, error: Exception) -> Response:
+        log.error("unexpected", exc_info=error, extra={"request_id": request.scope.get("request_id")})
+        return problem(request, HTTPStatus.INTERNAL_SERVER_ERROR, "internal", "the service failed", "Report it with the request id.")

@@ -1,0 +1,104 @@
+"""Artifacts: versions of a plant's model, and the arrays that they name."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import StreamingResponse
+
+from trueup_service.actions import find
+from trueup_service.errors import DigestMismatch, Kept, NotFound
+from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.schemas import Artifact, Page
+from trueup_service.http.uploads import Received, received
+from trueup_service.registry.blobs import Blobs
+from trueup_service.registry.store import Reader
+
+router = APIRouter(prefix="/v1", tags=["artifacts"])
+MANIFEST = {"requestBody": {"required": True, "content": {"application/json": {"schema": {"type": "object"}}}}}
+ARRAYS = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+
+
+@router.put("/blobs/{digest}", status_code=201, summary="Upload arrays under their digest", openapi_extra=ARRAYS)
+async def put_blob(request: Request, parts: With, digest: DigestPath) -> dict[str, str | int]:
+    """Durable once answered. The digest in the path is verified while the bytes stream."""
+    async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
+        await run_in_threadpool(_keep, parts.blobs, digest, file)
+        return {"digest": digest, "size_bytes": file.size_bytes}
+
+
+def _keep(blobs: Blobs, digest: str, file: Received) -> None:
+    if file.digest != digest:
+        raise DigestMismatch("the body is not what the path names", expected=digest, found=file.digest)
+    blobs.put(digest, file.path)
+
+
+@router.get("/blobs/{digest}", summary="Download arrays", response_class=Response)
+def get_blob(parts: With, digest: DigestPath) -> StreamingResponse:
+    if not parts.blobs.holds(digest):
+        raise NotFound(f"there is no blob {digest!r} here", noun="blob", name=digest)
+    headers = {"ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
+    return StreamingResponse(parts.blobs.stream(digest), media_type="application/octet-stream", headers=headers)
+
+
+@router.post("/plants/{plant}/artifacts", status_code=201, summary="Add an artifact as the next version", openapi_extra=MANIFEST)
+async def add(request: Request, parts: With, stamp: By, plant: PlantName, response: Response, key: IdempotencyKey = None) -> Artifact:
+    """The body is the manifest's exact bytes; arrays that it names were uploaded before. The predictor must load and answer its probe."""
+    manifest = await request.body()
+    return Artifact(**await run_in_threadpool(_add, parts, stamp, plant, manifest, key, response))
+
+
+def _add(parts, stamp, plant, manifest, key, response):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202, PLR0913
+    from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
+    from trueup.artifact.artifact import unpack  # noqa: PLC0415
+    from trueup_service.actions.add_artifact import add_artifact  # noqa: PLC0415
+
+    arrays = Bytes(manifest, b"").document.get("arrays")
+    held = parts.blobs.get(arrays["sha256"]) if isinstance(arrays, dict) else b""
+    artifact = Bytes(manifest, held)
+    unpack(artifact)
+    return create(parts, stamp, f"artifacts/{plant}", key, {"digest": artifact.digest}, lambda w: add_artifact(w, plant, artifact, None, stamp), response)
+
+
+@router.get("/plants/{plant}/artifacts", summary="List versions")
+def list_artifacts(parts: With, plant: PlantName, after: Annotated[int, Query(ge=0, le=2**31 - 1, description="version")] = 0, limit: Limit = 100) -> Page[Artifact]:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.plant(reader, plant)
+        found = reader.artifacts(plant, after, limit)
+    return Page(items=[Artifact.model_validate(a) for a in found], next=str(found[-1].version) if len(found) == limit else None)
+
+
+@router.get("/plants/{plant}/artifacts/{digest}", summary="Get an artifact's registration")
+def get_artifact(parts: With, plant: PlantName, digest: DigestPath) -> Artifact:
+    with parts.database.read() as connection:
+        return Artifact.model_validate(find.artifact(Reader(connection), plant, digest))
+
+
+@router.get("/plants/{plant}/versions/{version}", summary="Get an artifact's registration by version")
+def get_version(parts: With, plant: PlantName, version: int) -> Artifact:
+    with parts.database.read() as connection:
+        found = Reader(connection).artifact_version(plant, version) if 0 < version < 2**31 else None
+    if found is None:
+        raise NotFound(f"plant {plant!r} has no version {version}", noun="version", name=str(version))
+    return Artifact.model_validate(found)
+
+
+@router.get("/plants/{plant}/artifacts/{digest}/manifest", summary="Download the manifest's exact bytes", response_class=Response)
+def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
+    """Their SHA-256 is the artifact's name."""
+    with parts.database.read() as connection:
+        found = find.artifact(Reader(connection), plant, digest)
+    headers = {"ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
+    return Response(found.manifest, media_type="application/json", headers=headers)
+
+
+@router.delete("/plants/{plant}/artifacts/{digest}", summary="Refused: artifacts are kept", status_code=409)
+def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.artifact(reader, plant, digest)
+        serves = find.serving(reader, plant).artifact == digest
+        raise Kept(f"artifact {digest[:12]} is kept", serves=serves, decisions=reader.decisions_naming(plant, digest))

@@ -1,0 +1,111 @@
+"""Episodes: upload recordings as MCAP, list, get, download."""
+
+from __future__ import annotations
+
+import asyncio
+from datetime import UTC, datetime
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import StreamingResponse
+
+from trueup.canonical import Json
+from trueup.episode.role import Role
+from trueup_service.actions import find
+from trueup_service.actions.ingest_episode import ingest_episode
+from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.errors import Kept
+from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving
+from trueup_service.http.serving_answers import document
+from trueup_service.http.uploads import Received, received
+from trueup_service.inspection import Inspected, inspect_upload
+from trueup_service.registry.records import EpisodeRecord, Move
+from trueup_service.registry.store import Reader
+from trueup_service.wiring import Parts
+
+router = APIRouter(prefix="/v1/plants/{plant}/episodes", tags=["episodes"])
+MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+
+
+@router.post("", status_code=201, summary="Upload an episode", openapi_extra=MCAP)
+async def upload(request: Request, parts: With, stamp: By, plant: PlantName, response: Response, key: IdempotencyKey = None) -> Episode:
+    """The body is an MCAP file. It is hashed while it streams and held against `Content-Digest` (RFC 9530) if that is sent.
+
+    All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again are the same episode.
+    """
+    description = await run_in_threadpool(_description, parts, plant)
+    async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
+        known = await run_in_threadpool(_known, parts, plant, file.digest)
+        inspected = known or await _inspect(request, parts, file, description)
+        return Episode(**await run_in_threadpool(_ingest, parts, stamp, plant, key, file, inspected, response))
+
+
+def _description(parts: Parts, plant: str) -> dict[str, Json]:
+    with parts.database.read() as connection:
+        return find.plant(Reader(connection), plant).document
+
+
+def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
+    with parts.database.read() as connection:
+        found = Reader(connection).episode(plant, digest)
+    return found and Inspected(digest, found.role, found.start_ns, found.end_ns, found.summary)
+
+
+async def _inspect(request: Request, parts: Parts, file: Received, description: dict[str, Json]) -> Inspected:
+    slots: asyncio.Semaphore = request.app.state.inspections
+    async with slots:
+        return await inspect_upload(file.path, description, parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s)
+
+
+def _ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected, response: Response) -> dict[str, Json]:
+    parts.blobs.put(file.digest, file.path)
+    request = {"digest": file.digest}
+    return create(parts, stamp, f"episodes/{plant}", key, request, lambda w: ingest_episode(w, plant, file.digest, file.size_bytes, inspected, stamp), response)
+
+
+@router.get("", summary="List episodes")
+def list_episodes(parts: With, plant: PlantName, role: Role | None = None, after: Annotated[str, Query(max_length=64)] = "", limit: Limit = 100) -> Page[Episode]:
+    """In the order of their digests; `after` is the digest that the page before ended with."""
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.plant(reader, plant)
+        found = reader.episodes(plant, role, after, limit)
+    return Page(items=[Episode.model_validate(e) for e in found], next=found[-1].digest if len(found) == limit else None)
+
+
+@router.get("/{digest}", summary="Get an episode with what was serving while it was recorded")
+def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeContext:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        found = find.episode(reader, plant, digest)
+        uses = {purpose: reader.uses(digest, purpose) for purpose in ("fit", "gate")}
+        served = _served(reader, found)
+    return EpisodeContext(**Episode.model_validate(found).model_dump(), served=[Serving(**document(m)) for m in served], uses=uses)
+
+
+def _served(reader: Reader, episode: EpisodeRecord) -> list[Move]:
+    """Every position of the pointer that was live at some time of the recording."""
+    begin, end = (time_text(datetime.fromtimestamp(ns / 1e9, UTC)) for ns in (episode.start_ns, episode.end_ns))
+    first, last = reader.served_at(episode.plant, begin), reader.served_at(episode.plant, end)
+    if last is None:
+        return []
+    before = first.generation if first else 0
+    return reader.moves(episode.plant, max(before - 1, 0), last.generation - max(before - 1, 0))
+
+
+@router.get("/{digest}/content", summary="Download an episode's bytes", response_class=Response)
+def download(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
+    with parts.database.read() as connection:
+        found = find.episode(Reader(connection), plant, digest)
+    headers = {"Content-Length": str(found.size_bytes), "ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
+    return StreamingResponse(parts.blobs.stream(digest), media_type="application/octet-stream", headers=headers)
+
+
+@router.delete("/{digest}", summary="Refused: episodes are kept", status_code=409)
+def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.episode(reader, plant, digest)
+        raise Kept(f"episode {digest[:12]} is kept: fits and decisions name it", uses=reader.uses(digest, "fit") + reader.uses(digest, "gate"))

@@ -1,0 +1,37 @@
+"""Gates: rules declared before anything is scored by them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body, Query, Response
+
+from trueup_service.actions import find
+from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.schemas import Gate, Page
+from trueup_service.registry.store import Reader
+
+router = APIRouter(prefix="/v1/plants/{plant}/gates", tags=["gates"])
+
+
+@router.post("", status_code=201, summary="Declare a gate")
+def declare(parts: With, stamp: By, plant: PlantName, response: Response, document: Annotated[dict[str, Any] | None, Body()] = None, key: IdempotencyKey = None) -> Gate:
+    """Without a body the default gate is declared: rollout error below 0.98 of the incumbent's, one-step error no worse."""
+    from trueup_service.actions.declare_gate import declare_gate  # noqa: PLC0415  (numpy: a server that only serves needs none)
+
+    return Gate(**create(parts, stamp, f"gates/{plant}", key, document, lambda w: declare_gate(w, plant, document, stamp), response))
+
+
+@router.get("", summary="List gates")
+def list_gates(parts: With, plant: PlantName, after: Annotated[str, Query(max_length=64)] = "", limit: Limit = 100) -> Page[Gate]:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.plant(reader, plant)
+        found = reader.gates(plant, after, limit)
+    return Page(items=[Gate.model_validate(g) for g in found], next=found[-1].digest if len(found) == limit else None)
+
+
+@router.get("/{digest}", summary="Get a gate")
+def get_gate(parts: With, plant: PlantName, digest: DigestPath) -> Gate:
+    with parts.database.read() as connection:
+        return Gate.model_validate(find.gate(Reader(connection), plant, digest))

@@ -1,0 +1,53 @@
+"""Jobs: fits and trials, run by workers, with progress and cancellation."""
+
+from __future__ import annotations
+
+import uuid
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Path, Response
+
+from trueup_service.actions import find
+from trueup_service.actions.cancel_job import cancel_job
+from trueup_service.http.context import END_OF_TIME, Before, By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.schemas import FitRequest, GateRequest, Job, JobWithReads, Page
+from trueup_service.registry.store import Reader, Writer
+
+router = APIRouter(prefix="/v1", tags=["jobs"])
+JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
+JobRequest = Annotated[FitRequest | GateRequest, Body(discriminator="kind")]
+
+
+@router.post("/plants/{plant}/jobs", status_code=201, summary="Submit a fit or a trial")
+def submit(parts: With, stamp: By, plant: PlantName, request: JobRequest, response: Response, key: IdempotencyKey = None) -> Job:
+    """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a trial held-out ones alone."""
+    from trueup_service.actions.submit_job import submit_fit, submit_gate  # noqa: PLC0415  (numpy: a server that only serves needs none)
+
+    chosen, job = request.model_dump(exclude={"kind"}, exclude_none=True), uuid.uuid4().hex
+    act = submit_fit if request.kind == "fit" else submit_gate
+    parts.queue.prepare()
+    return Job(**create(parts, stamp, f"jobs/{plant}", key, {"kind": request.kind, **chosen}, lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True), response))
+
+
+@router.get("/plants/{plant}/jobs", summary="List jobs, the newest first")
+def list_jobs(parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100) -> Page[Job]:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.plant(reader, plant)
+        found = reader.jobs(plant, before, limit)
+    return Page(items=[Job.model_validate(j) for j in found], next=found[-1].created_at if len(found) == limit else None)
+
+
+@router.get("/jobs/{job}", summary="Get a job with its progress and what it has read")
+def get_job(parts: With, job: JobId) -> JobWithReads:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        found = find.job(reader, job)
+        return JobWithReads(**Job.model_validate(found).model_dump(), reads=reader.job_reads(job))
+
+
+@router.post("/jobs/{job}/cancel", summary="Cancel a job")
+def cancel(parts: With, stamp: By, job: JobId) -> Job:
+    """A waiting job is cancelled at once, a running one at its next report of progress; a finished one stays as it is."""
+    with parts.database.write() as connection:
+        return Job.model_validate(cancel_job(Writer(connection), job, stamp))

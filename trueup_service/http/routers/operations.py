@@ -1,0 +1,56 @@
+"""Operations: health, readiness, metrics."""
+
+from __future__ import annotations
+
+import os
+
+from fastapi import APIRouter, Response
+from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+from sqlalchemy.exc import SQLAlchemyError
+
+from trueup import __version__
+from trueup_service.http.context import With
+from trueup_service.http.schemas import Health, Readiness
+from trueup_service.registry.store import Reader
+from trueup_service.wiring import Parts
+
+router = APIRouter(tags=["operations"])
+
+
+@router.get("/healthz", summary="The process answers")
+async def health() -> Health:
+    return Health(status="ok", version=__version__)
+
+
+@router.get("/readyz", summary="The service can do its work", responses={503: {"model": Readiness}})
+def ready(parts: With, response: Response) -> Readiness:
+    checks = {"database": _database(parts), "blobs": _blobs(parts), "spool": _spool(parts)}
+    is_ready = all(found == "ok" for found in checks.values())
+    response.status_code = 200 if is_ready else 503
+    return Readiness(ready=is_ready, checks=checks)
+
+
+def _database(parts: Parts) -> str:
+    try:
+        with parts.database.read() as connection:
+            Reader(connection).audit_head()
+    except SQLAlchemyError as error:
+        return f"fails: {type(error).__name__}"
+    return "ok"
+
+
+def _blobs(parts: Parts) -> str:
+    try:
+        parts.blobs.holds("0" * 64)
+    except Exception as error:  # noqa: BLE001  (each store raises its own errors, and all of them mean the same here)
+        return f"fails: {type(error).__name__}"
+    return "ok"
+
+
+def _spool(parts: Parts) -> str:
+    return "ok" if os.access(parts.spool, os.W_OK) else "cannot be written to"
+
+
+@router.get("/metrics", summary="Prometheus metrics", response_class=Response)
+def metrics() -> Response:
+    return Response(generate_latest(), media_type=CONTENT_TYPE_LATEST)

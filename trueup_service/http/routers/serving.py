@@ -1,0 +1,85 @@
+"""Serving: which version answers for a plant, its history, promotion and rollback."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from trueup_service.actions import find
+from trueup_service.actions.move_pointer import previous_artifact, promote_decision, roll_back_pointer
+from trueup_service.actions.stamp import Stamp
+from trueup_service.http.context import By, Limit, PlantName, With
+from trueup_service.http.schemas import Page, Promotion, Rollback, Serving
+from trueup_service.http.serving_answers import ServingAnswers, document
+from trueup_service.registry.records import Move
+from trueup_service.registry.store import Reader, Writer
+from trueup_service.wiring import Parts
+
+router = APIRouter(prefix="/v1/plants/{plant}/serving", tags=["serving"])
+AtTime = Annotated[str | None, Query(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z$", description="UTC, ISO 8601: only what was live then")]
+WaitSeconds = Annotated[float, Query(ge=0.0, allow_inf_nan=False, description="With If-None-Match: wait this long for a change [s]")]
+
+
+@router.get("", summary="What is serving now", response_model=Serving, responses={304: {"description": "Still what If-None-Match names"}})
+async def now(request: Request, parts: With, plant: PlantName, wait_s: WaitSeconds = 0.0, tag: Annotated[str | None, Header(alias="If-None-Match")] = None) -> Response:
+    """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` it answers at the next move, or 304."""
+    answers: ServingAnswers = request.app.state.answers
+    wait = min(wait_s, parts.settings.long_poll_limit_s)
+    answer = await answers.after(plant, tag, wait) if tag and wait else await answers.now(plant)
+    headers = {"ETag": answer.etag, "Cache-Control": "no-cache"}
+    if tag == answer.etag:
+        return Response(status_code=304, headers=headers)
+    return Response(answer.body, media_type="application/json", headers=headers)
+
+
+@router.get("/history", summary="What served when")
+def history(parts: With, plant: PlantName, at: AtTime = None, after: Annotated[int, Query(ge=0, le=2**31 - 1, description="generation")] = 0, limit: Limit = 100) -> Page[Serving]:
+    """Every position of the pointer in order, or with `at` the one that was live at that time."""
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.plant(reader, plant)
+        if at is not None:
+            live = reader.served_at(plant, _padded(at))
+            return Page(items=[Serving(**document(live))] if live else [])
+        found = reader.moves(plant, after, limit)
+    return Page(items=[Serving(**document(m)) for m in found], next=str(found[-1].generation) if len(found) == limit else None)
+
+
+def _padded(at: str) -> str:
+    whole, _, fraction = at.removesuffix("Z").partition(".")
+    return f"{whole}.{fraction:<06}Z"
+
+
+@router.post("/promote", summary="Serve an accepted candidate")
+async def promote(request: Request, parts: With, stamp: By, plant: PlantName, promotion: Promotion) -> Serving:
+    """Compare and swap: 409 if the pointer is not at `expected_generation`, or the decision was judged at another one."""
+    move = await run_in_threadpool(_promote, parts, stamp, plant, promotion)
+    request.app.state.answers.wake()
+    return Serving(**document(move))
+
+
+def _promote(parts: Parts, stamp: Stamp, plant: str, promotion: Promotion) -> Move:
+    with parts.database.write() as connection:
+        return promote_decision(Writer(connection), plant, promotion.decision, promotion.expected_generation, stamp)
+
+
+@router.post("/rollback", summary="Serve what served before")
+async def rollback(request: Request, parts: With, stamp: By, plant: PlantName, wanted: Rollback) -> Serving:
+    """Only after the switchback test: the artifact loads, its digests hold, it answers its recorded probe, it fits the plant."""
+    move = await run_in_threadpool(_roll_back, parts, stamp, plant, wanted)
+    request.app.state.answers.wake()
+    return Serving(**document(move))
+
+
+def _roll_back(parts: Parts, stamp: Stamp, plant: str, wanted: Rollback) -> Move:
+    from trueup_service.actions.switchback import test_switchback  # noqa: PLC0415  (numpy: a server that only serves needs none)
+
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        registered = find.plant(reader, plant)
+        _, artifact = previous_artifact(reader, plant, wanted.expected_generation)
+    tested = test_switchback(parts.blobs, artifact, registered.digest)
+    with parts.database.write() as connection:
+        return roll_back_pointer(Writer(connection), plant, wanted.expected_generation, tested, stamp)

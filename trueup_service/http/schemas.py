@@ -1,0 +1,185 @@
+"""What goes over the wire."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+
+T = TypeVar("T")
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")]
+Time = Annotated[str, Field(description="UTC, ISO 8601 with microseconds", examples=["2026-01-31T12:00:00.000000Z"])]
+
+
+class Answer(BaseModel):
+    """An answer, made from a record."""
+
+    model_config = ConfigDict(from_attributes=True)
+
+
+class Page(BaseModel, Generic[T]):
+    """Part of a collection; `next` goes into the next request's cursor, null at the end."""
+
+    items: list[T]
+    next: str | None = None
+
+
+class Plant(Answer):
+    name: str
+    digest: Digest
+    document: dict[str, Any]
+    created_at: Time
+    created_by: str
+
+
+class Episode(Answer):
+    plant: str
+    digest: Digest
+    size_bytes: int
+    role: str
+    summary: dict[str, Any]
+    created_at: Time
+    created_by: str
+
+
+class EpisodeContext(Episode):
+    """An episode joined to what was serving while it was recorded, and how often it was used."""
+
+    served: list[Serving]
+    uses: dict[str, int]
+
+
+class Artifact(Answer):
+    plant: str
+    version: int
+    digest: Digest
+    kind: str
+    arrays: Digest | None
+    job: str | None
+    created_at: Time
+    created_by: str
+
+
+class Gate(Answer):
+    plant: str
+    digest: Digest
+    document: dict[str, Any]
+    created_at: Time
+    created_by: str
+
+
+class Job(Answer):
+    """`progress` runs from 0 to 1. `result` is what came of it, or a problem with `code`, `detail` and `hint`."""
+
+    id: str
+    plant: str
+    kind: str
+    request: dict[str, Any]
+    state: str
+    progress: float
+    stage: str
+    result: dict[str, Any] | None
+    created_at: Time
+    created_by: str
+    updated_at: Time
+
+
+class JobWithReads(Job):
+    """A job and the digest of everything it has read."""
+
+    reads: dict[str, str]
+
+
+class Decision(Answer):
+    digest: Digest
+    plant: str
+    gate: Digest
+    candidate: Digest
+    incumbent: Digest
+    generation: int
+    accepted: bool
+    document: dict[str, Any]
+    job: str | None
+    created_at: Time
+    created_by: str
+
+
+class Serving(BaseModel):
+    """Which artifact answers for a plant, since when, and by which decision; null for a registration."""
+
+    plant: str
+    version: int
+    artifact: Digest
+    generation: int
+    since: Time
+    decision: Digest | None
+    move: Literal["registered", "promoted", "rolled_back"]
+    actor: str
+
+
+class AuditEntry(Answer):
+    sequence: int
+    at: Time
+    kind: str
+    actor: str
+    plant: str | None
+    subject: str
+    facts: dict[str, Any]
+    previous: Digest
+    digest: Digest
+
+
+class AuditHead(BaseModel):
+    """The last entry's sequence and digest: whoever keeps it can show later that nothing before it was changed."""
+
+    sequence: int
+    digest: Digest
+
+
+class FitRequest(BaseModel):
+    """`episodes` are adaptation episodes by digest; null for all there are."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["fit"]
+    method: Literal["identify", "residual"]
+    episodes: list[Digest] | None = None
+    features: list[str] | None = Field(None, description="residual only: features of the linear map, such as q, v, u, q*v, sign(v), 1")
+    penalty: float | None = Field(None, gt=0, allow_inf_nan=False, description="residual only: ridge penalty on every weight")
+
+
+class GateRequest(BaseModel):
+    """Judge `candidate` against what serves now, under a declared gate; `episodes` are held-out ones, null for all there are."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["gate"]
+    candidate: Digest
+    gate: Digest
+    episodes: list[Digest] | None = None
+
+
+class Promotion(BaseModel):
+    """Serve the decision's candidate, if the pointer is still at `expected_generation`."""
+
+    model_config = ConfigDict(extra="forbid")
+    decision: Digest
+    expected_generation: int = Field(ge=1, le=2**31 - 1)
+
+
+class Rollback(BaseModel):
+    """Serve what served before, if the pointer is still at `expected_generation`."""
+
+    model_config = ConfigDict(extra="forbid")
+    expected_generation: int = Field(ge=1, le=2**31 - 1)
+
+
+class Health(BaseModel):
+    status: str
+    version: str
+
+
+class Readiness(BaseModel):
+    ready: bool
+    checks: dict[str, str]
+
+
+EpisodeContext.model_rebuild()

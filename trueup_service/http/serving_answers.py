@@ -1,0 +1,103 @@
+"""Answers to "what serves?", cheap enough for a fleet to poll, and never older than the last acknowledged move.
+
+On SQLite the answer is kept, and before it is given SQLite's change counter is read (`PRAGMA data_version`, a few
+microseconds, no table touched): any commit by any connection of any process moves it, and then the row is read again. A
+move is acknowledged after its commit, so whoever was told of it finds the counter moved. On PostgreSQL the row is
+read each time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import sqlite3
+from dataclasses import dataclass
+from typing import Any
+
+import orjson
+from starlette.concurrency import run_in_threadpool
+
+from trueup_service.actions import find
+from trueup_service.registry.database import Database
+from trueup_service.registry.records import Move
+from trueup_service.registry.store import Reader
+
+
+@dataclass(frozen=True, slots=True)
+class ServingAnswer:
+    """The body of an answer and its entity tag."""
+
+    etag: str
+    body: bytes
+
+
+def document(move: Move) -> dict[str, Any]:
+    """A position of the pointer as it goes over the wire."""
+    return {
+        "plant": move.plant,
+        "version": move.version,
+        "artifact": move.artifact,
+        "generation": move.generation,
+        "since": move.at,
+        "decision": move.decision,
+        "move": str(move.kind),
+        "actor": move.actor,
+    }
+
+
+class ServingAnswers:
+    """Gives the answers; used on the event loop only."""
+
+    def __init__(self, database: Database, watch_interval_s: float) -> None:
+        self._database = database
+        self._interval_s = watch_interval_s
+        self._kept: dict[str, ServingAnswer] = {}
+        self._counter = _ChangeCounter(database) if database.is_sqlite else None
+        self._moved = asyncio.Event()
+
+    async def now(self, plant: str) -> ServingAnswer:
+        """What serves. Raises NotFound."""
+        if self._counter is None:
+            return await run_in_threadpool(self._read, plant)
+        if self._counter.moved():
+            self._kept.clear()
+        answer = self._kept.get(plant)
+        if answer is None:
+            answer = self._kept[plant] = self._read(plant)
+        return answer
+
+    async def after(self, plant: str, etag: str, wait_s: float) -> ServingAnswer:
+        """What serves once its tag is another than `etag`, or what serves after `wait_s` [s]."""
+        deadline = asyncio.get_running_loop().time() + wait_s
+        while (answer := await self.now(plant)).etag == etag and (left := deadline - asyncio.get_running_loop().time()) > 0:
+            await self._next_look(min(left, self._interval_s))
+        return answer
+
+    def wake(self) -> None:
+        """Let everybody who waits look now: this process has moved a pointer."""
+        self._moved.set()
+        self._moved = asyncio.Event()
+
+    async def _next_look(self, seconds: float) -> None:
+        try:
+            await asyncio.wait_for(self._moved.wait(), seconds)
+        except TimeoutError:
+            return
+
+    def _read(self, plant: str) -> ServingAnswer:
+        with self._database.read() as connection:
+            move = find.serving(Reader(connection), plant)
+        return ServingAnswer(f'"{move.generation}"', orjson.dumps(document(move)))
+
+
+class _ChangeCounter:
+    """SQLite's counter of commits by others, seen from a connection that never writes."""
+
+    def __init__(self, database: Database) -> None:
+        self._connection: sqlite3.Connection = database.engine.raw_connection().driver_connection  # type: ignore[assignment]
+        self._seen = -1
+
+    def moved(self) -> bool:
+        """Whether anybody has committed since the last time."""
+        (now,) = self._connection.execute("PRAGMA data_version").fetchone()
+        moved, self._seen = now != self._seen, now
+        return bool(moved)

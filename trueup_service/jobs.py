@@ -1,0 +1,60 @@
+"""The job engine behind four calls: enqueue in our own transaction, and what a worker needs to run and to take over.
+
+DBOS keeps its queue in the same database as the registry, so that a job and its engine entry commit together. It is imported on
+first use: a server that only serves never loads it.
+"""
+
+from __future__ import annotations
+
+import threading
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from sqlalchemy import Connection, Engine, make_url
+
+if TYPE_CHECKING:
+    from dbos import DBOSClient
+
+QUEUE = "trueup"
+WORKFLOW = "trueup.job"
+ENGINE_VERSION = "1"  # of what is queued, not of the code: a new release must pick up what an old one queued
+
+
+class JobQueue:
+    """Hands jobs to the engine."""
+
+    def __init__(self, url: str, engine: Engine) -> None:
+        self._url, self._engine = url, engine
+        self._lock = threading.Lock()
+
+    def prepare(self) -> None:
+        """Load the engine and bring its tables up to date; outside any transaction, for it takes its own."""
+        with self._lock:
+            self._client  # noqa: B018
+
+    def enqueue(self, connection: Connection, job: str) -> None:
+        """Queue a job in the caller's transaction; the job's id is the workflow's, so a second time changes nothing."""
+        self._client.enqueue_in_transaction(connection, {"workflow_name": WORKFLOW, "queue_name": QUEUE, "workflow_id": job, "app_version": ENGINE_VERSION}, job)
+
+    @cached_property
+    def _client(self) -> DBOSClient:
+        from dbos import DBOSClient, DBOSPortableJSONSerializer  # noqa: PLC0415  (1.2 s of imports)
+
+        migrate_engine(self._url)
+        return DBOSClient(system_database_engine=self._engine, serializer=DBOSPortableJSONSerializer())
+
+
+def migrate_engine(url: str) -> None:
+    """Create or update the engine's tables."""
+    import logging  # noqa: PLC0415
+
+    from dbos import DBOS  # noqa: PLC0415
+
+    logging.getLogger("dbos").setLevel(logging.WARNING)
+    DBOS.migrate(plain_url(url))
+
+
+def plain_url(url: str) -> str:
+    """The URL as the engine wants it: without a driver."""
+    parsed = make_url(url)
+    return parsed.set(drivername=parsed.get_backend_name()).render_as_string(hide_password=False)

@@ -1,0 +1,59 @@
+"""Engine and transactions, on SQLite and PostgreSQL.
+
+SQLite: write-ahead log, `synchronous=FULL` so that a commit is on disk when it returns, and writers take the write lock when they
+begin. Within one process they queue on a lock of ours first, for SQLite's own waiting is sleeping and looking again.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event
+
+BUSY_TIMEOUT_MS = 30_000
+_WRITES = "trueup_writes"
+
+
+class Database:
+    """Where rows are kept. `read` and `write` give a connection inside a transaction; leaving it commits, an error rolls back."""
+
+    def __init__(self, url: str, pool: int) -> None:
+        self.is_sqlite = url.startswith("sqlite")
+        self.engine = _sqlite_engine(url, pool) if self.is_sqlite else create_engine(url, pool_size=pool, max_overflow=0, pool_pre_ping=True)
+        self._queue: Any = threading.Lock() if self.is_sqlite else nullcontext()
+
+    @contextmanager
+    def read(self) -> Iterator[Connection]:
+        """A consistent view."""
+        with self.engine.connect() as connection:
+            yield connection
+
+    @contextmanager
+    def write(self) -> Iterator[Connection]:
+        """A transaction that commits when it is left without an error."""
+        with self._queue, self.engine.connect().execution_options(**{_WRITES: True}) as connection, connection.begin():
+            yield connection
+
+    def close(self) -> None:
+        """Close every connection."""
+        self.engine.dispose()
+
+
+def _sqlite_engine(url: str, pool: int) -> Engine:
+    engine = create_engine(url, pool_size=pool, max_overflow=0, connect_args={"timeout": BUSY_TIMEOUT_MS / 1000, "check_same_thread": False})
+
+    @event.listens_for(engine, "connect")
+    def _prepare(connection: sqlite3.Connection, _record: object) -> None:
+        connection.isolation_level = None
+        for pragma in (f"busy_timeout={BUSY_TIMEOUT_MS}", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+            connection.execute(f"PRAGMA {pragma}")
+
+    @event.listens_for(engine, "begin")
+    def _begin(connection: Connection) -> None:
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if connection.get_execution_options().get(_WRITES) else "BEGIN")
+
+    return engine

@@ -1,0 +1,131 @@
+"""What the registry answers with: one frozen record for each noun."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from trueup.canonical import Json
+
+
+class JobState(StrEnum):
+    """Where a job stands. The last three are final."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    CANCELLING = "cancelling"
+    SUCCEEDED = "succeeded"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+
+FINAL = (JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELLED)
+
+
+class MoveKind(StrEnum):
+    """Why a serving pointer moved."""
+
+    REGISTERED = "registered"
+    PROMOTED = "promoted"
+    ROLLED_BACK = "rolled_back"
+
+
+@dataclass(frozen=True, slots=True)
+class PlantRecord:
+    """A registered plant."""
+
+    name: str
+    digest: str
+    document: dict[str, Json]
+    created_at: str
+    created_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeRecord:
+    """An ingested episode; its bytes are the blob of its digest."""
+
+    plant: str
+    digest: str
+    size_bytes: int
+    role: str
+    start_ns: int
+    end_ns: int
+    summary: dict[str, Json]
+    created_at: str
+    created_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class ArtifactRecord:
+    """A version of a plant's model."""
+
+    plant: str
+    version: int
+    digest: str
+    kind: str
+    manifest: str
+    arrays: str | None
+    job: str | None
+    created_at: str
+    created_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class GateRecord:
+    """A gate, frozen by its digest."""
+
+    plant: str
+    digest: str
+    document: dict[str, Json]
+    created_at: str
+    created_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class JobRecord:
+    """Work that was asked for. `result` is set once the state is final: what came of it, or the problem."""
+
+    id: str
+    plant: str
+    kind: str
+    request: dict[str, Json]
+    state: str
+    progress: float
+    stage: str
+    result: dict[str, Json] | None
+    created_at: str
+    created_by: str
+    updated_at: str
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionRecord:
+    """A gate's decision."""
+
+    digest: str
+    plant: str
+    gate: str
+    candidate: str
+    incumbent: str
+    generation: int
+    accepted: bool
+    document: dict[str, Json]
+    job: str | None
+    created_at: str
+    created_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """One position of a serving pointer. `back_to` is the generation whose artifact a rollback would serve."""
+
+    plant: str
+    generation: int
+    kind: str
+    artifact: str
+    version: int
+    decision: str | None
+    back_to: int | None
+    at: str
+    actor: str

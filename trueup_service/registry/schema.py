@@ -1,0 +1,37 @@
+"""Bring the database's schema up to date."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sqlalchemy import inspect, text
+
+from trueup_service.registry.database import Database
+
+HEAD = "0001"
+MIGRATIONS = Path(__file__).parent.parent / "migrations"
+ADVISORY_LOCK = 0x7472756575  # "trueu": one migration at a time among many servers
+
+
+def migrate(database: Database) -> None:
+    """Run the migrations that are missing. An up-to-date schema costs one query, for the migration tool loads slowly."""
+    if current(database) == HEAD:
+        return
+    from alembic import command  # noqa: PLC0415
+    from alembic.config import Config  # noqa: PLC0415
+
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS))
+    with database.write() as connection:
+        if not database.is_sqlite:
+            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": ADVISORY_LOCK})
+        config.attributes["connection"] = connection
+        command.upgrade(config, "head")
+
+
+def current(database: Database) -> str | None:
+    """The schema's version, None for an empty database."""
+    with database.read() as connection:
+        if not inspect(connection).has_table("alembic_version"):
+            return None
+        return connection.scalar(text("SELECT version_num FROM alembic_version"))

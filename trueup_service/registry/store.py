@@ -1,0 +1,213 @@
+"""What may be asked of the registry, and what may be added to it.
+
+`Reader` asks, `Writer` adds. Nothing here updates or deletes an episode, an artifact, a gate, a decision, a move or an audit entry;
+only a job's progress and the generation that serves change.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any, TypeVar
+
+from sqlalchemy import Connection, Select, Table, func, insert, select, update
+from sqlalchemy.engine import RowMapping
+
+from trueup.canonical import Json, canonical_bytes
+from trueup.errors import PointerMoved
+from trueup.ledger.audit import GENESIS, AuditEntry, append
+from trueup_service.registry import tables as t
+from trueup_service.registry.records import FINAL, ArtifactRecord, DecisionRecord, EpisodeRecord, GateRecord, JobRecord, JobState, Move, PlantRecord
+
+R = TypeVar("R")
+_JSON = {"document", "summary", "request", "result", "facts"}
+
+
+class Reader:
+    """Questions, inside one transaction."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+
+    def plant(self, name: str) -> PlantRecord | None:
+        return self._one(PlantRecord, select(t.plants).where(t.plants.c.name == name))
+
+    def plants(self, after: str, limit: int) -> list[PlantRecord]:
+        return self._all(PlantRecord, select(t.plants).where(t.plants.c.name > after).order_by(t.plants.c.name).limit(limit))
+
+    def episode(self, plant: str, digest: str) -> EpisodeRecord | None:
+        return self._one(EpisodeRecord, select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.digest == digest))
+
+    def episodes(self, plant: str, role: str | None, after: str, limit: int) -> list[EpisodeRecord]:
+        """Episodes in the order of their digests, from behind `after`."""
+        query = select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.digest > after)
+        query = query if role is None else query.where(t.episodes.c.role == role)
+        return self._all(EpisodeRecord, query.order_by(t.episodes.c.digest).limit(limit))
+
+    def episodes_of_role(self, plant: str, roles: Iterable[str]) -> list[EpisodeRecord]:
+        """Every episode of these roles, in the order of their start."""
+        query = select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.role.in_(list(roles)))
+        return self._all(EpisodeRecord, query.order_by(t.episodes.c.start_ns, t.episodes.c.digest))
+
+    def artifact(self, plant: str, digest: str) -> ArtifactRecord | None:
+        return self._one(ArtifactRecord, select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.digest == digest))
+
+    def artifact_version(self, plant: str, version: int) -> ArtifactRecord | None:
+        return self._one(ArtifactRecord, select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.version == version))
+
+    def artifacts(self, plant: str, after: int, limit: int) -> list[ArtifactRecord]:
+        return self._all(ArtifactRecord, select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.version > after).order_by(t.artifacts.c.version).limit(limit))
+
+    def latest_version(self, plant: str) -> int:
+        """The highest version of a plant, 0 for none."""
+        return int(self.connection.scalar(select(func.max(t.artifacts.c.version)).where(t.artifacts.c.plant == plant)) or 0)
+
+    def gate(self, plant: str, digest: str) -> GateRecord | None:
+        return self._one(GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest == digest))
+
+    def gates(self, plant: str, after: str, limit: int) -> list[GateRecord]:
+        return self._all(GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest > after).order_by(t.gates.c.digest).limit(limit))
+
+    def job(self, job: str) -> JobRecord | None:
+        return self._one(JobRecord, select(t.jobs).where(t.jobs.c.id == job))
+
+    def jobs(self, plant: str, before: str, limit: int) -> list[JobRecord]:
+        """Jobs, the newest first, created before a time."""
+        return self._all(JobRecord, select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.created_at < before).order_by(t.jobs.c.created_at.desc(), t.jobs.c.id).limit(limit))
+
+    def job_reads(self, job: str) -> dict[str, str]:
+        """Digest of everything a job has read, and what for."""
+        rows = self.connection.execute(select(t.job_reads.c.digest, t.job_reads.c.purpose).where(t.job_reads.c.job == job).order_by(t.job_reads.c.digest))
+        return {digest: purpose for digest, purpose in rows}
+
+    def uses(self, digest: str, purpose: str) -> int:
+        """How many jobs have read these bytes for this purpose."""
+        return int(self.connection.scalar(select(func.count()).where(t.job_reads.c.digest == digest, t.job_reads.c.purpose == purpose)) or 0)
+
+    def decision(self, digest: str) -> DecisionRecord | None:
+        return self._one(DecisionRecord, select(t.decisions).where(t.decisions.c.digest == digest))
+
+    def decisions(self, plant: str, before: str, limit: int) -> list[DecisionRecord]:
+        """Decisions, the newest first, made before a time."""
+        query = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.created_at < before)
+        return self._all(DecisionRecord, query.order_by(t.decisions.c.created_at.desc(), t.decisions.c.digest).limit(limit))
+
+    def decisions_naming(self, plant: str, digest: str) -> list[str]:
+        """Decisions that name an artifact as candidate or incumbent."""
+        query = select(t.decisions.c.digest).where(t.decisions.c.plant == plant, (t.decisions.c.candidate == digest) | (t.decisions.c.incumbent == digest))
+        return list(self.connection.scalars(query))
+
+    def serving(self, plant: str) -> Move | None:
+        """What serves now."""
+        joined = t.moves.join(t.serving, (t.moves.c.plant == t.serving.c.plant) & (t.moves.c.generation == t.serving.c.generation))
+        return self._one(Move, select(t.moves).select_from(joined).where(t.serving.c.plant == plant))
+
+    def move(self, plant: str, generation: int) -> Move | None:
+        return self._one(Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation == generation))
+
+    def moves(self, plant: str, after: int, limit: int) -> list[Move]:
+        return self._all(Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation > after).order_by(t.moves.c.generation).limit(limit))
+
+    def served_at(self, plant: str, at: str) -> Move | None:
+        """What was serving at a time."""
+        return self._one(Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.at <= at).order_by(t.moves.c.generation.desc()).limit(1))
+
+    def audit_entries(self, after: int, limit: int, plant: str | None = None) -> list[AuditEntry]:
+        query = select(t.audit).where(t.audit.c.sequence > after)
+        query = query if plant is None else query.where(t.audit.c.plant == plant)
+        return self._all(AuditEntry, query.order_by(t.audit.c.sequence).limit(limit))
+
+    def audit_head(self) -> tuple[int, str]:
+        """Sequence and digest of the last entry."""
+        row = self.connection.execute(select(t.audit_head.c.sequence, t.audit_head.c.digest)).first()
+        return (row.sequence, row.digest) if row else (0, GENESIS)
+
+    def remembered(self, scope: str, key: str) -> tuple[str, dict[str, Json]] | None:
+        """The request digest and the response kept under an idempotency key."""
+        row = self.connection.execute(select(t.idempotency.c.request, t.idempotency.c.response).where(t.idempotency.c.scope == scope, t.idempotency.c.key == key)).first()
+        return (row.request, json.loads(row.response)) if row else None
+
+    def _one(self, kind: type[R], query: Select[Any]) -> R | None:
+        row = self.connection.execute(query).mappings().first()
+        return None if row is None else _record(kind, row)
+
+    def _all(self, kind: type[R], query: Select[Any]) -> list[R]:
+        return [_record(kind, row) for row in self.connection.execute(query).mappings()]
+
+
+class Writer(Reader):
+    """Additions, inside one transaction. `append_audit` comes last: it queues behind every other writer until the commit."""
+
+    def add_plant(self, record: PlantRecord) -> None:
+        self._add(t.plants, asdict(record))
+
+    def add_episode(self, record: EpisodeRecord) -> None:
+        self._add(t.episodes, asdict(record))
+
+    def add_artifact(self, record: ArtifactRecord) -> None:
+        self._add(t.artifacts, asdict(record))
+
+    def add_gate(self, record: GateRecord) -> None:
+        self._add(t.gates, asdict(record))
+
+    def add_decision(self, record: DecisionRecord) -> None:
+        self._add(t.decisions, asdict(record))
+
+    def add_job(self, record: JobRecord) -> None:
+        self._add(t.jobs, asdict(record))
+
+    def add_reads(self, job: str, digests: Sequence[str], purpose: str) -> None:
+        """Note what a job reads; noting it again changes nothing."""
+        known = self.job_reads(job)
+        for digest in digests:
+            if digest not in known:
+                self._add(t.job_reads, {"job": job, "digest": digest, "purpose": purpose})
+
+    def lock_plant(self, plant: str) -> None:
+        """Hold every other writer of this plant until the commit."""
+        self.connection.execute(select(t.plants.c.name).where(t.plants.c.name == plant).with_for_update())
+
+    def update_job(self, job: str, *, now: str, state: JobState | None = None, progress: float | None = None, stage: str | None = None, result: dict[str, Json] | None = None) -> bool:
+        """Move a job on; False if it is already in a final state, which never changes."""
+        given = {"state": state and str(state), "progress": progress, "stage": stage, "result": None if result is None else _text(result)}
+        values = {key: value for key, value in given.items() if value is not None} | {"updated_at": now}
+        changed = self.connection.execute(update(t.jobs).where(t.jobs.c.id == job, t.jobs.c.state.not_in(FINAL)).values(values))
+        return changed.rowcount == 1
+
+    def begin_serving(self, move: Move) -> None:
+        """The first position of a plant's pointer."""
+        self._add(t.moves, asdict(move))
+        self._add(t.serving, {"plant": move.plant, "generation": move.generation})
+
+    def move_serving(self, move: Move) -> None:
+        """Compare and swap: the pointer goes to `move` if it stands one generation before. Raises PointerMoved."""
+        swapped = self.connection.execute(
+            update(t.serving).where(t.serving.c.plant == move.plant, t.serving.c.generation == move.generation - 1).values(generation=move.generation)
+        )
+        if swapped.rowcount != 1:
+            raise PointerMoved(f"another move took generation {move.generation}", expected=move.generation - 1)
+        self._add(t.moves, asdict(move))
+
+    def remember(self, scope: str, key: str, request: str, response: dict[str, Json], now: str) -> None:
+        """Keep the response to a request under its idempotency key."""
+        self._add(t.idempotency, {"scope": scope, "key": key, "request": request, "response": _text(response), "at": now})
+
+    def append_audit(self, *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]) -> AuditEntry:
+        """Add the next entry of the log."""
+        head = self.connection.execute(select(t.audit_head.c.sequence, t.audit_head.c.digest).with_for_update()).one()
+        entry = append((head.sequence, head.digest), at=at, kind=kind, actor=actor, plant=plant, subject=subject, facts=facts)
+        self._add(t.audit, asdict(entry))
+        self.connection.execute(update(t.audit_head).values(sequence=entry.sequence, digest=entry.digest))
+        return entry
+
+    def _add(self, table: Table, values: dict[str, Any]) -> None:
+        self.connection.execute(insert(table).values({k: _text(v) if k in _JSON and v is not None else v for k, v in values.items()}))
+
+
+def _text(document: Any) -> str:
+    return canonical_bytes(document).decode()
+
+
+def _record(kind: type[R], row: RowMapping) -> R:
+    return kind(**{k: json.loads(v) if k in _JSON and v is not None else v for k, v in row.items()})

@@ -1,0 +1,162 @@
+"""The tables. `migrations/` adds up to exactly these.
+
+Times are UTC, ISO 8601 with microseconds, so that text order is time order; documents are canonical JSON text.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import BigInteger, Boolean, Column, Float, ForeignKey, ForeignKeyConstraint, Index, Integer, MetaData, String, Table, Text
+
+NAME, DIGEST, ID, AT = String(63), String(64), String(32), String(27)
+
+metadata = MetaData(naming_convention={"ix": "ix_%(table_name)s_%(column_0_N_name)s", "pk": "pk_%(table_name)s", "fk": "fk_%(table_name)s_%(column_0_N_name)s"})
+
+plants = Table(
+    "plants",
+    metadata,
+    Column("name", NAME, primary_key=True),
+    Column("digest", DIGEST, nullable=False),
+    Column("document", Text, nullable=False),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+)
+
+episodes = Table(
+    "episodes",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("digest", DIGEST, primary_key=True),
+    Column("size_bytes", BigInteger, nullable=False),
+    Column("role", String(16), nullable=False),
+    Column("start_ns", BigInteger, nullable=False),
+    Column("end_ns", BigInteger, nullable=False),
+    Column("summary", Text, nullable=False),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+    Index(None, "plant", "role", "created_at"),
+)
+
+artifacts = Table(
+    "artifacts",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("version", Integer, primary_key=True, autoincrement=False),
+    Column("digest", DIGEST, nullable=False),
+    Column("kind", String(32), nullable=False),
+    Column("manifest", Text, nullable=False),
+    Column("arrays", DIGEST),
+    Column("job", ID),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+    Index(None, "plant", "digest", unique=True),
+)
+
+gates = Table(
+    "gates",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("digest", DIGEST, primary_key=True),
+    Column("document", Text, nullable=False),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+)
+
+jobs = Table(
+    "jobs",
+    metadata,
+    Column("id", ID, primary_key=True),
+    Column("plant", NAME, ForeignKey("plants.name"), nullable=False),
+    Column("kind", String(16), nullable=False),
+    Column("request", Text, nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("progress", Float, nullable=False),
+    Column("stage", Text, nullable=False),
+    Column("result", Text),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+    Column("updated_at", AT, nullable=False),
+    Index(None, "plant", "created_at"),
+)
+
+job_reads = Table(
+    "job_reads",
+    metadata,
+    Column("job", ID, ForeignKey("jobs.id"), primary_key=True),
+    Column("digest", DIGEST, primary_key=True),
+    Column("purpose", String(16), nullable=False),
+    Index(None, "digest"),
+)
+
+decisions = Table(
+    "decisions",
+    metadata,
+    Column("digest", DIGEST, primary_key=True),
+    Column("plant", NAME, ForeignKey("plants.name"), nullable=False),
+    Column("gate", DIGEST, nullable=False),
+    Column("candidate", DIGEST, nullable=False),
+    Column("incumbent", DIGEST, nullable=False),
+    Column("generation", Integer, nullable=False),
+    Column("accepted", Boolean, nullable=False),
+    Column("document", Text, nullable=False),
+    Column("job", ID),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+    ForeignKeyConstraint(["plant", "gate"], ["gates.plant", "gates.digest"]),
+    Index(None, "plant", "created_at"),
+    Index(None, "plant", "candidate"),
+)
+
+serving = Table(
+    "serving",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("generation", Integer, nullable=False),
+)
+
+moves = Table(
+    "moves",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("generation", Integer, primary_key=True, autoincrement=False),
+    Column("kind", String(16), nullable=False),
+    Column("artifact", DIGEST, nullable=False),
+    Column("version", Integer, nullable=False),
+    Column("decision", DIGEST, ForeignKey("decisions.digest")),
+    Column("back_to", Integer),
+    Column("at", AT, nullable=False),
+    Column("actor", Text, nullable=False),
+    Index(None, "plant", "at"),
+)
+
+audit = Table(
+    "audit",
+    metadata,
+    Column("sequence", BigInteger, primary_key=True, autoincrement=False),
+    Column("at", AT, nullable=False),
+    Column("kind", String(32), nullable=False),
+    Column("actor", Text, nullable=False),
+    Column("plant", NAME),
+    Column("subject", Text, nullable=False),
+    Column("facts", Text, nullable=False),
+    Column("previous", DIGEST, nullable=False),
+    Column("digest", DIGEST, nullable=False),
+    Index(None, "plant", "sequence"),
+)
+
+audit_head = Table(
+    "audit_head",
+    metadata,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("sequence", BigInteger, nullable=False),
+    Column("digest", DIGEST, nullable=False),
+)
+
+idempotency = Table(
+    "idempotency",
+    metadata,
+    Column("scope", String(160), primary_key=True),
+    Column("key", String(255), primary_key=True),
+    Column("request", DIGEST, nullable=False),
+    Column("response", Text, nullable=False),
+    Column("at", AT, nullable=False),
+)

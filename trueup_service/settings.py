@@ -1,0 +1,46 @@
+"""Every setting of the service and the worker, from the environment (`TRUEUP_…`), typed, with its unit."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+
+from pydantic import Field, SecretStr
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+
+class Settings(BaseSettings):
+    """What may be set. The defaults are embedded storage: SQLite and a folder, one server, one worker beside it."""
+
+    model_config = SettingsConfigDict(env_prefix="TRUEUP_", frozen=True, extra="forbid")
+
+    data_dir: Path = Field(Path(".trueup"), description="Folder of the embedded database, the blobs and the spool of uploads under way.")
+    database_url: str | None = Field(None, description="postgresql+psycopg://… for PostgreSQL; unset: SQLite in data_dir.")
+    database_pool: int = Field(16, ge=1, description="Connections that one process may hold.")
+    s3_bucket: str | None = Field(None, description="Bucket of the blobs; unset: the folder data_dir/blobs.")
+    s3_prefix: str = Field("trueup", description="Key prefix inside the bucket.")
+    s3_endpoint: str | None = Field(None, description="URL of an S3-compatible store; unset: the region's own.")
+    s3_region: str = Field("us-east-1", description="Region of the bucket.")
+    s3_access_key: str | None = Field(None, description="Access key id; unset: the machine's own credentials.")
+    s3_secret_key: SecretStr | None = Field(None, description="Secret access key.")
+    host: str = Field("127.0.0.1", description="Address to listen on.")
+    port: int = Field(8321, ge=0, le=65535, description="Port to listen on; 0 for any free one.")
+    upload_limit_bytes: int = Field(2 << 30, ge=1, description="Largest upload [bytes].")
+    inspection_memory_bytes: int = Field(1 << 30, ge=64 << 20, description="Address space of the process that inspects an upload [bytes].")
+    inspection_timeout_s: float = Field(120.0, gt=0, description="Time that the inspection of an upload may take [s].")
+    inspections: int = Field(2, ge=1, description="Inspections at once.")
+    long_poll_limit_s: float = Field(60.0, gt=0, description="Longest that a request may wait for a change [s].")
+    watch_interval_s: float = Field(0.2, gt=0, description="Time between looks for moves made by other processes, while somebody waits [s].")
+    job_poll_interval_s: float = Field(0.1, gt=0, description="Time between a worker's looks at the queue [s].")
+    takeover_interval_s: float = Field(1.0, gt=0, description="Time between a worker's looks for dead workers [s].")
+    log_level: str = Field("INFO", description="Least severe level that is logged.")
+
+    @cached_property
+    def sqlalchemy_url(self) -> str:
+        """URL of the database."""
+        return self.database_url or f"sqlite:///{(self.data_dir / 'trueup.sqlite').absolute()}"
+
+    @property
+    def embedded(self) -> bool:
+        """Whether the database is the embedded one."""
+        return self.database_url is None

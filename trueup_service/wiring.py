@@ -1,0 +1,52 @@
+"""Build the parts of the service from the settings; nothing else does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from trueup_service.jobs import JobQueue
+from trueup_service.locks import own_folder
+from trueup_service.registry.blobs import Blobs, FolderBlobs, S3Blobs
+from trueup_service.registry.database import Database
+from trueup_service.registry.schema import migrate
+from trueup_service.settings import Settings
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What the server and the worker are made of."""
+
+    settings: Settings
+    database: Database
+    blobs: Blobs
+    queue: JobQueue
+    spool: Path
+
+    def close(self) -> None:
+        """Let go of every connection."""
+        self.database.close()
+
+
+def build(settings: Settings) -> Parts:
+    """The parts, with the schema up to date and a spool folder of this process."""
+    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    database = Database(settings.sqlalchemy_url, settings.database_pool)
+    migrate(database)
+    return Parts(settings, database, _blobs(settings), JobQueue(settings.sqlalchemy_url, database.engine), own_folder(settings.data_dir / "spool"))
+
+
+def _blobs(settings: Settings) -> Blobs:
+    if settings.s3_bucket is None:
+        return FolderBlobs(settings.data_dir / "blobs")
+    from obstore.store import S3Store  # noqa: PLC0415  (only a scaled installation has a store)
+
+    given = {
+        "endpoint": settings.s3_endpoint,
+        "region": settings.s3_region,
+        "access_key_id": settings.s3_access_key,
+        "secret_access_key": settings.s3_secret_key and settings.s3_secret_key.get_secret_value(),
+    }
+    options = {"allow_http": bool(settings.s3_endpoint and settings.s3_endpoint.startswith("http:"))}
+    config = {key: value for key, value in given.items() if value is not None}
+    return S3Blobs(S3Store(settings.s3_bucket, prefix=settings.s3_prefix, client_options=options, **config))

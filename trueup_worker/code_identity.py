@@ -1,0 +1,20 @@
+"""Which code computed something."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+import trueup
+from trueup.canonical import Json
+
+
+@cache
+def code_identity() -> dict[str, Json]:
+    """The library's version, and the SHA-256 over the names and bytes of its source files."""
+    root = Path(trueup.__file__).parent
+    hashed = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        hashed.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return {"version": trueup.__version__, "sha256": hashed.hexdigest()}

@@ -1,0 +1,56 @@
+"""What a job reads: noted before it is read, and refused if its role forbids it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from trueup.artifact.artifact import unpack
+from trueup.canonical import Json
+from trueup.episode.episode import Episode
+from trueup.episode.mcap import read_episode
+from trueup.episode.role import Role
+from trueup.errors import BadEpisode
+from trueup.model.plant import Plant
+from trueup.model.predictor import Predictor
+from trueup_service.actions import find
+from trueup_service.actions.switchback import load_artifact
+from trueup_service.registry.records import JobRecord
+from trueup_service.registry.store import Reader, Writer
+from trueup_service.wiring import Parts
+from trueup_worker.progress import Progress
+
+
+def read_plant(parts: Parts, job: JobRecord) -> Plant:
+    """The job's plant."""
+    with parts.database.read() as connection:
+        return Plant.from_document(find.plant(Reader(connection), job.plant).document)
+
+
+def read_episodes(parts: Parts, job: JobRecord, plant: Plant, roles: Sequence[Role], progress: Progress) -> list[Episode]:
+    """The episodes that the job's request names. Raises RoleRefused, BadEpisode if the stored bytes are not what their digest names."""
+    digests: Any = job.request["episodes"]
+    with parts.database.write() as connection:
+        Writer(connection).add_reads(job.id, digests, job.kind)
+    episodes = []
+    for count, digest in enumerate(digests):
+        episode = read_episode(parts.blobs.get(digest), plant.layout).require(*roles)
+        if episode.digest != digest:
+            raise BadEpisode("the stored bytes are not the episode that was ingested", expected=digest, found=episode.digest)
+        episodes.append(episode)
+        progress((count + 1) / len(digests))
+    return episodes
+
+
+def read_predictor(parts: Parts, job: JobRecord, digest: str) -> Predictor:
+    """A predictor by its artifact's digest."""
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        record = find.artifact(writer, job.plant, digest)
+        writer.add_reads(job.id, [digest], "artifact")
+    return unpack(load_artifact(parts.blobs, record), digest)
+
+
+def sources(episodes: Sequence[Episode]) -> list[Json]:
+    """Episodes as provenance names them: digest, role, collection conditions."""
+    return [{"sha256": e.digest, "role": str(e.role), "conditions": dict(e.conditions)} for e in episodes]

@@ -1,0 +1,70 @@
+"""One worker process: the job engine, and the look-out for dead workers."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import socket
+import sys
+import threading
+import uuid
+
+from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer
+
+from trueup_service.jobs import ENGINE_VERSION, QUEUE, WORKFLOW, migrate_engine, plain_url
+from trueup_service.wiring import Parts
+from trueup_worker.run_job import compute, finish
+from trueup_worker.takeover import FileLives, Lives, PostgresLives, watch
+
+log = logging.getLogger("trueup.worker")
+
+
+def work(parts: Parts, *, with_parent: bool = False) -> None:
+    """Run jobs until SIGTERM or SIGINT; with `with_parent` also until standard input closes, as it does when the parent dies."""
+    name = f"{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
+    lives = _lives(parts)
+    lives.begin(name)
+    stop = threading.Event()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: stop.set())
+    if with_parent:
+        threading.Thread(target=_until_parent_is_gone, args=(stop,), daemon=True).start()
+    _launch(parts, name)
+    log.info("working", extra={"worker": name})
+    threading.Thread(target=watch, args=(lives, name, parts.settings.takeover_interval_s, stop), daemon=True).start()
+    stop.wait()
+    log.info("stopping", extra={"worker": name})
+    DBOS.destroy(workflow_completion_timeout_sec=0)
+    os._exit(0)  # a job under way is another worker's from here on
+
+
+def _launch(parts: Parts, name: str) -> None:
+    migrate_engine(parts.settings.sqlalchemy_url)
+    config: DBOSConfig = {
+        "name": "trueup",
+        "system_database_url": plain_url(parts.settings.sqlalchemy_url),
+        "application_version": ENGINE_VERSION,
+        "executor_id": name,
+        "serializer": DBOSPortableJSONSerializer(),
+        "log_level": "WARNING",
+        "run_migrations": False,
+    }
+    DBOS(config=config)
+
+    @DBOS.workflow(name=WORKFLOW)
+    def job(job_id: str) -> str:
+        found = DBOS.run_step({"name": "compute"}, compute, parts, job_id)
+        return DBOS.run_step({"name": "finish"}, finish, parts, job_id, found)
+
+    DBOS.launch()
+    DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=parts.settings.job_poll_interval_s, on_conflict="always_update")
+
+
+def _lives(parts: Parts) -> Lives:
+    return FileLives(parts.settings.data_dir / "workers") if parts.settings.embedded else PostgresLives(parts.database)
+
+
+def _until_parent_is_gone(stop: threading.Event) -> None:
+    sys.stdin.read()
+    stop.set()

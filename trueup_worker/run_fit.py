@@ -1,0 +1,77 @@
+"""Run a fit: adaptation episodes become a candidate artifact with its provenance."""
+
+from __future__ import annotations
+
+import uuid
+from typing import Any
+
+from trueup.artifact.artifact import Artifact, pack
+from trueup.canonical import Json, digest_of, digest_of_bytes
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
+from trueup.fit.identify import identify
+from trueup.fit.residual import RIDGE, fit_residual
+from trueup.model.features import POLYNOMIAL
+from trueup.model.plant import Plant
+from trueup.model.predictor import Predictor
+from trueup_service.actions.add_artifact import add_artifact
+from trueup_service.actions.stamp import Stamp
+from trueup_service.registry.records import JobRecord
+from trueup_service.registry.store import Writer
+from trueup_service.wiring import Parts
+from trueup_worker.code_identity import code_identity
+from trueup_worker.inputs import read_episodes, read_plant, sources
+from trueup_worker.progress import Progress
+
+SEED = 0  # both methods are deterministic; the field stands so that every provenance has it
+
+
+def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
+    """Fit, keep the arrays, and give the manifest and the report. Repeating it gives the same bytes."""
+    plant = read_plant(parts, job)
+    episodes = read_episodes(parts, job, plant, (Role.ADAPTATION,), progress.stage("reading episodes", 0.0, 0.5))
+    predictor, report = _fit(plant, episodes, job.request, progress.stage("fitting", 0.5, 0.95))
+    progress.stage("packing", 0.95, 1.0)
+    artifact = pack(predictor, _provenance(job, episodes, report))
+    arrays = _keep(parts, artifact.arrays) if artifact.arrays else None
+    return {"manifest": artifact.manifest.decode(), "arrays": arrays, "report": report}
+
+
+def _fit(plant: Plant, episodes: list[Episode], request: dict[str, Any], progress: Progress) -> tuple[Predictor, dict[str, Json]]:
+    if request["method"] == "identify":
+        identified, found = identify(plant, episodes, progress)
+        return identified, {"method": "identify", **found.document()}
+    residual, missed = fit_residual(plant, episodes, tuple(request.get("features") or POLYNOMIAL), request.get("penalty") or RIDGE, progress)
+    return residual, {"method": "residual", **missed.document()}
+
+
+def _provenance(job: JobRecord, episodes: list[Episode], report: dict[str, Json]) -> dict[str, Json]:
+    return {
+        "origin": "fit",
+        "episodes": sources(episodes),
+        "configuration": {"sha256": digest_of(job.request), "document": job.request},
+        "code": code_identity(),
+        "seed": SEED,
+        "parent": job.request["parent"],
+        "report": report,
+    }
+
+
+def _keep(parts: Parts, arrays: bytes) -> str:
+    digest, path = digest_of_bytes(arrays), parts.spool / uuid.uuid4().hex
+    path.write_bytes(arrays)
+    try:
+        parts.blobs.put(digest, path)
+    finally:
+        path.unlink(missing_ok=True)
+    return digest
+
+
+def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+    """The candidate becomes the plant's next version."""
+    add_artifact(writer, job.plant, Artifact(outcome["manifest"].encode(), b""), job.id, stamp)
+
+
+def result(outcome: dict[str, Any]) -> dict[str, Json]:
+    """What the job answers with."""
+    return {"artifact": digest_of_bytes(outcome["manifest"].encode()), "fit": outcome["report"]}

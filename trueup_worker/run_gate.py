@@ -1,0 +1,40 @@
+"""Run a gate: candidate and incumbent are scored on held-out episodes, and the frozen rules decide."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from trueup.canonical import Json, digest_of
+from trueup.gate.decision import Gate
+from trueup.gate.judge import HELD_OUT, judge, run_trial
+from trueup_service.actions import find
+from trueup_service.actions.record_decision import record_decision
+from trueup_service.actions.stamp import Stamp
+from trueup_service.registry.records import JobRecord
+from trueup_service.registry.store import Reader, Writer
+from trueup_service.wiring import Parts
+from trueup_worker.inputs import read_episodes, read_plant, read_predictor
+from trueup_worker.progress import Progress
+
+
+def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
+    """Score both and judge."""
+    request: dict[str, Any] = job.request
+    plant = read_plant(parts, job)
+    with parts.database.read() as connection:
+        gate = Gate.from_document(find.gate(Reader(connection), job.plant, request["gate"]).document)
+    candidate, incumbent = (read_predictor(parts, job, request[which]) for which in ("candidate", "incumbent"))
+    episodes = read_episodes(parts, job, plant, HELD_OUT, progress.stage("reading episodes", 0.0, 0.4))
+    trial = run_trial(gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0))
+    decision = judge(gate, trial, plant=plant.digest, candidate=request["candidate"], incumbent=request["incumbent"], generation=request["generation"])
+    return {"decision": decision.document()}
+
+
+def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+    """The decision stands in the registry."""
+    record_decision(writer, job.plant, outcome["decision"], job.id, stamp)
+
+
+def result(outcome: dict[str, Any]) -> dict[str, Json]:
+    """What the job answers with."""
+    return {"decision": digest_of(outcome["decision"]), "accepted": outcome["decision"]["accepted"]}

@@ -1,0 +1,76 @@
+"""Run one job in two steps that may each be repeated: compute, then finish.
+
+Computing has no effect but blobs, which are named by their content. Finishing is one transaction that happens only if the job is not
+finished yet: so a job has its effects once, however often its worker was killed.
+"""
+
+from __future__ import annotations
+
+import logging
+from datetime import UTC, datetime
+from types import ModuleType
+from typing import Any
+
+from trueup.canonical import Json
+from trueup.errors import TrueupError
+from trueup_service.actions import find
+from trueup_service.actions.finish_job import finish_job
+from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.registry.records import FINAL, JobRecord, JobState
+from trueup_service.registry.store import Reader, Writer
+from trueup_service.wiring import Parts
+from trueup_worker import run_fit, run_gate
+from trueup_worker.progress import Cancelled, Progress
+
+log = logging.getLogger("trueup.worker")
+
+KINDS: dict[str, ModuleType] = {"fit": run_fit, "gate": run_gate}
+
+
+def compute(parts: Parts, job_id: str) -> dict[str, Json]:
+    """What came of the job, as JSON: its final state, and the outcome or the problem."""
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        job = find.job(writer, job_id)
+        if job.state == JobState.QUEUED:
+            writer.update_job(job_id, now=_now(), state=JobState.RUNNING, stage="starting")
+    if job.state in FINAL:
+        return {"state": job.state}
+    try:
+        if job.state == JobState.CANCELLING:
+            raise Cancelled
+        return {"state": JobState.SUCCEEDED.value, "outcome": KINDS[job.kind].compute(parts, job, Progress(parts, job))}
+    except Cancelled as error:
+        return {"state": JobState.CANCELLED.value, "problem": _problem(error)}
+    except TrueupError as error:
+        return {"state": JobState.FAILED.value, "problem": _problem(error)}
+    except Exception as error:
+        log.exception("the job failed unexpectedly", extra={"job": job_id})
+        return {"state": JobState.FAILED.value, "problem": _problem(TrueupError(f"the worker failed: {type(error).__name__}: {error}", hint="Read the worker's log."))}
+
+
+def finish(parts: Parts, job_id: str, found: dict[str, Any]) -> str:
+    """Close the job with what was computed."""
+    with parts.database.read() as connection:
+        job = find.job(Reader(connection), job_id)
+    kind, stamp = KINDS[job.kind], Stamp(job.created_by, _now())
+    state = JobState(found["state"])
+    if "outcome" not in found:
+        _close(parts, job, state, found.get("problem", {}), stamp)
+        return state
+    with parts.database.write() as connection:
+        finish_job(Writer(connection), job, state, kind.result(found["outcome"]), stamp, lambda w: kind.effects(w, job, found["outcome"], stamp))
+    return state
+
+
+def _close(parts: Parts, job: JobRecord, state: JobState, problem: dict[str, Json], stamp: Stamp) -> None:
+    with parts.database.write() as connection:
+        finish_job(Writer(connection), job, state, {"problem": problem}, stamp)
+
+
+def _problem(error: TrueupError) -> dict[str, Json]:
+    return {"code": error.code, "detail": error.message, "hint": error.hint, "facts": {k: str(v) for k, v in error.facts.items()}}
+
+
+def _now() -> str:
+    return time_text(datetime.now(UTC))

@@ -1,0 +1,121 @@
+"""Take over the jobs of dead workers.
+
+Each worker holds a lock under its own name for as long as it lives: a file lock beside an embedded database, a session's advisory
+lock in PostgreSQL. Nobody's clock decides who is dead: whoever gets a worker's lock knows that it is gone, and resumes
+what it had begun. A worker cut off from its database may still be computing; its effects are refused, for the job is
+finished once.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from dbos import DBOS
+from sqlalchemy import Connection, text
+from sqlalchemy.exc import SQLAlchemyError
+
+from trueup_service.jobs import QUEUE
+from trueup_service.locks import try_lock
+from trueup_service.registry.database import Database
+
+log = logging.getLogger("trueup.worker")
+
+
+class Lives(ABC):
+    """Who is alive."""
+
+    @abstractmethod
+    def begin(self, name: str) -> None:
+        """Hold the lock of this name until the process ends."""
+
+    @abstractmethod
+    @contextmanager
+    def seize(self, name: str) -> Iterator[bool]:
+        """Hold the lock of another name for a while, if its holder is gone."""
+
+
+class FileLives(Lives):
+    """Locks as files, for workers of one machine."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._own: int | None = None
+
+    def begin(self, name: str) -> None:
+        self._own = try_lock(self._path(name))
+
+    @contextmanager
+    def seize(self, name: str) -> Iterator[bool]:
+        handle = try_lock(self._path(name))
+        try:
+            yield handle is not None
+        finally:
+            if handle is not None:
+                os.close(handle)
+
+    def _path(self, name: str) -> Path:
+        return self._folder / f"{name}.lock"
+
+
+class PostgresLives(Lives):
+    """Locks of PostgreSQL sessions, for workers of many machines."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._own: Connection | None = None
+
+    def begin(self, name: str) -> None:
+        self._own = self._database.engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+        self._own.execute(text("SELECT pg_advisory_lock(:key)"), {"key": _key(name)})
+
+    def holds(self) -> bool:
+        """Whether the session that holds our own lock still lives; asking keeps it from being closed as idle."""
+        try:
+            return self._own is not None and self._own.scalar(text("SELECT 1")) == 1
+        except SQLAlchemyError:
+            return False
+
+    @contextmanager
+    def seize(self, name: str) -> Iterator[bool]:
+        with self._database.engine.connect() as connection:
+            yield bool(connection.scalar(text("SELECT pg_try_advisory_xact_lock(:key)"), {"key": _key(name)}))
+
+
+def _key(name: str) -> int:
+    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big", signed=True)
+
+
+def take_over(lives: Lives, own: str) -> list[str]:
+    """Put what dead workers had begun back into the queue; the jobs' ids."""
+    pending = DBOS.list_workflows(status="PENDING", load_input=False, load_output=False)
+    resumed = []
+    for name in sorted({w.executor_id for w in pending if w.executor_id and w.executor_id != own}):
+        with lives.seize(name) as gone:
+            if gone:
+                resumed += [_resume(w.workflow_id, name) for w in DBOS.list_workflows(status="PENDING", executor_id=name, load_input=False, load_output=False)]
+    return resumed
+
+
+def _resume(job: str, dead: str) -> str:
+    DBOS.resume_workflow(job, queue_name=QUEUE)
+    log.warning("taken over", extra={"job": job, "dead_worker": dead})
+    return job
+
+
+def watch(lives: Lives, own: str, interval_s: float, stop: threading.Event) -> None:
+    """Look for dead workers until told to stop."""
+    while not stop.wait(interval_s):
+        try:
+            if isinstance(lives, PostgresLives) and not lives.holds():
+                log.error("the session that shows this worker alive is gone; stopping")
+                os._exit(75)  # EX_TEMPFAIL: somebody else may already be running our job
+            take_over(lives, own)
+        except Exception:
+            log.exception("looking for dead workers failed; looking again")
