@@ -37,15 +37,21 @@ Limit = Annotated[int, Query(ge=1, le=1000, description="Most items in the answe
 Before = Annotated[str, Query(max_length=27, description="Only what was made before this time; `next` of the page before")]
 
 
-def create(parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], tuple[Any, bool]], response: Response) -> dict[str, Any]:
-    """Run an action that makes something, once under its idempotency key; 201 if it is new, 200 if it was there."""
+def run_once(parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], dict[str, Any]]) -> dict[str, Any]:
+    """Run an action in a transaction of its own, once under its idempotency key."""
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        return once(writer, Key(scope, key, digest_of(request)), stamp.now, lambda: act(writer))
 
-    def run(writer: Writer) -> dict[str, Json]:
+
+def create(parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], tuple[Any, bool]], response: Response) -> dict[str, Any]:
+    """Run an action that makes something; 201 if it is new, 200 if it was there."""
+
+    def run(writer: Writer) -> dict[str, Any]:
         record, new = act(writer)
         return {"record": asdict(record), "new": new}
 
-    with parts.database.write() as connection:
-        writer = Writer(connection)
-        answer = once(writer, Key(scope, key, digest_of(request)), stamp.now, lambda: run(writer))
+    answer = run_once(parts, stamp, scope, key, request, run)
     response.status_code = 201 if answer["new"] else 200
-    return answer["record"]  # type: ignore[return-value]
+    record: dict[str, Any] = answer["record"]
+    return record

@@ -9,7 +9,6 @@ read each time.
 from __future__ import annotations
 
 import asyncio
-import sqlite3
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,7 +50,7 @@ class ServingAnswers:
         self._database = database
         self._interval_s = watch_interval_s
         self._kept: dict[str, ServingAnswer] = {}
-        self._counter = _ChangeCounter(database) if database.is_sqlite else None
+        self._counter = database.change_counter()
         self._moved = asyncio.Event()
 
     async def now(self, plant: str) -> ServingAnswer:
@@ -88,16 +87,3 @@ class ServingAnswers:
             move = find.serving(Reader(connection), plant)
         return ServingAnswer(f'"{move.generation}"', orjson.dumps(document(move)))
 
-
-class _ChangeCounter:
-    """SQLite's counter of commits by others, seen from a connection that never writes."""
-
-    def __init__(self, database: Database) -> None:
-        self._connection: sqlite3.Connection = database.engine.raw_connection().driver_connection  # type: ignore[assignment]
-        self._seen = -1
-
-    def moved(self) -> bool:
-        """Whether anybody has committed since the last time."""
-        (now,) = self._connection.execute("PRAGMA data_version").fetchone()
-        moved, self._seen = now != self._seen, now
-        return bool(moved)

@@ -191,7 +191,7 @@ class Writer(Reader):
 
     def remember(self, scope: str, key: str, request: str, response: dict[str, Json], now: str) -> None:
         """Keep the response to a request under its idempotency key."""
-        self._add(t.idempotency, {"scope": scope, "key": key, "request": request, "response": _text(response), "at": now})
+        self._add(t.idempotency, {"scope": scope, "key": key, "request": request, "response": json.dumps(response), "at": now})
 
     def append_audit(self, *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]) -> AuditEntry:
         """Add the next entry of the log."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -10,10 +10,9 @@ from starlette.concurrency import run_in_threadpool
 from trueup_service.actions import find
 from trueup_service.actions.move_pointer import previous_artifact, promote_decision, roll_back_pointer
 from trueup_service.actions.stamp import Stamp
-from trueup_service.http.context import By, Limit, PlantName, With
+from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, run_once
 from trueup_service.http.schemas import Page, Promotion, Rollback, Serving
 from trueup_service.http.serving_answers import ServingAnswers, document
-from trueup_service.registry.records import Move
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
 
@@ -53,33 +52,39 @@ def _padded(at: str) -> str:
 
 
 @router.post("/promote", summary="Serve an accepted candidate")
-async def promote(request: Request, parts: With, stamp: By, plant: PlantName, promotion: Promotion) -> Serving:
+async def promote(request: Request, parts: With, stamp: By, plant: PlantName, promotion: Promotion, key: IdempotencyKey = None) -> Serving:
     """Compare and swap: 409 if the pointer is not at `expected_generation`, or the decision was judged at another one."""
-    move = await run_in_threadpool(_promote, parts, stamp, plant, promotion)
+
+    def act(writer: Writer) -> dict[str, Any]:
+        return document(promote_decision(writer, plant, promotion.decision, promotion.expected_generation, stamp))
+
+    moved = await run_in_threadpool(run_once, parts, stamp, f"promote/{plant}", key, promotion.model_dump(), act)
     request.app.state.answers.wake()
-    return Serving(**document(move))
-
-
-def _promote(parts: Parts, stamp: Stamp, plant: str, promotion: Promotion) -> Move:
-    with parts.database.write() as connection:
-        return promote_decision(Writer(connection), plant, promotion.decision, promotion.expected_generation, stamp)
+    return Serving(**moved)
 
 
 @router.post("/rollback", summary="Serve what served before")
-async def rollback(request: Request, parts: With, stamp: By, plant: PlantName, wanted: Rollback) -> Serving:
+async def rollback(request: Request, parts: With, stamp: By, plant: PlantName, wanted: Rollback, key: IdempotencyKey = None) -> Serving:
     """Only after the switchback test: the artifact loads, its digests hold, it answers its recorded probe, it fits the plant."""
-    move = await run_in_threadpool(_roll_back, parts, stamp, plant, wanted)
+    moved = await run_in_threadpool(_roll_back, parts, stamp, plant, wanted.expected_generation, key)
     request.app.state.answers.wake()
-    return Serving(**document(move))
+    return Serving(**moved)
 
 
-def _roll_back(parts: Parts, stamp: Stamp, plant: str, wanted: Rollback) -> Move:
+def _roll_back(parts: Parts, stamp: Stamp, plant: str, expected_generation: int, key: str | None) -> dict[str, Any]:
+    """Test outside any transaction, for it reads a model; then move, if the pointer is still where the test found it."""
     from trueup_service.actions.switchback import test_switchback  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
+    scope, tested = f"rollback/{plant}", {}
     with parts.database.read() as connection:
         reader = Reader(connection)
         registered = find.plant(reader, plant)
-        _, artifact = previous_artifact(reader, plant, wanted.expected_generation)
-    tested = test_switchback(parts.blobs, artifact, registered.digest)
-    with parts.database.write() as connection:
-        return roll_back_pointer(Writer(connection), plant, wanted.expected_generation, tested, stamp)
+        done = key is not None and reader.remembered(scope, key) is not None
+        artifact = None if done else previous_artifact(reader, plant, expected_generation)[1]
+    if artifact is not None:
+        tested = test_switchback(parts.blobs, artifact, registered.digest)
+
+    def act(writer: Writer) -> dict[str, Any]:
+        return document(roll_back_pointer(writer, plant, expected_generation, tested, stamp))
+
+    return run_once(parts, stamp, scope, key, {"expected_generation": expected_generation}, act)

@@ -1,0 +1,66 @@
+# Every target sets up what it needs, from a bare clone: Python 3.11 or newer, git and make.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+UV := $(BIN)/uv pip install --quiet --python $(BIN)/python
+RUN := $(VENV)/.run
+DEV := $(VENV)/.dev
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo serve test check laws flow bench lock clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+$(BIN)/uv:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "trueup needs Python 3.11 or newer: make PYTHON=python3.12 …")'
+	@echo "making $(VENV) …"
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+
+$(RUN): $(BIN)/uv requirements.txt pyproject.toml
+	@echo "installing what trueup needs to run …"
+	@$(UV) --require-hashes -r requirements.txt
+	@$(UV) --no-deps --editable .
+	@echo "compiling the rollout kernels …"
+	@$(BIN)/trueup kernels
+	@touch $@
+
+$(DEV): $(RUN) requirements-dev.txt
+	@echo "installing what the tests need …"
+	@$(UV) --require-hashes -r requirements-dev.txt
+	@touch $@
+
+setup: $(DEV) ## build the environment in .venv
+
+demo: $(RUN) ## run the main job on a real recording, with embedded storage
+	@$(BIN)/trueup demo
+
+serve: $(RUN) ## run the service on embedded storage in .trueup, with a worker beside
+	@$(BIN)/trueup serve
+
+test: $(DEV) ## run every test; brings its own PostgreSQL and S3 server
+	@$(BIN)/python -m pytest
+
+check: $(DEV) ## format, lint, types, layers
+	@$(BIN)/ruff format --check .
+	@$(BIN)/ruff check .
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+
+laws: $(DEV) ## run the laws over every family, predictor and rule
+	@$(BIN)/python -m pytest tests/laws
+
+flow: $(DEV) ## run the tests from MCAP bytes to a moved pointer
+	@$(BIN)/python -m pytest tests/flow
+
+bench: $(DEV) ## measure, and print the figures beside their targets
+	@$(BIN)/python -m bench
+
+lock: $(BIN)/uv ## pin the dependencies anew
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header pyproject.toml -o requirements.txt
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --group dev -c requirements.txt pyproject.toml -o requirements-dev.txt
+
+clean: ## remove the environment and everything that was made
+	@rm -rf $(VENV) .trueup build

@@ -1,0 +1,114 @@
+"""Commands for auditors: read the log, verify it, replay a decision."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from trueup_cli.options import DEFAULT_URL, Json, Url, connect
+from trueup_cli.show import as_json, err, moment, out, progress, table
+from trueup_client import Client
+
+EXIT_DISAGREES = 4
+AGREEMENT = 1e-9  # relative: matrix products differ by some 1e-13 between processors
+
+
+def audit(plant: str | None = None, *, verify: Annotated[bool, Parameter(negative=(), help="Recompute every digest of the chain")] = False, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """Print the audit log.
+
+    Parameters
+    ----------
+    plant: only the entries of this plant
+    """
+    client = connect(url)
+    if verify:
+        _verify(client)
+        return
+    entries = list(client.audit(plant))
+    if as_json_:
+        as_json(entries)
+    else:
+        table("Audit log", ["#", "at", "what", "subject", "actor"], [(e["sequence"], moment(e["at"]), e["kind"], e["subject"][:12], e["actor"]) for e in entries])
+
+
+def _verify(client: Client) -> None:
+    from trueup.errors import BrokenChain
+    from trueup.ledger.audit import AuditEntry
+    from trueup.ledger.audit import verify as verify_chain
+
+    head = client.audit_head()
+    try:
+        sequence, digest = verify_chain(AuditEntry(**e) for e in client.audit() if e["sequence"] <= head["sequence"])
+    except BrokenChain as error:
+        err.print(f"[bold red]broken[/] {error.message}")
+        sys.exit(EXIT_DISAGREES)
+    if (sequence, digest) != (head["sequence"], head["digest"]):
+        err.print(f"[bold red]cut[/] the log ends at {sequence}, its head says {head['sequence']}")
+        sys.exit(EXIT_DISAGREES)
+    out.print(f"{sequence} entries hold; head {digest}")
+
+
+def replay(plant: str, decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """Recompute a decision from its gate, its artifacts and its episodes, here, and say whether it agrees; exit 4 if not.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    decision: digest of the decision
+    """
+    client = connect(url)
+    recorded = client.decision(plant, decision)["document"]
+    with progress("replay") as bar, tempfile.TemporaryDirectory() as folder:
+        recomputed = recompute(client, plant, recorded, Path(folder), bar)
+    differences = compare(recorded, recomputed)
+    if as_json_:
+        as_json({"decision": decision, "agrees": not differences, "differences": differences, "recomputed": recomputed})
+    else:
+        _show(recorded, recomputed, differences)
+    if differences:
+        sys.exit(EXIT_DISAGREES)
+
+
+def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path, progress: Any) -> dict[str, Any]:
+    """The decision's document, from verified bytes."""
+    from trueup.canonical import digest_of
+    from trueup.episode.mcap import read_episode
+    from trueup.errors import BadGate
+    from trueup.gate.decision import Gate
+    from trueup.gate.judge import judge, run_trial
+    from trueup_cli.model_folder import load_predictor
+
+    gate = Gate.from_document(client.gate(plant, recorded["gate"])["document"])
+    if gate.digest != recorded["gate"]:
+        raise BadGate("the gate is not the one that the decision names", expected=recorded["gate"], found=gate.digest)
+    predictors = [load_predictor(client.fetch(plant, recorded[which], folder / which), recorded[which]) for which in ("candidate", "incumbent")]
+    episodes = []
+    for count, digest in enumerate(recorded["episodes"]):
+        path = folder / f"{digest}.mcap"
+        client.download_episode(plant, digest, path)
+        episodes.append(read_episode(path.read_bytes(), predictors[0].plant.layout))
+        progress(0.5 * (count + 1) / len(recorded["episodes"]), "fetching episodes")
+    trial = run_trial(gate, predictors[0], predictors[1], episodes, lambda share: progress(0.5 + 0.5 * share, "scoring"))
+    plant_digest = digest_of(client.plant(plant)["document"])
+    return judge(gate, trial, plant=plant_digest, candidate=recorded["candidate"], incumbent=recorded["incumbent"], generation=recorded["generation"]).document()
+
+
+def compare(recorded: Any, recomputed: Any, path: str = "") -> list[str]:
+    """Where two documents differ by more than rounding; texts that only repeat figures are left out."""
+    if isinstance(recorded, dict) and isinstance(recomputed, dict) and set(recorded) == set(recomputed):
+        return [d for key in recorded if key != "because" for d in compare(recorded[key], recomputed[key], f"{path}.{key}" if path else key)]
+    if isinstance(recorded, list) and isinstance(recomputed, list) and len(recorded) == len(recomputed):
+        return [d for i, pair in enumerate(zip(recorded, recomputed, strict=True)) for d in compare(*pair, f"{path}[{i}]")]
+    numbers = all(isinstance(x, int | float) and not isinstance(x, bool) for x in (recorded, recomputed))
+    same = abs(recorded - recomputed) <= AGREEMENT * max(abs(recorded), abs(recomputed)) if numbers else recorded == recomputed
+    return [] if same else [f"{path}: recorded {recorded}, recomputed {recomputed}"]
+
+
+def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: list[str]) -> None:
+    pairs = zip(recorded["verdicts"], recomputed["verdicts"], strict=True)
+    table("", ["rule", "recorded", "recomputed", "threshold", "passed"], [(a["rule"], a["value"], b["value"], b["threshold"], b["passed"]) for a, b in pairs])
+    out.print("[bold green]agrees[/]: every figure and the verdict" if not differences else "[bold red]disagrees[/]\n" + "\n".join(differences))

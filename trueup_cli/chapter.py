@@ -1,0 +1,50 @@
+"""`trueup chapter`: the experiment that trueup grew from, from a run, beside the digits that were published."""
+
+from __future__ import annotations
+
+from trueup.chapter.figures import Table, Value, run_chapter
+from trueup.chapter.published import PUBLISHED, printed_like
+from trueup_cli.options import Json
+from trueup_cli.show import as_json, out, progress, table
+
+
+def chapter(*, as_json_: Json = False) -> None:
+    """Run the chapter and print every table beside the published digits; with --json all figures, unrounded."""
+    with progress("chapter") as bar:
+        tables = run_chapter(lambda what, share: bar(share, what))
+    if as_json_:
+        as_json({t.title: t.rows for t in tables})
+        return
+    for found in tables:
+        _show(found)
+    compared = [_agrees(t, r, c, v) for t in tables for r, row in t.rows.items() for c, v in row.items()]
+    agree = sum(x is True for x in compared)
+    out.print(f"\n{agree} of {sum(x is not None for x in compared)} published figures agree to the printed digit")
+
+
+def _show(found: Table) -> None:
+    """Each row from the run, and below it the published digits, green where they agree."""
+    columns = list(dict.fromkeys(c for row in found.rows.values() for c in row))
+    rows: list[list[str]] = []
+    for name, row in found.rows.items():
+        digits = PUBLISHED.get(found.title, {}).get(name, {})
+        rows.append([name, *(_cell(row[c], digits.get(c)) if c in row else "" for c in columns)])
+        if digits:
+            rows.append(["[dim]  published[/]", *(_published(row[c], digits[c]) if c in digits else "" for c in columns)])
+    out.print()
+    table(found.title, ["", *columns], rows)
+
+
+def _cell(value: Value, digits: str | None) -> str:
+    if digits is not None:
+        return printed_like(value, digits)
+    return f"{value:.5f}" if isinstance(value, float) else str(value)
+
+
+def _published(value: Value, digits: str) -> str:
+    return f"[green]{digits}[/]" if printed_like(value, digits) == digits else f"[bold red]{digits}[/]"
+
+
+def _agrees(found: Table, row: str, column: str, value: Value) -> bool | None:
+    digits = PUBLISHED.get(found.title, {}).get(row, {}).get(column)
+    return None if digits is None else printed_like(value, digits) == digits

@@ -1,0 +1,203 @@
+"""`trueup demo`: the main job on a real recording, with a real server and worker on embedded storage."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trueup.episode.episode import Episode
+from trueup.episode.mcap import read_episode
+from trueup.fit.score import rollout_rms
+from trueup.model.predictor import Predictor
+from trueup.model.windows import starts_every
+from trueup_cli.audit import compare, recompute
+from trueup_cli.model_folder import load_predictor
+from trueup_cli.picture import AFTER, BEFORE, Trace, before_and_after
+from trueup_cli.predict import predict_samples
+from trueup_cli.registry import run_job, show_decision
+from trueup_cli.serving import show_serving
+from trueup_cli.show import out, progress, table
+from trueup_client import Client, Unreachable
+
+EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
+FRICTION = ["1", "v", "u", "sign(v)", "abs(v)"]
+CANDIDATES: dict[str, dict[str, Any]] = {
+    "identified parameters": {"kind": "fit", "method": "identify"},
+    "nominal + quadratic residual": {"kind": "fit", "method": "residual"},
+    "nominal + friction residual": {"kind": "fit", "method": "residual", "features": FRICTION},
+}
+START_LIMIT_S, LOOK_S = 30.0, 0.02
+
+
+@dataclass(frozen=True)
+class Case:
+    """The demo's plant and recordings, and the folder it writes to."""
+
+    folder: Path
+    work: Path
+    plant: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        return str(self.plant["name"])
+
+
+def demo(case: Path = EXAMPLE, *, work: Path = Path(".trueup/demo")) -> None:
+    """Register a plant, upload its recordings, fit candidates, gate them, promote, predict, roll back, and show the audit trail.
+
+    Parameters
+    ----------
+    case: case folder with plant.json, gate.json and *.mcap
+    work: folder for the demo's own storage, model and picture; emptied first
+    """
+    began = time.monotonic()
+    shutil.rmtree(work, ignore_errors=True)
+    told = Case(case, work, json.loads((case / "plant.json").read_text()))
+    with _service(work / "data") as url:
+        client = Client(url, actor="demo")
+        _upload(client, told)
+        best = _fit_and_gate(client, told)
+        _promote_and_predict(client, told, best)
+        _roll_back(client, told)
+        _audit(client)
+    out.print(f"\n[dim]done in {time.monotonic() - began:.0f} s; storage, model and picture are in {work}[/]")
+
+
+def _say(step: int, what: str) -> None:
+    out.print(f"\n[bold]{step}  {what}[/]")
+
+
+@contextmanager
+def _service(data: Path) -> Iterator[str]:
+    """A server with a worker beside it, on a free port, until the end."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    data.mkdir(parents=True)
+    with (data / "service.log").open("w") as log:
+        child = subprocess.Popen([sys.executable, "-m", "trueup_cli.main", "serve", "--port", str(port)], env={**os.environ, "TRUEUP_DATA_DIR": str(data)}, stderr=log)
+        try:
+            _until_ready(f"http://127.0.0.1:{port}", child)
+            yield f"http://127.0.0.1:{port}"
+        finally:
+            child.terminate()
+            child.wait(timeout=START_LIMIT_S)
+
+
+def _until_ready(url: str, child: subprocess.Popen[bytes]) -> None:
+    port = int(url.rpartition(":")[2])
+    deadline = time.monotonic() + START_LIMIT_S
+    while time.monotonic() < deadline and child.poll() is None:
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=1).close()
+        except OSError:
+            time.sleep(LOOK_S)
+            continue
+        if Client(url).is_ready():
+            return
+    raise Unreachable("the service did not start; its log is service.log in the demo's folder")
+
+
+def _upload(client: Client, case: Case) -> None:
+    out.print(f"[bold]{case.name}[/]: {len(list(case.folder.glob('*.mcap')))} recordings, a nominal model of the family {case.plant['nominal']['family']}")
+    _say(1, "Register the plant, upload the recordings")
+    client.register_plant(case.plant)
+    found = []
+    with progress("uploading and inspecting") as bar:
+        paths = sorted(case.folder.glob("*.mcap"))
+        for done, path in enumerate(paths, 1):
+            found.append(client.upload_episode(case.name, path))
+            bar(done / len(paths), path.name)
+    table("", ["episode", "role", "samples", "seconds"], [(e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"]) for e in found])
+
+
+def _fit_and_gate(client: Client, case: Case) -> dict[str, Any]:
+    """The decision on the candidate with the smallest rollout error among those accepted."""
+    _say(2, "Declare the gate, before anything is scored")
+    gate = client.declare_gate(case.name, json.loads((case.folder / "gate.json").read_text()))
+    out.print(f"gate {gate['digest'][:12]}: {', '.join(r['rule'] for r in gate['document']['rules'])}, over windows of {gate['document']['scoring']['horizon_s']:g} s")
+    _say(3, "Fit candidates from the adaptation episodes, judge each on the validation episodes")
+    rows, decisions = [], []
+    for name, request in CANDIDATES.items():
+        artifact = run_job(client, case.name, request, "fit")["result"]["artifact"]
+        judged = run_job(client, case.name, {"kind": "gate", "candidate": artifact, "gate": gate["digest"]}, "judge")
+        decisions.append(client.decision(case.name, judged["result"]["decision"]))
+        figures = {v["rule"]: v["value"] for v in decisions[-1]["document"]["verdicts"]}
+        rows.append((name, artifact[:12], figures["rollout_improves"], figures["one_step_no_worse"], "[green]accepted[/]" if decisions[-1]["accepted"] else "[red]rejected[/]"))
+    nominal = decisions[0]["document"]["figures"]["incumbent"]
+    table("", ["candidate", "artifact", "rollout", "one step", ""], [("nominal (serving)", "", float(np.mean(nominal["rollout"])), float(np.mean(nominal["one_step"])), "baseline"), *rows])
+    accepted = [d for d in decisions if d["accepted"]]
+    return min(accepted, key=lambda d: float(np.mean(d["document"]["figures"]["candidate"]["rollout"])))
+
+
+def _promote_and_predict(client: Client, case: Case, decision: dict[str, Any]) -> None:
+    _say(4, "Promote the best, and ask what serves")
+    before = client.fetch(case.name, client.serving(case.name).artifact, case.work / "nominal")
+    client.promote(case.name, decision["digest"], decision["generation"])
+    serving = client.serving(case.name)
+    show_serving([serving], as_json_=False)
+    _say(5, "Fetch what serves, verify it, predict held-out episodes with it")
+    after = client.fetch(case.name, serving.artifact, case.work / "model")
+    episodes = _held_out(client, case, load_predictor(after))
+    _show_errors(case, load_predictor(before), load_predictor(after, serving.artifact), episodes)
+    _say(6, "A gate must be able to reject: judge the weaker candidate against the new incumbent")
+    weaker = client.version(case.name, 2)["digest"]
+    judged = run_job(client, case.name, {"kind": "gate", "candidate": weaker, "gate": decision["gate"]}, "judge")
+    show_decision(client.decision(case.name, judged["result"]["decision"]))
+
+
+def _held_out(client: Client, case: Case, predictor: Predictor) -> list[Episode]:
+    paths = []
+    for record in client.episodes(case.name, role="validation"):
+        paths.append(case.work / f"{record['digest'][:12]}.mcap")
+        client.download_episode(case.name, record["digest"], paths[-1])
+    return sorted((read_episode(p.read_bytes(), predictor.plant.layout) for p in paths), key=lambda e: e.start_ns)
+
+
+def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list[Episode]) -> None:
+    horizon_s = before.plant.horizon_s
+    channel = before.plant.layout.observations[0]
+    errors = [[float(rollout_rms(p, e, horizon_s)[0]) for e in episodes] for p in (before, after)]
+    table(f"RMS of {channel.name} over windows of {horizon_s:g} s [m{channel.unit}]", ["held-out episode", "nominal", "serving", "less by"], [(e.digest[:12], 1e3 * b, 1e3 * a, f"{1 - a / b:.1%}") for e, b, a in zip(episodes, *errors, strict=True)])
+    episode = episodes[0]
+    traces = [Trace(name, predict_samples(p, episode, horizon_s)[:, 0], f"{1e3 * rms[0]:.2f} m{channel.unit}", colour) for name, p, rms, colour in (("nominal", before, errors[0], BEFORE), ("serving", after, errors[1], AFTER))]
+    skip = int(np.searchsorted(episode.t_s, horizon_s))  # the first window starts where no past shows the velocity
+    shown = [Trace(t.name, t.values[skip:], t.rms, t.colour) for t in traces]
+    starts = episode.t_s[starts_every(episode.t_s, horizon_s)]
+    subtitle = f"held-out episode {episode.digest[:12]}, rollouts of {horizon_s:g} s; RMS errors over the whole episode in brackets"
+    svg = before_and_after(f"{case.name}: the same commands, before and after", subtitle, episode.t_s[skip:], episode.observations[skip:, 0], shown, starts[starts >= episode.t_s[skip]], channel.unit)
+    (case.work / "before-and-after.svg").write_text(svg)
+    out.print(f"picture: {case.work / 'before-and-after.svg'}")
+
+
+def _roll_back(client: Client, case: Case) -> None:
+    _say(7, "Roll back: one call, tested before the pointer moves")
+    serving = client.serving(case.name)
+    began = time.monotonic()
+    client.roll_back(case.name, serving.generation)
+    out.print(f"switched in {1e3 * (time.monotonic() - began):.0f} ms")
+    show_serving(list(client.history(case.name)), as_json_=False)
+
+
+def _audit(client: Client) -> None:
+    _say(8, "The audit trail, and its decisions recomputed from the recorded bytes")
+    entries = list(client.audit())
+    table("", ["#", "what", "subject", "actor"], [(e["sequence"], e["kind"], e["subject"][:12], e["actor"]) for e in entries])
+    for entry in entries:
+        if entry["kind"] == "decision:made":
+            recorded = entry["facts"]["decision"]
+            with progress(f"replay {entry['subject'][:12]}") as bar, tempfile.TemporaryDirectory() as folder:
+                recomputed = recompute(client, entry["plant"], recorded, Path(folder), bar)
+            out.print(f"{entry['subject'][:12]} {'[green]agrees[/]' if not compare(recorded, recomputed) else '[red]disagrees[/]'}")

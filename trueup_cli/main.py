@@ -1,0 +1,67 @@
+"""`trueup`: the one place that may import everything. Commands import what they need when they run, so that `--help` is quick."""
+
+from __future__ import annotations
+
+import sys
+
+from cyclopts import App
+
+from trueup import __version__
+from trueup.errors import TrueupError
+from trueup_cli.show import err
+from trueup_client.problem import ClientError, Problem
+
+EXIT_REFUSED, EXIT_UNREACHABLE, EXIT_DISAGREES = 1, 3, 4
+
+app = App(name="trueup", version=__version__, help="Find where a robot's dynamics model is wrong, correct it, and serve the correction only if it has earned it.")
+
+_COMMANDS = {
+    "serve": ("run:serve", "Run the service, with a worker beside it."),
+    "work": ("run:work", "Run one worker."),
+    "migrate": ("run:migrate", "Bring the database's schema up to date."),
+    "kernels": ("run:kernels", "Compile the rollout kernels into the cache."),
+    "plant": ("plant:app", "Register and look at plants."),
+    "upload": ("registry:upload", "Upload recordings."),
+    "fit": ("registry:fit", "Fit a candidate from adaptation episodes."),
+    "gate": ("registry:gate", "Judge a candidate by a declared gate against what serves."),
+    "serving": ("serving:serving", "Say what serves, or what served when."),
+    "promote": ("serving:promote", "Serve the candidate of an accepted decision."),
+    "rollback": ("serving:rollback", "Serve what served before, after its switchback test."),
+    "fetch": ("serving:fetch", "Fetch a model, every byte verified."),
+    "predict": ("predict:predict", "Roll a model out over an episode."),
+    "audit": ("audit:audit", "Print or verify the audit log."),
+    "replay": ("audit:replay", "Recompute a decision and say whether it agrees."),
+    "chapter": ("chapter:chapter", "Reproduce the chapter's figures beside the published digits."),
+    "demo": ("demo:demo", "Run the main job on a real recording."),
+}
+for _name, (_where, _help) in _COMMANDS.items():
+    app.command(f"trueup_cli.{_where}", name=_name, **({} if _name == "plant" else {"help": _help}))
+
+
+def main() -> None:
+    """Run a command. Exit codes: 0 done, 1 refused, 2 misused, 3 the service does not answer, 4 a replay or a log disagrees."""
+    try:
+        app()
+    except Problem as problem:
+        _complain(problem.code, problem.detail, problem.hint, problem.request_id)
+        sys.exit(EXIT_REFUSED)
+    except ClientError as error:
+        _complain("unreachable", str(error), "Start it with `trueup serve`, or name it with --url or TRUEUP_URL.")
+        sys.exit(EXIT_UNREACHABLE)
+    except TrueupError as error:
+        _complain(error.code, error.message, error.hint)
+        sys.exit(EXIT_REFUSED)
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def _complain(code: str, detail: str, hint: str, request_id: str | None = None) -> None:
+    err.print(f"[bold red]{code}[/] {detail}", soft_wrap=True)
+    if hint:
+        err.print(f"  {hint}", soft_wrap=True)
+    if request_id:
+        err.print(f"  [dim]request {request_id}[/]")
+
+
+if __name__ == "__main__":
+    main()

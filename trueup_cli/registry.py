@@ -1,0 +1,75 @@
+"""Commands that bring episodes in, fit candidates and judge them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from trueup_cli.options import DEFAULT_URL, Json, Url, connect
+from trueup_cli.show import as_json, out, progress, table
+from trueup_client import Client
+
+
+def upload(plant: str, *files: Path, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """Upload recordings; the same file again is the same episode.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    files: MCAP files, or folders of them
+    """
+    client, paths = connect(url), [p for f in files for p in (sorted(f.glob("*.mcap")) if f.is_dir() else [f])]
+    found = []
+    for path in paths:
+        with progress(f"upload {path.name}") as bar:
+            found.append(client.upload_episode(plant, path, lambda share, bar=bar: bar(0.9 * share, "sending" if share < 1 else "inspecting")))
+    if as_json_:
+        as_json(found)
+    else:
+        table("Episodes", ["file", "digest", "role", "samples", "seconds"], [(p.name, e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"]) for p, e in zip(paths, found, strict=True)])
+
+
+def fit(
+    plant: str,
+    *,
+    method: Literal["identify", "residual"] = "identify",
+    features: Annotated[str | None, Parameter(help="residual only: comma-separated, such as 1,v,u,sign(v),abs(v)")] = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """Fit a candidate from the plant's adaptation episodes."""
+    request: dict[str, Any] = {"kind": "fit", "method": method, **({"features": features.split(",")} if features else {})}
+    found = run_job(connect(url), plant, request, f"fit {method}")
+    as_json(found) if as_json_ else out.print(f"candidate [bold]{found['result']['artifact']}[/]")
+
+
+def gate(plant: str, candidate: str, *, rules: Annotated[Path | None, Parameter(help="Gate as JSON; the default gate if none is given")] = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """Declare a gate, then judge a candidate by it against what serves.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    candidate: digest of the artifact
+    """
+    client = connect(url)
+    declared = client.declare_gate(plant, json.loads(rules.read_text()) if rules else None)
+    found = run_job(client, plant, {"kind": "gate", "candidate": candidate, "gate": declared["digest"]}, "judge")
+    decision = client.decision(plant, found["result"]["decision"])
+    as_json(decision) if as_json_ else show_decision(decision)
+
+
+def run_job(client: Client, plant: str, request: dict[str, Any], what: str) -> dict[str, Any]:
+    """Submit a job and wait for it with a progress bar."""
+    job = client.submit(plant, request)
+    with progress(what) as bar:
+        return client.wait(job["id"], lambda found: bar(found["progress"], found["stage"]))
+
+
+def show_decision(decision: dict[str, Any]) -> None:
+    """Print a decision with every verdict."""
+    word = "[bold green]accepted[/]" if decision["accepted"] else "[bold red]rejected[/]"
+    out.print(f"{word}: decision [bold]{decision['digest']}[/] at generation {decision['generation']}")
+    table("", ["rule", "passed", "value", "threshold"], [(v["rule"], v["passed"], v["value"], v["threshold"]) for v in decision["document"]["verdicts"]])

@@ -1,0 +1,94 @@
+"""Commands that run the service: serve, work, migrate, kernels."""
+
+from __future__ import annotations
+
+import logging
+import subprocess
+import sys
+import threading
+from typing import Annotated
+
+from cyclopts import Parameter
+
+RESTART_PAUSE_S = 1.0
+
+
+def serve(*, host: str | None = None, port: int | None = None, worker: Annotated[bool, Parameter(help="Run a worker beside the server")] = True) -> None:
+    """Serve on embedded storage, or on what TRUEUP_DATABASE_URL and TRUEUP_S3_BUCKET name, with a worker beside.
+
+    Parameters
+    ----------
+    host: address to listen on; TRUEUP_HOST, else 127.0.0.1
+    port: port to listen on; TRUEUP_PORT, else 8321
+    """
+    from trueup_service.http.serve import listen
+    from trueup_service.http.serve import serve as run
+    from trueup_service.logs import configure_logs
+    from trueup_service.settings import Settings
+    from trueup_service.wiring import build
+
+    settings = Settings()
+    configure_logs(settings.log_level)
+    parts = build(settings)
+    listening = listen(host or settings.host, settings.port if port is None else port)
+    address = listening.getsockname()
+    logging.getLogger("trueup").info("listening", extra={"url": f"http://{address[0]}:{address[1]}", "data_dir": str(settings.data_dir.absolute())})
+    beside = _Beside() if worker else None
+    try:
+        run(parts, listening)
+    finally:
+        if beside is not None:
+            beside.stop()
+
+
+class _Beside:
+    """A worker as a child, started again when it dies; it ends with us, for it watches the pipe that we hold."""
+
+    def __init__(self) -> None:
+        self._stopping = threading.Event()
+        self._child: subprocess.Popen[bytes] | None = None
+        self._thread = threading.Thread(target=self._keep, daemon=True)
+        self._thread.start()
+
+    def _keep(self) -> None:
+        while not self._stopping.is_set():
+            self._child = subprocess.Popen([sys.executable, "-m", "trueup_cli.main", "work", "--with-parent"], stdin=subprocess.PIPE)
+            self._child.wait()
+            self._stopping.wait(RESTART_PAUSE_S)
+
+    def stop(self) -> None:
+        self._stopping.set()
+        if self._child is not None:
+            self._child.terminate()
+        self._thread.join(timeout=10)
+
+
+def work(*, with_parent: Annotated[bool, Parameter(help="End when standard input closes", negative=())] = False) -> None:
+    """Run one worker: it takes jobs from the queue, and takes over those of workers that died."""
+    from trueup_service.logs import configure_logs
+    from trueup_service.settings import Settings
+    from trueup_service.wiring import build
+    from trueup_worker.main import work as run
+
+    settings = Settings()
+    configure_logs(settings.log_level)
+    run(build(settings), with_parent=with_parent)
+
+
+def migrate() -> None:
+    """Bring the database's schema up to date, the registry's and the job engine's; servers do it when they start."""
+    from trueup_service.jobs import migrate_engine
+    from trueup_service.settings import Settings
+    from trueup_service.wiring import build
+
+    settings = Settings()
+    build(settings).close()
+    migrate_engine(settings.sqlalchemy_url)
+
+
+def kernels() -> None:
+    """Compile the rollout kernels into the cache, so that the first rollout is as quick as the others."""
+    from trueup.model.compose import compile_all
+    from trueup_cli.show import out
+
+    out.print(f"compiled: {', '.join(compile_all())}")

@@ -1,0 +1,64 @@
+"""How the command shows things: tables and colours for people, JSON for programs, progress on standard error."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+out = Console(highlight=False)
+err = Console(stderr=True, highlight=False)
+
+
+def as_json(value: Any) -> None:
+    """Print a value as JSON."""
+    json.dump(value, sys.stdout, indent=2, default=str)
+    print()
+
+
+def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print a table; numbers stand to the right."""
+    made = Table(title=title, title_justify="left", title_style="bold", header_style="dim", box=None, pad_edge=False)
+    cells = [list(row) for row in rows]
+    for i, name in enumerate(columns):
+        numeric = bool(cells) and all(isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in cells)
+        made.add_column(name, justify="right" if numeric else "left", overflow="fold")
+    for row in cells:
+        made.add_row(*(cell(x) for x in row))
+    out.print(made)
+
+
+def cell(value: object) -> str:
+    """A value as a table shows it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.5g}"
+    return "" if value is None else str(value)
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Callable[[float, str], None]]:
+    """A bar on standard error, or one plain line where that is no terminal; call with the share done and what is being done."""
+    began = time.monotonic()
+    if not err.is_terminal:
+        yield lambda _share, _stage="": None
+        err.print(f"{what} … {time.monotonic() - began:.1f} s")
+        return
+    columns = TextColumn("{task.description:<34}"), BarColumn(28), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("[dim]{task.fields[stage]}")
+    with Progress(*columns, console=err) as bars:
+        bar = bars.add_task(what, total=1.0, stage="")
+        yield lambda share, stage="": bars.update(bar, completed=share, stage=stage)
+        bars.update(bar, completed=1.0, stage="")
+
+
+def moment(at: str) -> str:
+    """A time to the second, as a table shows it."""
+    return at[:19].replace("T", " ")

@@ -1,0 +1,238 @@
+"""The client: every noun of the service, typed, with progress where one waits."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+from urllib.parse import urlencode
+
+from trueup_client.connection import STREAM_BYTES, Connection
+from trueup_client.problem import Problem, Untrue
+from trueup_client.records import Document, Serving
+
+FINAL = ("succeeded", "failed", "cancelled")
+JOB_LOOK_S = 0.1
+Share = Callable[[float], None]
+
+
+def _silent(_: float) -> None:
+    return
+
+
+class Client:
+    """Talks to one service. Not for several threads at once: give each its own.
+
+    `actor` stands in the audit log beside every change. Refusals raise Problem, silence raises Unreachable.
+    """
+
+    def __init__(self, url: str = "http://127.0.0.1:8321", actor: str | None = None, timeout_s: float = 120.0) -> None:
+        self._to = Connection(url, actor, timeout_s)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._to.close()
+
+    # -- plants and episodes
+
+    def register_plant(self, document: Document) -> Document:
+        """Register a plant by the content of its plant.json; registering it again changes nothing."""
+        return self._post("/v1/plants", document)
+
+    def plant(self, name: str) -> Document:
+        return self._get(f"/v1/plants/{name}")
+
+    def plants(self) -> Iterator[Document]:
+        return self._pages("/v1/plants", "after")
+
+    def upload_episode(self, plant: str, path: str | os.PathLike[str], progress: Share = _silent) -> Document:
+        """Upload an MCAP file, streamed, with its digest; the same file again is the same episode."""
+        digest = _digest_of(path)
+        headers = {"Content-Digest": _content_digest(digest), "Content-Length": str(os.path.getsize(path)), "Content-Type": "application/octet-stream", "Idempotency-Key": digest}
+        return json.loads(self._to.bytes("POST", f"/v1/plants/{plant}/episodes", lambda: _Watched(path, progress), headers))
+
+    def episodes(self, plant: str, role: str | None = None) -> Iterator[Document]:
+        return self._pages(f"/v1/plants/{plant}/episodes", "after", **({"role": role} if role else {}))
+
+    def episode(self, plant: str, digest: str) -> Document:
+        """An episode, with what was serving while it was recorded."""
+        return self._get(f"/v1/plants/{plant}/episodes/{digest}")
+
+    def download_episode(self, plant: str, digest: str, path: str | os.PathLike[str]) -> None:
+        """Save an episode's bytes. Raises Untrue if they are not what the digest names."""
+        self._save(f"/v1/plants/{plant}/episodes/{digest}/content", digest, Path(path))
+
+    # -- artifacts, gates, jobs, decisions
+
+    def artifacts(self, plant: str) -> Iterator[Document]:
+        return self._pages(f"/v1/plants/{plant}/artifacts", "after")
+
+    def artifact(self, plant: str, digest: str) -> Document:
+        return self._get(f"/v1/plants/{plant}/artifacts/{digest}")
+
+    def version(self, plant: str, version: int) -> Document:
+        return self._get(f"/v1/plants/{plant}/versions/{version}")
+
+    def add_artifact(self, plant: str, manifest: bytes, arrays: bytes = b"") -> Document:
+        """Add a version: first its arrays under their digest, then the manifest's exact bytes."""
+        if arrays:
+            self._to.bytes("PUT", f"/v1/blobs/{hashlib.sha256(arrays).hexdigest()}", lambda: arrays, {"Content-Type": "application/octet-stream"})
+        headers = {"Content-Type": "application/json", "Idempotency-Key": hashlib.sha256(manifest).hexdigest()}
+        return json.loads(self._to.bytes("POST", f"/v1/plants/{plant}/artifacts", lambda: manifest, headers))
+
+    def fetch(self, plant: str, digest: str, folder: str | os.PathLike[str]) -> Path:
+        """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte verified. Raises Untrue."""
+        to = Path(folder)
+        to.mkdir(parents=True, exist_ok=True)
+        record = self.artifact(plant, digest)
+        self._save(f"/v1/plants/{plant}/artifacts/{digest}/manifest", digest, to / "manifest.json")
+        (to / "arrays.safetensors").unlink(missing_ok=True)
+        if record["arrays"]:
+            self._save(f"/v1/blobs/{record['arrays']}", record["arrays"], to / "arrays.safetensors")
+        return to
+
+    def declare_gate(self, plant: str, document: Document | None = None) -> Document:
+        """Declare a gate before anything is scored by it; the default one without a document."""
+        return self._post(f"/v1/plants/{plant}/gates", document)
+
+    def gate(self, plant: str, digest: str) -> Document:
+        return self._get(f"/v1/plants/{plant}/gates/{digest}")
+
+    def submit(self, plant: str, request: Document) -> Document:
+        """Submit a job, such as {"kind": "fit", "method": "identify"} or {"kind": "gate", "candidate": …, "gate": …}."""
+        return self._post(f"/v1/plants/{plant}/jobs", request)
+
+    def job(self, job: str) -> Document:
+        return self._get(f"/v1/jobs/{job}")
+
+    def wait(self, job: str, progress: Callable[[Document], None] = lambda _: None) -> Document:
+        """The job once it is final, `progress` called with it meanwhile. Raises Problem if it failed or was cancelled."""
+        while True:
+            found = self.job(job)
+            progress(found)
+            if found["state"] in FINAL:
+                break
+            time.sleep(JOB_LOOK_S)
+        if found["state"] != "succeeded":
+            raise Problem(0, found["result"]["problem"] if found["result"] and "problem" in found["result"] else {"code": found["state"], "detail": f"job {job} was {found['state']}"})
+        return found
+
+    def cancel(self, job: str) -> Document:
+        return self._post(f"/v1/jobs/{job}/cancel", None)
+
+    def decisions(self, plant: str) -> Iterator[Document]:
+        return self._pages(f"/v1/plants/{plant}/decisions", "before")
+
+    def decision(self, plant: str, digest: str) -> Document:
+        return self._get(f"/v1/plants/{plant}/decisions/{digest}")
+
+    # -- serving
+
+    def serving(self, plant: str) -> Serving:
+        """What serves now."""
+        return Serving(**self._get(f"/v1/plants/{plant}/serving"))
+
+    def watch(self, plant: str, wait_s: float = 30.0) -> Iterator[Serving]:
+        """What serves now, then again at each move, for ever; each look waits up to `wait_s` [s] at the service."""
+        tag = ""
+        while True:
+            headers = {"If-None-Match": tag} if tag else {}
+            with self._to.answer("GET", f"/v1/plants/{plant}/serving?wait_s={wait_s:g}", lambda: None, headers) as found:
+                body = found.read()
+                if found.status == 304:  # noqa: PLR2004
+                    continue
+                tag = found.headers["ETag"]
+            yield Serving(**json.loads(body))
+
+    def history(self, plant: str) -> Iterator[Serving]:
+        """Every position of the pointer, in order."""
+        return (Serving(**item) for item in self._pages(f"/v1/plants/{plant}/serving/history", "after"))
+
+    def served_at(self, plant: str, at: str) -> Serving | None:
+        """What was live at a time: UTC, ISO 8601, ending in Z."""
+        items = self._get(f"/v1/plants/{plant}/serving/history?{urlencode({'at': at})}")["items"]
+        return Serving(**items[0]) if items else None
+
+    def promote(self, plant: str, decision: str, expected_generation: int) -> Serving:
+        """Serve the candidate of an accepted decision, if the pointer has not moved since."""
+        return Serving(**self._post(f"/v1/plants/{plant}/serving/promote", {"decision": decision, "expected_generation": expected_generation}))
+
+    def roll_back(self, plant: str, expected_generation: int) -> Serving:
+        """Serve what served before, after its switchback test."""
+        return Serving(**self._post(f"/v1/plants/{plant}/serving/rollback", {"expected_generation": expected_generation}))
+
+    # -- audit
+
+    def audit(self, plant: str | None = None) -> Iterator[Document]:
+        """Every entry of the log, in order."""
+        return self._pages("/v1/audit", "after", **({"plant": plant} if plant else {}))
+
+    def audit_head(self) -> Document:
+        return self._get("/v1/audit/head")
+
+    def is_ready(self) -> bool:
+        """Whether the service can do its work."""
+        with self._to.answer("GET", "/readyz", lambda: None, {}, allowed=(503,)) as found:
+            found.read()
+            return found.status == 200  # noqa: PLR2004
+
+    # -- how
+
+    def _get(self, path: str) -> Any:
+        return self._to.json("GET", path)
+
+    def _post(self, path: str, body: Any) -> Any:
+        return self._to.json("POST", path, body, {"Idempotency-Key": uuid.uuid4().hex})
+
+    def _pages(self, path: str, cursor: str, **query: str) -> Iterator[Document]:
+        while True:
+            page = self._get(f"{path}?{urlencode(query)}")
+            yield from page["items"]
+            if page["next"] is None:
+                return
+            query[cursor] = page["next"]
+
+    def _save(self, path: str, digest: str, to: Path) -> None:
+        """Write beside, verify, then rename: no half or wrong file ever has the name."""
+        beside, hashed = to.with_name(f"{to.name}.{uuid.uuid4().hex}.part"), hashlib.sha256()
+        try:
+            with beside.open("wb") as file:
+                for part in self._to.parts(path):
+                    hashed.update(part)
+                    file.write(part)
+            if hashed.hexdigest() != digest:
+                raise Untrue(f"{path} gave {hashed.hexdigest()}")
+            beside.replace(to)
+        finally:
+            beside.unlink(missing_ok=True)
+
+
+class _Watched:
+    """A file that tells how much of it has been read."""
+
+    def __init__(self, path: str | os.PathLike[str], progress: Share) -> None:
+        self._file: BinaryIO = open(path, "rb")  # noqa: SIM115  (closed when read to its end)
+        self._size, self._progress = max(os.path.getsize(path), 1), progress
+
+    def read(self, length: int = STREAM_BYTES) -> bytes:
+        part = self._file.read(max(length, STREAM_BYTES))
+        self._progress(self._file.tell() / self._size)
+        if not part:
+            self._file.close()
+        return part
+
+
+def _digest_of(path: str | os.PathLike[str]) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _content_digest(digest: str) -> str:
+    return f"sha-256=:{base64.b64encode(bytes.fromhex(digest)).decode()}:"
+

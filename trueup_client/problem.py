@@ -1,0 +1,36 @@
+"""What can go wrong, from the caller's side.
+
+    ClientError
+    ├── Unreachable    nobody answered
+    ├── Untrue         the bytes are not what their digest names
+    └── Problem        the service refused; `code` is stable, `hint` says what to do next
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class ClientError(Exception):
+    """Talking to trueup failed."""
+
+
+class Unreachable(ClientError):
+    """The service did not answer."""
+
+
+class Untrue(ClientError):
+    """The bytes received are not those that the digest names; they were thrown away."""
+
+
+class Problem(ClientError):
+    """The service refused a request, with an RFC 9457 problem document."""
+
+    def __init__(self, status: int, document: dict[str, Any]) -> None:
+        self.status = status
+        self.code: str = document.get("code", "unknown")
+        self.detail: str = document.get("detail", "")
+        self.hint: str = document.get("hint", "")
+        self.facts: dict[str, Any] = document.get("facts", {})
+        self.request_id: str | None = document.get("request_id")
+        super().__init__(f"{self.code}: {self.detail}")
