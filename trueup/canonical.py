@@ -14,7 +14,7 @@ import rfc8785
 
 from trueup.errors import TrueupError
 
-Json: TypeAlias = "None | bool | int | float | str | Sequence[Json] | Mapping[str, Json]"
+Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
@@ -29,7 +29,7 @@ class NotCanonical(TrueupError):
 def canonical_bytes(value: Json) -> bytes:
     """The RFC 8785 bytes of a JSON value. Raises NotCanonical."""
     try:
-        return rfc8785.dumps(value)  # type: ignore[arg-type]
+        return rfc8785.dumps(value)
     except rfc8785.CanonicalizationError as error:
         raise NotCanonical(f"the value has no canonical form: {error}") from error
 

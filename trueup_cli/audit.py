@@ -17,7 +17,9 @@ EXIT_DISAGREES = 4
 AGREEMENT = 1e-9  # relative: matrix products differ by some 1e-13 between processors
 
 
-def audit(plant: str | None = None, *, verify: Annotated[bool, Parameter(negative=(), help="Recompute every digest of the chain")] = False, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def audit(
+    plant: str | None = None, *, verify: Annotated[bool, Parameter(negative=(), help="Recompute every digest of the chain")] = False, url: Url = DEFAULT_URL, as_json_: Json = False
+) -> None:
     """Print the audit log.
 
     Parameters

@@ -137,7 +137,11 @@ def _fit_and_gate(client: Client, case: Case) -> dict[str, Any]:
         figures = {v["rule"]: v["value"] for v in decisions[-1]["document"]["verdicts"]}
         rows.append((name, artifact[:12], figures["rollout_improves"], figures["one_step_no_worse"], "[green]accepted[/]" if decisions[-1]["accepted"] else "[red]rejected[/]"))
     nominal = decisions[0]["document"]["figures"]["incumbent"]
-    table("", ["candidate", "artifact", "rollout", "one step", ""], [("nominal (serving)", "", float(np.mean(nominal["rollout"])), float(np.mean(nominal["one_step"])), "baseline"), *rows])
+    table(
+        "",
+        ["candidate", "artifact", "rollout", "one step", ""],
+        [("nominal (serving)", "", float(np.mean(nominal["rollout"])), float(np.mean(nominal["one_step"])), "baseline"), *rows],
+    )
     accepted = [d for d in decisions if d["accepted"]]
     return min(accepted, key=lambda d: float(np.mean(d["document"]["figures"]["candidate"]["rollout"])))
 
@@ -170,14 +174,23 @@ def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list
     horizon_s = before.plant.horizon_s
     channel = before.plant.layout.observations[0]
     errors = [[float(rollout_rms(p, e, horizon_s)[0]) for e in episodes] for p in (before, after)]
-    table(f"RMS of {channel.name} over windows of {horizon_s:g} s [m{channel.unit}]", ["held-out episode", "nominal", "serving", "less by"], [(e.digest[:12], 1e3 * b, 1e3 * a, f"{1 - a / b:.1%}") for e, b, a in zip(episodes, *errors, strict=True)])
+    table(
+        f"RMS of {channel.name} over windows of {horizon_s:g} s [m{channel.unit}]",
+        ["held-out episode", "nominal", "serving", "less by"],
+        [(e.digest[:12], 1e3 * b, 1e3 * a, f"{1 - a / b:.1%}") for e, b, a in zip(episodes, *errors, strict=True)],
+    )
     episode = episodes[0]
-    traces = [Trace(name, predict_samples(p, episode, horizon_s)[:, 0], f"{1e3 * rms[0]:.2f} m{channel.unit}", colour) for name, p, rms, colour in (("nominal", before, errors[0], BEFORE), ("serving", after, errors[1], AFTER))]
+    traces = [
+        Trace(name, predict_samples(p, episode, horizon_s)[:, 0], f"{1e3 * rms[0]:.2f} m{channel.unit}", colour)
+        for name, p, rms, colour in (("nominal", before, errors[0], BEFORE), ("serving", after, errors[1], AFTER))
+    ]
     skip = int(np.searchsorted(episode.t_s, horizon_s))  # the first window starts where no past shows the velocity
     shown = [Trace(t.name, t.values[skip:], t.rms, t.colour) for t in traces]
     starts = episode.t_s[starts_every(episode.t_s, horizon_s)]
     subtitle = f"held-out episode {episode.digest[:12]}, rollouts of {horizon_s:g} s; RMS errors over the whole episode in brackets"
-    svg = before_and_after(f"{case.name}: the same commands, before and after", subtitle, episode.t_s[skip:], episode.observations[skip:, 0], shown, starts[starts >= episode.t_s[skip]], channel.unit)
+    svg = before_and_after(
+        f"{case.name}: the same commands, before and after", subtitle, episode.t_s[skip:], episode.observations[skip:, 0], shown, starts[starts >= episode.t_s[skip]], channel.unit
+    )
     (case.work / "before-and-after.svg").write_text(svg)
     out.print(f"picture: {case.work / 'before-and-after.svg'}")
 

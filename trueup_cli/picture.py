@@ -79,7 +79,7 @@ class _Panel:
 
 def _legend(traces: Sequence[Trace]) -> str:
     entries = [("measured", MEASURED), *((f"{t.name} ({t.rms})", t.colour) for t in traces)]
-    x, parts = WIDTH - RIGHT, []
+    x, parts = float(WIDTH - RIGHT), []
     for name, colour in reversed(entries):
         x -= 7.2 * len(name) + 34
         parts.append(f'<path d="M{x:.0f} 80h18" stroke="{colour}" stroke-width="3"/>' + _text(x + 24, 84, name, INK))
@@ -96,7 +96,7 @@ def _nice(low: float, high: float) -> Array:
     span = max(high - low, 1e-12) / TICKS
     power = 10.0 ** np.floor(np.log10(span))
     step = power * next(s for s in STEPS if s * power >= span)
-    return np.round(np.arange(np.floor(low / step), np.ceil(high / step) + 1) * step, 12)
+    return np.asarray(np.round(np.arange(np.floor(low / step), np.ceil(high / step) + 1) * step, 12))
 
 
 def _text(x: float, y: float, text: str, colour: str, *, size: int = 13, weight: int = 400, anchor: str = "start") -> str:

@@ -16,7 +16,9 @@ from trueup.model.windows import cut, starts_every
 from trueup_cli.model_folder import load_predictor
 
 
-def predict(*, model: Path, episode: Path, horizon: float, out: Path, nominal: Annotated[bool, Parameter(negative=(), help="Predict with the uncorrected nominal model")] = False) -> None:
+def predict(
+    *, model: Path, episode: Path, horizon: float, out: Path, nominal: Annotated[bool, Parameter(negative=(), help="Predict with the uncorrected nominal model")] = False
+) -> None:
     """Predict an episode and write one CSV row for each of its samples.
 
     Parameters

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
 from trueup_cli.options import DEFAULT_URL, Json, Url, connect
-from trueup_cli.show import as_json, out, progress, table
+from trueup_cli.show import Bar, as_json, out, progress, table
 from trueup_client import Client
+
+SENDING = 0.9  # share of the bar for sending; the rest is the service's inspection
 
 
 def upload(plant: str, *files: Path, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -25,11 +28,19 @@ def upload(plant: str, *files: Path, url: Url = DEFAULT_URL, as_json_: Json = Fa
     found = []
     for path in paths:
         with progress(f"upload {path.name}") as bar:
-            found.append(client.upload_episode(plant, path, lambda share, bar=bar: bar(0.9 * share, "sending" if share < 1 else "inspecting")))
+            found.append(client.upload_episode(plant, path, partial(_sent, bar)))
     if as_json_:
         as_json(found)
     else:
-        table("Episodes", ["file", "digest", "role", "samples", "seconds"], [(p.name, e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"]) for p, e in zip(paths, found, strict=True)])
+        table(
+            "Episodes",
+            ["file", "digest", "role", "samples", "seconds"],
+            [(p.name, e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"]) for p, e in zip(paths, found, strict=True)],
+        )
+
+
+def _sent(bar: Bar, share: float) -> None:
+    bar(SENDING * share, "sending" if share < 1.0 else "inspecting")
 
 
 def fit(
@@ -46,7 +57,14 @@ def fit(
     as_json(found) if as_json_ else out.print(f"candidate [bold]{found['result']['artifact']}[/]")
 
 
-def gate(plant: str, candidate: str, *, rules: Annotated[Path | None, Parameter(help="Gate as JSON; the default gate if none is given")] = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def gate(
+    plant: str,
+    candidate: str,
+    *,
+    rules: Annotated[Path | None, Parameter(help="Gate as JSON; the default gate if none is given")] = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
     """Declare a gate, then judge a candidate by it against what serves.
 
     Parameters

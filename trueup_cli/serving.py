@@ -15,7 +15,14 @@ from trueup_client import Serving
 Generation = Annotated[int | None, Parameter(help="Refuse if the pointer is elsewhere; default: where it is now")]
 
 
-def serving(plant: str, *, history: Annotated[bool, Parameter(negative=(), help="Every position of the pointer")] = False, at: str | None = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def serving(
+    plant: str,
+    *,
+    history: Annotated[bool, Parameter(negative=(), help="Every position of the pointer")] = False,
+    at: str | None = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
     """Say what serves, what served when, or what was live at a time.
 
     Parameters

@@ -44,18 +44,29 @@ def cell(value: object) -> str:
     return "" if value is None else str(value)
 
 
+Bar = Callable[[float, str], None]
+
+
+def _no_bar(_share: float, _stage: str = "") -> None:
+    return
+
+
 @contextmanager
-def progress(what: str) -> Iterator[Callable[[float, str], None]]:
+def progress(what: str) -> Iterator[Bar]:
     """A bar on standard error, or one plain line where that is no terminal; call with the share done and what is being done."""
     began = time.monotonic()
     if not err.is_terminal:
-        yield lambda _share, _stage="": None
+        yield _no_bar
         err.print(f"{what} … {time.monotonic() - began:.1f} s")
         return
     columns = TextColumn("{task.description:<34}"), BarColumn(28), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("[dim]{task.fields[stage]}")
     with Progress(*columns, console=err) as bars:
         bar = bars.add_task(what, total=1.0, stage="")
-        yield lambda share, stage="": bars.update(bar, completed=share, stage=stage)
+
+        def move(share: float, stage: str = "") -> None:
+            bars.update(bar, completed=share, stage=stage)
+
+        yield move
         bars.update(bar, completed=1.0, stage="")
 
 

@@ -1,10 +1,10 @@
 """What a robot, a CI job or a script needs of trueup: ask, send, fetch, verify. The standard library alone.
 
-    from trueup_client import Client
+from trueup_client import Client
 
-    client = Client("http://127.0.0.1:8321")
-    serving = client.serving("emps")
-    client.fetch("emps", serving.artifact, "model")
+client = Client("http://127.0.0.1:8321")
+serving = client.serving("emps")
+client.fetch("emps", serving.artifact, "model")
 """
 
 from trueup_client.client import Client

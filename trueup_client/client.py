@@ -10,7 +10,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 from urllib.parse import urlencode
 
 from trueup_client.connection import STREAM_BYTES, Connection
@@ -55,7 +55,7 @@ class Client:
         """Upload an MCAP file, streamed, with its digest; the same file again is the same episode."""
         digest = _digest_of(path)
         headers = {"Content-Digest": _content_digest(digest), "Content-Length": str(os.path.getsize(path)), "Content-Type": "application/octet-stream", "Idempotency-Key": digest}
-        return json.loads(self._to.bytes("POST", f"/v1/plants/{plant}/episodes", lambda: _Watched(path, progress), headers))
+        return self._send("POST", f"/v1/plants/{plant}/episodes", lambda: _Watched(path, progress), headers)
 
     def episodes(self, plant: str, role: str | None = None) -> Iterator[Document]:
         return self._pages(f"/v1/plants/{plant}/episodes", "after", **({"role": role} if role else {}))
@@ -82,9 +82,9 @@ class Client:
     def add_artifact(self, plant: str, manifest: bytes, arrays: bytes = b"") -> Document:
         """Add a version: first its arrays under their digest, then the manifest's exact bytes."""
         if arrays:
-            self._to.bytes("PUT", f"/v1/blobs/{hashlib.sha256(arrays).hexdigest()}", lambda: arrays, {"Content-Type": "application/octet-stream"})
+            self._to.whole("PUT", f"/v1/blobs/{hashlib.sha256(arrays).hexdigest()}", lambda: arrays, {"Content-Type": "application/octet-stream"})
         headers = {"Content-Type": "application/json", "Idempotency-Key": hashlib.sha256(manifest).hexdigest()}
-        return json.loads(self._to.bytes("POST", f"/v1/plants/{plant}/artifacts", lambda: manifest, headers))
+        return self._send("POST", f"/v1/plants/{plant}/artifacts", lambda: manifest, headers)
 
     def fetch(self, plant: str, digest: str, folder: str | os.PathLike[str]) -> Path:
         """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte verified. Raises Untrue."""
@@ -120,7 +120,9 @@ class Client:
                 break
             time.sleep(JOB_LOOK_S)
         if found["state"] != "succeeded":
-            raise Problem(0, found["result"]["problem"] if found["result"] and "problem" in found["result"] else {"code": found["state"], "detail": f"job {job} was {found['state']}"})
+            raise Problem(
+                0, found["result"]["problem"] if found["result"] and "problem" in found["result"] else {"code": found["state"], "detail": f"job {job} was {found['state']}"}
+            )
         return found
 
     def cancel(self, job: str) -> Document:
@@ -184,11 +186,17 @@ class Client:
 
     # -- how
 
-    def _get(self, path: str) -> Any:
-        return self._to.json("GET", path)
+    def _get(self, path: str) -> Document:
+        found: Document = self._to.json("GET", path)
+        return found
 
-    def _post(self, path: str, body: Any) -> Any:
-        return self._to.json("POST", path, body, {"Idempotency-Key": uuid.uuid4().hex})
+    def _post(self, path: str, body: Document | None) -> Document:
+        found: Document = self._to.json("POST", path, body, {"Idempotency-Key": uuid.uuid4().hex})
+        return found
+
+    def _send(self, method: str, path: str, body: Callable[[], bytes | _Watched], headers: dict[str, str]) -> Document:
+        found: Document = json.loads(self._to.whole(method, path, body, headers))
+        return found
 
     def _pages(self, path: str, cursor: str, **query: str) -> Iterator[Document]:
         while True:
@@ -235,4 +243,3 @@ def _digest_of(path: str | os.PathLike[str]) -> str:
 
 def _content_digest(digest: str) -> str:
     return f"sha-256=:{base64.b64encode(bytes.fromhex(digest)).decode()}:"
-

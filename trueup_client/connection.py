@@ -33,9 +33,9 @@ class Connection:
         """Send a JSON document and read one. Raises Problem, Unreachable."""
         data = None if body is None else json.dumps(body).encode()
         given = {"Content-Type": "application/json", **(headers or {})}
-        return json.loads(self.bytes(method, path, lambda: data, given))
+        return json.loads(self.whole(method, path, lambda: data, given))
 
-    def bytes(self, method: str, path: str, body: Any, headers: Mapping[str, str] | None = None) -> bytes:
+    def whole(self, method: str, path: str, body: Any, headers: Mapping[str, str] | None = None) -> bytes:
         """Send what `body()` gives and read the whole answer."""
         with self.answer(method, path, body, headers or {}) as found:
             return found.read()

@@ -1,9 +1,9 @@
 """What can go wrong, from the caller's side.
 
-    ClientError
-    ├── Unreachable    nobody answered
-    ├── Untrue         the bytes are not what their digest names
-    └── Problem        the service refused; `code` is stable, `hint` says what to do next
+ClientError
+├── Unreachable    nobody answered
+├── Untrue         the bytes are not what their digest names
+└── Problem        the service refused; `code` is stable, `hint` says what to do next
 """
 
 from __future__ import annotations

@@ -52,10 +52,10 @@ def _launch(parts: Parts, name: str) -> None:
     }
     DBOS(config=config)
 
-    @DBOS.workflow(name=WORKFLOW)
+    @DBOS.workflow(name=WORKFLOW)  # type: ignore[untyped-decorator]
     def job(job_id: str) -> str:
         found = DBOS.run_step({"name": "compute"}, compute, parts, job_id)
-        return DBOS.run_step({"name": "finish"}, finish, parts, job_id, found)
+        return str(DBOS.run_step({"name": "finish"}, finish, parts, job_id, found))
 
     DBOS.launch()
     DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=parts.settings.job_poll_interval_s, on_conflict="always_update")

@@ -23,7 +23,7 @@ def arrays_to_bytes(arrays: Mapping[str, Array]) -> bytes:
     if not arrays:
         return b""
     plain = {name: np.array(arrays[name], dtype=np.float64, order="C") for name in sorted(arrays)}
-    data = save(plain)
+    data: bytes = save(plain)
     back = arrays_from_bytes(data)
     if any(back[name].tobytes() != plain[name].tobytes() or back[name].shape != plain[name].shape for name in plain):
         raise BadArtifact("the arrays did not survive being written", hint="Report this: the array writer is at fault.")
@@ -35,7 +35,7 @@ def arrays_from_bytes(data: bytes) -> dict[str, Array]:
     if not data:
         return {}
     try:
-        arrays = load(data)
+        arrays: dict[str, Array] = load(data)
     except (SafetensorError, ValueError, KeyError, TypeError) as error:
         raise BadArtifact(f"the arrays cannot be read: {error}") from error
     if any(a.dtype != np.float64 for a in arrays.values()):

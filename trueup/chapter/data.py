@@ -70,7 +70,7 @@ def recorded(parameters: tuple[float, ...], start: tuple[float, float], steps: i
     issued = excitation(steps, rng)
     states = drive(parameters, np.array(start), issued)
     held = np.append(issued, issued[-1])[:, None]
-    return Episode(DT_S * np.arange(steps + 1), held, states, PLANT.layout, role, {"stage": "MIL"}, 0, "")
+    return Episode(DT_S * np.arange(steps + 1, dtype=np.float64), held, states, PLANT.layout, role, {"stage": "MIL"}, 0, "")
 
 
 def draw() -> ChapterData:

@@ -15,4 +15,4 @@ def bring_forward(predictor: Predictor, seen: Array, issued: Array) -> Array:
     state = seen[None, :]
     for command in issued:
         state = predictor.predict_batch(state, command[None, :])
-    return state[0]
+    return np.asarray(state[0])

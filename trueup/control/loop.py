@@ -46,7 +46,7 @@ class Deployed:
     def update(self, state: Array, issued: Array) -> Array:
         """Next state `(states,)`."""
         limited = np.clip(issued, -self.u_max, self.u_max)
-        return self.plant.update(state[None, :], limited[None, :], self.parameters)[0]
+        return np.asarray(self.plant.update(state[None, :], limited[None, :], self.parameters)[0])
 
 
 def run_loop(deployed: Deployed, planner: RandomShooting, reference: Array, rng: np.random.Generator, delay: int = 0, estimate: Estimate | None = None) -> Run:

@@ -72,6 +72,9 @@ class Limits:
     channels: int = 4096
 
 
+LIMITS = Limits()
+
+
 @dataclass(frozen=True, slots=True)
 class Schema:
     """How the messages of a channel are described."""
@@ -101,13 +104,16 @@ class Metadata:
     values: dict[str, str]
 
 
+Message = tuple[int, int, int]  # where its data begin in the block, how long they are, log time [ns]
+
+
 @dataclass(slots=True)
 class Block:
     """Messages that lie in one buffer: for each channel where each begins, how long it is, and its log time [ns]."""
 
     data: bytes
     byte: int
-    messages: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
+    messages: dict[int, list[Message]] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -130,7 +136,7 @@ class Walk:
     Raises MalformedMcap (facts `rule`, `byte`) and TooLarge (facts `limit`, `byte`).
     """
 
-    def __init__(self, stream: BinaryIO, size: int, limits: Limits = Limits()) -> None:
+    def __init__(self, stream: BinaryIO, size: int, limits: Limits = LIMITS) -> None:
         self.contents = Contents()
         self._stream, self._size, self._limits = stream, size, limits
         self._at = 0
@@ -319,15 +325,16 @@ class Walk:
         data, end, at, count = block.data, len(block.data), 0, 0
         head, message_head = RECORD_HEAD.unpack_from, MESSAGE_HEAD.unpack_from
         topics, messages, found, shortest = self.contents.topics, block.messages, 0, MESSAGE_HEAD.size
+        head_bytes, is_message = RECORD_HEAD.size, int(Op.MESSAGE)
         while at < end:
-            if end - at < 9:
+            if end - at < head_bytes:
                 raise MalformedMcap("a chunk ends inside a record's head", rule="length", byte=block.byte, chunk_byte=at)
             op, length = head(data, at)
-            start = at + 9
+            start = at + head_bytes
             if length > end - start:
                 raise MalformedMcap("a record is longer than its chunk", rule="length", byte=block.byte, chunk_byte=at)
             count += 1
-            if op == 5:
+            if op == is_message:
                 if length < shortest:
                     raise MalformedMcap("a message is shorter than its own header", rule="length", byte=block.byte, chunk_byte=at)
                 channel, _, log_time_ns, _ = message_head(data, start)
@@ -335,7 +342,7 @@ class Walk:
                     if channel not in topics:
                         raise MalformedMcap(f"a message names channel {channel}, which is not known yet", rule="known", byte=block.byte, chunk_byte=at)
                     messages[channel] = []
-                messages[channel].append((start + 22, length - 22, log_time_ns))
+                messages[channel].append((start + shortest, length - shortest, log_time_ns))
                 found += 1
             elif op in (Op.SCHEMA, Op.CHANNEL):
                 self._plain(block.byte, op, data[start : start + length])

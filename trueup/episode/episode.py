@@ -13,6 +13,7 @@ from trueup.episode.layout import Layout
 from trueup.episode.role import Role
 from trueup.errors import NotAnEpisode, RoleRefused
 
+LEAST_SAMPLES = 2
 GAP_PERIODS = 5.0  # an interval this many median periods long is a gap
 
 
@@ -37,7 +38,7 @@ class Episode:
     def __post_init__(self) -> None:
         samples = len(self.t_s)
         shapes = (samples, len(self.layout.commands)), (samples, len(self.layout.observations))
-        if samples < 2 or (self.commands.shape, self.observations.shape) != shapes:
+        if samples < LEAST_SAMPLES or (self.commands.shape, self.observations.shape) != shapes:
             raise NotAnEpisode(f"an episode needs two aligned samples at least, this has {samples}", rule="samples")
         for array in (self.t_s, self.commands, self.observations):
             array.setflags(write=False)

@@ -15,11 +15,12 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from trueup.episode.container import Block, Topic
+from trueup.episode.container import Block, Message, Topic
 from trueup.episode.layout import Channel, Field
 from trueup.errors import NotAnEpisode
 
 FIELDS = tuple(Field)
+CDR_HEAD_BYTES = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +56,7 @@ class Columns:
     values: NDArray[np.float64]
 
 
-Decoder = Callable[[Block, list[tuple[int, int, int]], Sequence[Channel]], Columns]
+Decoder = Callable[[Block, list[Message], Sequence[Channel]], Columns]
 
 
 def decoder(topic: Topic) -> Decoder:
@@ -72,7 +73,7 @@ def decoder(topic: Topic) -> Decoder:
     raise NotAnEpisode(f"topic {topic.name} is encoded as {topic.encoding!r}; cdr, json and protobuf are read", rule="encoding", topic=topic.name)
 
 
-def _decode_each(block: Block, messages: Iterable[tuple[int, int, int]], channels: Sequence[Channel], read: Callable[[bytes], JointState]) -> Columns:
+def _decode_each(block: Block, messages: Iterable[Message], channels: Sequence[Channel], read: Callable[[bytes], JointState]) -> Columns:
     log, stamps, rows = [], [], []
     for start, length, log_ns in messages:
         try:
@@ -121,7 +122,7 @@ class _CdrShape:
 
 
 def _cdr_shape(data: bytes) -> _CdrShape:
-    if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
+    if len(data) < CDR_HEAD_BYTES or data[0] != 0 or data[1] not in (0, 1):
         raise ValueError("its encapsulation is not plain CDR")
     order = "<" if data[1] else ">"
     at = 12
@@ -164,7 +165,7 @@ def _read_cdr(data: bytes) -> JointState:
     return JointState(seconds * 1_000_000_000 + nanoseconds, shape.names, values)
 
 
-def _decode_cdr(block: Block, messages: list[tuple[int, int, int]], channels: Sequence[Channel]) -> Columns:
+def _decode_cdr(block: Block, messages: list[Message], channels: Sequence[Channel]) -> Columns:
     starts, lengths, log = np.array(messages, np.int64).reshape(-1, 3).T
     length = int(lengths[0])
     first = block.data[messages[0][0] : messages[0][0] + length]

@@ -19,20 +19,22 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.episode.container import Limits, Metadata, Topic, Walk
+from trueup.episode.container import LIMITS, Block, Limits, Message, Metadata, Topic, Walk
 from trueup.episode.episode import Episode
-from trueup.episode.role import Role
 from trueup.episode.joint_state import Columns, Decoder, decoder
 from trueup.episode.layout import Channel, Layout
+from trueup.episode.role import Role
 from trueup.errors import NotAnEpisode
 
+Track = tuple[NDArray[np.int64], NDArray[np.float64]]
 
-def read_episode(data: bytes, layout: Layout, limits: Limits = Limits()) -> Episode:
+
+def read_episode(data: bytes, layout: Layout, limits: Limits = LIMITS) -> Episode:
     """The episode that a whole MCAP file in memory holds. Raises BadEpisode."""
     return read_episode_stream(BytesIO(data), len(data), layout, limits)
 
 
-def read_episode_stream(stream: BinaryIO, size: int, layout: Layout, limits: Limits = Limits()) -> Episode:
+def read_episode_stream(stream: BinaryIO, size: int, layout: Layout, limits: Limits = LIMITS) -> Episode:
     """The episode in a stream of `size` bytes, read once, chunk by chunk. Raises BadEpisode."""
     hashed = _Hashed(stream)
     walk = Walk(hashed, size, limits)  # type: ignore[arg-type]
@@ -74,14 +76,14 @@ class _Collector:
         self._decoders: dict[int, Decoder] = {}
         self._parts: list[Columns] = []
 
-    def add(self, topic: Topic, block, messages) -> None:  # type: ignore[no-untyped-def]
+    def add(self, topic: Topic, block: Block, messages: list[Message]) -> None:
         if topic.id not in self._decoders:
             if self._decoders:
                 raise NotAnEpisode(f"topic {self.topic} is recorded on two channels; keep one", rule="topic", topic=self.topic)
             self._decoders[topic.id] = decoder(topic)
         self._parts.append(self._decoders[topic.id](block, messages, self._channels))
 
-    def columns(self, known: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    def columns(self, known: Sequence[str]) -> Track:
         """Stamps [ns] and values of the whole topic."""
         if not self._parts:
             raise NotAnEpisode(f"the recording has no message on {self.topic}; its topics are: {', '.join(known) or 'none'}", rule="topic", topic=self.topic)
@@ -91,7 +93,7 @@ class _Collector:
         backward = np.flatnonzero(np.diff(stamps) <= 0)
         if len(backward):
             at = int(backward[0]) + 1
-            raise NotAnEpisode(f"message {at} on {self.topic} is not later than the one before it", rule="clock", topic=self.topic, message=at, stamp_ns=str(stamps[at]))
+            raise NotAnEpisode(f"message {at} on {self.topic} is not later than the one before it", rule="clock", topic=self.topic, index=at, stamp_ns=str(stamps[at]))
         return stamps, np.concatenate([p.values for p in self._parts])
 
 
@@ -106,7 +108,7 @@ def _role(found: Sequence[Metadata]) -> tuple[Role, dict[str, str]]:
     return Role(role), conditions
 
 
-def _align(observed, issued, layout: Layout, role: Role, conditions: dict[str, str], digest: str) -> Episode:  # type: ignore[no-untyped-def]
+def _align(observed: Track, issued: Track, layout: Layout, role: Role, conditions: dict[str, str], digest: str) -> Episode:
     stamps, observations = observed
     command_stamps, commands = issued
     _finite(observations, layout.observations, layout.observation_topic)
@@ -124,4 +126,6 @@ def _finite(values: NDArray[np.float64], channels: Sequence[Channel], topic: str
     for column, channel in zip(values.T, channels, strict=True):
         bad = np.flatnonzero(~np.isfinite(column))
         if len(bad) and len(bad) < len(column):
-            raise NotAnEpisode(f"message {int(bad[0])} on {topic} has no finite {channel.field} for channel {channel.name}", rule="finite", topic=topic, message=int(bad[0]), channel=channel.name)
+            raise NotAnEpisode(
+                f"message {int(bad[0])} on {topic} has no finite {channel.field} for channel {channel.name}", rule="finite", topic=topic, index=int(bad[0]), channel=channel.name
+            )

@@ -12,9 +12,9 @@ import orjson
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from trueup.episode.role import Role
 from trueup.episode.joint_state import FIELDS
 from trueup.episode.layout import Channel, Layout
+from trueup.episode.role import Role
 
 ROS2_DEFINITION = """std_msgs/Header header
 string[] name
@@ -69,7 +69,7 @@ def write_episode(
                 data = encode(stamp, rows.joints, rows.fields(values[i]))
                 writer.add_message(channel, log_time=stamp, data=data, publish_time=stamp, sequence=i)
     writer.add_metadata("episode", {"role": str(role), **conditions})
-    writer.finish()
+    writer.finish()  # type: ignore[no-untyped-call]
 
 
 class _Rows:
@@ -143,7 +143,7 @@ def _protobuf() -> tuple[str, str, bytes, Encode]:
 
     def encode(stamp_ns: int, names: Sequence[str], values: Values) -> bytes:
         stamp = {"sec": stamp_ns // 1_000_000_000, "nanosec": stamp_ns % 1_000_000_000}
-        return message(header={"stamp": stamp}, name=names, **values).SerializeToString()
+        return bytes(message(header={"stamp": stamp}, name=names, **values).SerializeToString())
 
     return "sensor_msgs.JointState", "protobuf", descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), encode
 

@@ -37,7 +37,7 @@ class Identification:
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
-        estimates = {name: {"value": value, "ci95": [value - self.half_widths[name], value + self.half_widths[name]]} for name, value in self.parameters.items()}
+        estimates: dict[str, Json] = {name: {"value": value, "ci95": [value - self.half_widths[name], value + self.half_widths[name]]} for name, value in self.parameters.items()}
         return {"parameters": estimates, "rank": self.rank, "condition": self.condition, "residual_rms": self.residual_rms, "rows": self.rows, "health": list(self.health)}
 
 

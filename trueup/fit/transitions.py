@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +63,8 @@ def transitions(plant: Plant, episodes: Sequence[Episode]) -> Transitions:
     if not kept:
         raise NotIdentifiable(f"every episode is shorter than {span} samples")
     ends = np.cumsum([0] + [len(p[0]) for p in kept])
-    joined = [np.concatenate(column) for column in zip(*kept, strict=True)]
-    return Transitions(*joined, span=span, bounds=tuple((int(a), int(b)) for a, b in zip(ends, ends[1:], strict=False)))
+    states, issued, after, h_s = (np.concatenate(column) for column in zip(*kept, strict=True))
+    return Transitions(states, issued, after, h_s, span, tuple((int(a), int(b)) for a, b in pairwise(ends)))
 
 
 def _of_one(plant: Plant, episode: Episode) -> tuple[Array, Array, Array, Array]:

@@ -11,7 +11,7 @@ import numpy as np
 from trueup.canonical import Json, digest_of
 from trueup.errors import BadGate
 from trueup.fit.score import EVERY, FIRST, Score, Scoring
-from trueup.gate.rule import Rule, Trial, Verdict, rules
+from trueup.gate.rule import Rule, Verdict, rules
 
 SCHEMA = "trueup.gate/1"
 DECISION_SCHEMA = "trueup.decision/1"

@@ -56,7 +56,9 @@ def promote(pointer: ServingPointer, decision: Judged, expected_generation: int,
     if not decision.accepted:
         raise NotAccepted(decision=decision.digest)
     if (decision.generation, decision.incumbent) != (pointer.generation, pointer.artifact):
-        raise PointerMoved(f"the decision was judged at generation {decision.generation}, the pointer is at {pointer.generation}", expected=decision.generation, found=pointer.generation)
+        raise PointerMoved(
+            f"the decision was judged at generation {decision.generation}, the pointer is at {pointer.generation}", expected=decision.generation, found=pointer.generation
+        )
     return ServingPointer(pointer.plant, pointer.generation + 1, decision.candidate, decision.digest, now)
 
 

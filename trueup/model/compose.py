@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,7 @@ def kernel(family: type[Family], width: int) -> Callable[..., None]:
     zeros = (0.0,) * count
     digest = source_digest(family.acceleration)
 
-    @register_jitable
+    @register_jitable  # type: ignore[untyped-decorator]
     def vector(parameters: Any, lane: int) -> Any:
         values = zeros
         for j in range(count):
@@ -43,7 +44,7 @@ def kernel(family: type[Family], width: int) -> Callable[..., None]:
         return values
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def run(parameters, initial, applied, h_s, steps, out, first, last):  # type: ignore[no-untyped-def]  # noqa: PLR0913
+    def run(parameters, initial, applied, h_s, steps, out, first, last):  # type: ignore[no-untyped-def]
         digest  # noqa: B018  (the text compiled from: part of the cache's key)
         q, v, p = np.empty(width), np.empty(width), np.empty((count, width))
         for w in range(applied.shape[0]):
@@ -91,9 +92,9 @@ def _shares(windows: int, lanes: int, width: int, size: int) -> Iterable[tuple[s
     blocks = lanes // width
     if blocks >= threads:
         cuts = np.linspace(0, blocks, threads + 1).astype(int) * width
-        return [(slice(None), int(a), int(b)) for a, b in zip(cuts, cuts[1:], strict=False)]
+        return [(slice(None), int(a), int(b)) for a, b in pairwise(cuts)]
     cuts = np.unique(np.linspace(0, windows, threads + 1).astype(int))
-    return [(slice(int(a), int(b)), 0, lanes) for a, b in zip(cuts, cuts[1:], strict=False)]
+    return [(slice(int(a), int(b)), 0, lanes) for a, b in pairwise(cuts)]
 
 
 @cache

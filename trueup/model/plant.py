@@ -129,4 +129,3 @@ def _channel(reader: Reader, field: Field, *, command: bool) -> Channel:
     limits = reader.interval("limits") if command else None
     scale = 1.0 if command else reader.number("scale", above=0.0, default=1.0)
     return Channel(reader.text("name"), reader.text("unit", ""), chosen, joint, scale, limits)
-

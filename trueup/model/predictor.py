@@ -70,7 +70,7 @@ class Physical(Predictor):
 
     def rollout(self, windows: Windows) -> Array:
         applied = self.plant.applied(windows.issued)
-        return self.plant.dynamics.rollout(np.array([self.parameters]), windows.initial, applied, windows.h_s, windows.steps)[0]
+        return np.asarray(self.plant.dynamics.rollout(np.array([self.parameters]), windows.initial, applied, windows.h_s, windows.steps)[0])
 
     def arrays(self) -> dict[str, Array]:
         return {}
@@ -228,4 +228,3 @@ KINDS: Mapping[str, type[Predictor]] = {k.kind: k for k in (Nominal, Identified,
 def predict_observations(predictor: Predictor, windows: Windows) -> Array:
     """Observations `(windows, samples, observations)` of a predictor's rollout."""
     return predictor.plant.observe(predictor.rollout(windows))
-

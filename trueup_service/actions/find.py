@@ -8,7 +8,6 @@ from trueup_service.errors import NotFound
 from trueup_service.registry.records import ArtifactRecord, DecisionRecord, EpisodeRecord, GateRecord, JobRecord, Move, PlantRecord
 from trueup_service.registry.store import Reader
 
-
 T = TypeVar("T")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from trueup.canonical import Json
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.inspection import Inspected
@@ -18,6 +19,6 @@ def ingest_episode(writer: Writer, plant: str, digest: str, size_bytes: int, ins
         return known, False
     record = EpisodeRecord(plant, digest, size_bytes, inspected.role, inspected.start_ns, inspected.end_ns, inspected.summary, stamp.now, stamp.actor)
     writer.add_episode(record)
-    facts = {"role": record.role, "size_bytes": size_bytes, "conditions": inspected.summary["conditions"]}
+    facts: dict[str, Json] = {"role": record.role, "size_bytes": size_bytes, "conditions": inspected.summary["conditions"]}
     writer.append_audit(at=stamp.now, kind="episode:ingested", actor=stamp.actor, plant=plant, subject=digest, facts=facts)
     return record, True

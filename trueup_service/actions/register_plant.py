@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from trueup.artifact.artifact import nominal_artifact
+from trueup.canonical import Json
 from trueup.model.plant import Plant
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import Conflict
@@ -23,6 +24,6 @@ def register_plant(writer: Writer, document: object, stamp: Stamp) -> tuple[Plan
     writer.add_plant(record)
     writer.add_artifact(ArtifactRecord(plant.name, 1, artifact.digest, "nominal", artifact.manifest.decode(), None, None, stamp.now, stamp.actor))
     writer.begin_serving(Move(plant.name, 1, MoveKind.REGISTERED, artifact.digest, 1, None, None, stamp.now, stamp.actor))
-    facts = {"plant": plant.digest, "artifact": artifact.digest, "generation": 1}
+    facts: dict[str, Json] = {"plant": plant.digest, "artifact": artifact.digest, "generation": 1}
     writer.append_audit(at=stamp.now, kind="plant:registered", actor=stamp.actor, plant=plant.name, subject=plant.digest, facts=facts)
     return record, True

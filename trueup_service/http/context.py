@@ -30,7 +30,9 @@ async def _stamp(actor: Annotated[str | None, Header(alias="Trueup-Actor", max_l
 
 With = Annotated[Parts, Depends(_parts)]
 By = Annotated[Stamp, Depends(_stamp)]
-IdempotencyKey = Annotated[str | None, Header(alias="Idempotency-Key", min_length=1, max_length=255, description="The same key repeats the same request's answer; with another request it is refused")]
+IdempotencyKey = Annotated[
+    str | None, Header(alias="Idempotency-Key", min_length=1, max_length=255, description="The same key repeats the same request's answer; with another request it is refused")
+]
 PlantName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A plant's name")]
 DigestPath = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")]
 Limit = Annotated[int, Query(ge=1, le=1000, description="Most items in the answer")]

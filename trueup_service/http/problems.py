@@ -79,7 +79,14 @@ def install(app: FastAPI) -> None:
     def _invalid(request: Request, error: RequestValidationError) -> Response:
         found = [{"field": ".".join(map(str, e["loc"])), "message": e["msg"]} for e in error.errors()]
         first = found[0] if found else {"field": "", "message": "invalid"}
-        return problem(request, HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-request", f"{first['field']}: {first['message']}", "Correct the named fields; /docs shows what each takes.", {"fields": found})
+        return problem(
+            request,
+            HTTPStatus.UNPROCESSABLE_ENTITY,
+            "invalid-request",
+            f"{first['field']}: {first['message']}",
+            "Correct the named fields; /docs shows what each takes.",
+            {"fields": found},
+        )
 
     @app.exception_handler(HTTPException)
     def _plain(request: Request, error: HTTPException) -> Response:
@@ -92,7 +99,9 @@ def install(app: FastAPI) -> None:
     @app.exception_handler(PoolTimeout)
     def _database(request: Request, error: Exception) -> Response:
         log.error("the database failed", exc_info=error, extra={"request_id": request.scope.get("request_id")})
-        return problem(request, HTTPStatus.SERVICE_UNAVAILABLE, "not-ready", "the database cannot be used now", "Try again with the same Idempotency-Key; /readyz says what is missing.")
+        return problem(
+            request, HTTPStatus.SERVICE_UNAVAILABLE, "not-ready", "the database cannot be used now", "Try again with the same Idempotency-Key; /readyz says what is missing."
+        )
 
     @app.exception_handler(Exception)
     def _unexpected(request: Request, error: Exception) -> Response:

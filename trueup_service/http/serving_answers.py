@@ -86,4 +86,3 @@ class ServingAnswers:
         with self._database.read() as connection:
             move = find.serving(Reader(connection), plant)
         return ServingAnswer(f'"{move.generation}"', orjson.dumps(document(move)))
-

@@ -79,7 +79,7 @@ class Reader:
     def job_reads(self, job: str) -> dict[str, str]:
         """Digest of everything a job has read, and what for."""
         rows = self.connection.execute(select(t.job_reads.c.digest, t.job_reads.c.purpose).where(t.job_reads.c.job == job).order_by(t.job_reads.c.digest))
-        return {digest: purpose for digest, purpose in rows}
+        return {row.digest: row.purpose for row in rows}
 
     def uses(self, digest: str, purpose: str) -> int:
         """How many jobs have read these bytes for this purpose."""
@@ -168,7 +168,9 @@ class Writer(Reader):
         """Hold every other writer of this plant until the commit."""
         self.connection.execute(select(t.plants.c.name).where(t.plants.c.name == plant).with_for_update())
 
-    def update_job(self, job: str, *, now: str, state: JobState | None = None, progress: float | None = None, stage: str | None = None, result: dict[str, Json] | None = None) -> bool:
+    def update_job(
+        self, job: str, *, now: str, state: JobState | None = None, progress: float | None = None, stage: str | None = None, result: dict[str, Json] | None = None
+    ) -> bool:
         """Move a job on; False if it is already in a final state, which never changes."""
         given = {"state": state and str(state), "progress": progress, "stage": stage, "result": None if result is None else _text(result)}
         values = {key: value for key, value in given.items() if value is not None} | {"updated_at": now}

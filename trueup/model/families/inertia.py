@@ -14,7 +14,7 @@ class Inertia(Family):
     params = (Param("c", "1/s"), Param("b", "acceleration / command"))
 
     @staticmethod
-    def acceleration(q, v, u, c, b):  # type: ignore[no-untyped-def,override]
+    def acceleration(q, v, u, c, b):  # type: ignore[no-untyped-def]
         return -c * v + b * u
 
     @staticmethod

@@ -16,7 +16,7 @@ class Pendulum(Family):
     params = (Param("k", "1/s^2"), Param("c", "1/s"), Param("b", "acceleration / command"))
 
     @staticmethod
-    def acceleration(q, v, u, k, c, b):  # type: ignore[no-untyped-def,override]
+    def acceleration(q, v, u, k, c, b):  # type: ignore[no-untyped-def]
         return -k * np.sin(q) - c * v + b * u
 
     @staticmethod

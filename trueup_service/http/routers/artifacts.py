@@ -50,7 +50,7 @@ async def add(request: Request, parts: With, stamp: By, plant: PlantName, respon
     return Artifact(**await run_in_threadpool(_add, parts, stamp, plant, manifest, key, response))
 
 
-def _add(parts, stamp, plant, manifest, key, response):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202, PLR0913
+def _add(parts, stamp, plant, manifest, key, response):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
     from trueup.artifact.artifact import unpack  # noqa: PLC0415
     from trueup_service.actions.add_artifact import add_artifact  # noqa: PLC0415

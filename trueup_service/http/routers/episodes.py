@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from datetime import UTC, datetime
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -50,7 +50,7 @@ def _description(parts: Parts, plant: str) -> dict[str, Json]:
 def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
     with parts.database.read() as connection:
         found = Reader(connection).episode(plant, digest)
-    return found and Inspected(digest, found.role, found.start_ns, found.end_ns, found.summary)
+    return None if found is None else Inspected(digest, found.role, found.start_ns, found.end_ns, found.summary)
 
 
 async def _inspect(request: Request, parts: Parts, file: Received, description: dict[str, Json]) -> Inspected:
@@ -59,7 +59,7 @@ async def _inspect(request: Request, parts: Parts, file: Received, description: 
         return await inspect_upload(file.path, description, parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s)
 
 
-def _ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected, response: Response) -> dict[str, Json]:
+def _ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected, response: Response) -> dict[str, Any]:
     parts.blobs.put(file.digest, file.path)
     request = {"digest": file.digest}
     return create(parts, stamp, f"episodes/{plant}", key, request, lambda w: ingest_episode(w, plant, file.digest, file.size_bytes, inspected, stamp), response)
