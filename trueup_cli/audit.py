@@ -18,7 +18,11 @@ AGREEMENT = 1e-9  # relative: matrix products differ by some 1e-13 between proce
 
 
 def audit(
-    plant: str | None = None, *, verify: Annotated[bool, Parameter(negative=(), help="Recompute every digest of the chain")] = False, url: Url = DEFAULT_URL, as_json_: Json = False
+    plant: str | None = None,
+    *,
+    verify: Annotated[bool, Parameter(negative=(), help="Recompute every digest of the chain")] = False,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
 ) -> None:
     """Print the audit log.
 
@@ -34,7 +38,11 @@ def audit(
     if as_json_:
         as_json(entries)
     else:
-        table("Audit log", ["#", "at", "what", "subject", "actor"], [(e["sequence"], moment(e["at"]), e["kind"], e["subject"][:12], e["actor"]) for e in entries])
+        table(
+            "Audit log",
+            ["#", "at", "what", "subject", "actor"],
+            [(e["sequence"], moment(e["at"]), e["kind"], e["subject"][:12], e["actor"]) for e in entries],
+        )
 
 
 def _verify(client: Client) -> None:
@@ -87,7 +95,9 @@ def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path
     gate = Gate.from_document(client.gate(plant, recorded["gate"])["document"])
     if gate.digest != recorded["gate"]:
         raise BadGate("the gate is not the one that the decision names", expected=recorded["gate"], found=gate.digest)
-    predictors = [load_predictor(client.fetch(plant, recorded[which], folder / which), recorded[which]) for which in ("candidate", "incumbent")]
+    predictors = [
+        load_predictor(client.fetch(plant, recorded[which], folder / which), recorded[which]) for which in ("candidate", "incumbent")
+    ]
     episodes = []
     for count, digest in enumerate(recorded["episodes"]):
         path = folder / f"{digest}.mcap"
@@ -96,13 +106,17 @@ def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path
         progress(0.5 * (count + 1) / len(recorded["episodes"]), "fetching episodes")
     trial = run_trial(gate, predictors[0], predictors[1], episodes, lambda share: progress(0.5 + 0.5 * share, "scoring"))
     plant_digest = digest_of(client.plant(plant)["document"])
-    return judge(gate, trial, plant=plant_digest, candidate=recorded["candidate"], incumbent=recorded["incumbent"], generation=recorded["generation"]).document()
+    return judge(
+        gate, trial, plant=plant_digest, candidate=recorded["candidate"], incumbent=recorded["incumbent"], generation=recorded["generation"]
+    ).document()
 
 
 def compare(recorded: Any, recomputed: Any, path: str = "") -> list[str]:
     """Where two documents differ by more than rounding; texts that only repeat figures are left out."""
     if isinstance(recorded, dict) and isinstance(recomputed, dict) and set(recorded) == set(recomputed):
-        return [d for key in recorded if key != "because" for d in compare(recorded[key], recomputed[key], f"{path}.{key}" if path else key)]
+        return [
+            d for key in recorded if key != "because" for d in compare(recorded[key], recomputed[key], f"{path}.{key}" if path else key)
+        ]
     if isinstance(recorded, list) and isinstance(recomputed, list) and len(recorded) == len(recomputed):
         return [d for i, pair in enumerate(zip(recorded, recomputed, strict=True)) for d in compare(*pair, f"{path}[{i}]")]
     numbers = all(isinstance(x, int | float) and not isinstance(x, bool) for x in (recorded, recomputed))
@@ -112,5 +126,11 @@ def compare(recorded: Any, recomputed: Any, path: str = "") -> list[str]:
 
 def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: list[str]) -> None:
     pairs = zip(recorded["verdicts"], recomputed["verdicts"], strict=True)
-    table("", ["rule", "recorded", "recomputed", "threshold", "passed"], [(a["rule"], a["value"], b["value"], b["threshold"], b["passed"]) for a, b in pairs])
-    out.print("[bold green]agrees[/]: every figure and the verdict" if not differences else "[bold red]disagrees[/]\n" + "\n".join(differences))
+    table(
+        "",
+        ["rule", "recorded", "recomputed", "threshold", "passed"],
+        [(a["rule"], a["value"], b["value"], b["threshold"], b["passed"]) for a, b in pairs],
+    )
+    out.print(
+        "[bold green]agrees[/]: every figure and the verdict" if not differences else "[bold red]disagrees[/]\n" + "\n".join(differences)
+    )

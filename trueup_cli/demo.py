@@ -87,7 +87,11 @@ def _service(data: Path) -> Iterator[str]:
         port = free.getsockname()[1]
     data.mkdir(parents=True)
     with (data / "service.log").open("w") as log:
-        child = subprocess.Popen([sys.executable, "-m", "trueup_cli.main", "serve", "--port", str(port)], env={**os.environ, "TRUEUP_DATA_DIR": str(data)}, stderr=log)
+        child = subprocess.Popen(
+            [sys.executable, "-m", "trueup_cli.main", "serve", "--port", str(port)],
+            env={**os.environ, "TRUEUP_DATA_DIR": str(data)},
+            stderr=log,
+        )
         try:
             _until_ready(f"http://127.0.0.1:{port}", child)
             yield f"http://127.0.0.1:{port}"
@@ -111,7 +115,10 @@ def _until_ready(url: str, child: subprocess.Popen[bytes]) -> None:
 
 
 def _upload(client: Client, case: Case) -> None:
-    out.print(f"[bold]{case.name}[/]: {len(list(case.folder.glob('*.mcap')))} recordings, a nominal model of the family {case.plant['nominal']['family']}")
+    out.print(
+        f"[bold]{case.name}[/]: {len(list(case.folder.glob('*.mcap')))} recordings, "
+        f"a nominal model of the family {case.plant['nominal']['family']}"
+    )
     _say(1, "Register the plant, upload the recordings")
     client.register_plant(case.plant)
     found = []
@@ -120,14 +127,21 @@ def _upload(client: Client, case: Case) -> None:
         for done, path in enumerate(paths, 1):
             found.append(client.upload_episode(case.name, path))
             bar(done / len(paths), path.name)
-    table("", ["episode", "role", "samples", "seconds"], [(e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"]) for e in found])
+    table(
+        "",
+        ["episode", "role", "samples", "seconds"],
+        [(e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"]) for e in found],
+    )
 
 
 def _fit_and_gate(client: Client, case: Case) -> dict[str, Any]:
     """The decision on the candidate with the smallest rollout error among those accepted."""
     _say(2, "Declare the gate, before anything is scored")
     gate = client.declare_gate(case.name, json.loads((case.folder / "gate.json").read_text()))
-    out.print(f"gate {gate['digest'][:12]}: {', '.join(r['rule'] for r in gate['document']['rules'])}, over windows of {gate['document']['scoring']['horizon_s']:g} s")
+    out.print(
+        f"gate {gate['digest'][:12]}: {', '.join(r['rule'] for r in gate['document']['rules'])}, "
+        f"over windows of {gate['document']['scoring']['horizon_s']:g} s"
+    )
     _say(3, "Fit candidates from the adaptation episodes, judge each on the validation episodes")
     rows, decisions = [], []
     for name, request in CANDIDATES.items():
@@ -135,7 +149,15 @@ def _fit_and_gate(client: Client, case: Case) -> dict[str, Any]:
         judged = run_job(client, case.name, {"kind": "gate", "candidate": artifact, "gate": gate["digest"]}, "judge")
         decisions.append(client.decision(case.name, judged["result"]["decision"]))
         figures = {v["rule"]: v["value"] for v in decisions[-1]["document"]["verdicts"]}
-        rows.append((name, artifact[:12], figures["rollout_improves"], figures["one_step_no_worse"], "[green]accepted[/]" if decisions[-1]["accepted"] else "[red]rejected[/]"))
+        rows.append(
+            (
+                name,
+                artifact[:12],
+                figures["rollout_improves"],
+                figures["one_step_no_worse"],
+                "[green]accepted[/]" if decisions[-1]["accepted"] else "[red]rejected[/]",
+            )
+        )
     nominal = decisions[0]["document"]["figures"]["incumbent"]
     table(
         "",
@@ -189,7 +211,13 @@ def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list
     starts = episode.t_s[starts_every(episode.t_s, horizon_s)]
     subtitle = f"held-out episode {episode.digest[:12]}, rollouts of {horizon_s:g} s; RMS errors over the whole episode in brackets"
     svg = before_and_after(
-        f"{case.name}: the same commands, before and after", subtitle, episode.t_s[skip:], episode.observations[skip:, 0], shown, starts[starts >= episode.t_s[skip]], channel.unit
+        f"{case.name}: the same commands, before and after",
+        subtitle,
+        episode.t_s[skip:],
+        episode.observations[skip:, 0],
+        shown,
+        starts[starts >= episode.t_s[skip]],
+        channel.unit,
     )
     (case.work / "before-and-after.svg").write_text(svg)
     out.print(f"picture: {case.work / 'before-and-after.svg'}")

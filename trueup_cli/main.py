@@ -13,7 +13,11 @@ from trueup_client.problem import ClientError, Problem
 
 EXIT_REFUSED, EXIT_UNREACHABLE, EXIT_DISAGREES = 1, 3, 4
 
-app = App(name="trueup", version=__version__, help="Find where a robot's dynamics model is wrong, correct it, and serve the correction only if it has earned it.")
+app = App(
+    name="trueup",
+    version=__version__,
+    help="Find where a robot's dynamics model is wrong, correct it, and serve the correction only if it has earned it.",
+)
 
 _COMMANDS = {
     "serve": ("run:serve", "Run the service, with a worker beside it."),

@@ -34,7 +34,8 @@ def before_and_after(title: str, subtitle: str, t_s: Array, measured: Array, tra
     upper = _Panel(*TOP_PANEL, span, _nice(*_range([measured, *(t.values for t in traces)])))
     lower = _Panel(*BOTTOM_PANEL, span, _nice(*_range([1e3 * (t.values - measured) for t in traces])))
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} 640" font-family="system-ui, sans-serif" font-size="13" role="img" aria-label="{escape(title)}">',
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} 640" font-family="system-ui, sans-serif" font-size="13" '
+        f'role="img" aria-label="{escape(title)}">',
         f'<rect width="{WIDTH}" height="640" fill="#fff"/>',
         _text(LEFT, 34, title, INK, size=19, weight=600),
         _text(LEFT, 56, subtitle, PALE),
@@ -44,7 +45,13 @@ def before_and_after(title: str, subtitle: str, t_s: Array, measured: Array, tra
         upper.line(t_s, measured, MEASURED, width=1.2, dash="2 3"),
         lower.frame(f"prediction − measured [m{unit}]", times=True),
         *(lower.line(t_s, 1e3 * (t.values - measured), t.colour, breaks=starts_s) for t in traces),
-        _text(WIDTH / 2, 614, "time [s]; each rollout runs on the issued commands alone until the next tick below the axis", PALE, anchor="middle"),
+        _text(
+            WIDTH / 2,
+            614,
+            "time [s]; each rollout runs on the issued commands alone until the next tick below the axis",
+            PALE,
+            anchor="middle",
+        ),
         *(f'<path d="M{lower.x(s):.1f} {lower.bottom}v6" stroke="{INK}"/>' for s in starts_s),
         "</svg>",
     ]
@@ -64,7 +71,11 @@ class _Panel:
         return float(self.bottom - (value - self._y[0]) / (self._y[-1] - self._y[0]) * (self.bottom - self.top))
 
     def frame(self, label: str, *, times: bool = False) -> str:
-        rows = [f'<path d="M{LEFT} {self.y(v):.1f}H{WIDTH - RIGHT}" stroke="{GRID}"/>' + _text(LEFT - 10, self.y(v) + 4, f"{v:g}", PALE, anchor="end") for v in self._y]
+        rows = [
+            f'<path d="M{LEFT} {self.y(v):.1f}H{WIDTH - RIGHT}" stroke="{GRID}"/>'
+            + _text(LEFT - 10, self.y(v) + 4, f"{v:g}", PALE, anchor="end")
+            for v in self._y
+        ]
         columns = [_text(self.x(v), self.bottom + 20, f"{v:g}", PALE, anchor="middle") for v in self._x] if times else []
         return "".join([*rows, *columns, _text(LEFT, self.top - 10, label, INK)])
 
@@ -74,7 +85,11 @@ class _Panel:
         pieces = [p for p in np.split(np.arange(len(t)), cuts) if len(p) > 1]
         every = max(1, len(t) // WIDTH)
         d = "".join("M" + "L".join(f"{self.x(t[i]):.1f} {self.y(values[i]):.1f}" for i in [*p[::every], p[-1]]) for p in pieces)
-        return f'<path d="{d}" fill="none" stroke="{colour}" stroke-width="{width}" stroke-linejoin="round"' + (f' stroke-dasharray="{dash}"' if dash else "") + "/>"
+        return (
+            f'<path d="{d}" fill="none" stroke="{colour}" stroke-width="{width}" stroke-linejoin="round"'
+            + (f' stroke-dasharray="{dash}"' if dash else "")
+            + "/>"
+        )
 
 
 def _legend(traces: Sequence[Trace]) -> str:
@@ -100,4 +115,5 @@ def _nice(low: float, high: float) -> Array:
 
 
 def _text(x: float, y: float, text: str, colour: str, *, size: int = 13, weight: int = 400, anchor: str = "start") -> str:
-    return f'<text x="{x:.1f}" y="{y:.1f}" fill="{colour}" font-size="{size}" font-weight="{weight}" text-anchor="{anchor}">{escape(text)}</text>'
+    look = f'fill="{colour}" font-size="{size}" font-weight="{weight}" text-anchor="{anchor}"'
+    return f'<text x="{x:.1f}" y="{y:.1f}" {look}>{escape(text)}</text>'

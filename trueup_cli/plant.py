@@ -36,5 +36,7 @@ def list_(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """List the plants."""
     found = list(connect(url).plants())
     as_json(found) if as_json_ else table(
-        "Plants", ["name", "family", "registered", "by"], [(p["name"], p["document"]["nominal"]["family"], p["created_at"], p["created_by"]) for p in found]
+        "Plants",
+        ["name", "family", "registered", "by"],
+        [(p["name"], p["document"]["nominal"]["family"], p["created_at"], p["created_by"]) for p in found],
     )

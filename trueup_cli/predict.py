@@ -17,7 +17,12 @@ from trueup_cli.model_folder import load_predictor
 
 
 def predict(
-    *, model: Path, episode: Path, horizon: float, out: Path, nominal: Annotated[bool, Parameter(negative=(), help="Predict with the uncorrected nominal model")] = False
+    *,
+    model: Path,
+    episode: Path,
+    horizon: float,
+    out: Path,
+    nominal: Annotated[bool, Parameter(negative=(), help="Predict with the uncorrected nominal model")] = False,
 ) -> None:
     """Predict an episode and write one CSV row for each of its samples.
 

@@ -35,7 +35,10 @@ def upload(plant: str, *files: Path, url: Url = DEFAULT_URL, as_json_: Json = Fa
         table(
             "Episodes",
             ["file", "digest", "role", "samples", "seconds"],
-            [(p.name, e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"]) for p, e in zip(paths, found, strict=True)],
+            [
+                (p.name, e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"])
+                for p, e in zip(paths, found, strict=True)
+            ],
         )
 
 
@@ -90,4 +93,8 @@ def show_decision(decision: dict[str, Any]) -> None:
     """Print a decision with every verdict."""
     word = "[bold green]accepted[/]" if decision["accepted"] else "[bold red]rejected[/]"
     out.print(f"{word}: decision [bold]{decision['digest']}[/] at generation {decision['generation']}")
-    table("", ["rule", "passed", "value", "threshold"], [(v["rule"], v["passed"], v["value"], v["threshold"]) for v in decision["document"]["verdicts"]])
+    table(
+        "",
+        ["rule", "passed", "value", "threshold"],
+        [(v["rule"], v["passed"], v["value"], v["threshold"]) for v in decision["document"]["verdicts"]],
+    )

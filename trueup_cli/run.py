@@ -13,7 +13,9 @@ from cyclopts import Parameter
 RESTART_PAUSE_S = 1.0
 
 
-def serve(*, host: str | None = None, port: int | None = None, worker: Annotated[bool, Parameter(help="Run a worker beside the server")] = True) -> None:
+def serve(
+    *, host: str | None = None, port: int | None = None, worker: Annotated[bool, Parameter(help="Run a worker beside the server")] = True
+) -> None:
     """Serve on embedded storage, or on what TRUEUP_DATABASE_URL and TRUEUP_S3_BUCKET name, with a worker beside.
 
     Parameters
@@ -32,7 +34,9 @@ def serve(*, host: str | None = None, port: int | None = None, worker: Annotated
     parts = build(settings)
     listening = listen(host or settings.host, settings.port if port is None else port)
     address = listening.getsockname()
-    logging.getLogger("trueup").info("listening", extra={"url": f"http://{address[0]}:{address[1]}", "data_dir": str(settings.data_dir.absolute())})
+    logging.getLogger("trueup").info(
+        "listening", extra={"url": f"http://{address[0]}:{address[1]}", "data_dir": str(settings.data_dir.absolute())}
+    )
     beside = _Beside() if worker else None
     try:
         run(parts, listening)

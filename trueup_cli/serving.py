@@ -48,7 +48,9 @@ def promote(plant: str, decision: str, *, generation: Generation = None, url: Ur
     decision: digest of the decision
     """
     client = connect(url)
-    show_serving([client.promote(plant, decision, client.serving(plant).generation if generation is None else generation)], as_json_=as_json_)
+    show_serving(
+        [client.promote(plant, decision, client.serving(plant).generation if generation is None else generation)], as_json_=as_json_
+    )
 
 
 def rollback(plant: str, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -57,7 +59,9 @@ def rollback(plant: str, *, generation: Generation = None, url: Url = DEFAULT_UR
     show_serving([client.roll_back(plant, client.serving(plant).generation if generation is None else generation)], as_json_=as_json_)
 
 
-def fetch(plant: str, to: Path, *, artifact: Annotated[str | None, Parameter(help="Digest; default: what serves")] = None, url: Url = DEFAULT_URL) -> None:
+def fetch(
+    plant: str, to: Path, *, artifact: Annotated[str | None, Parameter(help="Digest; default: what serves")] = None, url: Url = DEFAULT_URL
+) -> None:
     """Fetch an artifact into a folder, every byte verified.
 
     Parameters

@@ -59,7 +59,13 @@ def progress(what: str) -> Iterator[Bar]:
         yield _no_bar
         err.print(f"{what} … {time.monotonic() - began:.1f} s")
         return
-    columns = TextColumn("{task.description:<34}"), BarColumn(28), TaskProgressColumn(), TimeElapsedColumn(), TextColumn("[dim]{task.fields[stage]}")
+    columns = (
+        TextColumn("{task.description:<34}"),
+        BarColumn(28),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("[dim]{task.fields[stage]}"),
+    )
     with Progress(*columns, console=err) as bars:
         bar = bars.add_task(what, total=1.0, stage="")
 

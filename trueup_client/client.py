@@ -54,7 +54,12 @@ class Client:
     def upload_episode(self, plant: str, path: str | os.PathLike[str], progress: Share = _silent) -> Document:
         """Upload an MCAP file, streamed, with its digest; the same file again is the same episode."""
         digest = _digest_of(path)
-        headers = {"Content-Digest": _content_digest(digest), "Content-Length": str(os.path.getsize(path)), "Content-Type": "application/octet-stream", "Idempotency-Key": digest}
+        headers = {
+            "Content-Digest": _content_digest(digest),
+            "Content-Length": str(os.path.getsize(path)),
+            "Content-Type": "application/octet-stream",
+            "Idempotency-Key": digest,
+        }
         return self._send("POST", f"/v1/plants/{plant}/episodes", lambda: _Watched(path, progress), headers)
 
     def episodes(self, plant: str, role: str | None = None) -> Iterator[Document]:
@@ -82,7 +87,9 @@ class Client:
     def add_artifact(self, plant: str, manifest: bytes, arrays: bytes = b"") -> Document:
         """Add a version: first its arrays under their digest, then the manifest's exact bytes."""
         if arrays:
-            self._to.whole("PUT", f"/v1/blobs/{hashlib.sha256(arrays).hexdigest()}", lambda: arrays, {"Content-Type": "application/octet-stream"})
+            self._to.whole(
+                "PUT", f"/v1/blobs/{hashlib.sha256(arrays).hexdigest()}", lambda: arrays, {"Content-Type": "application/octet-stream"}
+            )
         headers = {"Content-Type": "application/json", "Idempotency-Key": hashlib.sha256(manifest).hexdigest()}
         return self._send("POST", f"/v1/plants/{plant}/artifacts", lambda: manifest, headers)
 
@@ -121,7 +128,10 @@ class Client:
             time.sleep(JOB_LOOK_S)
         if found["state"] != "succeeded":
             raise Problem(
-                0, found["result"]["problem"] if found["result"] and "problem" in found["result"] else {"code": found["state"], "detail": f"job {job} was {found['state']}"}
+                0,
+                found["result"]["problem"]
+                if found["result"] and "problem" in found["result"]
+                else {"code": found["state"], "detail": f"job {job} was {found['state']}"},
             )
         return found
 
@@ -163,7 +173,9 @@ class Client:
 
     def promote(self, plant: str, decision: str, expected_generation: int) -> Serving:
         """Serve the candidate of an accepted decision, if the pointer has not moved since."""
-        return Serving(**self._post(f"/v1/plants/{plant}/serving/promote", {"decision": decision, "expected_generation": expected_generation}))
+        return Serving(
+            **self._post(f"/v1/plants/{plant}/serving/promote", {"decision": decision, "expected_generation": expected_generation})
+        )
 
     def roll_back(self, plant: str, expected_generation: int) -> Serving:
         """Serve what served before, after its switchback test."""

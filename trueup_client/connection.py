@@ -47,7 +47,9 @@ class Connection:
                 yield part
 
     @contextmanager
-    def answer(self, method: str, path: str, body: Any, headers: Mapping[str, str], allowed: Iterable[int] = ()) -> Iterator[http.client.HTTPResponse]:
+    def answer(
+        self, method: str, path: str, body: Any, headers: Mapping[str, str], allowed: Iterable[int] = ()
+    ) -> Iterator[http.client.HTTPResponse]:
         """An open answer. Raises Problem for a refusal that is not in `allowed`."""
         found = self._send(method, path, body, headers)
         try:

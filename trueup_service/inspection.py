@@ -37,7 +37,13 @@ class Inspected:
 async def inspect_upload(path: Path, plant: dict[str, Json], memory_bytes: int, timeout_s: float) -> Inspected:
     """What the file holds as an episode of this plant. Raises BadEpisode with the child's code and facts, InspectionFailed at a limit."""
     child = await asyncio.create_subprocess_exec(
-        sys.executable, "-m", "trueup_service.inspection", str(path), stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.PIPE
+        sys.executable,
+        "-m",
+        "trueup_service.inspection",
+        str(path),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
     )
     request = orjson.dumps({"plant": plant, "memory_bytes": memory_bytes, "cpu_s": int(timeout_s) + CHILD_CPU_MARGIN_S})
     try:
@@ -55,7 +61,9 @@ def _answer(out: bytes, err: bytes, code: int | None) -> Inspected:
     try:
         answer = orjson.loads(out)
     except orjson.JSONDecodeError as error:
-        raise InspectionFailed(f"the inspection ended with code {code}", limit="inspection_memory_bytes", detail=err.decode(errors="replace")[-200:]) from error
+        raise InspectionFailed(
+            f"the inspection ended with code {code}", limit="inspection_memory_bytes", detail=err.decode(errors="replace")[-200:]
+        ) from error
     if "problem" in answer:
         problem = answer["problem"]
         refused = BadEpisode(problem["message"], hint=problem["hint"], **problem["facts"])

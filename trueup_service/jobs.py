@@ -34,7 +34,9 @@ class JobQueue:
 
     def enqueue(self, connection: Connection, job: str) -> None:
         """Queue a job in the caller's transaction; the job's id is the workflow's, so a second time changes nothing."""
-        self._client.enqueue_in_transaction(connection, {"workflow_name": WORKFLOW, "queue_name": QUEUE, "workflow_id": job, "app_version": ENGINE_VERSION}, job)
+        self._client.enqueue_in_transaction(
+            connection, {"workflow_name": WORKFLOW, "queue_name": QUEUE, "workflow_id": job, "app_version": ENGINE_VERSION}, job
+        )
 
     @cached_property
     def _client(self) -> DBOSClient:

@@ -30,7 +30,9 @@ class Settings(BaseSettings):
     inspection_timeout_s: float = Field(120.0, gt=0, description="Time that the inspection of an upload may take [s].")
     inspections: int = Field(2, ge=1, description="Inspections at once.")
     long_poll_limit_s: float = Field(60.0, gt=0, description="Longest that a request may wait for a change [s].")
-    watch_interval_s: float = Field(0.2, gt=0, description="Time between looks for moves made by other processes, while somebody waits [s].")
+    watch_interval_s: float = Field(
+        0.2, gt=0, description="Time between looks for moves made by other processes, while somebody waits [s]."
+    )
     job_poll_interval_s: float = Field(0.1, gt=0, description="Time between a worker's looks at the queue [s].")
     takeover_interval_s: float = Field(1.0, gt=0, description="Time between a worker's looks for dead workers [s].")
     log_level: str = Field("INFO", description="Least severe level that is logged.")

@@ -33,7 +33,9 @@ def build(settings: Settings) -> Parts:
     settings.data_dir.mkdir(parents=True, exist_ok=True)
     database = Database(settings.sqlalchemy_url, settings.database_pool)
     migrate(database)
-    return Parts(settings, database, _blobs(settings), JobQueue(settings.sqlalchemy_url, database.engine), own_folder(settings.data_dir / "spool"))
+    return Parts(
+        settings, database, _blobs(settings), JobQueue(settings.sqlalchemy_url, database.engine), own_folder(settings.data_dir / "spool")
+    )
 
 
 def _blobs(settings: Settings) -> Blobs:

@@ -41,7 +41,9 @@ def _fit(plant: Plant, episodes: list[Episode], request: dict[str, Any], progres
     if request["method"] == "identify":
         identified, found = identify(plant, episodes, progress)
         return identified, {"method": "identify", **found.document()}
-    residual, missed = fit_residual(plant, episodes, tuple(request.get("features") or POLYNOMIAL), request.get("penalty") or RIDGE, progress)
+    residual, missed = fit_residual(
+        plant, episodes, tuple(request.get("features") or POLYNOMIAL), request.get("penalty") or RIDGE, progress
+    )
     return residual, {"method": "residual", **missed.document()}
 
 

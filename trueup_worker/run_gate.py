@@ -26,7 +26,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     candidate, incumbent = (read_predictor(parts, job, request[which]) for which in ("candidate", "incumbent"))
     episodes = read_episodes(parts, job, plant, HELD_OUT, progress.stage("reading episodes", 0.0, 0.4))
     trial = run_trial(gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0))
-    decision = judge(gate, trial, plant=plant.digest, candidate=request["candidate"], incumbent=request["incumbent"], generation=request["generation"])
+    decision = judge(
+        gate, trial, plant=plant.digest, candidate=request["candidate"], incumbent=request["incumbent"], generation=request["generation"]
+    )
     return {"decision": decision.document()}
 
 

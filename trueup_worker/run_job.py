@@ -46,7 +46,10 @@ def compute(parts: Parts, job_id: str) -> dict[str, Json]:
         return {"state": JobState.FAILED.value, "problem": _problem(error)}
     except Exception as error:
         log.exception("the job failed unexpectedly", extra={"job": job_id})
-        return {"state": JobState.FAILED.value, "problem": _problem(TrueupError(f"the worker failed: {type(error).__name__}: {error}", hint="Read the worker's log."))}
+        return {
+            "state": JobState.FAILED.value,
+            "problem": _problem(TrueupError(f"the worker failed: {type(error).__name__}: {error}", hint="Read the worker's log.")),
+        }
 
 
 def finish(parts: Parts, job_id: str, found: dict[str, Any]) -> str:
@@ -59,7 +62,9 @@ def finish(parts: Parts, job_id: str, found: dict[str, Any]) -> str:
         _close(parts, job, state, found.get("problem", {}), stamp)
         return state
     with parts.database.write() as connection:
-        finish_job(Writer(connection), job, state, kind.result(found["outcome"]), stamp, lambda w: kind.effects(w, job, found["outcome"], stamp))
+        finish_job(
+            Writer(connection), job, state, kind.result(found["outcome"]), stamp, lambda w: kind.effects(w, job, found["outcome"], stamp)
+        )
     return state
 
 

@@ -99,7 +99,10 @@ def take_over(lives: Lives, own: str) -> list[str]:
     for name in sorted({w.executor_id for w in pending if w.executor_id and w.executor_id != own}):
         with lives.seize(name) as gone:
             if gone:
-                resumed += [_resume(w.workflow_id, name) for w in DBOS.list_workflows(status="PENDING", executor_id=name, load_input=False, load_output=False)]
+                resumed += [
+                    _resume(w.workflow_id, name)
+                    for w in DBOS.list_workflows(status="PENDING", executor_id=name, load_input=False, load_output=False)
+                ]
     return resumed
 
 

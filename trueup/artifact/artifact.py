@@ -117,7 +117,9 @@ def _probe(predictor: Predictor) -> dict[str, Json]:
 def _answers(predictor: Predictor, probe: Mapping[str, Json]) -> bool:
     states, issued, after = (np.array(probe[key], float) for key in ("states", "issued", "after"))
     found = predictor.predict_batch(states, issued)
-    return found.shape == after.shape and bool(np.allclose(found, after, rtol=PROBE_TOLERANCE, atol=PROBE_TOLERANCE * float(np.abs(after).max())))
+    return found.shape == after.shape and bool(
+        np.allclose(found, after, rtol=PROBE_TOLERANCE, atol=PROBE_TOLERANCE * float(np.abs(after).max()))
+    )
 
 
 def nominal_artifact(plant: Plant) -> Artifact:

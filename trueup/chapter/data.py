@@ -27,7 +27,12 @@ START_SCALE = 0.4
 PLANT = Plant.from_document(
     {
         "name": "chapter",
-        "nominal": {"family": "oscillator", "parameters": dict(zip("kcb", NOMINAL, strict=True)), "timestep_s": DT_S, "integrator": "semi_implicit_euler"},
+        "nominal": {
+            "family": "oscillator",
+            "parameters": dict(zip("kcb", NOMINAL, strict=True)),
+            "timestep_s": DT_S,
+            "integrator": "semi_implicit_euler",
+        },
         "commands": [{"name": "u", "unit": "m/s^2", "limits": [-U_MAX, U_MAX]}],
         "observations": [{"name": "q", "unit": "m", "scale": 1.0}, {"name": "v", "unit": "m/s", "scale": 1.0}],
         "envelope": {"q": [-0.9, 0.9], "v": [-3.0, 3.0]},

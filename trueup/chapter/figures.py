@@ -8,7 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.chapter.data import DEPLOYMENT, DT_S, FAMILY_BOX, NOMINAL, PLANT, SHIFTED, START_SCALE, U_MAX, ChapterData, draw, drive, excitation
+from trueup.chapter.data import (
+    DEPLOYMENT,
+    DT_S,
+    FAMILY_BOX,
+    NOMINAL,
+    PLANT,
+    SHIFTED,
+    START_SCALE,
+    U_MAX,
+    ChapterData,
+    draw,
+    drive,
+    excitation,
+)
 from trueup.control.estimator import bring_forward
 from trueup.control.loop import Deployed, Run, run_loop
 from trueup.control.planner import RandomShooting
@@ -75,7 +88,9 @@ def _data(data: ChapterData) -> Table:
 def _membership(data: ChapterData) -> Table:
     samples = family_box(data.pooled)
     plants = {"deployment": DEPLOYMENT, "shifted": SHIFTED, "(0.65, 0.5, 1.0)": (0.65, 0.5, 1.0)}
-    return Table("Membership", {name: {"family box": _inside(p, FAMILY_BOX), "sample box": _inside(p, samples)} for name, p in plants.items()})
+    return Table(
+        "Membership", {name: {"family box": _inside(p, FAMILY_BOX), "sample box": _inside(p, samples)} for name, p in plants.items()}
+    )
 
 
 def _inside(parameters: tuple[float, ...], box: Mapping[str, tuple[float, float]]) -> bool:
@@ -87,12 +102,22 @@ def _identification(found: Identification) -> Table:
 
 
 def _stability() -> Table:
-    return Table("Strictly stable", {name: {"stable": PLANT.is_stable(p)} for name, p in (("nominal", NOMINAL), ("deployment", DEPLOYMENT), ("shifted", SHIFTED))})
+    return Table(
+        "Strictly stable",
+        {name: {"stable": PLANT.is_stable(p)} for name, p in (("nominal", NOMINAL), ("deployment", DEPLOYMENT), ("shifted", SHIFTED))},
+    )
 
 
 def _loop(predictor: Predictor, parameters: tuple[float, ...], delay: int = 0, u_max: float = U_MAX, *, forward: bool = False) -> Run:
     estimate = (lambda seen, issued: bring_forward(predictor, seen, issued)) if forward else None
-    return run_loop(Deployed(PLANT, parameters, u_max), RandomShooting(predictor, u_max), REFERENCE, np.random.default_rng(PLANNER_SEED), delay, estimate)
+    return run_loop(
+        Deployed(PLANT, parameters, u_max),
+        RandomShooting(predictor, u_max),
+        REFERENCE,
+        np.random.default_rng(PLANNER_SEED),
+        delay,
+        estimate,
+    )
 
 
 def _closed_loop(predictors: Mapping[str, Predictor]) -> list[Table]:
@@ -110,9 +135,13 @@ def _closed_loop(predictors: Mapping[str, Predictor]) -> list[Table]:
 
 def _delay_sweep(predictors: Mapping[str, Predictor]) -> Table:
     chosen = {name: predictors[name] for name in ("nominal", "blind", "residual")}
-    rows: dict[str, dict[str, Value]] = {f"delay {d}": {name: _loop(p, DEPLOYMENT, d).tracking_error(REFERENCE) for name, p in chosen.items()} for d in DELAYS}
+    rows: dict[str, dict[str, Value]] = {
+        f"delay {d}": {name: _loop(p, DEPLOYMENT, d).tracking_error(REFERENCE) for name, p in chosen.items()} for d in DELAYS
+    }
     for delay in DELAYS:
-        rows[f"delay {delay}"] |= {f"{name}, brought forward": _loop(p, DEPLOYMENT, delay, forward=True).tracking_error(REFERENCE) for name, p in chosen.items()}
+        rows[f"delay {delay}"] |= {
+            f"{name}, brought forward": _loop(p, DEPLOYMENT, delay, forward=True).tracking_error(REFERENCE) for name, p in chosen.items()
+        }
     return Table("Delay sweep", rows)
 
 
@@ -144,7 +173,11 @@ def _monitor() -> Table:
         groups.append(residuals)
     threshold = QuantileThreshold.calibrate(groups[0])
     alarm = threshold.alarms(groups[2])[0]
-    row = {"threshold": threshold.level, "held-out exceedance": threshold.exceedance(groups[1]), "shifted exceedance": threshold.exceedance(groups[2])}
+    row = {
+        "threshold": threshold.level,
+        "held-out exceedance": threshold.exceedance(groups[1]),
+        "shifted exceedance": threshold.exceedance(groups[2]),
+    }
     return Table("Monitor", {"quantile 0.99": {**row, "first run starts at": alarm.starts_at, "alarm declared at": alarm.declared_at}})
 
 
@@ -155,12 +188,24 @@ def _gate(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
     for name, candidate in (("A", predictors["residual"]), ("B", fit_residual(PLANT, [data.mismatched])[0])):
         trial = run_trial(gate, candidate, nominal, [data.validation])
         decision = judge(gate, trial, plant=PLANT.digest, candidate=name, incumbent="nominal", generation=0)
-        rows["nominal"] = {"one-step": float(trial.incumbent.one_step[0]), "rollout mean": float(trial.incumbent.rollout[0]), "decision": "baseline"}
-        rows[name] = {"one-step": float(trial.candidate.one_step[0]), "rollout mean": float(trial.candidate.rollout[0]), "decision": "accept" if decision.accepted else "reject"}
+        rows["nominal"] = {
+            "one-step": float(trial.incumbent.one_step[0]),
+            "rollout mean": float(trial.incumbent.rollout[0]),
+            "decision": "baseline",
+        }
+        rows[name] = {
+            "one-step": float(trial.candidate.one_step[0]),
+            "rollout mean": float(trial.candidate.rollout[0]),
+            "decision": "accept" if decision.accepted else "reject",
+        }
     return Table("Gate", rows)
 
 
 def _watchdog() -> Table:
     found = inject_sensor_failure(control_s=0.010, sensor_s=0.050, timeout_s=0.12, ticks=400, dies_at=200)
-    row: dict[str, Value] = {"first trip [s]": found.first_trip_s or float("nan"), "forced commands": found.forced, "peak age [s]": found.peak_age_s}
+    row: dict[str, Value] = {
+        "first trip [s]": found.first_trip_s or float("nan"),
+        "forced commands": found.forced,
+        "peak age [s]": found.peak_age_s,
+    }
     return Table("Watchdog", {"sensor stops at tick 200": row})

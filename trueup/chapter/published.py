@@ -27,7 +27,9 @@ PUBLISHED: Mapping[str, Digits] = {
         "deployment + sensor delay of 3": {"nominal": "0.01564", "blind": "0.01568", "conditioned": "0.01672", "residual": "0.01672"},
         "deployment + u_max 0.5": {"nominal": "0.03752", "blind": "0.03705", "conditioned": "0.03870", "residual": "0.03870"},
     },
-    "Envelope breaches": dict.fromkeys(("nominal plant", "deployment plant", "deployment + sensor delay of 3", "deployment + u_max 0.5"), _NONE),
+    "Envelope breaches": dict.fromkeys(
+        ("nominal plant", "deployment plant", "deployment + sensor delay of 3", "deployment + u_max 0.5"), _NONE
+    ),
     "Open loop": {
         "nominal": {"1": "0.0032", "10": "0.0233", "50": "0.1542", "200": "0.3498"},
         "blind": {"1": "0.0031", "10": "0.0277", "50": "0.1487", "200": "0.3698"},

@@ -49,7 +49,14 @@ class Deployed:
         return np.asarray(self.plant.update(state[None, :], limited[None, :], self.parameters)[0])
 
 
-def run_loop(deployed: Deployed, planner: RandomShooting, reference: Array, rng: np.random.Generator, delay: int = 0, estimate: Estimate | None = None) -> Run:
+def run_loop(
+    deployed: Deployed,
+    planner: RandomShooting,
+    reference: Array,
+    rng: np.random.Generator,
+    delay: int = 0,
+    estimate: Estimate | None = None,
+) -> Run:
     """Run from rest; at tick t the controller sees the state of tick max(0, t - delay) [ticks].
 
     `estimate` turns that state and the commands issued since, `(states,)` and `(delay, commands)`, into the state to plan from.

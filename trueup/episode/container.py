@@ -256,7 +256,11 @@ class Walk:
         declared = fields.uint(8), fields.uint(2), fields.uint(4), fields.uint(4), fields.uint(4), fields.uint(4)
         counted = seen.messages, declared[1], declared[2], seen.attachments, len(seen.metadata), seen.chunks
         if declared != counted:
-            raise MalformedMcap(f"the statistics declare {declared[0]} messages and {declared[5]} chunks, counted were {counted[0]} and {counted[5]}", rule="index", byte=at)
+            raise MalformedMcap(
+                f"the statistics declare {declared[0]} messages and {declared[5]} chunks, counted were {counted[0]} and {counted[5]}",
+                rule="index",
+                byte=at,
+            )
 
     def _schema(self, at: int, body: bytes) -> None:
         fields = Fields(body, at)
@@ -340,7 +344,9 @@ class Walk:
                 channel, _, log_time_ns, _ = message_head(data, start)
                 if channel not in messages:
                     if channel not in topics:
-                        raise MalformedMcap(f"a message names channel {channel}, which is not known yet", rule="known", byte=block.byte, chunk_byte=at)
+                        raise MalformedMcap(
+                            f"a message names channel {channel}, which is not known yet", rule="known", byte=block.byte, chunk_byte=at
+                        )
                     messages[channel] = []
                 messages[channel].append((start + shortest, length - shortest, log_time_ns))
                 found += 1

@@ -65,5 +65,7 @@ class Episode:
         """This episode, if its role is one of those given. Raises RoleRefused."""
         if self.role not in roles:
             allowed = " or ".join(roles)
-            raise RoleRefused(f"episode {self.digest[:12]} has the role {self.role}, {allowed} is needed", role=str(self.role), digest=self.digest)
+            raise RoleRefused(
+                f"episode {self.digest[:12]} has the role {self.role}, {allowed} is needed", role=str(self.role), digest=self.digest
+            )
         return self

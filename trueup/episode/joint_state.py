@@ -70,7 +70,9 @@ def decoder(topic: Topic) -> Decoder:
 
         read = reader(topic.schema)
         return lambda block, messages, channels: _decode_each(block, messages, channels, read)
-    raise NotAnEpisode(f"topic {topic.name} is encoded as {topic.encoding!r}; cdr, json and protobuf are read", rule="encoding", topic=topic.name)
+    raise NotAnEpisode(
+        f"topic {topic.name} is encoded as {topic.encoding!r}; cdr, json and protobuf are read", rule="encoding", topic=topic.name
+    )
 
 
 def _decode_each(block: Block, messages: Iterable[Message], channels: Sequence[Channel], read: Callable[[bytes], JointState]) -> Columns:

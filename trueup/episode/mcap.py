@@ -86,14 +86,24 @@ class _Collector:
     def columns(self, known: Sequence[str]) -> Track:
         """Stamps [ns] and values of the whole topic."""
         if not self._parts:
-            raise NotAnEpisode(f"the recording has no message on {self.topic}; its topics are: {', '.join(known) or 'none'}", rule="topic", topic=self.topic)
+            raise NotAnEpisode(
+                f"the recording has no message on {self.topic}; its topics are: {', '.join(known) or 'none'}",
+                rule="topic",
+                topic=self.topic,
+            )
         stamps = np.concatenate([p.stamp_ns for p in self._parts])
         if not stamps.any():
             stamps = np.concatenate([p.log_ns for p in self._parts])
         backward = np.flatnonzero(np.diff(stamps) <= 0)
         if len(backward):
             at = int(backward[0]) + 1
-            raise NotAnEpisode(f"message {at} on {self.topic} is not later than the one before it", rule="clock", topic=self.topic, index=at, stamp_ns=str(stamps[at]))
+            raise NotAnEpisode(
+                f"message {at} on {self.topic} is not later than the one before it",
+                rule="clock",
+                topic=self.topic,
+                index=at,
+                stamp_ns=str(stamps[at]),
+            )
         return stamps, np.concatenate([p.values for p in self._parts])
 
 
@@ -114,7 +124,9 @@ def _align(observed: Track, issued: Track, layout: Layout, role: Role, condition
     _finite(observations, layout.observations, layout.observation_topic)
     _finite(commands, layout.commands, layout.command_topic)
     if np.isnan(observations).all():
-        raise NotAnEpisode(f"{layout.observation_topic} holds none of the declared observations", rule="samples", topic=layout.observation_topic)
+        raise NotAnEpisode(
+            f"{layout.observation_topic} holds none of the declared observations", rule="samples", topic=layout.observation_topic
+        )
     held = np.searchsorted(command_stamps, stamps, side="right") - 1
     kept = held >= 0
     stamps = stamps[kept]
@@ -127,5 +139,9 @@ def _finite(values: NDArray[np.float64], channels: Sequence[Channel], topic: str
         bad = np.flatnonzero(~np.isfinite(column))
         if len(bad) and len(bad) < len(column):
             raise NotAnEpisode(
-                f"message {int(bad[0])} on {topic} has no finite {channel.field} for channel {channel.name}", rule="finite", topic=topic, index=int(bad[0]), channel=channel.name
+                f"message {int(bad[0])} on {topic} has no finite {channel.field} for channel {channel.name}",
+                rule="finite",
+                topic=topic,
+                index=int(bad[0]),
+                channel=channel.name,
             )

@@ -12,7 +12,10 @@ from trueup.episode.layout import Channel
 
 def summarise(episode: Episode) -> dict[str, Json]:
     """Samples, duration [s], median period [s], gaps, conditions, missing channels, and the range of each channel in its unit."""
-    channels = [*zip(episode.layout.observations, episode.observations.T, strict=True), *zip(episode.layout.commands, episode.commands.T, strict=True)]
+    channels = [
+        *zip(episode.layout.observations, episode.observations.T, strict=True),
+        *zip(episode.layout.commands, episode.commands.T, strict=True),
+    ]
     return {
         "samples": len(episode.t_s),
         "duration_s": float(episode.t_s[-1]),

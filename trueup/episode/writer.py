@@ -114,7 +114,14 @@ def _count(body: bytearray, count: int) -> None:
 
 def _json() -> tuple[str, str, bytes, Encode]:
     numbers = {"type": "array", "items": {"type": ["number", "null"]}}
-    schema = {"type": "object", "properties": {"header": {"type": "object"}, "name": {"type": "array", "items": {"type": "string"}}, **{f.value: numbers for f in FIELDS}}}
+    schema = {
+        "type": "object",
+        "properties": {
+            "header": {"type": "object"},
+            "name": {"type": "array", "items": {"type": "string"}},
+            **{f.value: numbers for f in FIELDS},
+        },
+    }
     return "sensor_msgs.JointState", "jsonschema", orjson.dumps(schema), _encode_json
 
 
@@ -148,4 +155,8 @@ def _protobuf() -> tuple[str, str, bytes, Encode]:
     return "sensor_msgs.JointState", "protobuf", descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), encode
 
 
-_FORMATS: dict[Encoding, Callable[[], tuple[str, str, bytes, Encode]]] = {Encoding.CDR: _cdr, Encoding.JSON: _json, Encoding.PROTOBUF: _protobuf}
+_FORMATS: dict[Encoding, Callable[[], tuple[str, str, bytes, Encode]]] = {
+    Encoding.CDR: _cdr,
+    Encoding.JSON: _json,
+    Encoding.PROTOBUF: _protobuf,
+}

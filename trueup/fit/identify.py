@@ -37,11 +37,23 @@ class Identification:
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
-        estimates: dict[str, Json] = {name: {"value": value, "ci95": [value - self.half_widths[name], value + self.half_widths[name]]} for name, value in self.parameters.items()}
-        return {"parameters": estimates, "rank": self.rank, "condition": self.condition, "residual_rms": self.residual_rms, "rows": self.rows, "health": list(self.health)}
+        estimates: dict[str, Json] = {
+            name: {"value": value, "ci95": [value - self.half_widths[name], value + self.half_widths[name]]}
+            for name, value in self.parameters.items()
+        }
+        return {
+            "parameters": estimates,
+            "rank": self.rank,
+            "condition": self.condition,
+            "residual_rms": self.residual_rms,
+            "rows": self.rows,
+            "health": list(self.health),
+        }
 
 
-def identify(plant: Plant, episodes: Sequence[Episode], progress: Callable[[float], None] = lambda _: None) -> tuple[Identified, Identification]:
+def identify(
+    plant: Plant, episodes: Sequence[Episode], progress: Callable[[float], None] = lambda _: None
+) -> tuple[Identified, Identification]:
     """Least squares of the velocity's change on the family's regressors, from adaptation episodes alone.
 
     Equation: (v' - v) / h = sum of parameter x regressor(q, v, applied u); a velocity that is estimated enters over spans.
@@ -53,7 +65,11 @@ def identify(plant: Plant, episodes: Sequence[Episode], progress: Callable[[floa
     found = solve(design, target, data.span)
     names = plant.dynamics.parameter_names
     if found.rank < len(names) or found.condition > WORST_CONDITION:
-        raise NotIdentifiable(f"the regression has rank {found.rank} of {len(names)} and condition {found.condition:.3g}", rank=found.rank, condition=found.condition)
+        raise NotIdentifiable(
+            f"the regression has rank {found.rank} of {len(names)} and condition {found.condition:.3g}",
+            rank=found.rank,
+            condition=found.condition,
+        )
     values = tuple(float(x) for x in found.values)
     health = () if plant.is_stable(values) or not plant.is_stable() else ("the identified update is unstable, the nominal one is not",)
     pairs = dict(zip(names, values, strict=True)), dict(zip(names, map(float, found.half_widths), strict=True))

@@ -37,7 +37,9 @@ def solve(design: Array, target: Array, correlated_rows: int = 1) -> LinearFit:
     covariance = variance * correlated_rows * np.linalg.pinv(scaled.T @ scaled)
     divisor = np.where(lengths > 0.0, lengths, np.inf)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
-    return LinearFit(values / divisor, NORMAL_95 * np.sqrt(np.diag(covariance)) / divisor, int(rank), condition, float(np.sqrt(np.mean(residual**2))))
+    return LinearFit(
+        values / divisor, NORMAL_95 * np.sqrt(np.diag(covariance)) / divisor, int(rank), condition, float(np.sqrt(np.mean(residual**2)))
+    )
 
 
 def ridge(design: Array, targets: Array, penalty: float) -> Array:

@@ -35,7 +35,11 @@ class ResidualFit:
 
 
 def fit_residual(
-    plant: Plant, episodes: Sequence[Episode], features: Sequence[str] = POLYNOMIAL, penalty: float = RIDGE, progress: Callable[[float], None] = lambda _: None
+    plant: Plant,
+    episodes: Sequence[Episode],
+    features: Sequence[str] = POLYNOMIAL,
+    penalty: float = RIDGE,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[Residual, ResidualFit]:
     """Ridge fit of (next state - nominal prediction) on features of state and issued command, from adaptation episodes alone.
 
@@ -64,7 +68,7 @@ def _rms(values: Array) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class PooledTransitions:
-    """Single transitions of many plants: states and next states `(n, states)`, issued commands `(n, commands)`, parameters `(n,)` by name."""
+    """Single transitions of many plants: states, next states `(n, states)`, issued `(n, commands)`, parameters `(n,)` by name."""
 
     states: Array
     issued: Array

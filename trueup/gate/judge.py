@@ -15,7 +15,9 @@ from trueup.model.predictor import Predictor
 HELD_OUT = (Role.VALIDATION, Role.RETAINED)
 
 
-def run_trial(gate: Gate, candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episode], progress: Callable[[float], None] = lambda _: None) -> Trial:
+def run_trial(
+    gate: Gate, candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episode], progress: Callable[[float], None] = lambda _: None
+) -> Trial:
     """Score both predictors on held-out episodes. Raises RoleRefused for any other role, BadGate without episodes."""
     if not episodes:
         raise BadGate("there is no held-out episode to judge on")

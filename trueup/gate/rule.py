@@ -47,7 +47,14 @@ class Verdict:
     def document(self) -> dict[str, Json]:
         """The same as JSON; a figure that is no number stands as null."""
         value = self.value if np.isfinite(self.value) else None
-        return {"rule": self.rule, "passed": self.passed, "value": value, "threshold": self.threshold, "unit": self.unit, "because": self.because}
+        return {
+            "rule": self.rule,
+            "passed": self.passed,
+            "value": value,
+            "threshold": self.threshold,
+            "unit": self.unit,
+            "because": self.because,
+        }
 
 
 class Rule(ABC):

@@ -44,7 +44,9 @@ def body(entry: AuditEntry) -> dict[str, Json]:
     }
 
 
-def append(after: tuple[int, str], *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]) -> AuditEntry:
+def append(
+    after: tuple[int, str], *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]
+) -> AuditEntry:
     """The entry that follows the one with this sequence and digest."""
     unsigned = AuditEntry(after[0] + 1, at, kind, actor, plant, subject, facts, after[1], "")
     return AuditEntry(unsigned.sequence, at, kind, actor, plant, subject, facts, after[1], digest_of(body(unsigned)))

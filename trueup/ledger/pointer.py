@@ -57,7 +57,9 @@ def promote(pointer: ServingPointer, decision: Judged, expected_generation: int,
         raise NotAccepted(decision=decision.digest)
     if (decision.generation, decision.incumbent) != (pointer.generation, pointer.artifact):
         raise PointerMoved(
-            f"the decision was judged at generation {decision.generation}, the pointer is at {pointer.generation}", expected=decision.generation, found=pointer.generation
+            f"the decision was judged at generation {decision.generation}, the pointer is at {pointer.generation}",
+            expected=decision.generation,
+            found=pointer.generation,
         )
     return ServingPointer(pointer.plant, pointer.generation + 1, decision.candidate, decision.digest, now)
 
@@ -73,4 +75,6 @@ def roll_back(pointer: ServingPointer, previous: str | None, expected_generation
 def require_generation(pointer: ServingPointer, expected: int) -> None:
     """Raises PointerMoved if the pointer is elsewhere."""
     if pointer.generation != expected:
-        raise PointerMoved(f"generation {expected} was expected, {pointer.generation} is serving", expected=expected, found=pointer.generation)
+        raise PointerMoved(
+            f"generation {expected} was expected, {pointer.generation} is serving", expected=expected, found=pointer.generation
+        )

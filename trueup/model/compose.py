@@ -78,7 +78,10 @@ def rollout(family: type[Family], parameters: Array, initial: Array, applied: Ar
     out = np.empty((*applied.shape, 2, lanes))
     run = kernel(family, width)
     whole = np.ascontiguousarray(initial), np.ascontiguousarray(applied), np.ascontiguousarray(h_s), np.ascontiguousarray(steps)
-    jobs = [(padded, *(a[part] for a in whole), out[part], first, last) for part, first, last in _shares(applied.shape[0], lanes, width, out.size)]
+    jobs = [
+        (padded, *(a[part] for a in whole), out[part], first, last)
+        for part, first, last in _shares(applied.shape[0], lanes, width, out.size)
+    ]
     if len(jobs) == 1:
         run(*jobs[0])
     else:

@@ -35,7 +35,10 @@ def known_features(features: Sequence[str], parameters: Sequence[str] = ("k", "c
     for feature in features:
         for factor in feature.split("*"):
             if factor not in _FACTORS and factor not in parameters:
-                raise BadArtifact(f"the feature {feature!r} has an unknown factor {factor!r}", hint=f"Factors are {', '.join(_FACTORS)} and the plant's parameters.")
+                raise BadArtifact(
+                    f"the feature {feature!r} has an unknown factor {factor!r}",
+                    hint=f"Factors are {', '.join(_FACTORS)} and the plant's parameters.",
+                )
 
 
 def design(features: Sequence[str], states: Array, issued: Array, parameters: Mapping[str, float | Array]) -> Array:

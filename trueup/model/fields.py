@@ -45,11 +45,6 @@ class Reader:
             raise BadPlant(f"{self._at(key)} must be a list with one object at least", field=self._at(key))
         return [Reader.of(item, f"{self._at(key)}[{i}]") for i, item in enumerate(found)]
 
-    def keys(self, *, among: Sequence[str]) -> list[str]:
-        """The keys of this object, all of them among those given."""
-        self.no_more(*among)
-        return list(self.value)
-
     def no_more(self, *known: str) -> None:
         """Refuse any key that is not known: a misspelt field would be silently ignored."""
         for key in self.value:

@@ -46,9 +46,8 @@ class Plant:
         family, parameters, timestep = _nominal(nominal)
         dynamics = CompiledFamily(families()[family])
         layout = _layout(root)
-        names = [c.name for c in layout.observations]
         envelope = root.child("envelope", optional=True)
-        bounds = {name: envelope.interval(name) for name in envelope.keys(among=names)}
+        bounds = {name: envelope.interval(name) for name in envelope.value}
         horizon = root.child("evaluation").number("horizon_s", above=timestep)
         root.no_more("name", "nominal", "commands", "observations", "envelope", "evaluation", "topics")
         return Plant(root.name("name"), dynamics, family, parameters, timestep, layout, bounds, horizon, root.value)
@@ -79,7 +78,9 @@ class Plant:
         """What is left of issued commands after the declared limits."""
         return np.clip(issued, *self.limits)
 
-    def update(self, states: Array, issued: Array, parameters: Sequence[float] | Array | None = None, h_s: Array | float | None = None) -> Array:
+    def update(
+        self, states: Array, issued: Array, parameters: Sequence[float] | Array | None = None, h_s: Array | float | None = None
+    ) -> Array:
         """One semi-implicit Euler step of the plant with these parameters (the nominal ones if None)."""
         chosen = np.asarray(self.parameters if parameters is None else parameters, float)
         return self.dynamics.step(states, self.applied(issued), chosen, self.timestep_s if h_s is None else h_s)
@@ -95,7 +96,11 @@ class Plant:
 
 def _nominal(nominal: Reader) -> tuple[str, tuple[float, ...], float]:
     if "mjcf" in nominal.value:
-        raise BadPlant("robots given as MJCF are not served by this version", field="nominal.mjcf", hint="Describe one joint by a family: " + ", ".join(families()))
+        raise BadPlant(
+            "robots given as MJCF are not served by this version",
+            field="nominal.mjcf",
+            hint="Describe one joint by a family: " + ", ".join(families()),
+        )
     family = nominal.choice("family", list(families()))
     timestep = nominal.number("timestep_s", above=0.0)
     nominal.choice("integrator", [INTEGRATOR], default=INTEGRATOR)
@@ -108,18 +113,24 @@ def _nominal(nominal: Reader) -> tuple[str, tuple[float, ...], float]:
 
 def _layout(root: Reader) -> Layout:
     commands = tuple(_channel(r, Field.EFFORT, command=True) for r in root.children("commands"))
-    observations = tuple(_channel(r, (Field.POSITION, Field.VELOCITY)[min(i, 1)], command=False) for i, r in enumerate(root.children("observations")))
+    observations = tuple(
+        _channel(r, (Field.POSITION, Field.VELOCITY)[min(i, 1)], command=False) for i, r in enumerate(root.children("observations"))
+    )
     names = [c.name for c in commands + observations]
     if len(set(names)) < len(names):
         raise BadPlant("two channels have one name", field="observations")
     if {c.joint for c in observations} != {observations[0].joint} or len(commands) != 1:
-        raise BadPlant("a family describes one joint with one command", field="observations", hint="Register each joint as a plant of its own.")
+        raise BadPlant(
+            "a family describes one joint with one command", field="observations", hint="Register each joint as a plant of its own."
+        )
     if Field.POSITION not in {c.field for c in observations}:
         raise BadPlant("a plant needs an observed position", field="observations")
     topics = root.child("topics", optional=True)
     topics.no_more("observation", "command")
     default = Layout(observations, commands)
-    return Layout(observations, commands, topics.text("observation", default.observation_topic), topics.text("command", default.command_topic))
+    return Layout(
+        observations, commands, topics.text("observation", default.observation_topic), topics.text("command", default.command_topic)
+    )
 
 
 def _channel(reader: Reader, field: Field, *, command: bool) -> Channel:

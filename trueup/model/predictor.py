@@ -40,7 +40,10 @@ class Predictor(ABC):
 
     @abstractmethod
     def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
-        """Next states `(n, states)` after `h_s` [s], one for all or `(n,)` (the declared step if None), of states `(n, states)` under issued commands `(n, commands)`."""
+        """Next states `(n, states)`, of states `(n, states)` under issued commands `(n, commands)`.
+
+        They are `h_s` [s] later, one length for all or `(n,)`; the declared step if None.
+        """
 
     @abstractmethod
     def rollout(self, windows: Windows) -> Array:

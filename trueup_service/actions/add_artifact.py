@@ -22,7 +22,17 @@ def add_artifact(writer: Writer, plant: str, artifact: Artifact, job: str | None
     document = artifact.document
     arrays = document["arrays"]["sha256"] if isinstance(document["arrays"], dict) else None
     version = writer.latest_version(plant) + 1
-    record = ArtifactRecord(plant, version, artifact.digest, str(document["kind"]), artifact.manifest.decode(), arrays and str(arrays), job, stamp.now, stamp.actor)
+    record = ArtifactRecord(
+        plant,
+        version,
+        artifact.digest,
+        str(document["kind"]),
+        artifact.manifest.decode(),
+        arrays and str(arrays),
+        job,
+        stamp.now,
+        stamp.actor,
+    )
     writer.add_artifact(record)
     facts: dict[str, Json] = {"version": version, "kind": record.kind, "arrays": record.arrays, "job": job}
     writer.append_audit(at=stamp.now, kind="artifact:added", actor=stamp.actor, plant=plant, subject=artifact.digest, facts=facts)

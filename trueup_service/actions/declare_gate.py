@@ -23,5 +23,7 @@ def declare_gate(writer: Writer, plant: str, document: Mapping[str, Json] | None
         return known, False
     record = GateRecord(plant, gate.digest, gate.document(), stamp.now, stamp.actor)
     writer.add_gate(record)
-    writer.append_audit(at=stamp.now, kind="gate:declared", actor=stamp.actor, plant=plant, subject=gate.digest, facts={"gate": gate.document()})
+    writer.append_audit(
+        at=stamp.now, kind="gate:declared", actor=stamp.actor, plant=plant, subject=gate.digest, facts={"gate": gate.document()}
+    )
     return record, True

@@ -10,14 +10,18 @@ from trueup_service.registry.records import EpisodeRecord
 from trueup_service.registry.store import Writer
 
 
-def ingest_episode(writer: Writer, plant: str, digest: str, size_bytes: int, inspected: Inspected, stamp: Stamp) -> tuple[EpisodeRecord, bool]:
+def ingest_episode(
+    writer: Writer, plant: str, digest: str, size_bytes: int, inspected: Inspected, stamp: Stamp
+) -> tuple[EpisodeRecord, bool]:
     """The episode, and whether it is new: the same bytes are the same episode."""
     find.plant(writer, plant)
     writer.lock_plant(plant)
     known = writer.episode(plant, digest)
     if known is not None:
         return known, False
-    record = EpisodeRecord(plant, digest, size_bytes, inspected.role, inspected.start_ns, inspected.end_ns, inspected.summary, stamp.now, stamp.actor)
+    record = EpisodeRecord(
+        plant, digest, size_bytes, inspected.role, inspected.start_ns, inspected.end_ns, inspected.summary, stamp.now, stamp.actor
+    )
     writer.add_episode(record)
     facts: dict[str, Json] = {"role": record.role, "size_bytes": size_bytes, "conditions": inspected.summary["conditions"]}
     writer.append_audit(at=stamp.now, kind="episode:ingested", actor=stamp.actor, plant=plant, subject=digest, facts=facts)

@@ -17,7 +17,17 @@ def promote_decision(writer: Writer, plant: str, decision: str, expected_generat
     judged = Judged(made.digest, made.accepted, made.candidate, made.incumbent, made.generation)
     pointer = promote(_pointer(now), judged, expected_generation, _later(now, stamp))
     artifact = find.artifact(writer, plant, pointer.artifact)
-    move = Move(plant, pointer.generation, MoveKind.PROMOTED, artifact.digest, artifact.version, decision, now.generation, pointer.since, stamp.actor)
+    move = Move(
+        plant,
+        pointer.generation,
+        MoveKind.PROMOTED,
+        artifact.digest,
+        artifact.version,
+        decision,
+        now.generation,
+        pointer.since,
+        stamp.actor,
+    )
     return _move(writer, now, move, stamp, {"gate": made.gate})
 
 
@@ -36,7 +46,17 @@ def roll_back_pointer(writer: Writer, plant: str, expected_generation: int, test
     now = find.serving(writer, plant)
     back, artifact = previous_artifact(writer, plant, expected_generation)
     pointer = roll_back(_pointer(now), artifact.digest, expected_generation, _later(now, stamp))
-    move = Move(plant, pointer.generation, MoveKind.ROLLED_BACK, artifact.digest, artifact.version, back.decision, back.back_to, pointer.since, stamp.actor)
+    move = Move(
+        plant,
+        pointer.generation,
+        MoveKind.ROLLED_BACK,
+        artifact.digest,
+        artifact.version,
+        back.decision,
+        back.back_to,
+        pointer.since,
+        stamp.actor,
+    )
     return _move(writer, now, move, stamp, {"switchback": tested})
 
 

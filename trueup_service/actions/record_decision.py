@@ -17,4 +17,6 @@ def record_decision(writer: Writer, plant: str, document: dict[str, Any], job: s
         return
     parts = document["gate"], document["candidate"], document["incumbent"], document["generation"], document["accepted"]
     writer.add_decision(DecisionRecord(digest, plant, *parts, document, job, stamp.now, stamp.actor))
-    writer.append_audit(at=stamp.now, kind="decision:made", actor=stamp.actor, plant=plant, subject=digest, facts={"decision": document, "job": job})
+    writer.append_audit(
+        at=stamp.now, kind="decision:made", actor=stamp.actor, plant=plant, subject=digest, facts={"decision": document, "job": job}
+    )

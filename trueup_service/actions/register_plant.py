@@ -22,7 +22,9 @@ def register_plant(writer: Writer, document: object, stamp: Stamp) -> tuple[Plan
     record = PlantRecord(plant.name, plant.digest, dict(plant.document), stamp.now, stamp.actor)
     artifact = nominal_artifact(plant)
     writer.add_plant(record)
-    writer.add_artifact(ArtifactRecord(plant.name, 1, artifact.digest, "nominal", artifact.manifest.decode(), None, None, stamp.now, stamp.actor))
+    writer.add_artifact(
+        ArtifactRecord(plant.name, 1, artifact.digest, "nominal", artifact.manifest.decode(), None, None, stamp.now, stamp.actor)
+    )
     writer.begin_serving(Move(plant.name, 1, MoveKind.REGISTERED, artifact.digest, 1, None, None, stamp.now, stamp.actor))
     facts: dict[str, Json] = {"plant": plant.digest, "artifact": artifact.digest, "generation": 1}
     writer.append_audit(at=stamp.now, kind="plant:registered", actor=stamp.actor, plant=plant.name, subject=plant.digest, facts=facts)

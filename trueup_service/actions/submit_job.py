@@ -22,7 +22,9 @@ def submit_fit(writer: Writer, queue: JobQueue, job: str, plant: str, request: d
     if not episodes:
         raise NotIdentifiable("there is no adaptation episode to fit", hint="Upload one whose metadata says role = adaptation.")
     frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(writer, plant).artifact}
-    return _submit(writer, queue, JobRecord(job, plant, "fit", frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now), stamp)
+    return _submit(
+        writer, queue, JobRecord(job, plant, "fit", frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now), stamp
+    )
 
 
 def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
@@ -33,8 +35,16 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
     if not episodes:
         raise BadGate("there is no held-out episode to judge on", hint="Upload one whose metadata says role = validation.")
     now = find.serving(writer, plant)
-    frozen: dict[str, Json] = {"candidate": candidate.digest, "gate": gate.digest, "episodes": _digests(episodes), "incumbent": now.artifact, "generation": now.generation}
-    return _submit(writer, queue, JobRecord(job, plant, "gate", frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now), stamp)
+    frozen: dict[str, Json] = {
+        "candidate": candidate.digest,
+        "gate": gate.digest,
+        "episodes": _digests(episodes),
+        "incumbent": now.artifact,
+        "generation": now.generation,
+    }
+    return _submit(
+        writer, queue, JobRecord(job, plant, "gate", frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now), stamp
+    )
 
 
 def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) -> list[EpisodeRecord]:
@@ -43,7 +53,11 @@ def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) ->
     found = [find.episode(writer, plant, str(digest)) for digest in named]  # type: ignore[union-attr]
     for episode in found:
         if episode.role not in roles:
-            raise RoleRefused(f"episode {episode.digest[:12]} has the role {episode.role}, {' or '.join(roles)} is needed", role=episode.role, digest=episode.digest)
+            raise RoleRefused(
+                f"episode {episode.digest[:12]} has the role {episode.role}, {' or '.join(roles)} is needed",
+                role=episode.role,
+                digest=episode.digest,
+            )
     return found
 
 
@@ -54,5 +68,12 @@ def _digests(episodes: Sequence[EpisodeRecord]) -> list[str]:
 def _submit(writer: Writer, queue: JobQueue, record: JobRecord, stamp: Stamp) -> JobRecord:
     writer.add_job(record)
     queue.enqueue(writer.connection, record.id)
-    writer.append_audit(at=stamp.now, kind="job:submitted", actor=stamp.actor, plant=record.plant, subject=record.id, facts={"kind": record.kind, "request": record.request})
+    writer.append_audit(
+        at=stamp.now,
+        kind="job:submitted",
+        actor=stamp.actor,
+        plant=record.plant,
+        subject=record.id,
+        facts={"kind": record.kind, "request": record.request},
+    )
     return record

@@ -23,5 +23,7 @@ def test_switchback(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> 
         unpack(artifact, record.digest)
         require_plant(artifact, plant_digest)
     except TrueupError as error:
-        raise SwitchbackFailed(f"version {record.version} cannot serve: {error.message}", cause=error.code, artifact=record.digest) from error
+        raise SwitchbackFailed(
+            f"version {record.version} cannot serve: {error.message}", cause=error.code, artifact=record.digest
+        ) from error
     return {"artifact": record.digest, "loads": True, "digests_hold": True, "answers_probe": True, "fits_plant": True}

@@ -24,14 +24,24 @@ async def _parts(request: Request) -> Parts:
     return parts
 
 
-async def _stamp(actor: Annotated[str | None, Header(alias="Trueup-Actor", max_length=200, description="Who is doing this; stands in the audit log")] = None) -> Stamp:
+async def _stamp(
+    actor: Annotated[
+        str | None, Header(alias="Trueup-Actor", max_length=200, description="Who is doing this; stands in the audit log")
+    ] = None,
+) -> Stamp:
     return Stamp(actor or NOBODY, time_text(datetime.now(UTC)))
 
 
 With = Annotated[Parts, Depends(_parts)]
 By = Annotated[Stamp, Depends(_stamp)]
 IdempotencyKey = Annotated[
-    str | None, Header(alias="Idempotency-Key", min_length=1, max_length=255, description="The same key repeats the same request's answer; with another request it is refused")
+    str | None,
+    Header(
+        alias="Idempotency-Key",
+        min_length=1,
+        max_length=255,
+        description="The same key repeats the same request's answer; with another request it is refused",
+    ),
 ]
 PlantName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A plant's name")]
 DigestPath = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")]
@@ -39,14 +49,18 @@ Limit = Annotated[int, Query(ge=1, le=1000, description="Most items in the answe
 Before = Annotated[str, Query(max_length=27, description="Only what was made before this time; `next` of the page before")]
 
 
-def run_once(parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], dict[str, Any]]) -> dict[str, Any]:
+def run_once(
+    parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], dict[str, Any]]
+) -> dict[str, Any]:
     """Run an action in a transaction of its own, once under its idempotency key."""
     with parts.database.write() as connection:
         writer = Writer(connection)
         return once(writer, Key(scope, key, digest_of(request)), stamp.now, lambda: act(writer))
 
 
-def create(parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], tuple[Any, bool]], response: Response) -> dict[str, Any]:
+def create(
+    parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], tuple[Any, bool]], response: Response
+) -> dict[str, Any]:
     """Run an action that makes something; 201 if it is new, 200 if it was there."""
 
     def run(writer: Writer) -> dict[str, Any]:

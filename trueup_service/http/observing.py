@@ -20,7 +20,12 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 log = logging.getLogger("trueup.access")
 REQUESTS = Counter("trueup_http_requests_total", "Requests answered", ["method", "route", "status"])
-SECONDS = Histogram("trueup_http_request_seconds", "Time to answer [s]", ["method", "route"], buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1, 5, 30))
+SECONDS = Histogram(
+    "trueup_http_request_seconds",
+    "Time to answer [s]",
+    ["method", "route"],
+    buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1, 5, 30),
+)
 GIVEN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
@@ -58,4 +63,13 @@ class Observing:
         REQUESTS.labels(scope["method"], route, status).inc()
         SECONDS.labels(scope["method"], route).observe(seconds)
         if log.isEnabledFor(logging.INFO):
-            log.info("request", extra={"request_id": name, "method": scope["method"], "path": scope["path"], "status": status, "seconds": round(seconds, 6)})
+            log.info(
+                "request",
+                extra={
+                    "request_id": name,
+                    "method": scope["method"],
+                    "path": scope["path"],
+                    "status": status,
+                    "seconds": round(seconds, 6),
+                },
+            )

@@ -100,7 +100,11 @@ def install(app: FastAPI) -> None:
     def _database(request: Request, error: Exception) -> Response:
         log.error("the database failed", exc_info=error, extra={"request_id": request.scope.get("request_id")})
         return problem(
-            request, HTTPStatus.SERVICE_UNAVAILABLE, "not-ready", "the database cannot be used now", "Try again with the same Idempotency-Key; /readyz says what is missing."
+            request,
+            HTTPStatus.SERVICE_UNAVAILABLE,
+            "not-ready",
+            "the database cannot be used now",
+            "Try again with the same Idempotency-Key; /readyz says what is missing.",
         )
 
     @app.exception_handler(Exception)

@@ -24,7 +24,9 @@ class Database:
     def __init__(self, url: str, pool: int) -> None:
         self._url = url
         self.is_sqlite = url.startswith("sqlite")
-        self.engine = _sqlite_engine(url, pool) if self.is_sqlite else create_engine(url, pool_size=pool, max_overflow=0, pool_pre_ping=True)
+        self.engine = (
+            _sqlite_engine(url, pool) if self.is_sqlite else create_engine(url, pool_size=pool, max_overflow=0, pool_pre_ping=True)
+        )
         self._queue: Any = threading.Lock() if self.is_sqlite else nullcontext()
 
     @contextmanager
@@ -68,7 +70,9 @@ class ChangeCounter:
 
 
 def _sqlite_engine(url: str, pool: int) -> Engine:
-    engine = create_engine(url, pool_size=pool, max_overflow=0, connect_args={"timeout": BUSY_TIMEOUT_MS / 1000, "check_same_thread": False})
+    engine = create_engine(
+        url, pool_size=pool, max_overflow=0, connect_args={"timeout": BUSY_TIMEOUT_MS / 1000, "check_same_thread": False}
+    )
 
     @event.listens_for(engine, "connect")
     def _prepare(connection: sqlite3.Connection, _record: object) -> None:

@@ -18,7 +18,17 @@ from trueup.canonical import Json, canonical_bytes
 from trueup.errors import PointerMoved
 from trueup.ledger.audit import GENESIS, AuditEntry, append
 from trueup_service.registry import tables as t
-from trueup_service.registry.records import FINAL, ArtifactRecord, DecisionRecord, EpisodeRecord, GateRecord, JobRecord, JobState, Move, PlantRecord
+from trueup_service.registry.records import (
+    FINAL,
+    ArtifactRecord,
+    DecisionRecord,
+    EpisodeRecord,
+    GateRecord,
+    JobRecord,
+    JobState,
+    Move,
+    PlantRecord,
+)
 
 R = TypeVar("R")
 _JSON = {"document", "summary", "request", "result", "facts"}
@@ -57,7 +67,13 @@ class Reader:
         return self._one(ArtifactRecord, select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.version == version))
 
     def artifacts(self, plant: str, after: int, limit: int) -> list[ArtifactRecord]:
-        return self._all(ArtifactRecord, select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.version > after).order_by(t.artifacts.c.version).limit(limit))
+        return self._all(
+            ArtifactRecord,
+            select(t.artifacts)
+            .where(t.artifacts.c.plant == plant, t.artifacts.c.version > after)
+            .order_by(t.artifacts.c.version)
+            .limit(limit),
+        )
 
     def latest_version(self, plant: str) -> int:
         """The highest version of a plant, 0 for none."""
@@ -67,23 +83,35 @@ class Reader:
         return self._one(GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest == digest))
 
     def gates(self, plant: str, after: str, limit: int) -> list[GateRecord]:
-        return self._all(GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest > after).order_by(t.gates.c.digest).limit(limit))
+        return self._all(
+            GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest > after).order_by(t.gates.c.digest).limit(limit)
+        )
 
     def job(self, job: str) -> JobRecord | None:
         return self._one(JobRecord, select(t.jobs).where(t.jobs.c.id == job))
 
     def jobs(self, plant: str, before: str, limit: int) -> list[JobRecord]:
         """Jobs, the newest first, created before a time."""
-        return self._all(JobRecord, select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.created_at < before).order_by(t.jobs.c.created_at.desc(), t.jobs.c.id).limit(limit))
+        return self._all(
+            JobRecord,
+            select(t.jobs)
+            .where(t.jobs.c.plant == plant, t.jobs.c.created_at < before)
+            .order_by(t.jobs.c.created_at.desc(), t.jobs.c.id)
+            .limit(limit),
+        )
 
     def job_reads(self, job: str) -> dict[str, str]:
         """Digest of everything a job has read, and what for."""
-        rows = self.connection.execute(select(t.job_reads.c.digest, t.job_reads.c.purpose).where(t.job_reads.c.job == job).order_by(t.job_reads.c.digest))
+        rows = self.connection.execute(
+            select(t.job_reads.c.digest, t.job_reads.c.purpose).where(t.job_reads.c.job == job).order_by(t.job_reads.c.digest)
+        )
         return {row.digest: row.purpose for row in rows}
 
     def uses(self, digest: str, purpose: str) -> int:
         """How many jobs have read these bytes for this purpose."""
-        return int(self.connection.scalar(select(func.count()).where(t.job_reads.c.digest == digest, t.job_reads.c.purpose == purpose)) or 0)
+        return int(
+            self.connection.scalar(select(func.count()).where(t.job_reads.c.digest == digest, t.job_reads.c.purpose == purpose)) or 0
+        )
 
     def decision(self, digest: str) -> DecisionRecord | None:
         return self._one(DecisionRecord, select(t.decisions).where(t.decisions.c.digest == digest))
@@ -95,7 +123,9 @@ class Reader:
 
     def decisions_naming(self, plant: str, digest: str) -> list[str]:
         """Decisions that name an artifact as candidate or incumbent."""
-        query = select(t.decisions.c.digest).where(t.decisions.c.plant == plant, (t.decisions.c.candidate == digest) | (t.decisions.c.incumbent == digest))
+        query = select(t.decisions.c.digest).where(
+            t.decisions.c.plant == plant, (t.decisions.c.candidate == digest) | (t.decisions.c.incumbent == digest)
+        )
         return list(self.connection.scalars(query))
 
     def serving(self, plant: str) -> Move | None:
@@ -107,11 +137,15 @@ class Reader:
         return self._one(Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation == generation))
 
     def moves(self, plant: str, after: int, limit: int) -> list[Move]:
-        return self._all(Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation > after).order_by(t.moves.c.generation).limit(limit))
+        return self._all(
+            Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation > after).order_by(t.moves.c.generation).limit(limit)
+        )
 
     def served_at(self, plant: str, at: str) -> Move | None:
         """What was serving at a time."""
-        return self._one(Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.at <= at).order_by(t.moves.c.generation.desc()).limit(1))
+        return self._one(
+            Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.at <= at).order_by(t.moves.c.generation.desc()).limit(1)
+        )
 
     def audit_entries(self, after: int, limit: int, plant: str | None = None) -> list[AuditEntry]:
         query = select(t.audit).where(t.audit.c.sequence > after)
@@ -125,8 +159,12 @@ class Reader:
 
     def remembered(self, scope: str, key: str) -> tuple[str, dict[str, Json]] | None:
         """The request digest and the response kept under an idempotency key."""
-        row = self.connection.execute(select(t.idempotency.c.request, t.idempotency.c.response).where(t.idempotency.c.scope == scope, t.idempotency.c.key == key)).first()
-        return (row.request, json.loads(row.response)) if row else None
+        row = self.connection.execute(
+            select(t.idempotency.c.request_digest, t.idempotency.c.response).where(
+                t.idempotency.c.scope == scope, t.idempotency.c.key == key
+            )
+        ).first()
+        return (row.request_digest, json.loads(row.response)) if row else None
 
     def _one(self, kind: type[R], query: Select[Any]) -> R | None:
         row = self.connection.execute(query).mappings().first()
@@ -169,7 +207,14 @@ class Writer(Reader):
         self.connection.execute(select(t.plants.c.name).where(t.plants.c.name == plant).with_for_update())
 
     def update_job(
-        self, job: str, *, now: str, state: JobState | None = None, progress: float | None = None, stage: str | None = None, result: dict[str, Json] | None = None
+        self,
+        job: str,
+        *,
+        now: str,
+        state: JobState | None = None,
+        progress: float | None = None,
+        stage: str | None = None,
+        result: dict[str, Json] | None = None,
     ) -> bool:
         """Move a job on; False if it is already in a final state, which never changes."""
         given = {"state": state and str(state), "progress": progress, "stage": stage, "result": None if result is None else _text(result)}
@@ -185,7 +230,9 @@ class Writer(Reader):
     def move_serving(self, move: Move) -> None:
         """Compare and swap: the pointer goes to `move` if it stands one generation before. Raises PointerMoved."""
         swapped = self.connection.execute(
-            update(t.serving).where(t.serving.c.plant == move.plant, t.serving.c.generation == move.generation - 1).values(generation=move.generation)
+            update(t.serving)
+            .where(t.serving.c.plant == move.plant, t.serving.c.generation == move.generation - 1)
+            .values(generation=move.generation)
         )
         if swapped.rowcount != 1:
             raise PointerMoved(f"another move took generation {move.generation}", expected=move.generation - 1)
@@ -193,7 +240,7 @@ class Writer(Reader):
 
     def remember(self, scope: str, key: str, request: str, response: dict[str, Json], now: str) -> None:
         """Keep the response to a request under its idempotency key."""
-        self._add(t.idempotency, {"scope": scope, "key": key, "request": request, "response": json.dumps(response), "at": now})
+        self._add(t.idempotency, {"scope": scope, "key": key, "request_digest": request, "response": json.dumps(response), "at": now})
 
     def append_audit(self, *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]) -> AuditEntry:
         """Add the next entry of the log."""

@@ -9,7 +9,13 @@ from sqlalchemy import BigInteger, Boolean, Column, Float, ForeignKey, ForeignKe
 
 NAME, DIGEST, ID, AT = String(63), String(64), String(32), String(27)
 
-metadata = MetaData(naming_convention={"ix": "ix_%(table_name)s_%(column_0_N_name)s", "pk": "pk_%(table_name)s", "fk": "fk_%(table_name)s_%(column_0_N_name)s"})
+metadata = MetaData(
+    naming_convention={
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+        "pk": "pk_%(table_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+    }
+)
 
 plants = Table(
     "plants",
@@ -156,7 +162,7 @@ idempotency = Table(
     metadata,
     Column("scope", String(160), primary_key=True),
     Column("key", String(255), primary_key=True),
-    Column("request", DIGEST, nullable=False),
+    Column("request_digest", DIGEST, nullable=False),
     Column("response", Text, nullable=False),
     Column("at", AT, nullable=False),
 )

@@ -18,4 +18,11 @@ class NoWorseAnywhere(Rule):
         over = trial.candidate.rollout - self.slack * trial.incumbent.rollout  # a difference: an incumbent's error may be 0
         at = int(np.argmax(over))  # argmax stops at a nan; Python's max would pass over it
         candidate, bound = float(trial.candidate.rollout[at]), self.slack * float(trial.incumbent.rollout[at])
-        return Verdict(self.name, bool((over <= 0.0).all()), candidate, bound, "1", f"episode {trial.episodes[at][:12]} is the nearest to its bound or beyond")
+        return Verdict(
+            self.name,
+            bool((over <= 0.0).all()),
+            candidate,
+            bound,
+            "1",
+            f"episode {trial.episodes[at][:12]} is the nearest to its bound or beyond",
+        )

@@ -17,4 +17,6 @@ class OneStepNoWorse(Rule):
     def __call__(self, trial: Trial) -> Verdict:
         candidate, incumbent = float(np.mean(trial.candidate.one_step)), float(np.mean(trial.incumbent.one_step))
         passed = candidate <= self.slack * incumbent  # False if either is nan
-        return Verdict(self.name, passed, candidate, self.slack * incumbent, "1", f"one-step error {candidate:.5g}, the incumbent's is {incumbent:.5g}")
+        return Verdict(
+            self.name, passed, candidate, self.slack * incumbent, "1", f"one-step error {candidate:.5g}, the incumbent's is {incumbent:.5g}"
+        )

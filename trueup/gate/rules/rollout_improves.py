@@ -17,4 +17,6 @@ class RolloutImproves(Rule):
     def __call__(self, trial: Trial) -> Verdict:
         candidate, incumbent = float(np.mean(trial.candidate.rollout)), float(np.mean(trial.incumbent.rollout))
         passed = candidate < self.ratio * incumbent  # False if either is nan
-        return Verdict(self.name, passed, candidate, self.ratio * incumbent, "1", f"rollout error {candidate:.5g}, the incumbent's is {incumbent:.5g}")
+        return Verdict(
+            self.name, passed, candidate, self.ratio * incumbent, "1", f"rollout error {candidate:.5g}, the incumbent's is {incumbent:.5g}"
+        )

@@ -59,11 +59,21 @@ def _add(parts, stamp, plant, manifest, key, response):  # type: ignore[no-untyp
     held = parts.blobs.get(arrays["sha256"]) if isinstance(arrays, dict) else b""
     artifact = Bytes(manifest, held)
     unpack(artifact)
-    return create(parts, stamp, f"artifacts/{plant}", key, {"digest": artifact.digest}, lambda w: add_artifact(w, plant, artifact, None, stamp), response)
+    return create(
+        parts,
+        stamp,
+        f"artifacts/{plant}",
+        key,
+        {"digest": artifact.digest},
+        lambda w: add_artifact(w, plant, artifact, None, stamp),
+        response,
+    )
 
 
 @router.get("/plants/{plant}/artifacts", summary="List versions")
-def list_artifacts(parts: With, plant: PlantName, after: Annotated[int, Query(ge=0, le=2**31 - 1, description="version")] = 0, limit: Limit = 100) -> Page[Artifact]:
+def list_artifacts(
+    parts: With, plant: PlantName, after: Annotated[int, Query(ge=0, le=2**31 - 1, description="version")] = 0, limit: Limit = 100
+) -> Page[Artifact]:
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.plant(reader, plant)

@@ -14,7 +14,9 @@ router = APIRouter(prefix="/v1/audit", tags=["audit"])
 
 
 @router.get("", summary="List entries in order")
-def list_entries(parts: With, plant: str | None = None, after: Annotated[int, Query(ge=0, le=2**62, description="sequence")] = 0, limit: Limit = 100) -> Page[AuditEntry]:
+def list_entries(
+    parts: With, plant: str | None = None, after: Annotated[int, Query(ge=0, le=2**62, description="sequence")] = 0, limit: Limit = 100
+) -> Page[AuditEntry]:
     """Each entry's digest covers the one before it; filtered by plant they no longer form a chain."""
     with parts.database.read() as connection:
         found = Reader(connection).audit_entries(after, limit, plant)

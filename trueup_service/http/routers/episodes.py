@@ -59,14 +59,26 @@ async def _inspect(request: Request, parts: Parts, file: Received, description: 
         return await inspect_upload(file.path, description, parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s)
 
 
-def _ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected, response: Response) -> dict[str, Any]:
+def _ingest(
+    parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected, response: Response
+) -> dict[str, Any]:
     parts.blobs.put(file.digest, file.path)
     request = {"digest": file.digest}
-    return create(parts, stamp, f"episodes/{plant}", key, request, lambda w: ingest_episode(w, plant, file.digest, file.size_bytes, inspected, stamp), response)
+    return create(
+        parts,
+        stamp,
+        f"episodes/{plant}",
+        key,
+        request,
+        lambda w: ingest_episode(w, plant, file.digest, file.size_bytes, inspected, stamp),
+        response,
+    )
 
 
 @router.get("", summary="List episodes")
-def list_episodes(parts: With, plant: PlantName, role: Role | None = None, after: Annotated[str, Query(max_length=64)] = "", limit: Limit = 100) -> Page[Episode]:
+def list_episodes(
+    parts: With, plant: PlantName, role: Role | None = None, after: Annotated[str, Query(max_length=64)] = "", limit: Limit = 100
+) -> Page[Episode]:
     """In the order of their digests; `after` is the digest that the page before ended with."""
     with parts.database.read() as connection:
         reader = Reader(connection)
@@ -108,4 +120,6 @@ def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.episode(reader, plant, digest)
-        raise Kept(f"episode {digest[:12]} is kept: fits and decisions name it", uses=reader.uses(digest, "fit") + reader.uses(digest, "gate"))
+        raise Kept(
+            f"episode {digest[:12]} is kept: fits and decisions name it", uses=reader.uses(digest, "fit") + reader.uses(digest, "gate")
+        )

@@ -15,7 +15,14 @@ router = APIRouter(prefix="/v1/plants/{plant}/gates", tags=["gates"])
 
 
 @router.post("", status_code=201, summary="Declare a gate")
-def declare(parts: With, stamp: By, plant: PlantName, response: Response, document: Annotated[dict[str, Any] | None, Body()] = None, key: IdempotencyKey = None) -> Gate:
+def declare(
+    parts: With,
+    stamp: By,
+    plant: PlantName,
+    response: Response,
+    document: Annotated[dict[str, Any] | None, Body()] = None,
+    key: IdempotencyKey = None,
+) -> Gate:
     """Without a body the default gate is declared: rollout error below 0.98 of the incumbent's, one-step error no worse."""
     from trueup_service.actions.declare_gate import declare_gate  # noqa: PLC0415  (numpy: a server that only serves needs none)
 

@@ -26,7 +26,17 @@ def submit(parts: With, stamp: By, plant: PlantName, request: JobRequest, respon
     chosen, job = request.model_dump(exclude={"kind"}, exclude_none=True), uuid.uuid4().hex
     act = submit_fit if request.kind == "fit" else submit_gate
     parts.queue.prepare()
-    return Job(**create(parts, stamp, f"jobs/{plant}", key, {"kind": request.kind, **chosen}, lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True), response))
+    return Job(
+        **create(
+            parts,
+            stamp,
+            f"jobs/{plant}",
+            key,
+            {"kind": request.kind, **chosen},
+            lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True),
+            response,
+        )
+    )
 
 
 @router.get("/plants/{plant}/jobs", summary="List jobs, the newest first")

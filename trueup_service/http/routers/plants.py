@@ -15,7 +15,13 @@ router = APIRouter(prefix="/v1/plants", tags=["plants"])
 
 
 @router.post("", status_code=201, summary="Register a plant")
-def register(parts: With, stamp: By, response: Response, document: Annotated[dict[str, Any], Body(description="plant.json")], key: IdempotencyKey = None) -> Plant:
+def register(
+    parts: With,
+    stamp: By,
+    response: Response,
+    document: Annotated[dict[str, Any], Body(description="plant.json")],
+    key: IdempotencyKey = None,
+) -> Plant:
     """Its declared model becomes version 1 and serves at generation 1. The same description again answers 200."""
     from trueup_service.actions.register_plant import register_plant  # noqa: PLC0415  (numpy: a server that only serves needs none)
 

@@ -17,12 +17,20 @@ from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
 
 router = APIRouter(prefix="/v1/plants/{plant}/serving", tags=["serving"])
-AtTime = Annotated[str | None, Query(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z$", description="UTC, ISO 8601: only what was live then")]
+AtTime = Annotated[
+    str | None, Query(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z$", description="UTC, ISO 8601: only what was live then")
+]
 WaitSeconds = Annotated[float, Query(ge=0.0, allow_inf_nan=False, description="With If-None-Match: wait this long for a change [s]")]
 
 
 @router.get("", summary="What is serving now", response_model=Serving, responses={304: {"description": "Still what If-None-Match names"}})
-async def now(request: Request, parts: With, plant: PlantName, wait_s: WaitSeconds = 0.0, tag: Annotated[str | None, Header(alias="If-None-Match")] = None) -> Response:
+async def now(
+    request: Request,
+    parts: With,
+    plant: PlantName,
+    wait_s: WaitSeconds = 0.0,
+    tag: Annotated[str | None, Header(alias="If-None-Match")] = None,
+) -> Response:
     """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` it answers at the next move, or 304."""
     answers: ServingAnswers = request.app.state.answers
     wait = min(wait_s, parts.settings.long_poll_limit_s)
@@ -34,7 +42,13 @@ async def now(request: Request, parts: With, plant: PlantName, wait_s: WaitSecon
 
 
 @router.get("/history", summary="What served when")
-def history(parts: With, plant: PlantName, at: AtTime = None, after: Annotated[int, Query(ge=0, le=2**31 - 1, description="generation")] = 0, limit: Limit = 100) -> Page[Serving]:
+def history(
+    parts: With,
+    plant: PlantName,
+    at: AtTime = None,
+    after: Annotated[int, Query(ge=0, le=2**31 - 1, description="generation")] = 0,
+    limit: Limit = 100,
+) -> Page[Serving]:
     """Every position of the pointer in order, or with `at` the one that was live at that time."""
     with parts.database.read() as connection:
         reader = Reader(connection)

@@ -35,7 +35,7 @@ def upgrade() -> None:
         "idempotency",
         sa.Column("scope", sa.String(length=160), nullable=False),
         sa.Column("key", sa.String(length=255), nullable=False),
-        sa.Column("request", sa.String(length=64), nullable=False),
+        sa.Column("request_digest", sa.String(length=64), nullable=False),
         sa.Column("response", sa.Text(), nullable=False),
         sa.Column("at", sa.String(length=27), nullable=False),
         sa.PrimaryKeyConstraint("scope", "key", name=op.f("pk_idempotency")),
@@ -157,4 +157,6 @@ def upgrade() -> None:
         sa.PrimaryKeyConstraint("plant", "generation", name=op.f("pk_moves")),
     )
     op.create_index(op.f("ix_moves_plant_at"), "moves", ["plant", "at"], unique=False)
-    op.bulk_insert(sa.table("audit_head", sa.column("id"), sa.column("sequence"), sa.column("digest")), [{"id": 1, "sequence": 0, "digest": "0" * 64}])
+    op.bulk_insert(
+        sa.table("audit_head", sa.column("id"), sa.column("sequence"), sa.column("digest")), [{"id": 1, "sequence": 0, "digest": "0" * 64}]
+    )

@@ -1,0 +1,65 @@
+"""Servers and storages that the tests bring themselves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.postgres import Postgres, start_postgres
+from tests.support.s3 import S3, start_s3
+from tests.support.service import Service
+from tests.support.storage import Storage, embedded, scaled
+from trueup_client import Client
+
+EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
+
+
+@pytest.fixture(scope="session")
+def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Postgres]:
+    with start_postgres() as found:
+        yield found
+
+
+@pytest.fixture(scope="session")
+def s3() -> Iterator[S3]:
+    with start_s3() as found:
+        yield found
+
+
+@pytest.fixture(params=["embedded", "scaled"])
+def storage(request: pytest.FixtureRequest, tmp_path: Path) -> Storage:
+    """A fresh storage: SQLite and a folder, then PostgreSQL and S3."""
+    if request.param == "embedded":
+        return embedded(tmp_path / "data")
+    return scaled(tmp_path / "data", request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
+
+
+@pytest.fixture(scope="session", params=["embedded", "scaled"])
+def service(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
+    """A running server with a worker, shared by the tests of a session: each uses plants of its own."""
+    data = tmp_path_factory.mktemp("service")
+    storage = (
+        embedded(data) if request.param == "embedded" else scaled(data, request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
+    )
+    with Service(storage).running() as found:
+        yield found
+
+
+@pytest.fixture
+def client(service: Service) -> Iterator[Client]:
+    found = Client(service.url, actor="tester")
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def emps_plant() -> dict:
+    return json.loads((EXAMPLE / "plant.json").read_text())
+
+
+@pytest.fixture
+def emps() -> Path:
+    return EXAMPLE

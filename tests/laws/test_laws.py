@@ -1,0 +1,151 @@
+"""Every law on every subject found, and a planted fault for each law to show that it is caught."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from trueup.chapter.data import PLANT, draw
+from trueup.checks import family_laws, predictor_laws, rule_laws
+from trueup.checks.law import LawBroken
+from trueup.fit.residual import fit_blind, fit_conditioned, fit_residual
+from trueup.gate.rule import Rule, Verdict, rules
+from trueup.model.family import Family, Param, families
+from trueup.model.predictor import KINDS, Identified, Nominal
+
+
+@pytest.fixture(scope="module")
+def predictors():
+    data = draw()
+    made = [
+        Nominal(PLANT),
+        Identified(PLANT, (1.2, 0.6, 0.8)),
+        fit_blind(PLANT, data.pooled),
+        fit_conditioned(PLANT, data.pooled, (1.2, 0.6, 0.8)),
+        fit_residual(PLANT, [data.adaptation])[0],
+    ]
+    return {p.kind: p for p in made}
+
+
+@pytest.mark.parametrize("law", family_laws.LAWS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize("name", list(families()))
+def test_families(law, name):
+    law(families()[name])
+
+
+@pytest.mark.parametrize("law", rule_laws.LAWS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize("name", list(rules()))
+def test_rules(law, name):
+    law(rules()[name]())
+
+
+@pytest.mark.parametrize("law", predictor_laws.LAWS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_predictors(law, kind, predictors):
+    law(predictors[kind])
+
+
+class _Forgetful(Family):
+    """A family that breaks every law but that of the compiler."""
+
+    name = "forgetful"
+    params = (Param("k", ""), Param("c", "1/s"))
+
+    @staticmethod
+    def acceleration(q, v, u, k, c):
+        return -k * q
+
+    @staticmethod
+    def regressors(q, v, u):
+        return q, v
+
+
+class _TwoFaced(Family):
+    """Another text for arrays than for the compiler."""
+
+    name = "two-faced"
+    params = (Param("k", "1/s^2"),)
+
+    @staticmethod
+    def acceleration(q, v, u, k):
+        return -k * q if isinstance(q, float) else k * q
+
+    @staticmethod
+    def regressors(q, v, u):
+        return (-q,)
+
+
+@pytest.mark.parametrize("law", family_laws.LAWS[1:], ids=lambda f: f.__name__)
+def test_a_planted_fault_in_a_family_is_caught(law):
+    with pytest.raises(LawBroken):
+        law(_Forgetful)
+
+
+def test_a_family_that_compiles_to_something_else_is_caught():
+    with pytest.raises(LawBroken):
+        family_laws.compiled_equals_numpy(_TwoFaced)
+
+
+@dataclass
+class _Moody(Rule):
+    calls: int = 0
+    name = "moody"
+
+    def __call__(self, trial):
+        self.calls += 1
+        return Verdict(self.name, self.calls % 2 == 1, 0.0, 0.0, "1", "")
+
+
+@dataclass
+class _Credulous(Rule):
+    name = "credulous"
+
+    def __call__(self, trial):
+        return Verdict(self.name, not max(trial.candidate.rollout) > 2 * max(trial.incumbent.rollout), 0.0, 0.0, "1", "")
+
+
+@dataclass
+class _Perverse(Rule):
+    name = "perverse"
+
+    def __call__(self, trial):
+        return Verdict(self.name, bool(np.mean(trial.candidate.rollout) > np.mean(trial.incumbent.rollout)), 0.0, 0.0, "1", "")
+
+
+@dataclass
+class _Stubborn(Rule):
+    name = "stubborn"
+
+    def __call__(self, trial):
+        return Verdict(self.name, False, 0.0, 0.0, "1", "")
+
+
+@pytest.mark.parametrize(("law", "rule"), list(zip(rule_laws.LAWS, (_Moody, _Credulous, _Perverse, _Stubborn), strict=True)))
+def test_a_planted_fault_in_a_rule_is_caught(law, rule):
+    with pytest.raises(LawBroken):
+        law(rule())
+
+
+@dataclass(frozen=True)
+class _Mixing(Nominal):
+    def predict_batch(self, states, issued, h_s=None):
+        return super().predict_batch(states, issued, h_s) + states.mean()
+
+
+@dataclass(frozen=True)
+class _Scribbling(Nominal):
+    def predict_batch(self, states, issued, h_s=None):
+        states[:] = super().predict_batch(states, issued, h_s)
+        return states
+
+
+@dataclass(frozen=True)
+class _Drifting(Nominal):
+    def predict_batch(self, states, issued, h_s=None):
+        return super().predict_batch(states, issued, h_s) + 1e-13 * states
+
+
+@pytest.mark.parametrize(("law", "kind"), list(zip(predictor_laws.LAWS, (_Mixing, _Scribbling, _Drifting), strict=True)))
+def test_a_planted_fault_in_a_predictor_is_caught(law, kind):
+    with pytest.raises(LawBroken):
+        law(kind(PLANT))

@@ -1,0 +1,294 @@
+"""One suite over both storages: what the registry promises."""
+
+import hashlib
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import text
+
+from tests.support.made import plant_document
+from trueup.errors import PointerMoved
+from trueup.ledger.audit import verify
+from trueup.ledger.pointer import NothingToRollBackTo
+from trueup_service.actions.declare_gate import declare_gate
+from trueup_service.actions.move_pointer import promote_decision, roll_back_pointer
+from trueup_service.actions.once import Key, once
+from trueup_service.actions.record_decision import record_decision
+from trueup_service.actions.register_plant import register_plant
+from trueup_service.actions.stamp import Stamp
+from trueup_service.errors import Conflict, KeyReused
+from trueup_service.registry.blobs import BlobMissing
+from trueup_service.registry.records import ArtifactRecord, JobRecord, JobState
+from trueup_service.registry.schema import HEAD, current, migrate
+from trueup_service.registry.store import Reader, Writer
+
+STAMP = Stamp("tester", "2026-01-01T00:00:00.000000Z")
+
+
+@pytest.fixture
+def parts(storage):
+    found = storage.build()
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def plant(parts):
+    with parts.database.write() as connection:
+        register_plant(Writer(connection), plant_document("p"), STAMP)
+    return "p"
+
+
+def read(parts):
+    return parts.database.read()
+
+
+def at(second: int) -> Stamp:
+    return Stamp("tester", f"2026-01-01T00:00:{second:02d}.000000Z")
+
+
+def add_version(writer: Writer, plant: str, version: int) -> str:
+    digest = hashlib.sha256(f"{plant}{version}".encode()).hexdigest()
+    writer.add_artifact(ArtifactRecord(plant, version, digest, "identified", "{}", None, None, STAMP.now, "tester"))
+    return digest
+
+
+def decide(writer: Writer, plant: str, candidate: str, *, accepted: bool = True) -> str:
+    serving = writer.serving(plant)
+    gate, _ = declare_gate(writer, plant, None, STAMP)
+    document = {
+        "gate": gate.digest,
+        "candidate": candidate,
+        "incumbent": serving.artifact,
+        "generation": serving.generation,
+        "accepted": accepted,
+    }
+    record_decision(writer, plant, document, None, STAMP)
+    return (
+        writer.decisions(plant, "9", 1)[0].digest if accepted else next(d.digest for d in writer.decisions(plant, "9", 9) if not d.accepted)
+    )
+
+
+def promote(parts, plant, version, second):
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        candidate = add_version(writer, plant, version)
+        serving = writer.serving(plant)
+        gate, _ = declare_gate(writer, plant, None, STAMP)
+        document = {
+            "gate": gate.digest,
+            "candidate": candidate,
+            "incumbent": serving.artifact,
+            "generation": serving.generation,
+            "accepted": True,
+        }
+        record_decision(writer, plant, document, None, at(second))
+        decision = next(d.digest for d in writer.decisions(plant, "9", 99) if d.candidate == candidate)
+        return promote_decision(writer, plant, decision, serving.generation, at(second))
+
+
+def test_a_fresh_database_is_at_the_head_and_migrating_again_changes_nothing(parts):
+    assert current(parts.database) == HEAD
+    migrate(parts.database)
+
+
+def test_registering_makes_the_nominal_model_serve_at_generation_1(parts, plant):
+    with read(parts) as connection:
+        serving = Reader(connection).serving(plant)
+        assert (serving.generation, serving.version, serving.kind, serving.decision) == (1, 1, "registered", None)
+        assert Reader(connection).artifact(plant, serving.artifact).kind == "nominal"
+
+
+def test_registering_the_same_again_is_no_change_and_another_is_a_conflict(parts, plant):
+    with parts.database.write() as connection:
+        assert register_plant(Writer(connection), plant_document("p"), STAMP)[1] is False
+    other = plant_document("p") | {"evaluation": {"horizon_s": 3.0}}
+    with pytest.raises(Conflict), parts.database.write() as connection:
+        register_plant(Writer(connection), other, STAMP)
+    with read(parts) as connection:
+        assert Reader(connection).audit_head()[0] == 1
+
+
+def test_an_error_leaves_nothing_behind(parts):
+    with pytest.raises(RuntimeError), parts.database.write() as connection:
+        register_plant(Writer(connection), plant_document("p"), STAMP)
+        raise RuntimeError
+    with read(parts) as connection:
+        reader = Reader(connection)
+        assert (reader.plant("p"), reader.serving("p"), reader.audit_head()[0]) == (None, None, 0)
+
+
+def test_the_pointer_goes_forward_and_back_like_a_stack(parts, plant):
+    first = promote(parts, plant, 2, 1)
+    second = promote(parts, plant, 3, 2)
+    assert (first.generation, second.generation) == (2, 3)
+    versions = []
+    for generation in (3, 4):
+        with parts.database.write() as connection:
+            versions.append(roll_back_pointer(Writer(connection), plant, generation, {}, at(generation)).version)
+    assert versions == [2, 1]
+    with pytest.raises(NothingToRollBackTo), parts.database.write() as connection:
+        roll_back_pointer(Writer(connection), plant, 5, {}, at(9))
+    with read(parts) as connection:
+        assert [m.version for m in Reader(connection).moves(plant, 0, 99)] == [1, 2, 3, 2, 1]
+
+
+def test_history_says_what_was_live_at_a_time(parts, plant):
+    promote(parts, plant, 2, 10)
+    promote(parts, plant, 3, 20)
+    with read(parts) as connection:
+        reader = Reader(connection)
+        live = {second: reader.served_at(plant, at(second).now).version for second in (0, 9, 10, 19, 20, 59)}
+        assert live == {0: 1, 9: 1, 10: 2, 19: 2, 20: 3, 59: 3}
+        assert reader.served_at(plant, "2025-12-31T23:59:59.999999Z") is None
+
+
+def test_a_move_is_never_before_the_one_it_follows_whatever_the_clock_does(parts, plant):
+    promote(parts, plant, 2, 30)
+    assert promote(parts, plant, 3, 5).at == at(30).now
+
+
+def test_of_many_racing_promotions_one_wins(parts, plant):
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        decision = decide(writer, plant, add_version(writer, plant, 2))
+    gate = threading.Barrier(8)
+
+    def race(_):
+        gate.wait()
+        try:
+            with parts.database.write() as connection:
+                return promote_decision(Writer(connection), plant, decision, 1, STAMP).generation
+        except PointerMoved:
+            return None
+
+    with ThreadPoolExecutor(8) as pool:
+        outcomes = list(pool.map(race, range(8)))
+    assert sorted(outcomes, key=str) == [2, *[None] * 7]
+    with read(parts) as connection:
+        assert len([e for e in Reader(connection).audit_entries(0, 99) if e.kind == "pointer:moved"]) == 1
+
+
+def test_the_audit_chain_holds_under_concurrent_writers(parts):
+    def write(n):
+        with parts.database.write() as connection:
+            Writer(connection).append_audit(at=STAMP.now, kind="thing:done", actor=f"a{n}", plant=None, subject=str(n), facts={"n": n})
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(write, range(40)))
+    with read(parts) as connection:
+        reader = Reader(connection)
+        entries = reader.audit_entries(0, 99)
+        assert verify(entries) == reader.audit_head()
+    assert sorted(int(e.subject) for e in entries) == list(range(40))
+
+
+def test_an_audit_entry_is_bound_to_its_transaction(parts):
+    with pytest.raises(RuntimeError), parts.database.write() as connection:
+        Writer(connection).append_audit(at=STAMP.now, kind="thing:done", actor="a", plant=None, subject="s", facts={})
+        raise RuntimeError
+    with read(parts) as connection:
+        assert Reader(connection).audit_entries(0, 9) == []
+
+
+def test_an_idempotency_key_repeats_its_answer_and_refuses_another_request(parts):
+    calls = []
+
+    def act():
+        calls.append(1)
+        return {"n": len(calls)}
+
+    def send(request):
+        with parts.database.write() as connection:
+            return once(Writer(connection), Key("s", "k", request), STAMP.now, act)
+
+    assert send("a" * 64) == send("a" * 64) == {"n": 1}
+    with pytest.raises(KeyReused):
+        send("b" * 64)
+    assert len(calls) == 1
+
+
+def test_a_finished_job_never_changes(parts, plant):
+    job = JobRecord("0" * 32, plant, "fit", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "t", STAMP.now)
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        writer.add_job(job)
+        assert writer.update_job(job.id, now=STAMP.now, state=JobState.SUCCEEDED, result={"a": 1})
+        assert not writer.update_job(job.id, now=STAMP.now, state=JobState.RUNNING, progress=0.1)
+        assert writer.job(job.id) == replace(job, state="succeeded", result={"a": 1})
+
+
+def test_reads_of_a_job_are_noted_once(parts, plant):
+    job = JobRecord("0" * 32, plant, "fit", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "t", STAMP.now)
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        writer.add_job(job)
+        writer.add_reads(job.id, ["a" * 64, "b" * 64], "fit")
+        writer.add_reads(job.id, ["b" * 64], "fit")
+        assert writer.job_reads(job.id) == {"a" * 64: "fit", "b" * 64: "fit"}
+        assert (writer.uses("b" * 64, "fit"), writer.uses("b" * 64, "gate")) == (1, 0)
+
+
+def test_the_serving_pointer_alone_reads_no_other_version(parts, plant):
+    """The query behind GET serving touches one row of two tables by their keys."""
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        for version in range(2, 40):
+            add_version(writer, plant, version)
+    if parts.database.is_sqlite:
+        query = "EXPLAIN QUERY PLAN SELECT * FROM moves JOIN serving USING (plant, generation) WHERE serving.plant = 'p'"
+        with read(parts) as connection:
+            plan = [row[-1] for row in connection.execute(text(query))]
+        assert all(line.startswith("SEARCH") for line in plan), plan
+
+
+class TestBlobs:
+    def put(self, parts, data: bytes) -> str:
+        digest = hashlib.sha256(data).hexdigest()
+        path = parts.spool / digest
+        path.write_bytes(data)
+        parts.blobs.put(digest, path)
+        path.unlink()
+        return digest
+
+    def test_bytes_come_back_whole_and_in_parts(self, parts):
+        data = bytes(range(256)) * 20_000
+        digest = self.put(parts, data)
+        assert parts.blobs.get(digest) == data
+        assert b"".join(parts.blobs.stream(digest)) == data
+        assert parts.blobs.holds(digest)
+
+    def test_putting_again_changes_nothing(self, parts):
+        digest = self.put(parts, b"first")
+        path = parts.spool / "other"
+        path.write_bytes(b"not the first")
+        parts.blobs.put(digest, path)
+        assert parts.blobs.get(digest) == b"first"
+
+    @pytest.mark.parametrize("name", ["0" * 64, "../../etc/passwd", "A" * 64, ""])
+    def test_what_is_not_there_is_missing(self, parts, name):
+        with pytest.raises(BlobMissing):
+            parts.blobs.get(name)
+        with pytest.raises(BlobMissing):
+            next(parts.blobs.stream(name))
+
+    def test_racing_puts_of_one_blob_all_succeed(self, parts):
+        data = b"x" * 100_000
+        digest = hashlib.sha256(data).hexdigest()
+
+        def put(n):
+            path = parts.spool / f"{n}"
+            path.write_bytes(data)
+            parts.blobs.put(digest, path)
+
+        with ThreadPoolExecutor(8) as pool:
+            list(pool.map(put, range(16)))
+        assert parts.blobs.get(digest) == data
+
+
+def test_documents_are_canonical_text_whose_digest_is_the_plants(parts, plant):
+    with read(parts) as connection:
+        kept = connection.scalar(text("SELECT document FROM plants"))
+        assert hashlib.sha256(kept.encode()).hexdigest() == Reader(connection).plant(plant).digest

@@ -1,0 +1,92 @@
+"""Episodes and plants made for tests."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+
+from trueup.episode.layout import Channel, Field, Layout
+from trueup.episode.role import Role
+from trueup.episode.writer import Encoding, write_episode
+from trueup.model.plant import Plant
+
+T0_NS = 1_760_000_000_000_000_000
+TRUE = (1.25, 0.62, 0.82)
+
+
+def plant_document(name: str = "bench-joint") -> dict:
+    return {
+        "name": name,
+        "nominal": {
+            "family": "oscillator",
+            "parameters": {"k": 1.0, "c": 0.4, "b": 1.0},
+            "timestep_s": 0.05,
+            "integrator": "semi_implicit_euler",
+        },
+        "commands": [{"name": "u", "unit": "m/s^2", "limits": [-1.0, 1.0]}],
+        "observations": [{"name": "q", "unit": "m", "scale": 1.0}, {"name": "v", "unit": "m/s", "scale": 1.0}],
+        "envelope": {"q": [-0.9, 0.9], "v": [-3.0, 3.0]},
+        "evaluation": {"horizon_s": 2.0},
+        "topics": {"observation": "/joint_states", "command": "/joint_commands"},
+    }
+
+
+def arm_layout(joints: int) -> Layout:
+    """Positions, velocities and efforts of several joints."""
+    names = [f"j{i}" for i in range(joints)]
+    observations = [Channel(f"q{n}", "rad", Field.POSITION, n) for n in names] + [
+        Channel(f"v{n}", "rad/s", Field.VELOCITY, n) for n in names
+    ]
+    return Layout(tuple(observations), tuple(Channel(f"u{n}", "N·m", Field.EFFORT, n) for n in names))
+
+
+def episode_bytes(
+    seed: int = 0,
+    samples: int = 200,
+    role: Role = Role.ADAPTATION,
+    parameters: tuple[float, ...] = TRUE,
+    encoding: Encoding = Encoding.CDR,
+    **conditions: str,
+) -> bytes:
+    """An excited run of an oscillator with these parameters, without noise."""
+    plant, rng = Plant.from_document(plant_document()), np.random.default_rng(seed)
+    issued = np.clip(np.convolve(rng.normal(size=samples), np.ones(8) / 4, "same"), -1.0, 1.0)[:, None]
+    states = np.empty((samples, 2))
+    states[0] = rng.normal(scale=0.3, size=2)
+    for i in range(samples - 1):
+        states[i + 1] = plant.update(states[i : i + 1], issued[i : i + 1], parameters)[0]
+    return mcap_bytes(plant.layout, states, issued, role=role, encoding=encoding, start_ns=T0_NS + seed * 10**12, **conditions)
+
+
+def mcap_bytes(
+    layout: Layout,
+    observations: np.ndarray,
+    commands: np.ndarray,
+    *,
+    role: Role = Role.ADAPTATION,
+    encoding: Encoding = Encoding.CDR,
+    start_ns: int = T0_NS,
+    stamps_ns: np.ndarray | None = None,
+    **conditions: str,
+) -> bytes:
+    stream = io.BytesIO()
+    stamps = start_ns + np.arange(len(observations)) * 50_000_000 if stamps_ns is None else stamps_ns
+    write_episode(
+        stream,
+        stamps_ns=stamps,
+        observations=observations,
+        commands=commands,
+        layout=layout,
+        role=role,
+        conditions=conditions,
+        encoding=encoding,
+    )
+    return stream.getvalue()
+
+
+def save(folder: Path, name: str, data: bytes) -> Path:
+    path = folder / name
+    path.write_bytes(data)
+    return path

@@ -1,0 +1,76 @@
+"""A service as its users run it: processes, killed as processes are."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tests.support.s3 import until_listening
+from tests.support.storage import Storage
+
+ROOT = Path(__file__).parent.parent.parent
+
+
+class Service:
+    """A server and workers on one storage."""
+
+    def __init__(self, storage: Storage) -> None:
+        self.storage = storage
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self._children: list[subprocess.Popen] = []
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    @contextmanager
+    def running(self, worker: bool = True) -> Iterator[Service]:
+        try:
+            self.start_server(worker)
+            yield self
+        finally:
+            self.stop()
+
+    def start_server(self, worker: bool = False) -> subprocess.Popen:
+        child = self._start("serve", "--port", str(self.port), *([] if worker else ["--no-worker"]))
+        until_listening(self.port, child)
+        return child
+
+    def start_worker(self) -> subprocess.Popen:
+        return self._start("work")
+
+    def stop(self) -> None:
+        for child in self._children:
+            child.terminate()
+        for child in self._children:
+            child.wait(timeout=30)
+        self._children.clear()
+
+    def _start(self, *arguments: str) -> subprocess.Popen:
+        environment = {**os.environ, **self.storage.environment, "TRUEUP_LOG_LEVEL": "WARNING", "PYTHONWARNINGS": "default"}
+        child = subprocess.Popen([sys.executable, "-m", "trueup_cli.main", *arguments], env=environment, cwd=ROOT)
+        self._children.append(child)
+        return child
+
+
+def kill(child: subprocess.Popen) -> None:
+    """As the kernel would."""
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+
+
+def command(service: Service, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
+    """Run the `trueup` command against a service."""
+    environment = {**os.environ, "TRUEUP_URL": service.url, "TRUEUP_ACTOR": "commander", "COLUMNS": "200", "NO_COLOR": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "trueup_cli.main", *arguments], env=environment, capture_output=True, text=True, check=False, cwd=ROOT
+    )
+    assert not check or done.returncode == 0, done.stderr
+    return done

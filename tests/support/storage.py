@@ -1,0 +1,40 @@
+"""The two storages as environments of the service."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.support.postgres import Postgres
+from tests.support.s3 import S3
+from trueup_service.settings import Settings
+from trueup_service.wiring import Parts, build
+
+
+@dataclass(frozen=True)
+class Storage:
+    """Where a service keeps things."""
+
+    name: str
+    environment: dict[str, str]
+
+    def settings(self) -> Settings:
+        return Settings(**{key.removeprefix("TRUEUP_").lower(): value for key, value in self.environment.items()})
+
+    def build(self) -> Parts:
+        return build(self.settings())
+
+
+def embedded(folder: Path) -> Storage:
+    return Storage("embedded", {"TRUEUP_DATA_DIR": str(folder), "TRUEUP_JOB_POLL_INTERVAL_S": "0.05", "TRUEUP_TAKEOVER_INTERVAL_S": "0.2"})
+
+
+def scaled(folder: Path, postgres: Postgres, s3: S3) -> Storage:
+    more = {
+        "TRUEUP_DATABASE_URL": postgres.new_database(),
+        "TRUEUP_S3_BUCKET": s3.new_bucket(),
+        "TRUEUP_S3_ENDPOINT": s3.endpoint,
+        "TRUEUP_S3_ACCESS_KEY": "test",
+        "TRUEUP_S3_SECRET_KEY": "test",
+    }
+    return Storage("scaled", embedded(folder).environment | more)

@@ -1,0 +1,211 @@
+"""The bounded walk: what it reads, and each rule with a file that breaks it."""
+
+import contextlib
+import io
+import json
+import struct
+import zlib
+from pathlib import Path
+
+import lz4.frame
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, Writer
+
+from trueup.episode.container import LIMITS, MAGIC, Limits, Op, Walk
+from trueup.errors import BadEpisode, MalformedMcap, TooLarge
+
+CONFORMANCE = sorted((Path(__file__).parents[2] / "golden" / "mcap-conformance").glob("*.mcap"))
+
+
+def walk(data: bytes, limits: Limits = LIMITS) -> Walk:
+    found = Walk(io.BytesIO(data), len(data), limits)
+    for _ in found:
+        pass
+    return found
+
+
+def record(op: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", op, len(body)) + body
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def file(*data: bytes, summary: bytes = b"", footer: bytes | None = None, data_crc: int = 0) -> bytes:
+    """A sound file around the given data records."""
+    head = MAGIC + record(Op.HEADER, text("") + text("")) + b"".join(data) + record(Op.DATA_END, struct.pack("<I", data_crc))
+    start = len(head) if summary else 0
+    return head + summary + (footer or record(Op.FOOTER, struct.pack("<QQI", start, 0, 0))) + MAGIC
+
+
+SCHEMA = record(Op.SCHEMA, struct.pack("<H", 1) + text("s") + text("") + text(""))
+CHANNEL = record(Op.CHANNEL, struct.pack("<HH", 1, 1) + text("/t") + text("cdr") + text(""))
+MESSAGE = record(Op.MESSAGE, struct.pack("<HIQQ", 1, 0, 5, 5) + b"data")
+
+
+def chunk(inner: bytes, *, compression: str = "", size: int | None = None, crc: int = 0, stored: bytes | None = None) -> bytes:
+    kept = stored if stored is not None else inner
+    head = struct.pack("<QQQI", 0, 0, len(inner) if size is None else size, crc) + text(compression)
+    return record(Op.CHUNK, head + struct.pack("<Q", len(kept)) + kept)
+
+
+def statistics(messages: int, chunks: int = 0) -> bytes:
+    return record(Op.STATISTICS, struct.pack("<QHIIIIQQI", messages, 1, 1, 0, 0, chunks, 0, 0, 0))
+
+
+@pytest.mark.parametrize("path", CONFORMANCE, ids=lambda p: p.stem)
+def test_a_conformance_file_reads_as_published(path):
+    found = Walk(io.BytesIO(path.read_bytes()), path.stat().st_size)
+    messages = [
+        (channel, log_ns, block.data[start : start + length])
+        for block in found
+        for channel, entries in block.messages.items()
+        for start, length, log_ns in entries
+    ]
+    published = json.loads(path.with_suffix(".json").read_text())["records"]
+    fields = [(r["type"], dict(r["fields"])) for r in published]
+    assert messages == [(int(f["channel_id"]), int(f["log_time"]), bytes(map(int, f["data"]))) for kind, f in fields if kind == "Message"]
+    assert {t.id: t.name for t in found.contents.topics.values()} == {int(f["id"]): f["topic"] for kind, f in fields if kind == "Channel"}
+    assert {s.id: (s.name, s.encoding, s.data) for s in found.contents.schemas.values()} == {
+        int(f["id"]): (f["name"], f["encoding"], bytes(map(int, f["data"]))) for kind, f in fields if kind == "Schema"
+    }
+    assert [(m.name, m.values) for m in found.contents.metadata] == [(f["name"], f["metadata"]) for kind, f in fields if kind == "Metadata"]
+    assert found.contents.attachments == sum(kind == "Attachment" for kind, _ in fields)
+
+
+def test_there_are_72_conformance_files():
+    assert len(CONFORMANCE) == 72
+
+
+def pad(data: bytes) -> bytes:
+    """The same file with bytes behind the known fields of every record that may have them, as the `pad` variants have."""
+    at, out = len(MAGIC), MAGIC
+    while data[at : at + len(MAGIC)] != MAGIC:
+        op, length = struct.unpack_from("<BQ", data, at)
+        body = data[at + 9 : at + 9 + length]
+        more = b"" if op in (Op.MESSAGE, Op.CHUNK, Op.ATTACHMENT) else b"\1\2\3"
+        body = {Op.FOOTER: bytes(20), Op.DATA_END: bytes(4)}.get(op, body)  # their checksums are of the file as it was
+        out += record(op, body + more)
+        at += 9 + length
+    return out + MAGIC
+
+
+@pytest.mark.parametrize("path", [p for p in CONFORMANCE if "-" not in p.stem], ids=lambda p: p.stem)
+def test_bytes_behind_known_fields_are_skipped(path):
+    data = path.read_bytes()
+    assert walk(pad(data)).contents.messages == walk(data).contents.messages
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_what_the_stock_writer_writes_is_read(compression):
+    stream = io.BytesIO()
+    writer = Writer(stream, compression=compression, chunk_size=2000)
+    writer.start()
+    schema = writer.register_schema("s", "", b"")
+    channel = writer.register_channel("/t", "json", schema)
+    for i in range(300):
+        writer.add_message(channel, log_time=i, data=b"x" * (i % 50), publish_time=i)
+    writer.add_attachment(0, 0, "a", "text/plain", b"hello")
+    writer.finish()
+    found = walk(stream.getvalue())
+    assert (found.contents.messages, found.contents.attachments) == (300, 1)
+
+
+SOUND = file(SCHEMA, CHANNEL, MESSAGE, summary=statistics(1))
+UNKNOWN_MESSAGE = record(Op.MESSAGE, struct.pack("<HIQQ", 9, 0, 5, 5))
+INNER = SCHEMA + CHANNEL + MESSAGE
+BOMB = zstandard.ZstdCompressor().compress(bytes(40 << 20))
+
+BROKEN = {
+    "no magic": (b"MCAP" + SOUND, "magic"),
+    "empty": (b"", "length"),
+    "no closing magic": (SOUND[:-8] + b"????????", "magic"),
+    "bytes behind the end": (SOUND + b"x", "magic"),
+    "cut in the middle": (SOUND[: len(SOUND) // 2], "length"),
+    "cut by one": (SOUND[:-1], "length"),
+    "no header": (MAGIC + SOUND[len(MAGIC) + 17 :], "order"),
+    "two headers": (file(record(Op.HEADER, text("") + text(""))), "order"),
+    "record kind 0": (file(record(0, b"")), "order"),
+    "footer in the data": (file(record(Op.FOOTER, bytes(20))), "order"),
+    "message behind the data": (file(SCHEMA, CHANNEL, summary=MESSAGE), "order"),
+    "length beyond the file": (file(struct.pack("<BQ", Op.MESSAGE, 1 << 62)), "length"),
+    "text beyond its record": (file(record(Op.METADATA, struct.pack("<I", 1 << 30))), "length"),
+    "text that is no UTF-8": (file(record(Op.METADATA, struct.pack("<I", 1) + b"\xff" + text(""))), "length"),
+    "short message": (file(SCHEMA, CHANNEL, record(Op.MESSAGE, b"\1\0")), "length"),
+    "message on no channel": (file(SCHEMA, CHANNEL, UNKNOWN_MESSAGE), "known"),
+    "channel with no schema": (file(CHANNEL), "known"),
+    "schema 0": (file(record(Op.SCHEMA, struct.pack("<H", 0) + text("") + text("") + text(""))), "known"),
+    "schema defined twice": (file(SCHEMA, record(Op.SCHEMA, struct.pack("<H", 1) + text("other") + text("") + text(""))), "known"),
+    "channel defined twice": (
+        file(SCHEMA, CHANNEL, record(Op.CHANNEL, struct.pack("<HH", 1, 1) + text("/u") + text("cdr") + text(""))),
+        "known",
+    ),
+    "key twice in a map": (file(record(Op.METADATA, text("m") + struct.pack("<I", 20) + (text("k") + text("v")) * 2)), "known"),
+    "chunk size too small": (file(chunk(INNER, size=len(INNER) - 1)), "chunk"),
+    "chunk size too large": (file(chunk(INNER, size=len(INNER) + 1)), "chunk"),
+    "chunk of a chunk": (file(chunk(chunk(INNER))), "chunk"),
+    "chunk cut inside": (file(chunk(INNER[:-3])), "length"),
+    "unknown compression": (file(chunk(INNER, compression="brotli")), "chunk"),
+    "chunk that is no zstd": (file(chunk(INNER, compression="zstd")), "chunk"),
+    "chunk that is no lz4": (file(chunk(INNER, compression="lz4")), "chunk"),
+    "cut lz4": (file(chunk(INNER, compression="lz4", stored=lz4.frame.compress(INNER)[:-4])), "chunk"),
+    "zstd of more than declared": (file(chunk(b"", compression="zstd", size=1000, stored=BOMB)), "chunk"),
+    "lz4 of more than declared": (file(chunk(b"", compression="lz4", size=1000, stored=lz4.frame.compress(bytes(40 << 20)))), "chunk"),
+    "chunk checksum": (file(chunk(INNER, crc=zlib.crc32(INNER) ^ 1)), "crc"),
+    "data checksum": (file(SCHEMA, data_crc=12345), "crc"),
+    "attachment checksum": (
+        file(record(Op.ATTACHMENT, bytes(16) + text("") + text("") + struct.pack("<Q", 0) + struct.pack("<I", 7))),
+        "crc",
+    ),
+    "summary checksum": (file(SCHEMA, footer=record(Op.FOOTER, struct.pack("<QQI", 0, 0, 99))), "crc"),
+    "summary elsewhere": (file(SCHEMA, footer=record(Op.FOOTER, struct.pack("<QQI", 12, 0, 0))), "index"),
+    "summary not declared": (file(SCHEMA, summary=SCHEMA, footer=record(Op.FOOTER, struct.pack("<QQI", 0, 0, 0))), "index"),
+    "statistics that do not count": (file(SCHEMA, CHANNEL, MESSAGE, summary=statistics(2)), "index"),
+    "index outside the file": (file(SCHEMA, summary=record(Op.METADATA_INDEX, struct.pack("<QQ", 1 << 40, 5) + text(""))), "index"),
+    "message index of half an entry": (file(SCHEMA, CHANNEL, record(Op.MESSAGE_INDEX, struct.pack("<HI", 1, 8) + bytes(8))), "index"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_file_is_refused_with_its_rule_and_byte(name):
+    data, rule = BROKEN[name]
+    with pytest.raises(MalformedMcap) as refused:
+        walk(data)
+    assert refused.value.facts["rule"] == rule
+    assert 0 <= refused.value.facts["byte"] <= len(data)
+
+
+LARGE = {
+    "file": (SOUND, Limits(file_bytes=10), "file_bytes"),
+    "record": (SOUND, Limits(record_bytes=3), "record_bytes"),
+    "chunk": (file(chunk(INNER)), Limits(chunk_bytes=5), "chunk_bytes"),
+    "ratio": (file(chunk(b"", compression="zstd", size=40 << 20, stored=BOMB)), LIMITS, "chunk_ratio"),
+    "records": (file(SCHEMA, CHANNEL, MESSAGE * 50), Limits(records=20), "records"),
+    "records of a chunk": (file(chunk(SCHEMA + CHANNEL + MESSAGE * 50)), Limits(records=20), "records"),
+    "channels": (
+        file(SCHEMA, *(record(Op.CHANNEL, struct.pack("<HH", i, 1) + text("/t") + text("") + text("")) for i in range(9))),
+        Limits(channels=8),
+        "channels",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_a_limit_is_held(name):
+    data, limits, limit = LARGE[name]
+    with pytest.raises(TooLarge) as refused:
+        walk(data, limits)
+    assert refused.value.facts["limit"] == limit
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.integers(0, len(SOUND) - 1), st.integers(1, 255))
+def test_a_flipped_byte_is_read_or_refused_but_never_anything_else(at, by):
+    data = bytearray(file(SCHEMA, CHANNEL, chunk(MESSAGE * 3), MESSAGE, summary=statistics(4, 1)))
+    data[at] ^= by
+    with contextlib.suppress(BadEpisode):
+        walk(bytes(data))

@@ -1,0 +1,107 @@
+"""Fits: what is recovered, from which data, and when they refuse."""
+
+import numpy as np
+import pytest
+
+from tests.support.made import TRUE, episode_bytes, mcap_bytes, plant_document
+from trueup.episode.mcap import read_episode
+from trueup.episode.role import Role
+from trueup.errors import BadArtifact, NotIdentifiable, RoleRefused
+from trueup.fit.identify import identify
+from trueup.fit.least_squares import solve
+from trueup.fit.residual import fit_residual
+from trueup.fit.score import EVERY, Scoring, rollout_rms, score
+from trueup.model.features import FRICTION
+from trueup.model.plant import Plant
+from trueup.model.predictor import Nominal
+
+PLANT = Plant.from_document(plant_document())
+
+
+def episode(seed=0, role=Role.ADAPTATION, **kwargs):
+    return read_episode(episode_bytes(seed, role=role, **kwargs), PLANT.layout)
+
+
+def test_parameters_are_recovered_with_rank_condition_and_intervals():
+    predictor, found = identify(PLANT, [episode(0), episode(1)])
+    assert predictor.parameters == pytest.approx(TRUE, rel=1e-9)
+    assert found.rank == 3
+    assert 1.0 <= found.condition < 100.0
+    assert all(width < 1e-9 for width in found.half_widths.values())
+
+
+def test_intervals_cover_the_truth_under_noise_in_the_velocity():
+    """200 regressions with independent noise: a 95 % interval covers in 90 to 98 %."""
+    rng, truth, hits = np.random.default_rng(0), np.array([1.25, 0.62, 0.82]), 0
+    design = rng.normal(size=(150, 3))
+    for _ in range(200):
+        found = solve(design, design @ truth + rng.normal(scale=0.3, size=150))
+        hits += int((np.abs(found.values - truth) <= found.half_widths).sum())
+    assert 0.90 <= hits / 600 <= 0.98
+
+
+def test_an_episode_that_excites_nothing_is_refused():
+    still = read_episode(mcap_bytes(PLANT.layout, np.zeros((60, 2)), np.zeros((60, 1))), PLANT.layout)
+    with pytest.raises(NotIdentifiable) as refused:
+        identify(PLANT, [still])
+    assert refused.value.facts["rank"] == 0
+
+
+def test_nothing_to_fit_is_refused():
+    with pytest.raises(NotIdentifiable):
+        identify(PLANT, [])
+
+
+@pytest.mark.parametrize("role", [r for r in Role if r is not Role.ADAPTATION])
+@pytest.mark.parametrize("fit", [identify, fit_residual])
+def test_a_fit_reads_adaptation_episodes_alone(fit, role):
+    with pytest.raises(RoleRefused):
+        fit(PLANT, [episode(), episode(1, role=role)])
+
+
+def test_a_linear_gap_is_closed_by_the_residual():
+    held_out = [episode(5, role=Role.VALIDATION)]
+    residual, found = fit_residual(PLANT, [episode()])
+    before, after = (score(p, held_out, Scoring(2.0, EVERY)).rollout[0] for p in (Nominal(PLANT), residual))
+    assert after < 1e-5 * before
+    assert found.after_rms[1] < 1e-6 * found.before_rms[1]
+
+
+def test_an_unknown_feature_is_refused():
+    with pytest.raises(BadArtifact):
+        fit_residual(PLANT, [episode()], ("q", "os.system"))
+
+
+@pytest.mark.parametrize("horizon", [2.0])
+def test_the_score_is_the_error_norm_in_declared_scales(horizon):
+    held_out = episode(5, role=Role.VALIDATION)
+    found = score(Nominal(PLANT), [held_out], Scoring(horizon))
+    states = [held_out.observations[0]]
+    for i in range(40):
+        states.append(PLANT.update(states[-1][None], held_out.commands[i : i + 1])[0])
+    by_hand = np.linalg.norm(np.array(states[1:]) - held_out.observations[1:41], axis=1)
+    assert found.rollout[0] == pytest.approx(by_hand.mean(), rel=1e-12)
+    assert found.one_step[0] == pytest.approx(by_hand[0], rel=1e-12)
+
+
+class TestOnTheRealAxis:
+    """EMPS: figures reached on the validation part, from fits on the adaptation part alone."""
+
+    @pytest.fixture(scope="class")
+    def case(self, request):
+        import json
+        from pathlib import Path
+
+        folder = Path(__file__).parents[3] / "examples" / "emps"
+        plant = Plant.from_document(json.loads((folder / "plant.json").read_text()))
+        return plant, [read_episode(p.read_bytes(), plant.layout) for p in sorted(folder.glob("*.mcap"))]
+
+    def test_friction_features_bring_the_error_below_a_millimetre(self, case):
+        plant, episodes = case
+        adaptation = [e for e in episodes if e.role is Role.ADAPTATION]
+        validation = [e for e in episodes if e.role is Role.VALIDATION]
+        predictors = Nominal(plant), identify(plant, adaptation)[0], fit_residual(plant, adaptation, FRICTION)[0]
+        nominal, identified, friction = (max(float(rollout_rms(p, e, 1.0)[0]) for e in validation) for p in predictors)
+        assert nominal > 0.025
+        assert identified < 0.0075
+        assert friction < 0.001

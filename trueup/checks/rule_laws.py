@@ -1,0 +1,66 @@
+"""Laws of a gate rule: it answers, always the same, never passes what is no number, and never punishes a smaller error."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from trueup.checks.law import require
+from trueup.fit.score import Score
+from trueup.gate.rule import Rule, Trial
+
+EPISODES, TRIALS = 4, 60
+
+
+def _trials() -> Iterator[Trial]:
+    rng = np.random.default_rng(3)
+    names = tuple(f"{i:064x}" for i in range(EPISODES))
+    for _ in range(TRIALS):
+        candidate, incumbent = rng.lognormal(sigma=0.4, size=(2, 2, EPISODES))
+        yield Trial(Score(*candidate), Score(*incumbent), names)
+
+
+def the_same_trial_gives_the_same_verdict(rule: Rule) -> None:
+    """A verdict depends on the trial alone."""
+    for trial in _trials():
+        require(rule(trial) == rule(trial), "the same trial gives the same verdict", rule.name)
+
+
+def what_is_no_number_never_passes(rule: Rule) -> None:
+    """One nan anywhere in the figures that a rule judges refuses; all nan always does."""
+    nan = np.full(EPISODES, np.nan)
+    for trial in _trials():
+        for candidate in (Score(nan, nan), Score(np.full(EPISODES, np.inf), np.full(EPISODES, np.inf))):
+            require(not rule(Trial(candidate, trial.incumbent, trial.episodes)).passed, "what is no number never passes", rule.name)
+        for at in range(EPISODES):
+            spoiled = Score(trial.candidate.rollout.copy(), trial.candidate.one_step.copy())
+            spoiled.rollout[at] = spoiled.one_step[at] = np.nan
+            require(not rule(Trial(spoiled, trial.incumbent, trial.episodes)).passed, "what is no number never passes", rule.name)
+
+
+def a_smaller_error_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
+    """If a candidate passes, one with smaller errors passes too."""
+    rng = np.random.default_rng(4)
+    for trial in _trials():
+        better = Score(
+            trial.candidate.rollout * rng.uniform(0.1, 1.0, EPISODES), trial.candidate.one_step * rng.uniform(0.1, 1.0, EPISODES)
+        )
+        kept = not rule(trial).passed or rule(Trial(better, trial.incumbent, trial.episodes)).passed
+        require(kept, "a smaller error never turns a pass into a refusal", rule.name)
+
+
+def it_can_refuse_and_it_can_pass(rule: Rule) -> None:
+    """A rule that always gives one answer is none."""
+    trial = next(_trials())
+    far, near = (Score(f * trial.incumbent.rollout, f * trial.incumbent.one_step) for f in (10.0, 0.1))
+    require(rule(Trial(near, trial.incumbent, trial.episodes)).passed, "it can pass", rule.name)
+    require(not rule(Trial(far, trial.incumbent, trial.episodes)).passed, "it can refuse", rule.name)
+
+
+LAWS = (
+    the_same_trial_gives_the_same_verdict,
+    what_is_no_number_never_passes,
+    a_smaller_error_never_turns_a_pass_into_a_refusal,
+    it_can_refuse_and_it_can_pass,
+)
