@@ -5,10 +5,13 @@ import hashlib
 import http.client
 import json
 import socket
+import tempfile
 import threading
 import time
 import uuid
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.support.made import episode_bytes, mcap_bytes, plant_document, save
@@ -18,6 +21,7 @@ from trueup.episode.role import Role
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, LinearMap, Residual
 from trueup_client import Client, Problem, Untrue
+from trueup_service.http.serve import listen
 
 
 @pytest.fixture
@@ -134,7 +138,7 @@ def test_versions_count_up_and_the_same_artifact_is_the_same_version(client, pla
 
 
 def test_an_artifact_with_arrays_is_fetched_bit_for_bit(client, plant, tmp_path):
-    made = pack(Residual(Plant.from_document(plant_document(plant)), LinearMap(("q", "v"), 0.01 * __import__("numpy").ones((2, 2)))), {})
+    made = pack(Residual(Plant.from_document(plant_document(plant)), LinearMap(("q", "v"), 0.01 * np.ones((2, 2)))), {})
     client.add_artifact(plant, made.manifest, made.arrays)
     folder = client.fetch(plant, made.digest, tmp_path / "model")
     assert (folder / "manifest.json").read_bytes() == made.manifest
@@ -143,9 +147,7 @@ def test_an_artifact_with_arrays_is_fetched_bit_for_bit(client, plant, tmp_path)
 
 def test_an_artifact_whose_arrays_were_never_sent_is_refused(service, plant):
     made = pack(
-        Residual(
-            Plant.from_document(plant_document(plant)), LinearMap(("q",), __import__("numpy").full((1, 2), uuid.uuid4().int % 1000 / 1e6))
-        ),
+        Residual(Plant.from_document(plant_document(plant)), LinearMap(("q",), np.full((1, 2), uuid.uuid4().int % 1000 / 1e6))),
         {},
     )
     assert problem(service, "POST", f"/v1/plants/{plant}/artifacts", made.manifest)[0] in (404, 422)
@@ -224,9 +226,6 @@ def move(client, plant, k):
         },
     )
     if not list(client.episodes(plant, "validation")):
-        import tempfile
-        from pathlib import Path
-
         with tempfile.TemporaryDirectory() as folder:
             client.upload_episode(plant, save(Path(folder), "v.mcap", episode_bytes(9, role=Role.VALIDATION)))
     job = client.wait(client.submit(plant, {"kind": "gate", "candidate": candidate.digest, "gate": gate["digest"]})["id"])
@@ -235,12 +234,19 @@ def move(client, plant, k):
 
 def test_a_long_poll_answers_at_the_move(service, client, plant):
     seen = []
-    watcher = threading.Thread(
-        target=lambda: seen.extend([next(changes).generation for changes in [Client(service.url).watch(plant)] for _ in range(2)])
-    )
-    watcher.start()
+
+    def watch():
+        watcher = Client(service.url)
+        for serving in watcher.watch(plant):
+            seen.append(serving.generation)
+            if len(seen) == 2:
+                break
+        watcher.close()
+
+    watching = threading.Thread(target=watch)
+    watching.start()
     moved = move(client, plant, 1.2)
-    watcher.join(timeout=20)
+    watching.join(timeout=20)
     assert seen == [1, moved.generation]
 
 
@@ -300,23 +306,17 @@ def test_history_joins_a_recording_to_what_was_serving(client, plant, tmp_path):
     assert client.served_at(plant, "2020-01-01T00:00:00Z") is None
     now = time.time_ns()
     layout = Plant.from_document(plant_document(plant)).layout
-    import numpy as np
-
     data = mcap_bytes(layout, np.zeros((20, 2)), np.zeros((20, 1)), start_ns=now)
     found = client.upload_episode(plant, save(tmp_path, "now.mcap", data))
     assert [s["generation"] for s in client.episode(plant, found["digest"])["served"]] == [moved.generation]
 
 
-def test_nagles_algorithm_is_off_on_accepted_connections(service):
-    """Two small writes in a row must not wait for an acknowledgement: 30 answers on one connection, far below 40 ms each."""
-    connection = http.client.HTTPConnection("127.0.0.1", service.port)
-    from trueup_service.http.serve import listen
-
+def test_nagles_algorithm_is_off_on_accepted_connections():
+    """Small answers on a kept connection must not wait for the other side's delayed acknowledgement, 40 ms each."""
     with listen("127.0.0.1", 0) as listening, socket.create_connection(listening.getsockname()):
         accepted, _ = listening.accept()
         assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         accepted.close()
-    connection.close()
 
 
 # -- jobs
@@ -350,8 +350,6 @@ def test_a_job_without_data_is_refused(service, plant):
 
 
 def test_a_job_that_fails_says_why(client, plant, tmp_path):
-    import numpy as np
-
     layout = Plant.from_document(plant_document(plant)).layout
     client.upload_episode(plant, save(tmp_path, "still.mcap", mcap_bytes(layout, np.zeros((50, 2)), np.zeros((50, 1)))))
     with pytest.raises(Problem) as refused:

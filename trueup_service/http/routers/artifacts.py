@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
+from trueup.canonical import is_digest
+from trueup.errors import BadArtifact
 from trueup_service.actions import find
+from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import DigestMismatch, Kept, NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.schemas import Artifact, Page
 from trueup_service.http.uploads import Received, received
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.store import Reader
+from trueup_service.wiring import Parts
 
 router = APIRouter(prefix="/v1", tags=["artifacts"])
 MANIFEST = {"requestBody": {"required": True, "content": {"application/json": {"schema": {"type": "object"}}}}}
@@ -50,24 +55,26 @@ async def add(request: Request, parts: With, stamp: By, plant: PlantName, respon
     return Artifact(**await run_in_threadpool(_add, parts, stamp, plant, manifest, key, response))
 
 
-def _add(parts, stamp, plant, manifest, key, response):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | None, response: Response) -> dict[str, Any]:
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
     from trueup.artifact.artifact import unpack  # noqa: PLC0415
     from trueup_service.actions.add_artifact import add_artifact  # noqa: PLC0415
 
-    arrays = Bytes(manifest, b"").document.get("arrays")
-    held = parts.blobs.get(arrays["sha256"]) if isinstance(arrays, dict) else b""
-    artifact = Bytes(manifest, held)
+    artifact = Bytes(manifest, _arrays(parts.blobs, Bytes(manifest, b"").document))
     unpack(artifact)
-    return create(
-        parts,
-        stamp,
-        f"artifacts/{plant}",
-        key,
-        {"digest": artifact.digest},
-        lambda w: add_artifact(w, plant, artifact, None, stamp),
-        response,
-    )
+    request = {"digest": artifact.digest}
+    return create(parts, stamp, f"artifacts/{plant}", key, request, lambda w: add_artifact(w, plant, artifact, None, stamp), response)
+
+
+def _arrays(blobs: Blobs, manifest: Mapping[str, Any]) -> bytes:
+    """The arrays that a manifest names, which must have been uploaded before."""
+    named = manifest.get("arrays")
+    digest = named.get("sha256") if isinstance(named, dict) else None
+    if digest is None:
+        return b""
+    if not isinstance(digest, str) or not is_digest(digest) or not blobs.holds(digest):
+        raise BadArtifact("the arrays that the manifest names are not here", arrays=digest, hint="PUT them to /v1/blobs/{digest} first.")
+    return blobs.get(digest)
 
 
 @router.get("/plants/{plant}/artifacts", summary="List versions")

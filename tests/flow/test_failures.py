@@ -1,0 +1,238 @@
+"""Killed workers, killed servers, restarts: nothing acknowledged is lost, nothing happens twice."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from tests.support.made import T0_NS, episode_bytes, mcap_bytes, plant_document, save
+from tests.support.service import Service, kill
+from tests.support.storage import Storage, embedded, scaled
+from trueup.episode.role import Role
+from trueup.ledger.audit import AuditEntry, verify
+from trueup.model.plant import Plant
+from trueup_client import Client, Problem, Unreachable
+from trueup_client.problem import ClientError
+
+LONG_SAMPLES = 60_000  # about a second of reading and fitting: long enough to be killed in the middle of
+
+
+@pytest.fixture(scope="module")
+def long_episode(tmp_path_factory):
+    plant, rng = Plant.from_document(plant_document()), np.random.default_rng(0)
+    data = mcap_bytes(plant.layout, rng.normal(size=(LONG_SAMPLES, 2)), rng.uniform(-1, 1, (LONG_SAMPLES, 1)), start_ns=T0_NS)
+    return save(tmp_path_factory.mktemp("long"), "long.mcap", data)
+
+
+@pytest.fixture
+def lone(storage):
+    """A service of this test alone, without a worker."""
+    service = Service(storage)
+    service.start_server()
+    client = Client(service.url, actor="tester")
+    yield service, client
+    client.close()
+    service.stop()
+
+
+def until(condition, seconds=60.0):
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        found = condition()
+        if found:
+            return found
+        time.sleep(0.005)
+    raise AssertionError("it did not come about")
+
+
+def count(client, kind):
+    return sum(e["kind"] == kind for e in client.audit())
+
+
+def begun(client, long_episode):
+    """A fit that is under way."""
+    client.register_plant(plant_document("p"))
+    client.upload_episode("p", long_episode)
+    job = client.submit("p", {"kind": "fit", "method": "residual"})["id"]
+    return job
+
+
+def test_a_killed_workers_job_is_finished_by_another_once(lone, long_episode):
+    service, client = lone
+    first = service.start_worker()
+    job = begun(client, long_episode)
+    until(lambda: client.job(job)["state"] == "running")
+    kill(first)
+    assert client.job(job)["state"] == "running"
+    service.start_worker()
+    done = client.wait(job)
+    assert done["state"] == "succeeded"
+    assert [a["version"] for a in client.artifacts("p")] == [1, 2]
+    assert (count(client, "artifact:added"), count(client, "job:finished")) == (1, 1)
+
+
+def test_a_living_worker_takes_over_by_itself(lone, long_episode):
+    service, client = lone
+    workers = [service.start_worker(), service.start_worker()]
+    job = begun(client, long_episode)
+    until(lambda: client.job(job)["state"] == "running")
+    kill(workers[0])
+    again = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
+    assert client.wait(job)["state"] == client.wait(again)["state"] == "succeeded"
+    assert count(client, "job:finished") == 2
+
+
+def test_a_running_job_can_be_cancelled(lone, long_episode):
+    service, client = lone
+    service.start_worker()
+    job = begun(client, long_episode)
+    until(lambda: client.job(job)["state"] == "running")
+    client.cancel(job)
+    until(lambda: client.job(job)["state"] == "cancelled")
+    assert [a["version"] for a in client.artifacts("p")] == [1]
+    assert client.job(job)["result"]["problem"]["code"] == "cancelled"
+
+
+def test_a_waiting_job_is_cancelled_at_once_and_never_runs(lone, long_episode):
+    service, client = lone
+    job = begun(client, long_episode)
+    assert client.cancel(job)["state"] == "cancelled"
+    other = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
+    service.start_worker()
+    client.wait(other)
+    assert client.job(job)["state"] == "cancelled"
+    assert client.job(job)["reads"] == {}
+
+
+def test_a_job_waits_out_a_whole_restart(lone, long_episode):
+    service, client = lone
+    job = begun(client, long_episode)
+    service.stop()
+    service.start_server(worker=True)
+    assert client.wait(job)["state"] == "succeeded"
+
+
+def test_a_killed_server_has_lost_nothing_that_it_acknowledged(storage, tmp_path):
+    service = Service(storage)
+    acknowledged: dict[str, bytes] = {}
+    server = service.start_server()
+    try:
+        setup = Client(service.url)
+        setup.register_plant(plant_document("p"))
+        setup.close()
+        stop = threading.Event()
+
+        def upload(worker):
+            client = Client(service.url, timeout_s=5)
+            for n in range(1000):
+                if stop.is_set():
+                    break
+                data = episode_bytes(worker * 1000 + n, samples=20, role=Role.REFERENCE)
+                try:
+                    found = client.upload_episode("p", save(tmp_path, f"{worker}-{n}.mcap", data))
+                except ClientError:
+                    continue
+                acknowledged[found["digest"]] = data
+            client.close()
+
+        threads = [threading.Thread(target=upload, args=(n,)) for n in range(3)]
+        for thread in threads:
+            thread.start()
+        for enough in (3, 6):
+            until(lambda enough=enough: len(acknowledged) >= enough)
+            kill(server)
+            server = service.start_server()
+        until(lambda: len(acknowledged) >= 9)
+        stop.set()
+        for thread in threads:
+            thread.join()
+        kill(server)
+        service.start_server()
+        client = Client(service.url)
+        kept = {e["digest"] for e in client.episodes("p")}
+        assert set(acknowledged) <= kept
+        for digest, data in acknowledged.items():
+            client.download_episode("p", digest, tmp_path / "back")
+            assert (tmp_path / "back").read_bytes() == data
+        assert verify(AuditEntry(**e) for e in client.audit())[0] == client.audit_head()["sequence"] == 1 + len(kept)
+        client.close()
+    finally:
+        service.stop()
+
+
+def test_two_servers_on_one_database_agree_at_once(postgres, s3, tmp_path):
+    storage = scaled(tmp_path / "a", postgres, s3)
+    first = Service(storage)
+    second = Service(Storage("scaled", storage.environment | {"TRUEUP_DATA_DIR": str(tmp_path / "b")}))
+    try:
+        first.start_server()
+        second.start_server()
+        one, other = Client(first.url), Client(second.url)
+        one.register_plant(plant_document("p"))
+        assert other.serving("p") == one.serving("p")
+        watched = []
+        watcher = threading.Thread(target=lambda: watched.append(second_look(second.url)))
+        watcher.start()
+        first.start_worker()
+        promoted = promote(one, tmp_path)
+        assert other.serving("p") == promoted
+        watcher.join(timeout=20)
+        assert watched == [promoted.generation]
+        back = other.roll_back("p", promoted.generation)
+        assert one.serving("p") == back
+        one.close()
+        other.close()
+    finally:
+        first.stop()
+        second.stop()
+
+
+def second_look(url):
+    client = Client(url)
+    changes = client.watch("p")
+    next(changes)
+    found = next(changes).generation
+    changes.close()
+    client.close()
+    return found
+
+
+def promote(client, folder):
+    for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
+        client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
+    candidate = client.wait(client.submit("p", {"kind": "fit", "method": "identify"})["id"])["result"]["artifact"]
+    gate = client.declare_gate("p")["digest"]
+    decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"])["result"]["decision"]
+    return client.promote("p", decision, client.serving("p").generation)
+
+
+def test_a_damaged_artifact_is_not_served_again(tmp_path):
+    """The switchback test fails, the pointer stays, and the answer says why."""
+    service = Service(embedded(tmp_path / "data"))
+    with service.running():
+        client = Client(service.url)
+        client.register_plant(plant_document("p"))
+        for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
+            client.upload_episode("p", save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role)))
+        rules = [{"rule": "one_step_no_worse", "slack": 1e9}]
+        gate = client.declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": {"horizon_s": 2.0, "windows": "first"}})
+        for method in ("residual", "identify"):
+            candidate = client.wait(client.submit("p", {"kind": "fit", "method": method})["id"])["result"]["artifact"]
+            decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate["digest"]})["id"])
+            client.promote("p", decision["result"]["decision"], client.serving("p").generation)
+        arrays = client.version("p", 2)["arrays"]
+        blob = next((tmp_path / "data" / "blobs").glob(f"{arrays[:2]}/{arrays[2:]}"))
+        blob.chmod(0o600)
+        blob.write_bytes(blob.read_bytes()[:-1] + b"\x01")
+        with pytest.raises(Problem) as refused:
+            client.roll_back("p", 3)
+        assert refused.value.code == "switchback-failed"
+        assert client.serving("p").generation == 3
+        client.close()
+
+
+def test_a_client_says_so_when_nobody_answers():
+    client = Client("http://127.0.0.1:9")
+    with pytest.raises(Unreachable):
+        client.plant("p")
