@@ -8,7 +8,7 @@ RUN := $(VENV)/.run
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check laws flow bench lock clean
+.PHONY: help setup demo serve test check laws flow bench docs lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -57,6 +57,9 @@ flow: $(DEV) ## run the tests from MCAP bytes to a moved pointer
 
 bench: $(DEV) ## measure, and print the figures beside their targets
 	@$(BIN)/python -m bench
+
+docs: $(RUN) ## write the pages that are made from the code
+	@$(BIN)/python docs/make_settings.py
 
 lock: $(BIN)/uv ## pin the dependencies anew
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header pyproject.toml -o requirements.txt

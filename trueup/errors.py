@@ -66,7 +66,7 @@ class BadPlant(TrueupError):
     """The plant's description breaks a rule."""
 
     code = "bad-plant"
-    hint = "Correct the field named in `field`; docs/contract.md lists every field."
+    hint = "Correct the field named in `field`; docs/plant.md lists every field."
 
 
 class BadArtifact(TrueupError):

@@ -237,15 +237,16 @@ class _Watched:
     """A file that tells how much of it has been read."""
 
     def __init__(self, path: str | os.PathLike[str], progress: Share) -> None:
-        self._file: BinaryIO = open(path, "rb")  # noqa: SIM115  (closed when read to its end)
+        self._file: BinaryIO = open(path, "rb")  # noqa: SIM115  (closed by whoever sends it)
         self._size, self._progress = max(os.path.getsize(path), 1), progress
 
     def read(self, length: int = STREAM_BYTES) -> bytes:
         part = self._file.read(max(length, STREAM_BYTES))
         self._progress(self._file.tell() / self._size)
-        if not part:
-            self._file.close()
         return part
+
+    def close(self) -> None:
+        self._file.close()
 
 
 def _digest_of(path: str | os.PathLike[str]) -> str:

@@ -64,8 +64,7 @@ class Connection:
         pause = FIRST_PAUSE_S
         for attempt in range(1, ATTEMPTS + 1):
             try:
-                self._http.request(method, self._base + path, body=body(), headers={**self._headers, **headers})
-                found = self._http.getresponse()
+                found = self._once(method, path, body(), headers)
                 if found.status != 503 or attempt == ATTEMPTS:  # noqa: PLR2004
                     return found
                 found.read()
@@ -76,6 +75,14 @@ class Connection:
             time.sleep(pause)
             pause *= 2
         raise AssertionError
+
+    def _once(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> http.client.HTTPResponse:
+        try:
+            self._http.request(method, self._base + path, body=body, headers={**self._headers, **headers})
+        finally:
+            if hasattr(body, "close"):
+                body.close()
+        return self._http.getresponse()
 
     def close(self) -> None:
         """Close the connection."""

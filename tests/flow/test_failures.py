@@ -54,8 +54,7 @@ def begun(client, long_episode):
     """A fit that is under way."""
     client.register_plant(plant_document("p"))
     client.upload_episode("p", long_episode)
-    job = client.submit("p", {"kind": "fit", "method": "residual"})["id"]
-    return job
+    return client.submit("p", {"kind": "fit", "method": "residual"})["id"]
 
 
 def test_a_killed_workers_job_is_finished_by_another_once(lone, long_episode):

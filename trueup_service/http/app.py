@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from fastapi import FastAPI
 
 from trueup import __version__
-from trueup_service.http import problems
+from trueup_service.http import openapi, problems
 from trueup_service.http.observing import Observing
 from trueup_service.http.routers import artifacts, audit, decisions, episodes, gates, jobs, operations, plants, serving
 from trueup_service.http.serving_answers import ServingAnswers
@@ -36,6 +36,7 @@ def create_app(parts: Parts) -> FastAPI:
     app = FastAPI(title="trueup", version=__version__, description=DESCRIPTION, lifespan=alive)
     app.state.parts = parts
     problems.install(app)
+    openapi.install(app)
     for module in (plants, episodes, artifacts, gates, jobs, decisions, serving, audit, operations):
         app.include_router(module.router)
     app.add_middleware(Observing)

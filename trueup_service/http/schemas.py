@@ -17,6 +17,19 @@ class Answer(BaseModel):
     model_config = ConfigDict(from_attributes=True)
 
 
+class Problem(BaseModel):
+    """A refusal (RFC 9457). `code` is stable, `hint` says what to do next, `facts` are values that a program may want."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    code: str
+    hint: str
+    facts: dict[str, Any]
+    request_id: str | None
+
+
 class Page(BaseModel, Generic[T]):
     """Part of a collection; `next` goes into the next request's cursor, null at the end."""
 

@@ -15,6 +15,7 @@ from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import DigestMismatch, Kept, NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Artifact, Page
 from trueup_service.http.uploads import Received, received
 from trueup_service.registry.blobs import Blobs
@@ -48,7 +49,13 @@ def get_blob(parts: With, digest: DigestPath) -> StreamingResponse:
     return StreamingResponse(parts.blobs.stream(digest), media_type="application/octet-stream", headers=headers)
 
 
-@router.post("/plants/{plant}/artifacts", status_code=201, summary="Add an artifact as the next version", openapi_extra=MANIFEST)
+@router.post(
+    "/plants/{plant}/artifacts",
+    status_code=201,
+    summary="Add an artifact as the next version",
+    responses=there(Artifact),
+    openapi_extra=MANIFEST,
+)
 async def add(request: Request, parts: With, stamp: By, plant: PlantName, response: Response, key: IdempotencyKey = None) -> Artifact:
     """The body is the manifest's exact bytes; arrays that it names were uploaded before. The predictor must load and answer its probe."""
     manifest = await request.body()
@@ -112,7 +119,7 @@ def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
     return Response(found.manifest, media_type="application/json", headers=headers)
 
 
-@router.delete("/plants/{plant}/artifacts/{digest}", summary="Refused: artifacts are kept", status_code=409)
+@router.delete("/plants/{plant}/artifacts/{digest}", summary="Refused: artifacts are kept", status_code=204)
 def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
     with parts.database.read() as connection:
         reader = Reader(connection)

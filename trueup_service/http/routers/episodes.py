@@ -17,6 +17,7 @@ from trueup_service.actions.ingest_episode import ingest_episode
 from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.errors import Kept
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving
 from trueup_service.http.serving_answers import document
 from trueup_service.http.uploads import Received, received
@@ -29,7 +30,7 @@ router = APIRouter(prefix="/v1/plants/{plant}/episodes", tags=["episodes"])
 MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 
 
-@router.post("", status_code=201, summary="Upload an episode", openapi_extra=MCAP)
+@router.post("", status_code=201, summary="Upload an episode", responses=there(Episode), openapi_extra=MCAP)
 async def upload(request: Request, parts: With, stamp: By, plant: PlantName, response: Response, key: IdempotencyKey = None) -> Episode:
     """The body is an MCAP file. It is hashed while it streams and held against `Content-Digest` (RFC 9530) if that is sent.
 
@@ -115,7 +116,7 @@ def download(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResp
     return StreamingResponse(parts.blobs.stream(digest), media_type="application/octet-stream", headers=headers)
 
 
-@router.delete("/{digest}", summary="Refused: episodes are kept", status_code=409)
+@router.delete("/{digest}", summary="Refused: episodes are kept", status_code=204)
 def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
     with parts.database.read() as connection:
         reader = Reader(connection)

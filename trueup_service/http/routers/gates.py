@@ -8,13 +8,14 @@ from fastapi import APIRouter, Body, Query, Response
 
 from trueup_service.actions import find
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Gate, Page
 from trueup_service.registry.store import Reader
 
 router = APIRouter(prefix="/v1/plants/{plant}/gates", tags=["gates"])
 
 
-@router.post("", status_code=201, summary="Declare a gate")
+@router.post("", status_code=201, summary="Declare a gate", responses=there(Gate))
 def declare(
     parts: With,
     stamp: By,

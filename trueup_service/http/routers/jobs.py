@@ -10,6 +10,7 @@ from fastapi import APIRouter, Body, Path, Response
 from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
 from trueup_service.http.context import END_OF_TIME, Before, By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.openapi import there
 from trueup_service.http.schemas import FitRequest, GateRequest, Job, JobWithReads, Page
 from trueup_service.registry.store import Reader, Writer
 
@@ -18,7 +19,7 @@ JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
 JobRequest = Annotated[FitRequest | GateRequest, Body(discriminator="kind")]
 
 
-@router.post("/plants/{plant}/jobs", status_code=201, summary="Submit a fit or a trial")
+@router.post("/plants/{plant}/jobs", status_code=201, summary="Submit a fit or a trial", responses=there(Job))
 def submit(parts: With, stamp: By, plant: PlantName, request: JobRequest, response: Response, key: IdempotencyKey = None) -> Job:
     """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a trial held-out ones alone."""
     from trueup_service.actions.submit_job import submit_fit, submit_gate  # noqa: PLC0415  (numpy: a server that only serves needs none)

@@ -8,13 +8,14 @@ from fastapi import APIRouter, Body, Query, Response
 
 from trueup_service.actions import find
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Page, Plant
 from trueup_service.registry.store import Reader
 
 router = APIRouter(prefix="/v1/plants", tags=["plants"])
 
 
-@router.post("", status_code=201, summary="Register a plant")
+@router.post("", status_code=201, summary="Register a plant", responses=there(Plant))
 def register(
     parts: With,
     stamp: By,

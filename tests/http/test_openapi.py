@@ -1,0 +1,35 @@
+"""The OpenAPI document: complete, readable, and true, as a tool that knows nothing else of us sees it."""
+
+import json
+import subprocess
+import sys
+import urllib.request
+
+from tests.support.made import plant_document
+
+
+def document(service):
+    with urllib.request.urlopen(f"{service.url}/openapi.json") as answer:
+        return json.load(answer)
+
+
+def test_every_operation_has_a_summary_a_tag_and_documented_refusals(service):
+    for path, operations in document(service)["paths"].items():
+        for method, operation in operations.items():
+            assert operation["summary"], (method, path)
+            assert operation["tags"], (method, path)
+            assert {"4XX", "5XX"} <= set(operation["responses"]), (method, path)
+
+
+def test_every_noun_is_under_v1(service):
+    nouns = {path.split("/")[-1] for path in document(service)["paths"] if path.startswith("/v1/plants/{plant}/")}
+    assert {"episodes", "artifacts", "gates", "jobs", "decisions", "serving", "history", "promote", "rollback"} <= nouns
+
+
+def test_schemathesis_finds_no_answer_that_the_document_does_not_know(service, client, tmp_path):
+    client.register_plant(plant_document("emps-like"))
+    checks = ["not_a_server_error", "status_code_conformance", "content_type_conformance", "response_schema_conformance"]
+    arguments = ["--max-examples", "10", "--phases", "coverage,fuzzing", "--seed", "1", "--no-color", *(f"-c{c}" for c in checks)]
+    command = [sys.executable, "-m", "schemathesis.cli", "run", f"{service.url}/openapi.json", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stdout[-3000:]

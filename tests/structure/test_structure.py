@@ -1,0 +1,158 @@
+"""Rules on the code and on what surrounds it."""
+
+import ast
+import importlib
+import inspect
+import pkgutil
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+
+import trueup
+from trueup import errors
+from trueup_service.http import problems
+from trueup_service.registry.tables import metadata
+from trueup_service.settings import Settings
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("trueup", "trueup_service", "trueup_worker", "trueup_cli", "trueup_client")
+SOURCES = sorted(p for package in PACKAGES for p in (ROOT / package).rglob("*.py") if "migrations" not in p.parts)
+
+
+def tracked() -> list[Path]:
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+    return [ROOT / name for name in listed if (ROOT / name).is_file()]
+
+
+def run(*command: str) -> str:
+    done = subprocess.run(
+        [str(Path(sys.executable).parent / command[0]), *command[1:]], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
+    return done.stdout
+
+
+def all_errors() -> list[type[errors.TrueupError]]:
+    for package in PACKAGES:
+        for module in pkgutil.walk_packages([str(ROOT / package)], f"{package}."):
+            if "migrations" not in module.name and not module.name.endswith(("cli.main", "worker.main")):
+                importlib.import_module(module.name)
+    found, left = [], [errors.TrueupError]
+    while left:
+        kind = left.pop()
+        found.append(kind)
+        left += kind.__subclasses__()
+    return [k for k in found if k.__module__.split(".")[0] in PACKAGES]
+
+
+def test_the_layers_hold():
+    run("lint-imports")
+
+
+def test_the_code_is_formatted_and_linted():
+    run("ruff", "format", "--check", ".")
+    run("ruff", "check", ".")
+
+
+def test_the_types_hold():
+    run("mypy")
+
+
+def test_the_migrations_add_up_to_the_tables(storage):
+    parts = storage.build()
+    with parts.database.read() as connection:
+        ours = lambda _object, name, kind, *_: kind != "table" or name in metadata.tables  # noqa: E731
+        context = MigrationContext.configure(connection, opts={"include_object": ours, "compare_type": True})
+        assert compare_metadata(context, metadata) == []
+    parts.close()
+
+
+def test_every_error_has_a_code_a_hint_and_a_docstring_and_no_two_share_a_code():
+    found = all_errors()
+    assert len(found) > 20
+    for kind in found:
+        assert inspect.getdoc(kind), kind
+        assert kind.hint, kind
+        assert re.fullmatch(r"[a-z][a-z0-9-]+", kind.code), kind
+    codes = [k.code for k in found]
+    assert sorted(set(codes)) == sorted(codes)
+
+
+def test_every_error_stands_in_the_tree_of_the_librarys_errors():
+    tree = inspect.getdoc(errors)
+    for name, kind in vars(errors).items():
+        if inspect.isclass(kind) and issubclass(kind, errors.TrueupError):
+            assert name in tree
+
+
+def test_every_error_that_the_service_can_answer_with_has_a_status():
+    ours = {k for k in all_errors() if k.__module__.startswith(("trueup.", "trueup_service."))}
+    without = {k for k in ours if not any(c in problems.STATUS for c in k.__mro__)}
+    assert {k.__name__ for k in without} <= {"TrueupError", "LedgerError", "LawBroken"}
+
+
+def test_every_setting_is_documented():
+    assert all(setting.description for setting in Settings.model_fields.values())
+    written = subprocess.run(
+        [sys.executable, "-c", "import make_settings; print(make_settings.page(), end='')"],
+        cwd=ROOT / "docs",
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert (ROOT / "docs" / "settings.md").read_text() == written.stdout, "run `make docs`"
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_public_name_is_documented_and_typed(path):
+    tree = ast.parse(path.read_text())
+    if path.stat().st_size:
+        assert ast.get_docstring(tree), "the module says nothing of itself"
+    for node in tree.body:
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and not node.name.startswith("_"):
+            is_model = path.name == "schemas.py" or (path.parent.name == "routers")
+            assert ast.get_docstring(node) or is_model or path.name == "find.py", node.name
+
+
+def test_the_readmes_commands_are_what_ci_runs():
+    readme, ci = (ROOT / "README.md").read_text(), (ROOT / ".ci" / "run").read_text()
+    assert "make demo" in readme
+    assert "make test" in readme
+    assert "make test" in ci
+    targets = set(re.findall(r"^([a-z]+):.*##", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert set(re.findall(r"\bmake ([a-z]+)\b", readme)) <= targets
+
+
+def test_no_package_registry_is_named():
+    hosts = [b"py" + b"pi.org", b"pythonhosted" + b".org", b"crates" + b".io", b"registry." + b"npmjs", b"maven." + b"org"]
+    for path in tracked():
+        if path.suffix not in {".mcap", ".png"}:
+            content = path.read_bytes()
+            assert not [h for h in hosts if h in content], path
+
+
+def test_the_robots_client_imports_the_standard_library_alone():
+    code = "import sys, trueup_client; print(*{m.split('.')[0] for m in sys.modules})"
+    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split())
+    assert not loaded & {"numpy", "orjson", "trueup", "pydantic", "httpx", "rich"}
+
+
+def test_a_server_that_only_serves_loads_no_heavy_library():
+    code = "import sys, trueup_service.http.serve; print(*{m.split('.')[0] for m in sys.modules})"
+    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split())
+    assert not loaded & {"numpy", "numba", "scipy", "dbos", "alembic", "safetensors", "obstore"}
+
+
+def test_links_in_the_documentation_lead_somewhere():
+    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
+        for link in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text()):
+            assert (page.parent / link).exists(), f"{page.name}: {link}"
+
+
+def test_the_version_is_one():
+    assert f'version = "{trueup.__version__}"' in (ROOT / "pyproject.toml").read_text()
