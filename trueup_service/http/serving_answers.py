@@ -23,10 +23,11 @@ from trueup_service.registry.store import Reader
 
 @dataclass(frozen=True, slots=True)
 class ServingAnswer:
-    """The body of an answer and its entity tag."""
+    """The body of an answer, its entity tag, and the headers that go with both."""
 
     etag: str
     body: bytes
+    headers: dict[str, str]
 
 
 def document(move: Move) -> dict[str, Any]:
@@ -85,4 +86,5 @@ class ServingAnswers:
     def _read(self, plant: str) -> ServingAnswer:
         with self._database.read() as connection:
             move = find.serving(Reader(connection), plant)
-        return ServingAnswer(f'"{move.generation}"', orjson.dumps(document(move)))
+        etag = f'"{move.generation}"'
+        return ServingAnswer(etag, orjson.dumps(document(move)), {"ETag": etag, "Cache-Control": "no-cache"})

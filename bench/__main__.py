@@ -1,0 +1,9 @@
+"""`make bench`, or `python -m bench NAME…` for some."""
+
+import importlib
+import sys
+
+ALL = ("kernel", "footprint", "ingest", "serving", "registry", "scaled")
+
+for name in sys.argv[1:] or ALL:
+    importlib.import_module(f"bench.{name}").main()

@@ -1,0 +1,149 @@
+"""Version creation, promotion and resolving among many versions, beside the peer."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from bench.load import Load, get, run, send
+from bench.report import Figure, show
+from bench.servers import call, ours, peer
+from tests.support.made import plant_document
+from trueup.artifact.artifact import pack
+from trueup.canonical import digest_of
+from trueup.gate.decision import default_gate
+from trueup.model.plant import Plant
+from trueup.model.predictor import Identified
+from trueup_service.actions.declare_gate import declare_gate
+from trueup_service.actions.record_decision import record_decision
+from trueup_service.actions.stamp import Stamp
+from trueup_service.registry.records import ArtifactRecord
+from trueup_service.registry.store import Writer
+from trueup_service.settings import Settings
+from trueup_service.wiring import build
+
+CONNECTIONS, SECONDS, ROUNDS = 16, 3.0, 3
+VERSIONS, MOVES = 9000, 120
+MANY, FEW, PAIRS = 100_000, 10, 11
+STAMP = Stamp("bench", "2026-01-01T00:00:00.000000Z")
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as folder, ours(Path(folder) / "ours") as (port, _, _), peer(Path(folder) / "peer") as (other, _):
+        created, peer_created = _create(port, other)
+        promoted, aliased = _promote(port, Path(folder) / "ours", other)
+        many = _resolve(port, Path(folder) / "ours")
+    for name, load in (("create", created), ("peer creates", peer_created), ("promote", promoted), ("peer sets alias", aliased)):
+        print(f"{name:>16}: {load.line()}")
+    ratio = created.rate / peer_created.rate
+    show(
+        "registry: one server process, embedded storage, 16 connections, interleaved with the peer (one worker)",
+        [
+            Figure("durable version creation with its audit entry", f"{created.rate:.0f} req/s", ">= 500 req/s", created.rate >= 500),
+            Figure("… beside the peer's", f"{ratio:.1f} x", ">= 5 x", ratio >= 5),
+            Figure("… p99", f"{created.quantile_ms(0.99):.1f} ms", "<= 60 ms", created.quantile_ms(0.99) <= 60),
+            Figure("promotion p99", f"{promoted.quantile_ms(0.99):.1f} ms", "<= 60 ms", promoted.quantile_ms(0.99) <= 60),
+            Figure("promotion beside the peer's alias", f"{promoted.rate / aliased.rate:.1f} x"),
+            Figure(f"resolve at {MANY} versions beside at {FEW}, median of {PAIRS} pairs", f"{many:.3f} x", "<= 1.1 x", many <= 1.1),
+        ],
+    )
+
+
+def _create(port: int, other: int) -> tuple[Load, Load]:
+    plant = Plant.from_document(plant_document("creating"))
+    call(port, "POST", "/v1/plants", plant_document("creating"))
+    call(other, "POST", "/api/2.0/mlflow/registered-models/create", {"name": "creating"})
+    manifests = iter([pack(Identified(plant, (1.0 + i / VERSIONS, 0.6, 0.8)), {}).manifest for i in range(VERSIONS)])
+    best: tuple[list[Load], list[Load]] = ([], [])
+    body = json.dumps({"name": "creating", "source": "s3://bucket/m"}).encode()
+    for _ in range(ROUNDS):
+        best[0].append(
+            run(port, [(send("POST", "/v1/plants/creating/artifacts", m) for m in manifests) for _ in range(CONNECTIONS)], SECONDS)
+        )
+        best[1].append(
+            run(other, [_again(send("POST", "/api/2.0/mlflow/model-versions/create", body)) for _ in range(CONNECTIONS)], SECONDS)
+        )
+        assert set(best[0][-1].statuses) == {201}, best[0][-1].statuses
+    return _median(best[0]), _median(best[1])
+
+
+def _again(request: bytes) -> Iterator[bytes]:
+    while True:
+        yield request
+
+
+def _median(loads: list[Load]) -> Load:
+    return sorted(loads, key=lambda load: load.rate)[len(loads) // 2]
+
+
+def _promote(port: int, data: Path, other: int) -> tuple[Load, Load]:
+    """Sixteen plants, each promoted again and again by decisions laid down before."""
+    requests = [_decisions(port, data, f"moving-{i}") for i in range(CONNECTIONS)]
+    body = json.dumps({"name": "creating", "alias": "champion", "version": "1"}).encode()
+    aliased = run(other, [_again(send("POST", "/api/2.0/mlflow/registered-models/alias", body)) for _ in range(CONNECTIONS)], SECONDS)
+    promoted = run(port, [iter(r) for r in requests], 60.0)
+    assert promoted.statuses == {200: CONNECTIONS * MOVES}, promoted.statuses
+    return promoted, aliased
+
+
+def _decisions(port: int, data: Path, name: str) -> list[bytes]:
+    call(port, "POST", "/v1/plants", plant_document(name))
+    plant = Plant.from_document(plant_document(name))
+    artifacts = [pack(Identified(plant, (k, 0.6, 0.8)), {}) for k in (1.1, 1.2)]
+    for artifact in artifacts:
+        call(port, "POST", f"/v1/plants/{name}/artifacts", json.loads(artifact.manifest))
+    serving = call(port, "GET", f"/v1/plants/{name}/serving")["artifact"]
+    parts, requests = build(Settings(data_dir=data)), []
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        declare_gate(writer, name, None, STAMP)
+        for generation in range(1, MOVES + 1):
+            candidate = artifacts[generation % 2].digest
+            document = {
+                "gate": default_gate(2.0).digest,
+                "candidate": candidate,
+                "incumbent": serving,
+                "generation": generation,
+                "accepted": True,
+                "plant": plant.digest,
+            }
+            record_decision(writer, name, document, None, STAMP)
+            body = json.dumps({"decision": digest_of(document), "expected_generation": generation}).encode()
+            requests.append(send("POST", f"/v1/plants/{name}/serving/promote", body))
+            serving = candidate
+    parts.close()
+    return requests
+
+
+def _resolve(port: int, data: Path) -> float:
+    """Time to resolve what serves and to get a version, at many versions beside at few: pairs, one after the other."""
+    for name, versions in (("few", FEW), ("many", MANY)):
+        call(port, "POST", "/v1/plants", plant_document(name))
+        parts = build(Settings(data_dir=data))
+        with parts.database.write() as connection:
+            writer = Writer(connection)
+            for version in range(2, versions + 1):
+                writer.add_artifact(
+                    ArtifactRecord(name, version, digest_of([name, version]), "identified", "{}", None, None, STAMP.now, "bench")
+                )
+        parts.close()
+    ratios = []
+    for _ in range(PAIRS):
+        seconds = {
+            name: _time(port, [f"/v1/plants/{name}/serving", f"/v1/plants/{name}/versions/{versions // 2}"])
+            for name, versions in (("few", FEW), ("many", MANY))
+        }
+        ratios.append(seconds["many"] / seconds["few"])
+    return float(np.median(ratios))
+
+
+def _time(port: int, paths: list[str]) -> float:
+    began = time.perf_counter()
+    for path in paths:
+        run(port, [iter([get(path)] * 300)], 30.0)
+    return time.perf_counter() - began

@@ -1,0 +1,29 @@
+"""One line for each figure: what, how much, and what it should be."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+RESULTS = Path(__file__).parent / "results"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure beside its target; `met` is None for one that has none."""
+
+    what: str
+    value: str
+    target: str = ""
+    met: bool | None = None
+
+
+def show(title: str, figures: list[Figure]) -> None:
+    """Print a table, and keep it as JSON."""
+    print(f"\n{title}")
+    for f in figures:
+        mark = {True: "met ", False: "MISS", None: "    "}[f.met]
+        print(f"  {mark}  {f.what:<62} {f.value:>22}   {f.target}", flush=True)
+    RESULTS.mkdir(exist_ok=True)
+    (RESULTS / f"{title.split(maxsplit=1)[0].lower()}.json").write_text(json.dumps([asdict(f) for f in figures], indent=1))
