@@ -6,7 +6,8 @@ from trueup_service.settings import Settings
 
 HEAD = """# Settings
 
-Server and worker read them from the environment. The defaults are embedded storage: SQLite and a folder, one server with a worker beside it.
+Server and worker read them from the environment. The defaults are embedded storage: SQLite and a folder, one server
+with a worker beside it.
 
 | setting | default | meaning |
 |---|---|---|

@@ -20,6 +20,8 @@ do next; `facts` are the values that a program may want (byte, field, expected, 
 
 from __future__ import annotations
 
+MESSAGE_CHARACTERS = 500  # a message may quote what somebody sent, and not more of it than one reads
+
 
 class TrueupError(Exception):
     """Something went wrong in trueup."""
@@ -28,7 +30,7 @@ class TrueupError(Exception):
     hint = "Read the message; if it does not help, report it with the request id."
 
     def __init__(self, message: str | None = None, *, hint: str | None = None, **facts: object) -> None:
-        self.message = message or (type(self).__doc__ or "").splitlines()[0]
+        self.message = (message or (type(self).__doc__ or "").splitlines()[0])[:MESSAGE_CHARACTERS]
         self.hint = hint or type(self).hint
         self.facts = facts
         super().__init__(self.message)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import resource
 import sys
 from dataclasses import asdict, dataclass
@@ -44,6 +45,7 @@ async def inspect_upload(path: Path, plant: dict[str, Json], memory_bytes: int, 
         stdin=asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # a pool for each core would eat the address space
     )
     request = orjson.dumps({"plant": plant, "memory_bytes": memory_bytes, "cpu_s": int(timeout_s) + CHILD_CPU_MARGIN_S})
     try:
@@ -61,9 +63,9 @@ def _answer(out: bytes, err: bytes, code: int | None) -> Inspected:
     try:
         answer = orjson.loads(out)
     except orjson.JSONDecodeError as error:
-        raise InspectionFailed(
-            f"the inspection ended with code {code}", limit="inspection_memory_bytes", detail=err.decode(errors="replace")[-200:]
-        ) from error
+        said = err.decode(errors="replace")
+        limit = "inspection_memory_bytes" if "MemoryError" in said or (code or 0) < 0 else "none"
+        raise InspectionFailed(f"the inspection ended with code {code}", limit=limit, detail=said[-200:]) from error
     if "problem" in answer:
         problem = answer["problem"]
         refused = BadEpisode(problem["message"], hint=problem["hint"], **problem["facts"])

@@ -26,7 +26,7 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: int = Field(8321, ge=0, le=65535, description="Port to listen on; 0 for any free one.")
     upload_limit_bytes: int = Field(2 << 30, ge=1, description="Largest upload [bytes].")
-    inspection_memory_bytes: int = Field(1 << 30, ge=64 << 20, description="Address space of the process that inspects an upload [bytes].")
+    inspection_memory_bytes: int = Field(1 << 30, ge=256 << 20, description="Address space of the process that inspects an upload [bytes].")
     inspection_timeout_s: float = Field(120.0, gt=0, description="Time that the inspection of an upload may take [s].")
     inspections: int = Field(2, ge=1, description="Inspections at once.")
     long_poll_limit_s: float = Field(60.0, gt=0, description="Longest that a request may wait for a change [s].")

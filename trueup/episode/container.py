@@ -6,10 +6,10 @@ Rules, each named in the error that it raises together with the byte at which it
 - length: no record and no field is longer than what is left, nor than the declared limits;
 - known: a message names a known channel, a channel a known schema, and neither is ever redefined;
 - chunk: a chunk holds schemas, channels and messages only, of exactly the declared size once decompressed;
-- ratio: a chunk does not unfold to more than a declared multiple of what is stored;
+- ratio: all chunks together do not unfold to more than a declared multiple of the file read so far;
 - crc: every checksum that the file carries holds;
 - index: every offset of an index lies inside the file, and the statistics agree with what was counted;
-- count: the number of records, channels and messages stays within the declared limits.
+- count: records, channels and the bytes of their definitions stay within the declared limits.
 
 Unknown records and bytes behind a record's known fields are skipped, as the format demands.
 Source: MCAP format specification, https://mcap.dev/spec (2026).
@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import BinaryIO
@@ -31,7 +31,7 @@ from trueup.errors import MalformedMcap, TooLarge
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-FOOTER_BYTES = RECORD_HEAD.size + 20
+GATHER_BYTES = 1 << 20  # messages outside chunks are handed on together, once they are this many bytes
 
 
 class Op(IntEnum):
@@ -66,10 +66,11 @@ class Limits:
     file_bytes: int = 2 << 30
     record_bytes: int = 64 << 20
     chunk_bytes: int = 64 << 20
-    chunk_ratio: float = 300.0
-    ratio_free_bytes: int = 1 << 20  # a chunk this small is never a bomb, however well it compresses
+    unfold_ratio: float = 100.0
+    unfold_free_bytes: int = 4 << 20  # a file that unfolds to no more is never a bomb, however well it compresses
     records: int = 50_000_000
     channels: int = 4096
+    definition_bytes: int = 16 << 20
 
 
 LIMITS = Limits()
@@ -116,6 +117,25 @@ class Block:
     messages: dict[int, list[Message]] = field(default_factory=dict)
 
 
+class _Loose:
+    """Messages outside chunks, gathered into a block."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._byte = 0
+        self._messages: dict[int, list[Message]] = {}
+        self.size = 0
+
+    def add(self, channel: int, data: bytes, log_time_ns: int, byte: int) -> None:
+        self._byte = self._byte or byte
+        self._messages.setdefault(channel, []).append((len(self._data), len(data), log_time_ns))
+        self._data += data
+        self.size += MESSAGE_HEAD.size + len(data)
+
+    def block(self) -> Block:
+        return Block(bytes(self._data), self._byte, self._messages)
+
+
 @dataclass(slots=True)
 class Contents:
     """What the walk has met so far."""
@@ -123,6 +143,7 @@ class Contents:
     topics: dict[int, Topic] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)
     metadata: list[Metadata] = field(default_factory=list)
+    metadata_records: int = 0
     messages: int = 0
     chunks: int = 0
     attachments: int = 0
@@ -132,15 +153,18 @@ class Contents:
 class Walk:
     """One pass over a stream of `size` bytes; iterate it to its end, or the file has not been checked.
 
-    Yields a Block for each chunk and for each message outside a chunk; `contents` grows as it goes.
+    Yields a Block for each chunk and for messages outside chunks; `contents` grows as it goes, and of the metadata keeps the
+    records named in `wanted`.
     Raises MalformedMcap (facts `rule`, `byte`) and TooLarge (facts `limit`, `byte`).
     """
 
-    def __init__(self, stream: BinaryIO, size: int, limits: Limits = LIMITS) -> None:
+    def __init__(self, stream: BinaryIO, size: int, limits: Limits = LIMITS, wanted: Collection[str] = ()) -> None:
         self.contents = Contents()
-        self._stream, self._size, self._limits = stream, size, limits
+        self._stream, self._size, self._limits, self._wanted = stream, size, limits, wanted
         self._at = 0
         self._crc = 0
+        self._unfolded = 0
+        self._defined = 0
 
     def __iter__(self) -> Iterator[Block]:
         if self._size > self._limits.file_bytes:
@@ -165,20 +189,22 @@ class Walk:
         fields.text(), fields.text()
 
     def _data(self) -> Iterator[Block]:
+        loose = _Loose()
         while True:
             crc_before = self._crc
             at, op, body = self._record()
+            if op == Op.MESSAGE:
+                self._message(loose, body, at)
+            if loose.size >= (GATHER_BYTES if op == Op.MESSAGE else 1):
+                yield loose.block()
+                loose = _Loose()
             if op == Op.DATA_END:
                 return self._data_end(at, body, crc_before)
             if op in _NOT_IN_DATA:
                 raise MalformedMcap(f"{_name(op)} stands in the data section", rule="order", byte=at)
             if op == Op.CHUNK:
                 yield self._chunk(at, body)
-            elif op == Op.MESSAGE:
-                block = Block(body, at)
-                self._message(block, 0, len(body), at)
-                yield block
-            else:
+            elif op != Op.MESSAGE:
                 self._plain(at, op, body)
 
     def _plain(self, at: int, op: int, body: bytes) -> None:
@@ -187,8 +213,7 @@ class Walk:
         elif op == Op.CHANNEL:
             self._channel(at, body)
         elif op == Op.METADATA:
-            fields = Fields(body, at)
-            self.contents.metadata.append(Metadata(fields.text(), fields.text_map()))
+            self._metadata(Fields(body, at))
         elif op == Op.ATTACHMENT:
             self._attachment(at, body)
         elif op == Op.MESSAGE_INDEX:
@@ -196,6 +221,14 @@ class Walk:
             fields.uint(2)
             if len(fields.block()) % 16:
                 raise MalformedMcap("a message index is no whole number of entries", rule="index", byte=at)
+
+    def _metadata(self, fields: Fields) -> None:
+        self.contents.metadata_records += 1
+        name = fields.text()
+        if name in self._wanted:
+            self.contents.metadata.append(Metadata(name, fields.text_map()))
+        else:
+            fields.block()
 
     def _data_end(self, at: int, body: bytes, crc: int) -> None:
         declared = Fields(body, at).uint(4)
@@ -254,7 +287,7 @@ class Walk:
     def _statistics(self, at: int, fields: Fields) -> None:
         seen = self.contents
         declared = fields.uint(8), fields.uint(2), fields.uint(4), fields.uint(4), fields.uint(4), fields.uint(4)
-        counted = seen.messages, declared[1], declared[2], seen.attachments, len(seen.metadata), seen.chunks
+        counted = seen.messages, declared[1], declared[2], seen.attachments, seen.metadata_records, seen.chunks
         if declared != counted:
             raise MalformedMcap(
                 f"the statistics declare {declared[0]} messages and {declared[5]} chunks, counted were {counted[0]} and {counted[5]}",
@@ -269,7 +302,7 @@ class Walk:
             raise MalformedMcap("a schema has the id 0, which means none", rule="known", byte=at)
         if self.contents.schemas.setdefault(schema.id, schema) != schema:
             raise MalformedMcap(f"schema {schema.id} is defined twice, differently", rule="known", byte=at)
-        self._few(len(self.contents.schemas), at)
+        self._few(len(self.contents.schemas), len(body), at)
 
     def _channel(self, at: int, body: bytes) -> None:
         fields = Fields(body, at)
@@ -279,9 +312,12 @@ class Walk:
         topic = Topic(channel, self.contents.schemas.get(schema), fields.text(), fields.text(), fields.text_map())
         if self.contents.topics.setdefault(channel, topic) != topic:
             raise MalformedMcap(f"channel {channel} is defined twice, differently", rule="known", byte=at)
-        self._few(len(self.contents.topics), at)
+        self._few(len(self.contents.topics), len(body), at)
 
-    def _few(self, count: int, at: int) -> None:
+    def _few(self, count: int, size: int, at: int) -> None:
+        self._defined += size
+        if self._defined > self._limits.definition_bytes:
+            raise TooLarge(f"schemas and channels of more than {self._limits.definition_bytes} bytes", limit="definition_bytes", byte=at)
         if count > self._limits.channels:
             raise TooLarge(f"more than {self._limits.channels} channels or schemas", limit="channels", byte=at)
 
@@ -295,14 +331,14 @@ class Walk:
         if declared and declared != zlib.crc32(body[:covered]):
             raise MalformedMcap("the checksum of an attachment does not hold", rule="crc", byte=at)
 
-    def _message(self, block: Block, start: int, length: int, at: int) -> None:
-        if length < MESSAGE_HEAD.size:
+    def _message(self, loose: _Loose, body: bytes, at: int) -> None:
+        if len(body) < MESSAGE_HEAD.size:
             raise MalformedMcap("a message is shorter than its own header", rule="length", byte=at)
-        channel, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(block.data, start)
+        channel, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(body)
         if channel not in self.contents.topics:
             raise MalformedMcap(f"a message names channel {channel}, which is not known yet", rule="known", byte=at)
         self.contents.messages += 1
-        block.messages.setdefault(channel, []).append((start + MESSAGE_HEAD.size, length - MESSAGE_HEAD.size, log_time_ns))
+        loose.add(channel, body[MESSAGE_HEAD.size :], log_time_ns, at)
 
     def _chunk(self, at: int, body: bytes) -> Block:
         self.contents.chunks += 1
@@ -310,7 +346,7 @@ class Walk:
         fields.uint(8), fields.uint(8)
         size, crc, compression = fields.uint(8), fields.uint(4), fields.text()
         stored = fields.long_block()
-        self._allow_chunk(at, size, len(stored))
+        self._allow_chunk(at, size)
         data = decompress(compression, stored, size, at)
         if crc and crc != zlib.crc32(data):
             raise MalformedMcap("the checksum of a chunk does not hold", rule="crc", byte=at)
@@ -318,11 +354,13 @@ class Walk:
         self._unfold(block)
         return block
 
-    def _allow_chunk(self, at: int, size: int, stored: int) -> None:
-        if size > self._limits.chunk_bytes:
-            raise TooLarge(f"a chunk declares {size} bytes, {self._limits.chunk_bytes} are allowed", limit="chunk_bytes", byte=at)
-        if size > max(self._limits.ratio_free_bytes, self._limits.chunk_ratio * stored):
-            raise TooLarge(f"a chunk unfolds {stored} bytes to {size}", limit="chunk_ratio", byte=at)
+    def _allow_chunk(self, at: int, size: int) -> None:
+        limits = self._limits
+        self._unfolded += size
+        if size > limits.chunk_bytes:
+            raise TooLarge(f"a chunk declares {size} bytes, {limits.chunk_bytes} are allowed", limit="chunk_bytes", byte=at)
+        if self._unfolded > max(limits.unfold_free_bytes, limits.unfold_ratio * self._at):
+            raise TooLarge(f"the first {self._at} bytes of the file unfold to {self._unfolded}", limit="unfold_ratio", byte=at)
 
     def _unfold(self, block: Block) -> None:
         """Sort the chunk's records; the hot loop of the walk, hence flat and with its names bound once."""

@@ -22,7 +22,8 @@ class Episode:
     """Time-aligned commands and observations.
 
     `t_s` [s] counts from the first sample, strictly increasing, `(samples,)`. `observations` is `(samples,
-    observation channels)`, `commands` `(samples, command channels)`: row i is the command in force from `t_s[i]` on.
+    observation channels)`, `commands` `(samples, command channels)`: row i acts from `t_s[i]` to the next sample, and is the mean of
+    those in force where the command changed in between.
     A channel that the log lacks is a column of nan, named in `missing`. The arrays cannot be written to.
     """
 

@@ -21,6 +21,7 @@ from trueup.errors import NotAnEpisode
 
 FIELDS = tuple(Field)
 CDR_HEAD_BYTES = 4
+ROS2_NAMES = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState", "sensor_msgs::msg::dds_::JointState_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +63,8 @@ Decoder = Callable[[Block, list[Message], Sequence[Channel]], Columns]
 def decoder(topic: Topic) -> Decoder:
     """The decoder for a topic's encoding. Raises NotAnEpisode."""
     if topic.encoding == "cdr":
+        if topic.schema is not None and topic.schema.name not in ROS2_NAMES:
+            raise NotAnEpisode(f"topic {topic.name} carries {topic.schema.name!r}, not JointState", rule="encoding", topic=topic.name)
         return _decode_cdr
     if topic.encoding == "json":
         return lambda block, messages, channels: _decode_each(block, messages, channels, _read_json)
@@ -80,11 +83,12 @@ def _decode_each(block: Block, messages: Iterable[Message], channels: Sequence[C
     for start, length, log_ns in messages:
         try:
             state = read(block.data[start : start + length])
+            row = state.pick(channels)
         except (ValueError, TypeError, LookupError, struct.error, AttributeError, OverflowError) as error:
             raise NotAnEpisode(f"a message is no JointState: {error}", rule="message", byte=block.byte, log_time_ns=str(log_ns)) from error
         log.append(log_ns)
         stamps.append(state.stamp_ns)
-        rows.append(state.pick(channels))
+        rows.append(row)
     try:
         return Columns(np.array(log, np.int64), np.array(stamps, np.int64), np.array(rows, np.float64).reshape(len(rows), len(channels)))
     except OverflowError as error:
@@ -168,7 +172,10 @@ def _read_cdr(data: bytes) -> JointState:
 
 
 def _decode_cdr(block: Block, messages: list[Message], channels: Sequence[Channel]) -> Columns:
-    starts, lengths, log = np.array(messages, np.int64).reshape(-1, 3).T
+    try:
+        starts, lengths, log = np.array(messages, np.int64).reshape(-1, 3).T
+    except OverflowError as error:
+        raise NotAnEpisode("a log time does not fit 64 bits", rule="clock", byte=block.byte) from error
     length = int(lengths[0])
     first = block.data[messages[0][0] : messages[0][0] + length]
     try:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
+from trueup.errors import NotAnEpisode
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor, predict_observations
 from trueup.model.state import known_from
@@ -61,13 +62,21 @@ def rollout_errors(predictor: Predictor, episode: Episode, scoring: Scoring) -> 
 
 
 def _starts(plant: Plant, episode: Episode, scoring: Scoring) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Each window's first sample and length: from where the state is known, its start and the samples up to the horizon."""
+    """Each window's first sample and length: from where the state is known, its start and the samples up to the horizon.
+
+    Raises NotAnEpisode where there is none.
+    """
     starts = starts_every(episode.t_s, scoring.horizon_s, float(episode.t_s[known_from(plant, episode)]))
-    starts = starts[:1] if scoring.windows == FIRST else starts
     ends = np.searchsorted(episode.t_s, episode.t_s[starts] + scoring.horizon_s * (1 + 1e-9), side="right")
-    lengths = ends - starts
-    whole = lengths > 1
-    return starts[whole], lengths[whole]
+    predicted = ends - starts > 1
+    if not predicted.any():
+        raise NotAnEpisode(
+            f"episode {episode.digest[:12]} has no two samples within {scoring.horizon_s:g} s to score",
+            rule="samples",
+            digest=episode.digest,
+        )
+    starts, lengths = starts[predicted], (ends - starts)[predicted]
+    return (starts[:1], lengths[:1]) if scoring.windows == FIRST else (starts, lengths)
 
 
 def rollout_rms(predictor: Predictor, episode: Episode, horizon_s: float) -> Array:

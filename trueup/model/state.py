@@ -8,14 +8,15 @@ Source: A. Savitzky, M. J. E. Golay, Analytical Chemistry 36 (1964), for the loc
 from __future__ import annotations
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from trueup.episode.episode import Episode
+from trueup.episode.episode import GAP_PERIODS, Episode
 from trueup.model.plant import Plant
 
 Array = NDArray[np.float64]
 SPAN_S = 0.01  # long against encoder noise at 1 kHz, short against a joint's own motion
+MOST_SAMPLES = 201  # at 10 kHz; more adds cost and no knowledge
+BLOCK_VALUES = 1_000_000  # rows are taken in blocks of about so many numbers, 8 MB
 LEAST_SAMPLES = 5  # a parabola through noise needs more than its three points
 
 
@@ -36,7 +37,13 @@ def known_from(plant: Plant, episode: Episode) -> int:
 
 
 def _span(episode: Episode) -> int:
-    return max(LEAST_SAMPLES, round(SPAN_S / episode.period_s) + 1)
+    """Samples in SPAN_S, within reason."""
+    return min(max(LEAST_SAMPLES, round(SPAN_S / _period_s(episode.t_s)) + 1), MOST_SAMPLES, len(episode.t_s))
+
+
+def _period_s(t_s: Array) -> float:
+    """The interval that nine in ten do not exceed: neither bursts of stamps nor a gap move it far."""
+    return float(np.quantile(np.diff(t_s), 0.9))
 
 
 def _states(plant: Plant, episode: Episode, ahead: int) -> Array:
@@ -50,16 +57,24 @@ def _states(plant: Plant, episode: Episode, ahead: int) -> Array:
 
 
 def _slopes(t_s: Array, q: Array, span: int, ahead: int) -> Array:
-    """Slope at each sample of the parabola through `span` samples that end `ahead` samples later; 0 where all is one sample."""
-    before = span - 1 - ahead
-    at = np.arange(len(t_s))
-    padded_t = np.concatenate([np.full(before, np.nan), t_s, np.full(ahead, np.nan)])
-    padded_q = np.concatenate([np.full(before, np.nan), q, np.full(ahead, np.nan)])
-    t = sliding_window_view(padded_t, span)[at] - t_s[:, None]
-    y = sliding_window_view(padded_q, span)[at]
-    known = np.isfinite(t)
-    width = span * np.median(np.diff(t_s))
-    x = np.where(known, t, 0.0)[:, :, None] / width
-    powers = np.concatenate([np.ones_like(x), x, x * x], axis=2) * known[:, :, None]
-    weights = np.linalg.pinv(powers)
-    return np.asarray(np.einsum("ns,ns->n", weights[:, 1], np.where(known, y, 0.0)) / width)
+    """Slope at each sample of the parabola through `span` samples that end `ahead` samples later, `(samples,)`.
+
+    Samples on the other side of a gap do not count; of two a line is left, of one nothing, and the slope is 0.
+    """
+    reach_s = GAP_PERIODS * span * _period_s(t_s)
+    slopes = [
+        _slopes_at(rows, t_s, q, span, ahead, reach_s) for rows in np.array_split(np.arange(len(t_s)), len(t_s) * span // BLOCK_VALUES + 1)
+    ]
+    return np.concatenate(slopes)
+
+
+def _slopes_at(rows: NDArray[np.int64], t_s: Array, q: Array, span: int, ahead: int, reach_s: float) -> Array:
+    index = rows[:, None] + np.arange(ahead + 1 - span, ahead + 1)
+    inside = np.clip(index, 0, len(t_s) - 1)
+    t = t_s[inside] - t_s[rows, None]
+    known = (index == inside) & (np.abs(t) <= reach_s)
+    scale = reach_s / GAP_PERIODS
+    x = np.where(known, t / scale, 0.0)[:, :, None]
+    curved = (known.sum(axis=1) > 2)[:, None, None]  # noqa: PLR2004  (a parabola has three coefficients)
+    powers = np.concatenate([np.ones_like(x), x, x * x * curved], axis=2) * known[:, :, None]
+    return np.asarray(np.einsum("ns,ns->n", np.linalg.pinv(powers)[:, 1], np.where(known, q[inside], 0.0)) / scale)

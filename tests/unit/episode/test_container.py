@@ -21,7 +21,7 @@ CONFORMANCE = sorted((Path(__file__).parents[2] / "golden" / "mcap-conformance")
 
 
 def walk(data: bytes, limits: Limits = LIMITS) -> Walk:
-    found = Walk(io.BytesIO(data), len(data), limits)
+    found = Walk(io.BytesIO(data), len(data), limits, wanted=("m",))
     for _ in found:
         pass
     return found
@@ -59,14 +59,15 @@ def statistics(messages: int, chunks: int = 0) -> bytes:
 
 @pytest.mark.parametrize("path", CONFORMANCE, ids=lambda p: p.stem)
 def test_a_conformance_file_reads_as_published(path):
-    found = Walk(io.BytesIO(path.read_bytes()), path.stat().st_size)
+    published = json.loads(path.with_suffix(".json").read_text())["records"]
+    names = [value for r in published if r["type"] == "Metadata" for key, value in r["fields"] if key == "name"]
+    found = Walk(io.BytesIO(path.read_bytes()), path.stat().st_size, wanted=names)
     messages = [
         (channel, log_ns, block.data[start : start + length])
         for block in found
         for channel, entries in block.messages.items()
         for start, length, log_ns in entries
     ]
-    published = json.loads(path.with_suffix(".json").read_text())["records"]
     fields = [(r["type"], dict(r["fields"])) for r in published]
     assert messages == [(int(f["channel_id"]), int(f["log_time"]), bytes(map(int, f["data"]))) for kind, f in fields if kind == "Message"]
     assert {t.id: t.name for t in found.contents.topics.values()} == {int(f["id"]): f["topic"] for kind, f in fields if kind == "Channel"}
@@ -118,6 +119,7 @@ def test_what_the_stock_writer_writes_is_read(compression):
 SOUND = file(SCHEMA, CHANNEL, MESSAGE, summary=statistics(1))
 UNKNOWN_MESSAGE = record(Op.MESSAGE, struct.pack("<HIQQ", 9, 0, 5, 5))
 INNER = SCHEMA + CHANNEL + MESSAGE
+EMPTY = (b"\x80" + bytes(8)) * 100_000
 BOMB = zstandard.ZstdCompressor().compress(bytes(40 << 20))
 
 BROKEN = {
@@ -183,7 +185,17 @@ LARGE = {
     "file": (SOUND, Limits(file_bytes=10), "file_bytes"),
     "record": (SOUND, Limits(record_bytes=3), "record_bytes"),
     "chunk": (file(chunk(INNER)), Limits(chunk_bytes=5), "chunk_bytes"),
-    "ratio": (file(chunk(b"", compression="zstd", size=40 << 20, stored=BOMB)), LIMITS, "chunk_ratio"),
+    "ratio": (file(chunk(b"", compression="zstd", size=40 << 20, stored=BOMB)), LIMITS, "unfold_ratio"),
+    "ratio of all chunks together": (
+        file(*[chunk(b"", compression="zstd", stored=zstandard.ZstdCompressor().compress(EMPTY), size=len(EMPTY))] * 9),
+        LIMITS,
+        "unfold_ratio",
+    ),
+    "definitions": (
+        file(*(record(Op.SCHEMA, struct.pack("<H", i) + text("s") + text("") + text("x" * 999)) for i in range(1, 9))),
+        Limits(definition_bytes=5000),
+        "definition_bytes",
+    ),
     "records": (file(SCHEMA, CHANNEL, MESSAGE * 50), Limits(records=20), "records"),
     "records of a chunk": (file(chunk(SCHEMA + CHANNEL + MESSAGE * 50)), Limits(records=20), "records"),
     "channels": (

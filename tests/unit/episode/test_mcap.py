@@ -16,7 +16,8 @@ from trueup.episode.layout import Channel, Field, Layout
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.episode.writer import ROS2_DEFINITION, Encoding
-from trueup.errors import NotAnEpisode, RoleRefused
+from trueup.errors import NotAnEpisode, RoleRefused, TooLarge
+from trueup.fit.identify import identify
 from trueup.model.plant import Plant
 
 RNG = np.random.default_rng(0)
@@ -25,12 +26,12 @@ OBSERVED, ISSUED = RNG.normal(size=(50, 6)), RNG.normal(size=(50, 3))
 PLANT = Plant.from_document(plant_document())
 
 
-def raw(messages, metadata=({"role": "adaptation"},), encoding="json"):
+def raw(messages, metadata=({"role": "adaptation"},), encoding="json", schema="sensor_msgs/msg/JointState"):
     """A file of JSON messages (topic, log time, dict)."""
     stream = io.BytesIO()
     writer = Writer(stream)
     writer.start()
-    schema = writer.register_schema("s", "jsonschema", b"{}")
+    schema = writer.register_schema(schema, "jsonschema", b"{}")
     channels = {}
     for topic, log_ns, message in messages:
         if topic not in channels:
@@ -130,9 +131,9 @@ def test_irregular_times_and_gaps_are_kept():
 
 
 def test_a_missing_channel_is_a_column_of_nan_and_is_named():
-    wider = Layout((*LAYOUT.observations, Channel("qx", "rad", Field.POSITION, "absent")), LAYOUT.commands)
+    wider = Layout((*LAYOUT.observations, Channel("vx", "rad/s", Field.VELOCITY, "absent")), LAYOUT.commands)
     found = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED), wider)
-    assert found.missing == ("qx",)
+    assert found.missing == ("vx",)
     assert np.isnan(found.observations[:, -1]).all()
 
 
@@ -147,13 +148,48 @@ def test_a_command_acts_from_its_stamp_on_and_samples_before_the_first_are_dropp
     orders = [("/joint_commands", t, {"name": ["j"], "effort": [float(t)]}) for t in (25, 40, 41)]
     found = read_episode(raw(sorted(states + orders, key=lambda m: m[1])), PLANT.layout)
     assert found.observations[:, 0].tolist() == [3.0, 4.0, 5.0, 6.0, 7.0]
-    assert found.commands[:, 0].tolist() == [25.0, 40.0, 41.0, 41.0, 41.0]
+    assert found.commands[:, 0].tolist() == [25.0, 0.1 * 40.0 + 0.9 * 41.0, 41.0, 41.0, 41.0]
+
+
+def test_a_command_between_samples_acts_for_its_part_of_the_interval():
+    """Fast and offset commands: the identified drive gain stays true, which it does not if a sample's command is held."""
+    rng, dt, n = np.random.default_rng(0), 10_000_000, 4000
+    fine = rng.uniform(-1, 1, n + 5)
+    states = np.zeros((n, 2))
+    for i in range(n - 1):
+        states[i + 1] = PLANT.update(states[i : i + 1], fine[i : i + 1, None], (1.25, 0.62, 0.82), dt / 1e9)[0]
+    for offset in (0, 2):
+        every = [(i * dt, states[i]) for i in range(offset, n, 5)]
+        messages = [("/joint_states", 1 + t, {"name": ["j"], "position": [q], "velocity": [v]}) for t, (q, v) in every]
+        messages += [("/joint_commands", 1 + i * dt, {"name": ["j"], "effort": [fine[i]]}) for i in range(n)]
+        found = read_episode(raw(sorted(messages, key=lambda m: m[1])), PLANT.layout)
+        assert identify(PLANT, [found])[1].parameters["b"] == pytest.approx(0.82, rel=0.03)
+
+
+@pytest.mark.parametrize(("channel", "said"), [(Channel("q", "m", Field.POSITION, "other"), "q"), (Channel("u", "V", Field.VELOCITY), "u")])
+def test_a_position_or_a_command_that_the_log_lacks_is_refused_by_name(channel, said):
+    observations = (channel, PLANT.layout.observations[1]) if said == "q" else PLANT.layout.observations
+    commands = (channel,) if said == "u" else PLANT.layout.commands
+    with pytest.raises(NotAnEpisode) as refused:
+        read_episode(episode_bytes(), Layout(observations, commands))
+    assert (refused.value.facts["rule"], refused.value.facts["channel"]) == ("samples", said)
+
+
+def test_two_clocks_are_not_mixed():
+    messages = []
+    for i in range(1, 30):
+        header = {"stamp": {"sec": 0, "nanosec": i}}
+        messages += [("/joint_states", i * 10**9, {"name": ["j"], "position": [0.1 * i], "velocity": [0.0]})]
+        messages += [("/joint_commands", i * 10**9, {"header": header, "name": ["j"], "effort": [float(i)]})]
+    assert read_episode(raw(messages), PLANT.layout).commands[:, 0].tolist() == [float(i) for i in range(1, 30)]
 
 
 def test_log_time_counts_where_every_stamp_is_zero():
     found = read_episode(raw([m for i in range(1, 5) for m in pair(i * 10**9)]), PLANT.layout)
     assert found.t_s.tolist() == [0.0, 1.0, 2.0, 3.0]
 
+
+CDR_EMPTY = b"\0\1\0\0" + bytes(32)
 
 REFUSED = {
     "no role": (raw([m for i in range(3) for m in pair(i + 1)], metadata=()), "role"),
@@ -173,6 +209,20 @@ REFUSED = {
     "JSON that is none": (raw([("/joint_states", 1, b"{"), ("/joint_commands", 1, b"{}")]), "message"),
     "JSON of another shape": (raw([("/joint_states", 1, b"[1]"), ("/joint_commands", 1, b"{}")]), "message"),
     "a text as a number": (raw([*pair(1), ("/joint_states", 2, {"name": ["j"], "position": ["far"]})]), "message"),
+    "no overlap in time": (
+        raw([pair(1)[0], pair(2)[0], *(("/joint_commands", i, {"name": ["j"], "effort": [0.0]}) for i in (7, 8))]),
+        "clock",
+    ),
+    "a clock that was set": (raw([*pair(1), *pair(2), *pair(10**17)]), "clock"),
+    "infinity everywhere": (
+        raw([m for i in (1, 2) for m in (("/joint_states", i, {"name": ["j"], "position": [0.0], "velocity": [1e999]}), pair(i)[1])]),
+        "message",
+    ),
+    "a log time beyond 64 bits": (
+        raw([(t, 2**63 + i, CDR_EMPTY) for i in range(2) for t in ("/joint_states", "/joint_commands")], encoding="cdr"),
+        "clock",
+    ),
+    "CDR of another type": (raw([("/joint_states", 1, CDR_EMPTY)], encoding="cdr", schema="control_msgs/msg/JointJog"), "encoding"),
     "a stamp beyond 64 bits": (
         raw([("/joint_states", 1, {"header": {"stamp": {"sec": 10**30}}, "name": ["j"], "position": [0.0]})]),
         "clock",
@@ -201,6 +251,30 @@ def test_a_cdr_message_that_declares_too_much_is_refused():
     with pytest.raises(NotAnEpisode) as refused:
         read_episode(stream.getvalue(), LAYOUT)
     assert refused.value.facts["rule"] == "message"
+
+
+def test_conditions_are_a_page_of_text_at_most():
+    messages = [m for i in range(1, 4) for m in pair(i)]
+    for metadata in ({"role": "test", "note": "x" * 5000}, {"role": "test", **{f"k{i}": "" for i in range(99)}}):
+        with pytest.raises(TooLarge) as refused:
+            read_episode(raw(messages, metadata=(metadata,)), PLANT.layout)
+        assert refused.value.facts["limit"] == "conditions"
+
+
+def test_unchunked_messages_are_gathered(monkeypatch):
+    stream = io.BytesIO()
+    writer = Writer(stream, use_chunking=False)
+    writer.start()
+    schema = writer.register_schema("s", "jsonschema", b"{}")
+    channels = [writer.register_channel(t, "json", schema) for t in ("/joint_states", "/joint_commands")]
+    for i in range(1, 2000):
+        for channel, (_, t, message) in zip(channels, pair(i, q=float(i)), strict=True):
+            writer.add_message(channel, log_time=t, publish_time=t, data=json.dumps(message).encode())
+    writer.add_metadata("episode", {"role": "test"})
+    writer.finish()
+    for gather in (1, 5000, 1 << 20):
+        monkeypatch.setattr("trueup.episode.container.GATHER_BYTES", gather)
+        assert read_episode(stream.getvalue(), PLANT.layout).observations[:, 0].tolist() == [float(i) for i in range(1, 2000)]
 
 
 def test_a_role_is_required():

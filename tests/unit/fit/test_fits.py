@@ -1,12 +1,15 @@
 """Fits: what is recovered, from which data, and when they refuse."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from tests.support.made import TRUE, episode_bytes, mcap_bytes, plant_document
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
-from trueup.errors import BadArtifact, NotIdentifiable, RoleRefused
+from trueup.errors import BadArtifact, NotAnEpisode, NotIdentifiable, RoleRefused
 from trueup.fit.identify import identify
 from trueup.fit.least_squares import solve
 from trueup.fit.residual import fit_residual
@@ -15,6 +18,7 @@ from trueup.model.features import FRICTION
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
 
+EMPS = Path(__file__).parents[3] / "examples" / "emps"
 PLANT = Plant.from_document(plant_document())
 
 
@@ -84,24 +88,32 @@ def test_the_score_is_the_error_norm_in_declared_scales(horizon):
     assert found.one_step[0] == pytest.approx(by_hand[0], rel=1e-12)
 
 
-class TestOnTheRealAxis:
-    """EMPS: figures reached on the validation part, from fits on the adaptation part alone."""
+@pytest.mark.parametrize("windows", ["first", "every"])
+def test_an_episode_without_a_window_is_refused_by_name(windows):
+    stamps = np.array([0, 3, 6]) * 10**9
+    sparse = read_episode(
+        mcap_bytes(PLANT.layout, np.zeros((3, 2)), np.zeros((3, 1)), role=Role.VALIDATION, stamps_ns=stamps), PLANT.layout
+    )
+    with pytest.raises(NotAnEpisode) as refused:
+        score(Nominal(PLANT), [sparse], Scoring(2.0, windows))
+    assert refused.value.facts["digest"] == sparse.digest
 
-    @pytest.fixture(scope="class")
-    def case(self, request):
-        import json
-        from pathlib import Path
 
-        folder = Path(__file__).parents[3] / "examples" / "emps"
-        plant = Plant.from_document(json.loads((folder / "plant.json").read_text()))
-        return plant, [read_episode(p.read_bytes(), plant.layout) for p in sorted(folder.glob("*.mcap"))]
+def test_the_first_window_is_the_first_that_can_be_scored():
+    stamps = np.r_[0, 5_000_000_000 + np.arange(50) * 50_000_000]
+    late = read_episode(
+        mcap_bytes(PLANT.layout, np.zeros((51, 2)), np.zeros((51, 1)), role=Role.VALIDATION, stamps_ns=stamps), PLANT.layout
+    )
+    assert score(Nominal(PLANT), [late], Scoring(2.0)).rollout.tolist() == [0.0]
 
-    def test_friction_features_bring_the_error_below_a_millimetre(self, case):
-        plant, episodes = case
-        adaptation = [e for e in episodes if e.role is Role.ADAPTATION]
-        validation = [e for e in episodes if e.role is Role.VALIDATION]
-        predictors = Nominal(plant), identify(plant, adaptation)[0], fit_residual(plant, adaptation, FRICTION)[0]
-        nominal, identified, friction = (max(float(rollout_rms(p, e, 1.0)[0]) for e in validation) for p in predictors)
-        assert nominal > 0.025
-        assert identified < 0.0075
-        assert friction < 0.001
+
+def test_friction_features_bring_a_real_axis_below_a_millimetre():
+    """EMPS: figures on its validation part, from fits on its adaptation part alone."""
+    plant = Plant.from_document(json.loads((EMPS / "plant.json").read_text()))
+    episodes = [read_episode(p.read_bytes(), plant.layout) for p in sorted(EMPS.glob("*.mcap"))]
+    adaptation, validation = ([e for e in episodes if e.role is role] for role in (Role.ADAPTATION, Role.VALIDATION))
+    predictors = Nominal(plant), identify(plant, adaptation)[0], fit_residual(plant, adaptation, FRICTION)[0]
+    nominal, identified, friction = (max(float(rollout_rms(p, e, 1.0)[0]) for e in validation) for p in predictors)
+    assert nominal > 0.025
+    assert identified < 0.0075
+    assert friction < 0.001

@@ -56,6 +56,39 @@ def test_a_start_is_not_lost_to_rounding():
     assert starts_every(t, 0.15).tolist() == list(range(0, 100, 3))
 
 
+def test_a_jump_of_the_clock_costs_no_memory_and_windows_go_on_behind_it():
+    t = np.r_[0.0, 1.76e9 + np.arange(100) * 0.05]
+    assert starts_every(t, 2.0).tolist() == [0, 1, *(1 + np.flatnonzero(np.diff(np.floor((t[1:] + 1e-9) / 2.0)) > 0) + 1).tolist()]
+
+
+def test_a_start_never_lies_behind_the_last_sample():
+    assert starts_every(np.array([0, 0.762394029, 3.242394028]), 0.31, 0.762394029).max() < 3
+
+
+def test_bursts_of_stamps_and_gaps_do_not_spoil_the_slope():
+    document = plant_document()
+    document["observations"] = document["observations"][:1]
+    plant = Plant.from_document(document)
+    bursts = np.sort(np.r_[np.arange(300) * 0.01, np.arange(300) * 0.01 + 1e-6])
+    gap = np.r_[np.arange(500) * 0.001, 1.03 + np.arange(500) * 0.001]
+    for t, known in ((bursts, slice(20, -20)), (gap, np.r_[10:490, 510:990])):
+        q = np.sin(6 * t)[:, None]
+        episode = read_episode(
+            mcap_bytes(plant.layout, q, np.zeros_like(q), stamps_ns=T0_NS + np.rint(t * 1e9).astype(np.int64)), plant.layout
+        )
+        assert np.abs(past_states(plant, episode)[known, 1] - 6 * np.cos(6 * t)[known]).max() < 0.15
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4])
+def test_a_short_episode_has_a_slope(samples):
+    document = plant_document()
+    document["observations"] = document["observations"][:1]
+    plant = Plant.from_document(document)
+    t = np.arange(samples) * 0.05
+    episode = read_episode(mcap_bytes(plant.layout, 3 * t[:, None], np.zeros((samples, 1))), plant.layout)
+    assert past_states(plant, episode)[-1, 1] == pytest.approx(3.0, rel=1e-6)
+
+
 def test_intervals_are_whole_steps_of_about_the_declared_length():
     h, n = intervals(np.array([0.0, 0.05, 0.1 + 1e-12, 0.16, 0.5]), 0.05)
     assert n.tolist() == [1, 1, 1, 7, 0]
