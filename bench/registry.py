@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.load import Load, get, run, send
 from bench.report import Figure, show
-from bench.servers import call, ours, peer
+from bench.servers import Peer, call, ours, peer
 from tests.support.made import plant_document
 from trueup.artifact.artifact import pack
 from trueup.canonical import digest_of
@@ -34,7 +34,7 @@ STAMP = Stamp("bench", "2026-01-01T00:00:00.000000Z")
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as folder, ours(Path(folder) / "ours") as (port, _, _), peer(Path(folder) / "peer") as (other, _):
+    with tempfile.TemporaryDirectory() as folder, ours(Path(folder) / "ours") as (port, _, _), peer(Path(folder) / "peer") as other:
         created, peer_created = _create(port, other)
         promoted, aliased = _promote(port, Path(folder) / "ours", other)
         many = _resolve(port, Path(folder) / "ours")
@@ -54,22 +54,23 @@ def main() -> None:
     )
 
 
-def _create(port: int, other: int) -> tuple[Load, Load]:
+def _create(port: int, other: Peer) -> tuple[Load, Load]:
     plant = Plant.from_document(plant_document("creating"))
     call(port, "POST", "/v1/plants", plant_document("creating"))
-    call(other, "POST", "/api/2.0/mlflow/registered-models/create", {"name": "creating"})
+    with other.awake() as where:
+        call(where, "POST", "/api/2.0/mlflow/registered-models/create", {"name": "creating"})
     manifests = iter([pack(Identified(plant, (1.0 + i / VERSIONS, 0.6, 0.8)), {}).manifest for i in range(VERSIONS)])
-    best: tuple[list[Load], list[Load]] = ([], [])
+    found: tuple[list[Load], list[Load]] = ([], [])
     body = json.dumps({"name": "creating", "source": "s3://bucket/m"}).encode()
     for _ in range(ROUNDS):
-        best[0].append(
+        found[0].append(
             run(port, [(send("POST", "/v1/plants/creating/artifacts", m) for m in manifests) for _ in range(CONNECTIONS)], SECONDS)
         )
-        best[1].append(
-            run(other, [_again(send("POST", "/api/2.0/mlflow/model-versions/create", body)) for _ in range(CONNECTIONS)], SECONDS)
-        )
-        assert set(best[0][-1].statuses) == {201}, best[0][-1].statuses
-    return _median(best[0]), _median(best[1])
+        assert set(found[0][-1].statuses) == {201}, found[0][-1].statuses
+        with other.awake() as where:
+            create = send("POST", "/api/2.0/mlflow/model-versions/create", body)
+            found[1].append(run(where, [_again(create) for _ in range(CONNECTIONS)], SECONDS))
+    return _median(found[0]), _median(found[1])
 
 
 def _again(request: bytes) -> Iterator[bytes]:
@@ -81,11 +82,13 @@ def _median(loads: list[Load]) -> Load:
     return sorted(loads, key=lambda load: load.rate)[len(loads) // 2]
 
 
-def _promote(port: int, data: Path, other: int) -> tuple[Load, Load]:
+def _promote(port: int, data: Path, other: Peer) -> tuple[Load, Load]:
     """Sixteen plants, each promoted again and again by decisions laid down before."""
     requests = [_decisions(port, data, f"moving-{i}") for i in range(CONNECTIONS)]
     body = json.dumps({"name": "creating", "alias": "champion", "version": "1"}).encode()
-    aliased = run(other, [_again(send("POST", "/api/2.0/mlflow/registered-models/alias", body)) for _ in range(CONNECTIONS)], SECONDS)
+    with other.awake() as where:
+        alias = send("POST", "/api/2.0/mlflow/registered-models/alias", body)
+        aliased = run(where, [_again(alias) for _ in range(CONNECTIONS)], SECONDS)
     promoted = run(port, [iter(r) for r in requests], 60.0)
     assert promoted.statuses == {200: CONNECTIONS * MOVES}, promoted.statuses
     return promoted, aliased
@@ -96,7 +99,7 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
     plant = Plant.from_document(plant_document(name))
     artifacts = [pack(Identified(plant, (k, 0.6, 0.8)), {}) for k in (1.1, 1.2)]
     for artifact in artifacts:
-        call(port, "POST", f"/v1/plants/{name}/artifacts", json.loads(artifact.manifest))
+        assert run(port, [iter([send("POST", f"/v1/plants/{name}/artifacts", artifact.manifest)])], 10.0).statuses == {201: 1}
     serving = call(port, "GET", f"/v1/plants/{name}/serving")["artifact"]
     parts, requests = build(Settings(data_dir=data)), []
     with parts.database.write() as connection:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -43,7 +44,7 @@ def ours(data: Path, worker: bool = False, **environment: str) -> Iterator[tuple
     port = free_port()
     command = [sys.executable, "-m", "trueup_cli.main", "serve", "--port", str(port), *([] if worker else ["--no-worker"])]
     began = time.perf_counter()
-    child = subprocess.Popen(command, env={**os.environ, "TRUEUP_DATA_DIR": str(data), **environment}, cwd=ROOT)
+    child = subprocess.Popen(command, env={**os.environ, "TRUEUP_DATA_DIR": str(data), **environment}, cwd=ROOT, stderr=subprocess.DEVNULL)
     try:
         first_200(f"http://127.0.0.1:{port}/healthz", child)
         yield port, child, time.perf_counter() - began
@@ -63,35 +64,40 @@ def install_peer() -> None:
     )
 
 
+class Peer:
+    """The running peer. It is stopped while ours is measured: even at rest its processes take a share of the cores."""
+
+    def __init__(self, port: int, group: int, start_s: float) -> None:
+        self.port, self._group, self.start_s = port, group, start_s
+
+    @contextmanager
+    def awake(self) -> Iterator[int]:
+        """The peer runs; its port."""
+        os.killpg(self._group, signal.SIGCONT)
+        try:
+            yield self.port
+        finally:
+            os.killpg(self._group, signal.SIGSTOP)
+
+
 @contextmanager
-def peer(data: Path, workers: int = 1) -> Iterator[tuple[int, float]]:
-    """Port and time to the first answer [s] of the peer, on SQLite and a folder."""
+def peer(data: Path, workers: int = 1) -> Iterator[Peer]:
+    """The peer on SQLite and a folder, asleep until it is measured."""
     install_peer()
     port = free_port()
     data.mkdir(parents=True)
-    arguments = [
-        "--backend-store-uri",
-        f"sqlite:///{data}/peer.db",
-        "--artifacts-destination",
-        str(data / "artifacts"),
-        "--port",
-        str(port),
-        "--workers",
-        str(workers),
-    ]
+    store = ["--backend-store-uri", f"sqlite:///{data}/peer.db", "--artifacts-destination", str(data / "artifacts")]
+    command = [str(PEER / "bin/mlflow"), "server", *store, "--port", str(port), "--workers", str(workers)]
     began = time.perf_counter()
-    child = subprocess.Popen(
-        [str(PEER / "bin/mlflow"), "server", *arguments],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        cwd=data,
-        start_new_session=True,
-    )
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=data, start_new_session=True)
     try:
         first_200(f"http://127.0.0.1:{port}/health", child)
-        yield port, time.perf_counter() - began
+        started = time.perf_counter() - began
+        os.killpg(child.pid, signal.SIGSTOP)
+        yield Peer(port, child.pid, started)
     finally:
-        os.killpg(child.pid, 15)
+        os.killpg(child.pid, signal.SIGCONT)
+        os.killpg(child.pid, signal.SIGTERM)
         child.wait()
 
 

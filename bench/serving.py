@@ -6,36 +6,32 @@ import json
 import tempfile
 from pathlib import Path
 
-from bench.load import forever, get, run
+from bench.load import Load, forever, get, run
 from bench.report import Figure, show
 from bench.servers import ROOT, call, ours, peer
 
+ASK = get("/v1/plants/emps/serving")
+SAME = get("/v1/plants/emps/serving", If_None_Match='"1"')
+ALIAS = get("/api/2.0/mlflow/registered-models/alias?name=m&alias=champion")
 SECONDS = 3.0
 ROUNDS = 3
 
 
 def main() -> None:
     plant = json.loads((ROOT / "examples/emps/plant.json").read_text())
-    with tempfile.TemporaryDirectory() as folder, ours(Path(folder) / "ours") as (port, _, _), peer(Path(folder) / "peer") as (other, _):
+    with tempfile.TemporaryDirectory() as folder, ours(Path(folder) / "ours") as (port, _, _), peer(Path(folder) / "peer") as other:
         call(port, "POST", "/v1/plants", plant)
-        _fill_peer(other)
-        ask = get("/v1/plants/emps/serving")
-        same = get("/v1/plants/emps/serving", If_None_Match='"1"')
-        alias = get("/api/2.0/mlflow/registered-models/alias?name=m&alias=champion")
-        loads = {}
+        with other.awake() as where:
+            _fill_peer(where)
+        loads: dict[str, list[Load]] = {}
         for _ in range(ROUNDS):
-            for name, where, request, connections in (
-                ("16", port, ask, 16),
-                ("1", port, ask, 1),
-                ("304", port, same, 16),
-                ("304 at 1", port, same, 1),
-                ("peer 16", other, alias, 16),
-                ("peer 1", other, alias, 1),
-            ):
-                load = run(where, [forever(request) for _ in range(connections)], SECONDS)
-                assert set(load.statuses) <= {200, 304}, load.statuses
-                loads.setdefault(name, []).append(load)
-        best = {name: sorted(found, key=lambda x: x.rate)[ROUNDS // 2] for name, found in loads.items()}
+            for name, request, connections in (("16", ASK, 16), ("1", ASK, 1), ("304", SAME, 16), ("304 at 1", SAME, 1)):
+                loads.setdefault(name, []).append(run(port, [forever(request) for _ in range(connections)], SECONDS))
+            with other.awake() as where:
+                for name, connections in (("peer 16", 16), ("peer 1", 1)):
+                    loads.setdefault(name, []).append(run(where, [forever(ALIAS) for _ in range(connections)], SECONDS))
+    assert all(set(load.statuses) <= {200, 304} for found in loads.values() for load in found)
+    best = {name: sorted(found, key=lambda load: load.rate)[ROUNDS // 2] for name, found in loads.items()}
     for name, load in best.items():
         print(f"{name:>9}: {load.line()}")
     ratio, single = best["16"].rate / best["peer 16"].rate, best["1"].rate / best["peer 1"].rate

@@ -7,9 +7,9 @@ that it still gives them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import orjson
@@ -34,6 +34,14 @@ class Artifact:
 
     manifest: bytes
     arrays: bytes
+
+    @staticmethod
+    def of(manifest: bytes, arrays: Callable[[Mapping[str, Json]], bytes]) -> Artifact:
+        """An artifact by its manifest and whatever fetches the arrays that its document names. Raises BadArtifact."""
+        document = read_manifest(manifest)
+        found = Artifact(manifest, arrays(document))
+        found.__dict__["document"] = document  # read once: it is what the cached property would give
+        return found
 
     @cached_property
     def digest(self) -> str:
@@ -82,7 +90,7 @@ def unpack(artifact: Artifact, digest: str | None = None) -> Predictor:
     document = artifact.document
     _require_arrays(document.get("arrays"), artifact.arrays)
     try:
-        plant = Plant.from_document(document["plant"]["document"])  # type: ignore[index,call-overload]
+        plant = _plant(orjson.dumps(document["plant"]["document"]))  # type: ignore[index,call-overload]
         kind = KINDS[str(document["kind"])]
         predictor = kind.restore(plant, document["predictor"], arrays_from_bytes(artifact.arrays))  # type: ignore[arg-type]
         answered = _answers(predictor, document["probe"])  # type: ignore[arg-type]
@@ -93,6 +101,12 @@ def unpack(artifact: Artifact, digest: str | None = None) -> Predictor:
     if not answered:
         raise BadArtifact("the predictor does not give the recorded outputs for the recorded inputs")
     return predictor
+
+
+@lru_cache(maxsize=256)
+def _plant(document: bytes) -> Plant:
+    """The plant of a manifest; many versions of a model share one."""
+    return Plant.from_document(orjson.loads(document))
 
 
 def _require_arrays(declared: Json, arrays: bytes) -> None:

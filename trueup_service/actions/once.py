@@ -15,14 +15,12 @@ class Key:
     """An idempotency key, what it is used for, and the digest of the request."""
 
     scope: str
-    value: str | None
+    value: str
     request: str
 
 
 def once(writer: Writer, key: Key, now: str, act: Callable[[], dict[str, Json]]) -> dict[str, Json]:
     """The response of `act`, or the one given before under this key. Raises KeyReused if that was to another request."""
-    if key.value is None:
-        return act()
     known = writer.remembered(key.scope, key.value)
     if known is None:
         response = act()

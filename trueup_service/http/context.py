@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import Annotated, Any
 
 from fastapi import Depends, Header, Path, Query, Request, Response
+from pydantic import BaseModel
 
 from trueup.canonical import Json, digest_of
 from trueup_service.actions.once import Key, once
@@ -55,19 +56,18 @@ def run_once(
     """Run an action in a transaction of its own, once under its idempotency key."""
     with parts.database.write() as connection:
         writer = Writer(connection)
-        return once(writer, Key(scope, key, digest_of(request)), stamp.now, lambda: act(writer))
+        return act(writer) if key is None else once(writer, Key(scope, key, digest_of(request)), stamp.now, lambda: act(writer))
 
 
 def create(
-    parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], tuple[Any, bool]], response: Response
-) -> dict[str, Any]:
-    """Run an action that makes something; 201 if it is new, 200 if it was there."""
+    parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], tuple[Any, bool]], kind: type[BaseModel]
+) -> Response:
+    """Run an action that makes something; 201 if it is new, 200 if it was there, with the record as `kind`."""
 
     def run(writer: Writer) -> dict[str, Any]:
         record, new = act(writer)
         return {"record": asdict(record), "new": new}
 
     answer = run_once(parts, stamp, scope, key, request, run)
-    response.status_code = 201 if answer["new"] else 200
-    record: dict[str, Any] = answer["record"]
-    return record
+    shown = kind.model_construct(**{name: answer["record"][name] for name in kind.model_fields})  # our own record: checked when it was made
+    return Response(shown.model_dump_json(), 201 if answer["new"] else 200, media_type="application/json")

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, Select, Table, func, insert, select, update
+from sqlalchemy import BindParameter, Connection, Select, Table, bindparam, func, insert, select, update
 from sqlalchemy.engine import RowMapping
 
 from trueup.canonical import Json, canonical_bytes
@@ -33,6 +33,21 @@ from trueup_service.registry.records import (
 R = TypeVar("R")
 _JSON = {"document", "summary", "request", "result", "facts"}
 
+# Statements of the busiest paths, built once: building one costs about as much as running it.
+_BY_PLANT: BindParameter[str] = bindparam("plant")
+_PLANT = select(t.plants).where(t.plants.c.name == _BY_PLANT)
+_LOCK_PLANT = select(t.plants.c.name).where(t.plants.c.name == _BY_PLANT).with_for_update()
+_ARTIFACT = select(t.artifacts).where(t.artifacts.c.plant == _BY_PLANT, t.artifacts.c.digest == bindparam("digest"))
+_LATEST_VERSION = select(func.max(t.artifacts.c.version)).where(t.artifacts.c.plant == _BY_PLANT)
+_SERVING = (
+    select(t.moves)
+    .join(t.serving, (t.moves.c.plant == t.serving.c.plant) & (t.moves.c.generation == t.serving.c.generation))
+    .where(t.serving.c.plant == _BY_PLANT)
+)
+_LOCK_HEAD = select(t.audit_head.c.sequence, t.audit_head.c.digest).with_for_update()
+_MOVE_HEAD = update(t.audit_head).values(sequence=bindparam("sequence"), digest=bindparam("digest"))
+_INSERT = {name: insert(table) for name, table in t.metadata.tables.items()}
+
 
 class Reader:
     """Questions, inside one transaction."""
@@ -41,7 +56,7 @@ class Reader:
         self.connection = connection
 
     def plant(self, name: str) -> PlantRecord | None:
-        return self._one(PlantRecord, select(t.plants).where(t.plants.c.name == name))
+        return self._one(PlantRecord, _PLANT, plant=name)
 
     def plants(self, after: str, limit: int) -> list[PlantRecord]:
         return self._all(PlantRecord, select(t.plants).where(t.plants.c.name > after).order_by(t.plants.c.name).limit(limit))
@@ -61,7 +76,7 @@ class Reader:
         return self._all(EpisodeRecord, query.order_by(t.episodes.c.start_ns, t.episodes.c.digest))
 
     def artifact(self, plant: str, digest: str) -> ArtifactRecord | None:
-        return self._one(ArtifactRecord, select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.digest == digest))
+        return self._one(ArtifactRecord, _ARTIFACT, plant=plant, digest=digest)
 
     def artifact_version(self, plant: str, version: int) -> ArtifactRecord | None:
         return self._one(ArtifactRecord, select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.version == version))
@@ -77,7 +92,7 @@ class Reader:
 
     def latest_version(self, plant: str) -> int:
         """The highest version of a plant, 0 for none."""
-        return int(self.connection.scalar(select(func.max(t.artifacts.c.version)).where(t.artifacts.c.plant == plant)) or 0)
+        return int(self.connection.scalar(_LATEST_VERSION, {"plant": plant}) or 0)
 
     def gate(self, plant: str, digest: str) -> GateRecord | None:
         return self._one(GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest == digest))
@@ -130,8 +145,7 @@ class Reader:
 
     def serving(self, plant: str) -> Move | None:
         """What serves now."""
-        joined = t.moves.join(t.serving, (t.moves.c.plant == t.serving.c.plant) & (t.moves.c.generation == t.serving.c.generation))
-        return self._one(Move, select(t.moves).select_from(joined).where(t.serving.c.plant == plant))
+        return self._one(Move, _SERVING, plant=plant)
 
     def move(self, plant: str, generation: int) -> Move | None:
         return self._one(Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation == generation))
@@ -166,8 +180,8 @@ class Reader:
         ).first()
         return (row.request_digest, json.loads(row.response)) if row else None
 
-    def _one(self, kind: type[R], query: Select[Any]) -> R | None:
-        row = self.connection.execute(query).mappings().first()
+    def _one(self, kind: type[R], query: Select[Any], **values: Any) -> R | None:
+        row = self.connection.execute(query, values).mappings().first()
         return None if row is None else _record(kind, row)
 
     def _all(self, kind: type[R], query: Select[Any]) -> list[R]:
@@ -204,7 +218,8 @@ class Writer(Reader):
 
     def lock_plant(self, plant: str) -> None:
         """Hold every other writer of this plant until the commit."""
-        self.connection.execute(select(t.plants.c.name).where(t.plants.c.name == plant).with_for_update())
+        if self.connection.dialect.name != "sqlite":  # there every writer holds all others from its beginning
+            self.connection.execute(_LOCK_PLANT, {"plant": plant})
 
     def update_job(
         self,
@@ -244,14 +259,14 @@ class Writer(Reader):
 
     def append_audit(self, *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]) -> AuditEntry:
         """Add the next entry of the log."""
-        head = self.connection.execute(select(t.audit_head.c.sequence, t.audit_head.c.digest).with_for_update()).one()
+        head = self.connection.execute(_LOCK_HEAD).one()
         entry = append((head.sequence, head.digest), at=at, kind=kind, actor=actor, plant=plant, subject=subject, facts=facts)
         self._add(t.audit, asdict(entry))
-        self.connection.execute(update(t.audit_head).values(sequence=entry.sequence, digest=entry.digest))
+        self.connection.execute(_MOVE_HEAD, {"sequence": entry.sequence, "digest": entry.digest})
         return entry
 
     def _add(self, table: Table, values: dict[str, Any]) -> None:
-        self.connection.execute(insert(table).values({k: _text(v) if k in _JSON and v is not None else v for k, v in values.items()}))
+        self.connection.execute(_INSERT[table.name], {k: _text(v) if k in _JSON and v is not None else v for k, v in values.items()})
 
 
 def _text(document: Any) -> str:

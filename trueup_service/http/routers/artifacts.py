@@ -52,25 +52,26 @@ def get_blob(parts: With, digest: DigestPath) -> StreamingResponse:
 @router.post(
     "/plants/{plant}/artifacts",
     status_code=201,
+    response_model=Artifact,
     summary="Add an artifact as the next version",
     responses=there(Artifact),
     openapi_extra=MANIFEST,
 )
-async def add(request: Request, parts: With, stamp: By, plant: PlantName, response: Response, key: IdempotencyKey = None) -> Artifact:
+async def add(request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None) -> Response:
     """The body is the manifest's exact bytes; arrays that it names were uploaded before. The predictor must load and answer its probe."""
     manifest = await request.body()
-    return Artifact(**await run_in_threadpool(_add, parts, stamp, plant, manifest, key, response))
+    return await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
 
 
-def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | None, response: Response) -> dict[str, Any]:
+def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | None) -> Response:
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
     from trueup.artifact.artifact import unpack  # noqa: PLC0415
     from trueup_service.actions.add_artifact import add_artifact  # noqa: PLC0415
 
-    artifact = Bytes(manifest, _arrays(parts.blobs, Bytes(manifest, b"").document))
+    artifact = Bytes.of(manifest, lambda document: _arrays(parts.blobs, document))
     unpack(artifact)
     request = {"digest": artifact.digest}
-    return create(parts, stamp, f"artifacts/{plant}", key, request, lambda w: add_artifact(w, plant, artifact, None, stamp), response)
+    return create(parts, stamp, f"artifacts/{plant}", key, request, lambda w: add_artifact(w, plant, artifact, None, stamp), Artifact)
 
 
 def _arrays(blobs: Blobs, manifest: Mapping[str, Any]) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from datetime import UTC, datetime
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -23,15 +23,15 @@ from trueup_service.http.serving_answers import document
 from trueup_service.http.uploads import Received, received
 from trueup_service.inspection import Inspected, inspect_upload
 from trueup_service.registry.records import EpisodeRecord, Move
-from trueup_service.registry.store import Reader
+from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
 
 router = APIRouter(prefix="/v1/plants/{plant}/episodes", tags=["episodes"])
 MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 
 
-@router.post("", status_code=201, summary="Upload an episode", responses=there(Episode), openapi_extra=MCAP)
-async def upload(request: Request, parts: With, stamp: By, plant: PlantName, response: Response, key: IdempotencyKey = None) -> Episode:
+@router.post("", status_code=201, response_model=Episode, summary="Upload an episode", responses=there(Episode), openapi_extra=MCAP)
+async def upload(request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None) -> Response:
     """The body is an MCAP file. It is hashed while it streams and held against `Content-Digest` (RFC 9530) if that is sent.
 
     All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again are the same episode.
@@ -40,7 +40,7 @@ async def upload(request: Request, parts: With, stamp: By, plant: PlantName, res
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         known = await run_in_threadpool(_known, parts, plant, file.digest)
         inspected = known or await _inspect(request, parts, file, description)
-        return Episode(**await run_in_threadpool(_ingest, parts, stamp, plant, key, file, inspected, response))
+        return await run_in_threadpool(_ingest, parts, stamp, plant, key, file, inspected)
 
 
 def _description(parts: Parts, plant: str) -> dict[str, Json]:
@@ -60,20 +60,13 @@ async def _inspect(request: Request, parts: Parts, file: Received, description: 
         return await inspect_upload(file.path, description, parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s)
 
 
-def _ingest(
-    parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected, response: Response
-) -> dict[str, Any]:
+def _ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected) -> Response:
     parts.blobs.put(file.digest, file.path)
-    request = {"digest": file.digest}
-    return create(
-        parts,
-        stamp,
-        f"episodes/{plant}",
-        key,
-        request,
-        lambda w: ingest_episode(w, plant, file.digest, file.size_bytes, inspected, stamp),
-        response,
-    )
+
+    def act(writer: Writer) -> tuple[EpisodeRecord, bool]:
+        return ingest_episode(writer, plant, file.digest, file.size_bytes, inspected, stamp)
+
+    return create(parts, stamp, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)
 
 
 @router.get("", summary="List episodes")

@@ -19,25 +19,16 @@ JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
 JobRequest = Annotated[FitRequest | GateRequest, Body(discriminator="kind")]
 
 
-@router.post("/plants/{plant}/jobs", status_code=201, summary="Submit a fit or a trial", responses=there(Job))
-def submit(parts: With, stamp: By, plant: PlantName, request: JobRequest, response: Response, key: IdempotencyKey = None) -> Job:
+@router.post("/plants/{plant}/jobs", status_code=201, response_model=Job, summary="Submit a fit or a trial", responses=there(Job))
+def submit(parts: With, stamp: By, plant: PlantName, request: JobRequest, key: IdempotencyKey = None) -> Response:
     """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a trial held-out ones alone."""
     from trueup_service.actions.submit_job import submit_fit, submit_gate  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     chosen, job = request.model_dump(exclude={"kind"}, exclude_none=True), uuid.uuid4().hex
     act = submit_fit if request.kind == "fit" else submit_gate
     parts.queue.prepare()
-    return Job(
-        **create(
-            parts,
-            stamp,
-            f"jobs/{plant}",
-            key,
-            {"kind": request.kind, **chosen},
-            lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True),
-            response,
-        )
-    )
+    frozen = {"kind": request.kind, **chosen}
+    return create(parts, stamp, f"jobs/{plant}", key, frozen, lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True), Job)
 
 
 @router.get("/plants/{plant}/jobs", summary="List jobs, the newest first")
