@@ -62,18 +62,18 @@ def _verify(client: Client) -> None:
     out.print(f"{sequence} entries hold; head {digest}")
 
 
-def replay(plant: str, decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Recompute a decision from its gate, its artifacts and its episodes, here, and say whether it agrees; exit 4 if not.
 
     Parameters
     ----------
-    plant: name of the plant
     decision: digest of the decision
     """
     client = connect(url)
-    recorded = client.decision(plant, decision)["document"]
+    found = client.find_decision(decision)
+    recorded = found["document"]
     with progress("replay") as bar, tempfile.TemporaryDirectory() as folder:
-        recomputed = recompute(client, plant, recorded, Path(folder), bar)
+        recomputed = recompute(client, found["plant"], recorded, Path(folder), bar)
     differences = compare(recorded, recomputed)
     if as_json_:
         as_json({"decision": decision, "agrees": not differences, "differences": differences, "recomputed": recomputed})

@@ -144,6 +144,10 @@ class Client:
     def decision(self, plant: str, digest: str) -> Document:
         return self._get(f"/v1/plants/{plant}/decisions/{digest}")
 
+    def find_decision(self, digest: str) -> Document:
+        """A decision of whichever plant."""
+        return self._get(f"/v1/decisions/{digest}")
+
     # -- serving
 
     def serving(self, plant: str) -> Serving:

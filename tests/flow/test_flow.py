@@ -34,7 +34,7 @@ def flow(service, tmp_path_factory):
     arguments = "--model", str(work / "model"), "--episode", str(case / "3-validation.mcap"), "--horizon", "1.0"
     command(service, "predict", *arguments, "--out", str(work / "after.csv"))
     command(service, "predict", *arguments, "--out", str(work / "before.csv"), "--nominal")
-    said["replays"] = [run("replay", "emps", said[which]["digest"]) for which in ("accepted", "rejected")]
+    said["replays"] = [run("replay", said[which]["digest"]) for which in ("accepted", "rejected")]
     said["rolled_back"] = run("rollback", "emps")[0]
     said["history"] = run("serving", "emps", "--history")
     said["audit"] = run("audit", "emps")

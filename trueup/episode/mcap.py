@@ -17,11 +17,12 @@ from io import BytesIO
 from typing import BinaryIO, cast
 
 from trueup.episode.align import align
-from trueup.episode.container import LIMITS, Limits, Metadata, Walk
+from trueup.episode.container import LIMITS, Limits, Metadata
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Layout
 from trueup.episode.role import Role
 from trueup.episode.track import Gathering
+from trueup.episode.walk import Walk
 from trueup.errors import NotAnEpisode, TooLarge
 
 EPISODE_RECORD = "episode"

@@ -31,8 +31,12 @@ def job(reader: Reader, name: str) -> JobRecord:
     return _found(reader.job(name), "job", name)
 
 
+def any_decision(reader: Reader, digest: str) -> DecisionRecord:
+    return _found(reader.decision(digest), "decision", digest)
+
+
 def decision(reader: Reader, plant: str, digest: str) -> DecisionRecord:
-    found = _found(reader.decision(digest), "decision", digest)
+    found = any_decision(reader, digest)
     return _found(found if found.plant == plant else None, "decision", digest)
 
 

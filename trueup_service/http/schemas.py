@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
 T = TypeVar("T")
+A = TypeVar("A", bound="Answer")
 Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")]
 Time = Annotated[str, Field(description="UTC, ISO 8601 with microseconds", examples=["2026-01-31T12:00:00.000000Z"])]
 
@@ -35,6 +37,12 @@ class Page(BaseModel, Generic[T]):
 
     items: list[T]
     next: str | None = None
+
+
+def page(kind: type[A], found: Sequence[object], limit: int, cursor: str) -> Page[A]:
+    """Records as a page; `next` is the last one's `cursor` field, if there may be more."""
+    more = str(getattr(found[-1], cursor)) if len(found) == limit else None
+    return Page[A](items=[kind.model_validate(record) for record in found], next=more)
 
 
 class Plant(Answer):

@@ -273,7 +273,7 @@ def test_unchunked_messages_are_gathered(monkeypatch):
     writer.add_metadata("episode", {"role": "test"})
     writer.finish()
     for gather in (1, 5000, 1 << 20):
-        monkeypatch.setattr("trueup.episode.container.GATHER_BYTES", gather)
+        monkeypatch.setattr("trueup.episode.walk.GATHER_BYTES", gather)
         assert read_episode(stream.getvalue(), PLANT.layout).observations[:, 0].tolist() == [float(i) for i in range(1, 2000)]
 
 

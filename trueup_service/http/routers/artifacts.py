@@ -16,7 +16,7 @@ from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import DigestMismatch, Kept, NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Artifact, Page
+from trueup_service.http.schemas import Artifact, Page, page
 from trueup_service.http.uploads import Received, received
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.store import Reader
@@ -93,7 +93,7 @@ def list_artifacts(
         reader = Reader(connection)
         find.plant(reader, plant)
         found = reader.artifacts(plant, after, limit)
-    return Page(items=[Artifact.model_validate(a) for a in found], next=str(found[-1].version) if len(found) == limit else None)
+    return page(Artifact, found, limit, "version")
 
 
 @router.get("/plants/{plant}/artifacts/{digest}", summary="Get an artifact's registration")

@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from trueup_service.http.context import Limit, With
-from trueup_service.http.schemas import AuditEntry, AuditHead, Page
+from trueup_service.http.schemas import AuditEntry, AuditHead, Page, page
 from trueup_service.registry.store import Reader
 
 router = APIRouter(prefix="/v1/audit", tags=["audit"])
@@ -20,7 +20,7 @@ def list_entries(
     """Each entry's digest covers the one before it; filtered by plant they no longer form a chain."""
     with parts.database.read() as connection:
         found = Reader(connection).audit_entries(after, limit, plant)
-    return Page(items=[AuditEntry.model_validate(e) for e in found], next=str(found[-1].sequence) if len(found) == limit else None)
+    return page(AuditEntry, found, limit, "sequence")
 
 
 @router.get("/head", summary="The last entry's sequence and digest")

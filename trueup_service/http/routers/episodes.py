@@ -18,7 +18,7 @@ from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.errors import Kept
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving
+from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, page
 from trueup_service.http.serving_answers import document
 from trueup_service.http.uploads import Received, received
 from trueup_service.inspection import Inspected, inspect_upload
@@ -78,7 +78,7 @@ def list_episodes(
         reader = Reader(connection)
         find.plant(reader, plant)
         found = reader.episodes(plant, role, after, limit)
-    return Page(items=[Episode.model_validate(e) for e in found], next=found[-1].digest if len(found) == limit else None)
+    return page(Episode, found, limit, "digest")
 
 
 @router.get("/{digest}", summary="Get an episode with what was serving while it was recorded")

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Body, Query, Response
 from trueup_service.actions import find
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Gate, Page
+from trueup_service.http.schemas import Gate, Page, page
 from trueup_service.registry.store import Reader
 
 router = APIRouter(prefix="/v1/plants/{plant}/gates", tags=["gates"])
@@ -35,7 +35,7 @@ def list_gates(parts: With, plant: PlantName, after: Annotated[str, Query(max_le
         reader = Reader(connection)
         find.plant(reader, plant)
         found = reader.gates(plant, after, limit)
-    return Page(items=[Gate.model_validate(g) for g in found], next=found[-1].digest if len(found) == limit else None)
+    return page(Gate, found, limit, "digest")
 
 
 @router.get("/{digest}", summary="Get a gate")

@@ -11,7 +11,7 @@ from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
 from trueup_service.http.context import END_OF_TIME, Before, By, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import FitRequest, GateRequest, Job, JobWithReads, Page
+from trueup_service.http.schemas import FitRequest, GateRequest, Job, JobWithReads, Page, page
 from trueup_service.registry.store import Reader, Writer
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
@@ -37,7 +37,7 @@ def list_jobs(parts: With, plant: PlantName, before: Before = END_OF_TIME, limit
         reader = Reader(connection)
         find.plant(reader, plant)
         found = reader.jobs(plant, before, limit)
-    return Page(items=[Job.model_validate(j) for j in found], next=found[-1].created_at if len(found) == limit else None)
+    return page(Job, found, limit, "created_at")
 
 
 @router.get("/jobs/{job}", summary="Get a job with its progress and what it has read")

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Body, Query, Response
 from trueup_service.actions import find
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Page, Plant
+from trueup_service.http.schemas import Page, Plant, page
 from trueup_service.registry.store import Reader
 
 router = APIRouter(prefix="/v1/plants", tags=["plants"])
@@ -32,7 +32,7 @@ def register(
 def list_plants(parts: With, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100) -> Page[Plant]:
     with parts.database.read() as connection:
         found = Reader(connection).plants(after, limit)
-    return Page(items=[Plant.model_validate(p) for p in found], next=found[-1].name if len(found) == limit else None)
+    return page(Plant, found, limit, "name")
 
 
 @router.get("/{plant}", summary="Get a plant")

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from trueup.episode.container import LIMITS, MAGIC, Limits, Op, Walk
+from trueup.episode.container import LIMITS, MAGIC, Limits, Op
+from trueup.episode.walk import Walk
 from trueup.errors import BadEpisode, MalformedMcap, TooLarge
 
 CONFORMANCE = sorted((Path(__file__).parents[2] / "golden" / "mcap-conformance").glob("*.mcap"))
