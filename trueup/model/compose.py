@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -30,18 +29,15 @@ PARALLEL_LANE_STEPS = 200_000  # below this, about 0.3 ms of work, handing it to
 
 @cache
 def kernel(family: type[Family], width: int) -> Callable[..., None]:
-    """The compiled rollout of a family in blocks of `width` lanes."""
+    """The compiled rollout of a family in blocks of `width` lanes.
+
+    What it closes over must pickle to the same bytes in each process, or the kernel would be compiled anew in each: plain values
+    and functions of modules, no nested function.
+    """
     acceleration = register_jitable(family.acceleration)
     count = len(family.params)
     zeros = (0.0,) * count
     digest = source_digest(family.acceleration)
-
-    @register_jitable  # type: ignore[untyped-decorator]
-    def vector(parameters: Any, lane: int) -> Any:
-        values = zeros
-        for j in range(count):
-            values = tuple_setitem(values, j, parameters[j, lane])
-        return values
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def run(parameters, initial, applied, h_s, steps, out, first, last):  # type: ignore[no-untyped-def]
@@ -62,7 +58,10 @@ def kernel(family: type[Family], width: int) -> Callable[..., None]:
                     u, h = applied[w, i], h_s[w, i]
                     for _ in range(steps[w, i]):
                         for lane in range(width):
-                            after = v[lane] + h * acceleration(q[lane], v[lane], u, *vector(p, lane))
+                            values = zeros
+                            for j in range(count):
+                                values = tuple_setitem(values, j, p[j, lane])
+                            after = v[lane] + h * acceleration(q[lane], v[lane], u, *values)
                             v[lane] = after
                             q[lane] = q[lane] + h * after
 

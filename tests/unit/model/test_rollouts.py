@@ -1,12 +1,15 @@
 """States, windows and rollouts."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 from tests.support.made import T0_NS, TRUE, episode_bytes, mcap_bytes, plant_document
 from trueup.episode.mcap import read_episode
 from trueup.errors import BadArtifact
-from trueup.model.compose import BLOCK, rollout
+from trueup.model.compose import BLOCK, compile_all, rollout
 from trueup.model.family import families
 from trueup.model.features import FRICTION, design, known_features
 from trueup.model.plant import Plant
@@ -151,3 +154,16 @@ def test_a_predictor_that_runs_away_says_so_in_its_numbers():
     wild = Residual(PLANT, LinearMap(("q*q", "v*v"), np.full((2, 2), 50.0)))
     episode = read_episode(episode_bytes(), PLANT.layout)
     assert not np.isfinite(wild.rollout(cut(PLANT, episode, starts_every(episode.t_s, 5.0)))).all()
+
+
+def test_a_kernel_is_compiled_once_and_then_loaded_by_every_process():
+    code = (
+        "import numpy as np; from trueup.model import compose; from trueup.model.family import families\n"
+        "for name, family in families().items():\n"
+        "    for width, vectors in ((compose.ALONE, 1), (compose.BLOCK, compose.BLOCK)):\n"
+        "        z = np.zeros((1, 2)); p = np.ones((vectors, len(family.params)))\n"
+        "        compose.rollout(family, p, z, z, z, np.zeros((1, 2), np.int64))\n"
+        "        assert compose.kernel(family, width).stats.cache_hits.total() == 1, name\n"
+    )
+    compile_all()
+    subprocess.run([sys.executable, "-c", code], check=True)
