@@ -82,7 +82,8 @@ def _one(name: str, folder: Path) -> list[Figure]:
         "c": lambda: in_c("rollout"),
         "c in blocks": lambda: in_c("blocked"),
         "one core": lambda: run(padded, *arguments, ours, 0, VECTORS),
-        "both cores": lambda: compose.rollout(family, parameters, *arguments),
+        "whole call, one core": lambda: _whole(family, parameters, arguments, 1),
+        "whole call, both cores": lambda: _whole(family, parameters, arguments, 2),
     }
     best = dict.fromkeys(tries, np.inf)
     for _ in range(ROUNDS):
@@ -98,12 +99,18 @@ def _one(name: str, folder: Path) -> list[Figure]:
         Figure(f"{name}: one core, beside C in the same blocks", f"{ns['c in blocks'] / ns['one core']:.2f} x"),
         Figure(
             f"{name}: whole call on both cores, beside one core",
-            f"{ns['one core'] / ns['both cores']:.2f} x",
+            f"{ns['whole call, one core'] / ns['whole call, both cores']:.2f} x",
             "> 1 x",
-            ns["both cores"] < ns["one core"],
+            ns["whole call, both cores"] < ns["whole call, one core"],
         ),
         Figure(f"{name}: time", f"{ns['one core']:.2f} ns a lane-step"),
     ]
+
+
+def _whole(family, parameters, arguments, cores):
+    """The call as fits make it, allocation included, on so many cores."""
+    compose.cores = lambda: cores
+    return compose.rollout(family, parameters, *arguments)
 
 
 def _compile(name: str, folder: Path) -> ctypes.CDLL:

