@@ -70,8 +70,11 @@ def demo(case: Path = EXAMPLE, *, work: Path = Path(".trueup/demo")) -> None:
         client = Client(url, actor="demo")
         _upload(client, told)
         best = _fit_and_gate(client, told)
-        _promote_and_predict(client, told, best)
-        _roll_back(client, told)
+        if best is None:
+            out.print("\nNo candidate was accepted: the nominal model keeps serving.")
+        else:
+            _promote_and_predict(client, told, best)
+            _roll_back(client, told)
         _audit(client)
     out.print(f"\n[dim]done in {time.monotonic() - began:.0f} s; storage, model and picture are in {work}[/]")
 
@@ -134,8 +137,8 @@ def _upload(client: Client, case: Case) -> None:
     )
 
 
-def _fit_and_gate(client: Client, case: Case) -> dict[str, Any]:
-    """The decision on the candidate with the smallest rollout error among those accepted."""
+def _fit_and_gate(client: Client, case: Case) -> dict[str, Any] | None:
+    """The decision on the candidate with the smallest rollout error among those accepted, if any."""
     _say(2, "Declare the gate, before anything is scored")
     gate = client.declare_gate(case.name, json.loads((case.folder / "gate.json").read_text()))
     out.print(
@@ -165,7 +168,7 @@ def _fit_and_gate(client: Client, case: Case) -> dict[str, Any]:
         [("nominal (serving)", "", float(np.mean(nominal["rollout"])), float(np.mean(nominal["one_step"])), "baseline"), *rows],
     )
     accepted = [d for d in decisions if d["accepted"]]
-    return min(accepted, key=lambda d: float(np.mean(d["document"]["figures"]["candidate"]["rollout"])))
+    return min(accepted, key=lambda d: float(np.mean(d["document"]["figures"]["candidate"]["rollout"])), default=None)
 
 
 def _promote_and_predict(client: Client, case: Case, decision: dict[str, Any]) -> None:

@@ -51,7 +51,7 @@ class BadRequest(TrueupError):
     """The request cannot be understood."""
 
     code = "bad-request"
-    hint = "Compare the request with /docs."
+    hint = "Compare the request with /openapi.json."
 
 
 class SwitchbackFailed(TrueupError):

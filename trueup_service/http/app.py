@@ -33,7 +33,7 @@ def create_app(parts: Parts) -> FastAPI:
         yield
         parts.close()
 
-    app = FastAPI(title="trueup", version=__version__, description=DESCRIPTION, lifespan=alive)
+    app = FastAPI(title="trueup", version=__version__, description=DESCRIPTION, lifespan=alive, docs_url=None, redoc_url=None)
     app.state.parts = parts
     problems.install(app)
     openapi.install(app)

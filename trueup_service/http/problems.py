@@ -84,14 +84,14 @@ def install(app: FastAPI) -> None:
             HTTPStatus.UNPROCESSABLE_ENTITY,
             "invalid-request",
             f"{first['field']}: {first['message']}",
-            "Correct the named fields; /docs shows what each takes.",
+            "Correct the named fields; /openapi.json shows what each takes.",
             {"fields": found},
         )
 
     @app.exception_handler(HTTPException)
     def _plain(request: Request, error: HTTPException) -> Response:
         code = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
-        answer = problem(request, error.status_code, code, str(error.detail), "Compare the request with /docs.")
+        answer = problem(request, error.status_code, code, str(error.detail), "Compare the request with /openapi.json.")
         answer.headers.update(error.headers or {})
         return answer
 
