@@ -1,9 +1,4 @@
-"""JointState messages: bytes to columns, in ROS 2 CDR, JSON and protobuf.
-
-A recorder writes the same structure thousands of times. The CDR decoder reads one message, then takes every other one of
-the same length whose structure bytes are equal as a row of a matrix; only what differs is read by itself.
-Source: OMG Common Data Representation (DDS-XTypes 1.3, section 7.4.3); sensor_msgs/msg/JointState (ROS 2).
-"""
+"""JointState messages, and topics of them as columns."""
 
 from __future__ import annotations
 
@@ -12,16 +7,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import orjson
 from numpy.typing import NDArray
 
-from trueup.episode.container import Block, Message, Topic
+from trueup.episode.container import Block, Message
 from trueup.episode.layout import Channel, Field
 from trueup.errors import NotAnEpisode
 
 FIELDS = tuple(Field)
-CDR_HEAD_BYTES = 4
-ROS2_NAMES = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState", "sensor_msgs::msg::dds_::JointState_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +30,12 @@ class JointState:
 
     def _one(self, channel: Channel) -> float:
         values = self.values[FIELDS.index(channel.field)]
-        at = _joint_index(self.names, channel.joint)
+        at = joint_index(self.names, channel.joint)
         return float(values[at]) if at is not None and at < len(values) else float("nan")
 
 
-def _joint_index(names: tuple[str, ...], joint: str | None) -> int | None:
+def joint_index(names: tuple[str, ...], joint: str | None) -> int | None:
+    """Where a joint stands in a message, the first one if none is named; None if it is not there."""
     if joint is None:
         return 0
     return names.index(joint) if joint in names else None
@@ -57,28 +50,8 @@ class Columns:
     values: NDArray[np.float64]
 
 
-Decoder = Callable[[Block, list[Message], Sequence[Channel]], Columns]
-
-
-def decoder(topic: Topic) -> Decoder:
-    """The decoder for a topic's encoding. Raises NotAnEpisode."""
-    if topic.encoding == "cdr":
-        if topic.schema is not None and topic.schema.name not in ROS2_NAMES:
-            raise NotAnEpisode(f"topic {topic.name} carries {topic.schema.name!r}, not JointState", rule="encoding", topic=topic.name)
-        return _decode_cdr
-    if topic.encoding == "json":
-        return lambda block, messages, channels: _decode_each(block, messages, channels, _read_json)
-    if topic.encoding == "protobuf" and topic.schema is not None:
-        from trueup.episode.protobuf import reader  # noqa: PLC0415  (protobuf loads slowly, few logs need it)
-
-        read = reader(topic.schema)
-        return lambda block, messages, channels: _decode_each(block, messages, channels, read)
-    raise NotAnEpisode(
-        f"topic {topic.name} is encoded as {topic.encoding!r}; cdr, json and protobuf are read", rule="encoding", topic=topic.name
-    )
-
-
-def _decode_each(block: Block, messages: Iterable[Message], channels: Sequence[Channel], read: Callable[[bytes], JointState]) -> Columns:
+def decode_each(block: Block, messages: Iterable[Message], channels: Sequence[Channel], read: Callable[[bytes], JointState]) -> Columns:
+    """Columns of messages read one by one. Raises NotAnEpisode for one that `read` refuses."""
     log, stamps, rows = [], [], []
     for start, length, log_ns in messages:
         try:
@@ -93,119 +66,3 @@ def _decode_each(block: Block, messages: Iterable[Message], channels: Sequence[C
         return Columns(np.array(log, np.int64), np.array(stamps, np.int64), np.array(rows, np.float64).reshape(len(rows), len(channels)))
     except OverflowError as error:
         raise NotAnEpisode("a time stamp does not fit 64 bits", rule="clock", byte=block.byte) from error
-
-
-# -- JSON
-
-
-def _read_json(data: bytes) -> JointState:
-    message = orjson.loads(data)
-    stamp = (message.get("header") or {}).get("stamp") or {}
-    values = tuple([_number(x) for x in message.get(f) or ()] for f in FIELDS)
-    return JointState(_stamp_ns(stamp), tuple(map(str, message.get("name") or ())), values)
-
-
-def _number(value: object) -> float:
-    return float("nan") if value is None else float(value)  # type: ignore[arg-type]
-
-
-def _stamp_ns(stamp: dict[str, int]) -> int:
-    seconds = next((stamp[k] for k in ("sec", "secs", "seconds") if k in stamp), 0)
-    nanoseconds = next((stamp[k] for k in ("nanosec", "nsec", "nsecs", "nanos") if k in stamp), 0)
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
-
-
-# -- CDR
-
-
-@dataclass(frozen=True, slots=True)
-class _CdrShape:
-    """Where a message keeps its joint names and, for each field, its first value and how many there are."""
-
-    names: tuple[str, ...]
-    fields: tuple[tuple[int, int], ...]
-    order: str
-
-
-def _cdr_shape(data: bytes) -> _CdrShape:
-    if len(data) < CDR_HEAD_BYTES or data[0] != 0 or data[1] not in (0, 1):
-        raise ValueError("its encapsulation is not plain CDR")
-    order = "<" if data[1] else ">"
-    at = 12
-    _, at = _cdr_text(data, at, order)
-    count, at = _cdr_count(data, at, order, 5)
-    names = []
-    for _ in range(count):
-        name, at = _cdr_text(data, at, order)
-        names.append(name)
-    fields = []
-    for _ in FIELDS:
-        count, at = _cdr_count(data, at, order, 8)
-        at = at + (4 - at) % 8 if count else at  # eight-byte alignment counts from behind the four-byte head
-        fields.append((at, count))
-        at += 8 * count
-        if at > len(data):
-            raise ValueError("an array does not fit it")
-    return _CdrShape(tuple(names), tuple(fields), order)
-
-
-def _cdr_count(data: bytes, at: int, order: str, least_bytes: int) -> tuple[int, int]:
-    at += -at % 4
-    (count,) = struct.unpack_from(order + "I", data, at)
-    if count * least_bytes > len(data) + 8:
-        raise ValueError(f"it declares {count} entries")
-    return count, at + 4
-
-
-def _cdr_text(data: bytes, at: int, order: str) -> tuple[str, int]:
-    length, at = _cdr_count(data, at, order, 1)
-    if at + length > len(data):
-        raise ValueError("a string does not fit it")
-    return data[at : at + max(length - 1, 0)].decode(), at + length
-
-
-def _read_cdr(data: bytes) -> JointState:
-    shape = _cdr_shape(data)
-    seconds, nanoseconds = struct.unpack_from(shape.order + "iI", data, 4)
-    values = tuple(struct.unpack_from(f"{shape.order}{n}d", data, at) for at, n in shape.fields)
-    return JointState(seconds * 1_000_000_000 + nanoseconds, shape.names, values)
-
-
-def _decode_cdr(block: Block, messages: list[Message], channels: Sequence[Channel]) -> Columns:
-    try:
-        starts, lengths, log = np.array(messages, np.int64).reshape(-1, 3).T
-    except OverflowError as error:
-        raise NotAnEpisode("a log time does not fit 64 bits", rule="clock", byte=block.byte) from error
-    length = int(lengths[0])
-    first = block.data[messages[0][0] : messages[0][0] + length]
-    try:
-        shape = _cdr_shape(first)
-    except (ValueError, struct.error):
-        return _decode_each(block, messages, channels, _read_cdr)
-    if (lengths != length).any():
-        return _decode_each(block, messages, channels, _read_cdr)
-    rows = np.frombuffer(block.data, np.uint8)[starts[:, None] + np.arange(length)]
-    free = np.zeros(length, bool)
-    free[4:12] = True
-    for at, count in shape.fields:
-        free[at : at + 8 * count] = True
-    if (rows[:, ~free] != np.frombuffer(first, np.uint8)[~free]).any():
-        return _decode_each(block, messages, channels, _read_cdr)
-    return Columns(log, _cdr_stamps(rows, shape.order), _cdr_values(rows, shape, channels))
-
-
-def _cdr_stamps(rows: NDArray[np.uint8], order: str) -> NDArray[np.int64]:
-    seconds = np.ascontiguousarray(rows[:, 4:8]).view(order + "i4")[:, 0].astype(np.int64)
-    nanoseconds = np.ascontiguousarray(rows[:, 8:12]).view(order + "u4")[:, 0].astype(np.int64)
-    return seconds * 1_000_000_000 + nanoseconds
-
-
-def _cdr_values(rows: NDArray[np.uint8], shape: _CdrShape, channels: Sequence[Channel]) -> NDArray[np.float64]:
-    values = np.full((len(rows), len(channels)), np.nan)
-    for column, channel in enumerate(channels):
-        at, count = shape.fields[FIELDS.index(channel.field)]
-        joint = _joint_index(shape.names, channel.joint)
-        if joint is not None and joint < count:
-            begin = at + 8 * joint
-            values[:, column] = np.ascontiguousarray(rows[:, begin : begin + 8]).view(shape.order + "f8")[:, 0]
-    return values

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.episode.container import Block, Message, Topic
-from trueup.episode.joint_state import Columns, Decoder, decoder
+from trueup.episode.decoders import Decoder, decoder
+from trueup.episode.joint_state import Columns
 from trueup.episode.layout import Channel
 from trueup.errors import NotAnEpisode
 
