@@ -30,8 +30,8 @@ def canonical_bytes(value: Json) -> bytes:
     """The RFC 8785 bytes of a JSON value. Raises NotCanonical."""
     try:
         return rfc8785.dumps(value)
-    except rfc8785.CanonicalizationError as error:
-        raise NotCanonical(f"the value has no canonical form: {error}") from error
+    except (rfc8785.CanonicalizationError, UnicodeEncodeError, RecursionError) as error:
+        raise NotCanonical(f"the value has no canonical form: {type(error).__name__}: {ascii(str(error))[:200]}") from error
 
 
 def digest_of_bytes(data: bytes | memoryview) -> str:

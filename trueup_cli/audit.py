@@ -5,10 +5,12 @@ from __future__ import annotations
 import sys
 import tempfile
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 from cyclopts import Parameter
+from rich.markup import escape
 
+from trueup.errors import TrueupError
 from trueup_cli.options import DEFAULT_URL, Json, Url, connect
 from trueup_cli.show import as_json, err, moment, out, progress, table
 from trueup_client import Client
@@ -46,20 +48,78 @@ def audit(
 
 
 def _verify(client: Client) -> None:
+    """Hold the chain against its head, and everything that it tells against what the service answers with."""
     from trueup.errors import BrokenChain
     from trueup.ledger.audit import AuditEntry
     from trueup.ledger.audit import verify as verify_chain
 
     head = client.audit_head()
+    entries = [e for e in client.audit() if e["sequence"] <= head["sequence"]]
     try:
-        sequence, digest = verify_chain(AuditEntry(**e) for e in client.audit() if e["sequence"] <= head["sequence"])
+        last = verify_chain(AuditEntry(**e) for e in entries)
     except BrokenChain as error:
-        err.print(f"[bold red]broken[/] {error.message}")
-        sys.exit(EXIT_DISAGREES)
-    if (sequence, digest) != (head["sequence"], head["digest"]):
-        err.print(f"[bold red]cut[/] the log ends at {sequence}, its head says {head['sequence']}")
-        sys.exit(EXIT_DISAGREES)
-    out.print(f"{sequence} entries hold; head {digest}")
+        _disagree(error.message)
+    if last != (head["sequence"], head["digest"]):
+        _disagree(f"the log ends at {last[0]}, its head says {head['sequence']}")
+    with progress("holding what is served against the log") as bar:
+        for count, entry in enumerate(entries, 1):
+            _hold(client, entry)
+            bar(count / len(entries), entry["kind"])
+        for plant in {e["plant"] for e in entries if e["plant"]}:
+            _hold_moves(client, plant, [e for e in entries if e["plant"] == plant])
+    out.print(f"{last[0]} entries hold, and what they tell is what is served; head {last[1]}")
+
+
+def _disagree(what: str) -> NoReturn:
+    err.print(f"[bold red]disagrees[/] {escape(what)}", soft_wrap=True)
+    sys.exit(EXIT_DISAGREES)
+
+
+def _hold(client: Client, entry: dict[str, Any]) -> None:
+    """Is what an entry tells of still what the service gives for it?"""
+    from trueup.canonical import digest_of
+
+    plant, subject, facts = entry["plant"], entry["subject"], entry["facts"]
+    if entry["kind"] == "plant:registered":
+        found: Any = digest_of(client.plant(plant)["document"]), subject
+    elif entry["kind"] == "gate:declared":
+        found = digest_of(client.gate(plant, subject)["document"]), digest_of(facts["gate"])
+    elif entry["kind"] == "decision:made":
+        found = _told(client.find_decision(subject)), facts["decision"]
+    elif entry["kind"] == "artifact:added":
+        record = client.artifact(plant, subject)
+        found = (
+            (record["version"], record["kind"], record["arrays"], client.manifest_digest(plant, subject)),
+            (facts["version"], facts["kind"], facts["arrays"], subject),
+        )
+    elif entry["kind"] == "episode:ingested":
+        found = client.episode(plant, subject)["role"], facts["role"]
+    else:
+        return
+    if found[0] != found[1]:
+        _disagree(f"entry {entry['sequence']}, {entry['kind']} {subject[:12]}: the service gives something else")
+
+
+def _told(record: dict[str, Any]) -> dict[str, Any] | None:
+    """A decision's document, if it is the one that its digest names and the columns beside it say the same."""
+    from trueup.canonical import digest_of
+
+    document: dict[str, Any] = record["document"]
+    same = all(record[name] == document[name] for name in ("gate", "candidate", "incumbent", "generation", "accepted"))
+    return document if same and digest_of(document) == record["digest"] else None
+
+
+def _hold_moves(client: Client, plant: str, entries: list[dict[str, Any]]) -> None:
+    """Every position of the pointer must be told by an entry, and every entry must be a position."""
+    told = []
+    for entry in entries:
+        facts = entry["facts"]
+        if entry["kind"] == "plant:registered":
+            told.append((facts["generation"], "registered", facts["artifact"], entry["actor"]))
+        elif entry["kind"] == "pointer:moved":
+            told.append((facts["generation"], facts["move"], entry["subject"], entry["actor"]))
+    if told != [(m.generation, m.move, m.artifact, m.actor) for m in client.history(plant)]:
+        _disagree(f"the pointer of {plant} has positions that the log does not tell of, or not so")
 
 
 def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -71,9 +131,14 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
     """
     client = connect(url)
     found = client.find_decision(decision)
-    recorded = found["document"]
-    with progress("replay") as bar, tempfile.TemporaryDirectory() as folder:
-        recomputed = recompute(client, found["plant"], recorded, Path(folder), bar)
+    recorded = _told(found)
+    if recorded is None or found["digest"] != decision:
+        _disagree("the decision's document is not the one that its digest names, or its columns say something else")
+    try:
+        with progress("replay") as bar, tempfile.TemporaryDirectory() as folder:
+            recomputed = recompute(client, found["plant"], recorded, Path(folder), bar)
+    except TrueupError as error:
+        _disagree(f"{error.code}: {error.message}")
     differences = compare(recorded, recomputed)
     if as_json_:
         as_json({"decision": decision, "agrees": not differences, "differences": differences, "recomputed": recomputed})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from rich.text import Text
+
 from trueup.chapter.figures import Table, Value, run_chapter
 from trueup.chapter.published import PUBLISHED, printed_like
 from trueup_cli.options import Json
@@ -25,12 +27,12 @@ def chapter(*, as_json_: Json = False) -> None:
 def _show(found: Table) -> None:
     """Each row from the run, and below it the published digits, green where they agree."""
     columns = list(dict.fromkeys(c for row in found.rows.values() for c in row))
-    rows: list[list[str]] = []
+    rows: list[list[object]] = []
     for name, row in found.rows.items():
         digits = PUBLISHED.get(found.title, {}).get(name, {})
         rows.append([name, *(_cell(row[c], digits.get(c)) if c in row else "" for c in columns)])
         if digits:
-            rows.append(["[dim]  published[/]", *(_published(row[c], digits[c]) if c in digits else "" for c in columns)])
+            rows.append([Text("  published", "dim"), *(_published(row[c], digits[c]) if c in digits else "" for c in columns)])
     out.print()
     table(found.title, ["", *columns], rows)
 
@@ -41,8 +43,8 @@ def _cell(value: Value, digits: str | None) -> str:
     return f"{value:.5f}" if isinstance(value, float) else str(value)
 
 
-def _published(value: Value, digits: str) -> str:
-    return f"[green]{digits}[/]" if printed_like(value, digits) == digits else f"[bold red]{digits}[/]"
+def _published(value: Value, digits: str) -> Text:
+    return Text(digits, "green" if printed_like(value, digits) == digits else "bold red")
 
 
 def _agrees(found: Table, row: str, column: str, value: Value) -> bool | None:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.text import Text
 
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
@@ -158,7 +159,7 @@ def _fit_and_gate(client: Client, case: Case) -> dict[str, Any] | None:
                 artifact[:12],
                 figures["rollout_improves"],
                 figures["one_step_no_worse"],
-                "[green]accepted[/]" if decisions[-1]["accepted"] else "[red]rejected[/]",
+                Text("accepted", "green") if decisions[-1]["accepted"] else Text("rejected", "red"),
             )
         )
     nominal = decisions[0]["document"]["figures"]["incumbent"]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import sys
 
 from cyclopts import App
+from rich.markup import escape
 
 from trueup import __version__
 from trueup.errors import TrueupError
 from trueup_cli.show import err
-from trueup_client.problem import ClientError, Problem
+from trueup_client.problem import ClientError, Problem, Untrue
 
 EXIT_REFUSED, EXIT_UNREACHABLE, EXIT_DISAGREES = 1, 3, 4
 
@@ -49,6 +50,9 @@ def main() -> None:
     except Problem as problem:
         _complain(problem.code, problem.detail, problem.hint, problem.request_id)
         sys.exit(EXIT_REFUSED)
+    except Untrue as error:
+        _complain("untrue", str(error), "The bytes are not what their digest names: the stored copy is damaged, or was changed.")
+        sys.exit(EXIT_DISAGREES)
     except ClientError as error:
         _complain("unreachable", str(error), "Start it with `trueup serve`, or name it with --url or TRUEUP_URL.")
         sys.exit(EXIT_UNREACHABLE)
@@ -60,9 +64,9 @@ def main() -> None:
 
 
 def _complain(code: str, detail: str, hint: str, request_id: str | None = None) -> None:
-    err.print(f"[bold red]{code}[/] {detail}", soft_wrap=True)
+    err.print(f"[bold red]{escape(code)}[/] {escape(detail)}", soft_wrap=True)
     if hint:
-        err.print(f"  {hint}", soft_wrap=True)
+        err.print(f"  {escape(hint)}", soft_wrap=True)
     if request_id:
         err.print(f"  [dim]request {request_id}[/]")
 

@@ -10,8 +10,10 @@ from contextlib import contextmanager
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 out = Console(highlight=False)
 err = Console(stderr=True, highlight=False)
@@ -35,13 +37,15 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
     out.print(made)
 
 
-def cell(value: object) -> str:
-    """A value as a table shows it."""
+def cell(value: object) -> str | Text:
+    """A value as a table shows it; a Text keeps its colours, everything else is printed as it is."""
+    if isinstance(value, Text):
+        return value
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.5g}"
-    return "" if value is None else str(value)
+    return "" if value is None else escape(str(value))
 
 
 Bar = Callable[[float, str], None]

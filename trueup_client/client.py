@@ -11,14 +11,16 @@ import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
-from urllib.parse import urlencode
+from urllib.parse import quote, urlencode
 
 from trueup_client.connection import STREAM_BYTES, Connection
-from trueup_client.problem import Problem, Untrue
+from trueup_client.problem import Problem, Unreachable, Untrue
 from trueup_client.records import Document, Serving
 
 FINAL = ("succeeded", "failed", "cancelled")
 JOB_LOOK_S = 0.1
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 5.0
+NOT_MODIFIED = 304
 Share = Callable[[float], None]
 
 
@@ -46,7 +48,7 @@ class Client:
         return self._post("/v1/plants", document)
 
     def plant(self, name: str) -> Document:
-        return self._get(f"/v1/plants/{name}")
+        return self._get(f"/v1/plants/{_name(name)}")
 
     def plants(self) -> Iterator[Document]:
         return self._pages("/v1/plants", "after")
@@ -60,29 +62,35 @@ class Client:
             "Content-Type": "application/octet-stream",
             "Idempotency-Key": digest,
         }
-        return self._send("POST", f"/v1/plants/{plant}/episodes", lambda: _Watched(path, progress), headers)
+        return self._send("POST", f"/v1/plants/{_name(plant)}/episodes", lambda: _Watched(path, progress), headers)
 
     def episodes(self, plant: str, role: str | None = None) -> Iterator[Document]:
-        return self._pages(f"/v1/plants/{plant}/episodes", "after", **({"role": role} if role else {}))
+        return self._pages(f"/v1/plants/{_name(plant)}/episodes", "after", **({"role": role} if role else {}))
 
     def episode(self, plant: str, digest: str) -> Document:
         """An episode, with what was serving while it was recorded."""
-        return self._get(f"/v1/plants/{plant}/episodes/{digest}")
+        return self._get(f"/v1/plants/{_name(plant)}/episodes/{_name(digest)}")
 
     def download_episode(self, plant: str, digest: str, path: str | os.PathLike[str]) -> None:
         """Save an episode's bytes. Raises Untrue if they are not what the digest names."""
-        self._save(f"/v1/plants/{plant}/episodes/{digest}/content", digest, Path(path))
+        self._save(f"/v1/plants/{_name(plant)}/episodes/{_name(digest)}/content", digest, Path(path))
 
     # -- artifacts, gates, jobs, decisions
 
     def artifacts(self, plant: str) -> Iterator[Document]:
-        return self._pages(f"/v1/plants/{plant}/artifacts", "after")
+        return self._pages(f"/v1/plants/{_name(plant)}/artifacts", "after")
 
     def artifact(self, plant: str, digest: str) -> Document:
-        return self._get(f"/v1/plants/{plant}/artifacts/{digest}")
+        return self._get(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}")
+
+    def manifest_digest(self, plant: str, digest: str) -> str:
+        """SHA-256 of the manifest that the service keeps under this digest."""
+        return hashlib.sha256(
+            self._to.whole("GET", f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/manifest", lambda: None)
+        ).hexdigest()
 
     def version(self, plant: str, version: int) -> Document:
-        return self._get(f"/v1/plants/{plant}/versions/{version}")
+        return self._get(f"/v1/plants/{_name(plant)}/versions/{_name(version)}")
 
     def add_artifact(self, plant: str, manifest: bytes, arrays: bytes = b"") -> Document:
         """Add a version: first its arrays under their digest, then the manifest's exact bytes."""
@@ -91,32 +99,32 @@ class Client:
                 "PUT", f"/v1/blobs/{hashlib.sha256(arrays).hexdigest()}", lambda: arrays, {"Content-Type": "application/octet-stream"}
             )
         headers = {"Content-Type": "application/json", "Idempotency-Key": hashlib.sha256(manifest).hexdigest()}
-        return self._send("POST", f"/v1/plants/{plant}/artifacts", lambda: manifest, headers)
+        return self._send("POST", f"/v1/plants/{_name(plant)}/artifacts", lambda: manifest, headers)
 
     def fetch(self, plant: str, digest: str, folder: str | os.PathLike[str]) -> Path:
         """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte verified. Raises Untrue."""
         to = Path(folder)
         to.mkdir(parents=True, exist_ok=True)
         record = self.artifact(plant, digest)
-        self._save(f"/v1/plants/{plant}/artifacts/{digest}/manifest", digest, to / "manifest.json")
+        self._save(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/manifest", digest, to / "manifest.json")
         (to / "arrays.safetensors").unlink(missing_ok=True)
         if record["arrays"]:
-            self._save(f"/v1/blobs/{record['arrays']}", record["arrays"], to / "arrays.safetensors")
+            self._save(f"/v1/blobs/{_name(record['arrays'])}", record["arrays"], to / "arrays.safetensors")
         return to
 
     def declare_gate(self, plant: str, document: Document | None = None) -> Document:
         """Declare a gate before anything is scored by it; the default one without a document."""
-        return self._post(f"/v1/plants/{plant}/gates", document)
+        return self._post(f"/v1/plants/{_name(plant)}/gates", document)
 
     def gate(self, plant: str, digest: str) -> Document:
-        return self._get(f"/v1/plants/{plant}/gates/{digest}")
+        return self._get(f"/v1/plants/{_name(plant)}/gates/{_name(digest)}")
 
     def submit(self, plant: str, request: Document) -> Document:
         """Submit a job, such as {"kind": "fit", "method": "identify"} or {"kind": "gate", "candidate": …, "gate": …}."""
-        return self._post(f"/v1/plants/{plant}/jobs", request)
+        return self._post(f"/v1/plants/{_name(plant)}/jobs", request)
 
     def job(self, job: str) -> Document:
-        return self._get(f"/v1/jobs/{job}")
+        return self._get(f"/v1/jobs/{_name(job)}")
 
     def wait(self, job: str, progress: Callable[[Document], None] = lambda _: None) -> Document:
         """The job once it is final, `progress` called with it meanwhile. Raises Problem if it failed or was cancelled."""
@@ -136,54 +144,63 @@ class Client:
         return found
 
     def cancel(self, job: str) -> Document:
-        return self._post(f"/v1/jobs/{job}/cancel", None)
+        return self._post(f"/v1/jobs/{_name(job)}/cancel", None)
 
     def decisions(self, plant: str) -> Iterator[Document]:
-        return self._pages(f"/v1/plants/{plant}/decisions", "before")
+        return self._pages(f"/v1/plants/{_name(plant)}/decisions", "before")
 
     def decision(self, plant: str, digest: str) -> Document:
-        return self._get(f"/v1/plants/{plant}/decisions/{digest}")
+        return self._get(f"/v1/plants/{_name(plant)}/decisions/{_name(digest)}")
 
     def find_decision(self, digest: str) -> Document:
         """A decision of whichever plant."""
-        return self._get(f"/v1/decisions/{digest}")
+        return self._get(f"/v1/decisions/{_name(digest)}")
 
     # -- serving
 
     def serving(self, plant: str) -> Serving:
         """What serves now."""
-        return Serving(**self._get(f"/v1/plants/{plant}/serving"))
+        return Serving(**self._get(f"/v1/plants/{_name(plant)}/serving"))
 
     def watch(self, plant: str, wait_s: float = 30.0) -> Iterator[Serving]:
-        """What serves now, then again at each move, for ever; each look waits up to `wait_s` [s] at the service."""
-        tag = ""
+        """What serves now, then again at each move, for ever; each look waits up to `wait_s` [s] at the service.
+
+        A service that is away is asked again, ever less often; the watch goes on where it was. Raises Problem for a refusal.
+        """
+        tag, pause_s = "", FIRST_PAUSE_S
         while True:
-            headers = {"If-None-Match": tag} if tag else {}
-            with self._to.answer("GET", f"/v1/plants/{plant}/serving?wait_s={wait_s:g}", lambda: None, headers) as found:
-                body = found.read()
-                if found.status == 304:  # noqa: PLR2004
-                    continue
-                tag = found.headers["ETag"]
-            yield Serving(**json.loads(body))
+            try:
+                headers = {"If-None-Match": tag} if tag else {}
+                status, answered, body = self._to.tagged(
+                    "GET", f"/v1/plants/{_name(plant)}/serving?wait_s={wait_s:g}", lambda: None, headers
+                )
+            except Unreachable:
+                time.sleep(pause_s)
+                pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+                continue
+            pause_s = FIRST_PAUSE_S
+            if status != NOT_MODIFIED:
+                tag = answered["ETag"]
+                yield Serving(**json.loads(body))
 
     def history(self, plant: str) -> Iterator[Serving]:
         """Every position of the pointer, in order."""
-        return (Serving(**item) for item in self._pages(f"/v1/plants/{plant}/serving/history", "after"))
+        return (Serving(**item) for item in self._pages(f"/v1/plants/{_name(plant)}/serving/history", "after"))
 
     def served_at(self, plant: str, at: str) -> Serving | None:
         """What was live at a time: UTC, ISO 8601, ending in Z."""
-        items = self._get(f"/v1/plants/{plant}/serving/history?{urlencode({'at': at})}")["items"]
+        items = self._get(f"/v1/plants/{_name(plant)}/serving/history?{urlencode({'at': at})}")["items"]
         return Serving(**items[0]) if items else None
 
     def promote(self, plant: str, decision: str, expected_generation: int) -> Serving:
         """Serve the candidate of an accepted decision, if the pointer has not moved since."""
         return Serving(
-            **self._post(f"/v1/plants/{plant}/serving/promote", {"decision": decision, "expected_generation": expected_generation})
+            **self._post(f"/v1/plants/{_name(plant)}/serving/promote", {"decision": decision, "expected_generation": expected_generation})
         )
 
     def roll_back(self, plant: str, expected_generation: int) -> Serving:
         """Serve what served before, after its switchback test."""
-        return Serving(**self._post(f"/v1/plants/{plant}/serving/rollback", {"expected_generation": expected_generation}))
+        return Serving(**self._post(f"/v1/plants/{_name(plant)}/serving/rollback", {"expected_generation": expected_generation}))
 
     # -- audit
 
@@ -196,9 +213,10 @@ class Client:
 
     def is_ready(self) -> bool:
         """Whether the service can do its work."""
-        with self._to.answer("GET", "/readyz", lambda: None, {}, allowed=(503,)) as found:
-            found.read()
-            return found.status == 200  # noqa: PLR2004
+        try:
+            return bool(self._get("/readyz")["ready"])
+        except Problem:
+            return False
 
     # -- how
 
@@ -260,3 +278,8 @@ def _digest_of(path: str | os.PathLike[str]) -> str:
 
 def _content_digest(digest: str) -> str:
     return f"sha-256=:{base64.b64encode(bytes.fromhex(digest)).decode()}:"
+
+
+def _name(part: object) -> str:
+    """A name as one segment of a path, whatever it holds."""
+    return quote(str(part), safe="")

@@ -5,15 +5,14 @@ from __future__ import annotations
 import http.client
 import json
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
 from trueup_client.problem import Problem, Unreachable
 
-ATTEMPTS = 4
-FIRST_PAUSE_S = 0.1  # doubled at each attempt
+PAUSES_S = (0.1, 0.2, 0.4)  # between attempts
+REFUSED, UNAVAILABLE = 400, 503
 STREAM_BYTES = 1 << 20
 
 
@@ -32,49 +31,50 @@ class Connection:
     def json(self, method: str, path: str, body: Any = None, headers: Mapping[str, str] | None = None) -> Any:
         """Send a JSON document and read one. Raises Problem, Unreachable."""
         data = None if body is None else json.dumps(body).encode()
-        given = {"Content-Type": "application/json", **(headers or {})}
-        return json.loads(self.whole(method, path, lambda: data, given))
+        found = self.whole(method, path, lambda: data, {"Content-Type": "application/json", **(headers or {})})
+        try:
+            return json.loads(found)
+        except ValueError as error:
+            raise Unreachable(f"{self._url} answers, but not as trueup does") from error
 
     def whole(self, method: str, path: str, body: Any, headers: Mapping[str, str] | None = None) -> bytes:
-        """Send what `body()` gives and read the whole answer."""
-        with self.answer(method, path, body, headers or {}) as found:
-            return found.read()
+        """Send what `body()` gives and read the whole answer, again where the connection broke. Raises Problem, Unreachable."""
+        return self.tagged(method, path, body, headers or {})[2]
 
-    def parts(self, path: str) -> Iterator[bytes]:
-        """Read an answer in parts."""
-        with self.answer("GET", path, lambda: None, {}) as found:
-            while part := found.read(STREAM_BYTES):
-                yield part
-
-    @contextmanager
-    def answer(
-        self, method: str, path: str, body: Any, headers: Mapping[str, str], allowed: Iterable[int] = ()
-    ) -> Iterator[http.client.HTTPResponse]:
-        """An open answer. Raises Problem for a refusal that is not in `allowed`."""
-        found = self._send(method, path, body, headers)
-        try:
-            if found.status >= 400 and found.status not in allowed:  # noqa: PLR2004
-                raise Problem(found.status, _document(found.read()))
-            yield found
-        finally:
-            if not found.isclosed():
-                self._http.close()  # an answer not read to its end would be taken for the next one's
-
-    def _send(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> http.client.HTTPResponse:
-        pause = FIRST_PAUSE_S
-        for attempt in range(1, ATTEMPTS + 1):
+    def tagged(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> tuple[int, http.client.HTTPMessage, bytes]:
+        """The same, with status and headers."""
+        for pause_s in (*PAUSES_S, None):
             try:
                 found = self._once(method, path, body(), headers)
-                if found.status != 503 or attempt == ATTEMPTS:  # noqa: PLR2004
-                    return found
-                found.read()
+                content = found.read()
             except (http.client.HTTPException, OSError) as error:
                 self._http.close()
-                if attempt == ATTEMPTS:
+                if pause_s is None:
                     raise Unreachable(f"{self._url} does not answer: {error}") from error
-            time.sleep(pause)
-            pause *= 2
+            else:
+                if found.status < REFUSED:
+                    return found.status, found.headers, content
+                if found.status != UNAVAILABLE or pause_s is None:
+                    raise Problem(found.status, _document(content))
+            time.sleep(pause_s)
         raise AssertionError
+
+    def parts(self, path: str) -> Iterator[bytes]:
+        """Read an answer in parts. Raises Problem, and Unreachable where it breaks off."""
+        try:
+            found = self._once("GET", path, None, {})
+            if found.status >= REFUSED:
+                raise Problem(found.status, _document(found.read()))
+            announced, read = found.headers.get("Content-Length"), 0
+            while part := found.read(STREAM_BYTES):
+                read += len(part)
+                yield part
+        except (http.client.HTTPException, OSError) as error:
+            raise Unreachable(f"{self._url} broke off: {error}") from error
+        finally:
+            self._http.close()  # an answer not read to its end would be taken for the next one's
+        if announced is not None and read != int(announced):
+            raise Unreachable(f"{self._url} broke off after {read} of {announced} bytes")
 
     def _once(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> http.client.HTTPResponse:
         try:

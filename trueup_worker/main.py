@@ -10,7 +10,7 @@ import sys
 import threading
 import uuid
 
-from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer
+from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 
 from trueup_service.jobs import ENGINE_VERSION, QUEUE, WORKFLOW, migrate_engine, plain_url
 from trueup_service.wiring import Parts
@@ -18,6 +18,13 @@ from trueup_worker.run_job import compute, finish
 from trueup_worker.takeover import FileLives, Lives, PostgresLives, watch
 
 log = logging.getLogger("trueup.worker")
+
+RETRIED: StepOptions = {
+    "retries_allowed": True,
+    "interval_seconds": 0.5,
+    "backoff_rate": 2.0,
+    "max_attempts": 8,
+}  # a minute of a lost database
 
 
 def work(parts: Parts, *, with_parent: bool = False) -> None:
@@ -32,7 +39,7 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
         threading.Thread(target=_until_parent_is_gone, args=(stop,), daemon=True).start()
     _launch(parts, name)
     log.info("working", extra={"worker": name})
-    threading.Thread(target=watch, args=(lives, name, parts.settings.takeover_interval_s, stop), daemon=True).start()
+    threading.Thread(target=watch, args=(parts.database, lives, name, parts.settings.takeover_interval_s, stop), daemon=True).start()
     stop.wait()
     log.info("stopping", extra={"worker": name})
     DBOS.destroy(workflow_completion_timeout_sec=0)
@@ -54,8 +61,8 @@ def _launch(parts: Parts, name: str) -> None:
 
     @DBOS.workflow(name=WORKFLOW)  # type: ignore[untyped-decorator]
     def job(job_id: str) -> str:
-        found = DBOS.run_step({"name": "compute"}, compute, parts, job_id)
-        return str(DBOS.run_step({"name": "finish"}, finish, parts, job_id, found))
+        found = DBOS.run_step({"name": "compute", **RETRIED}, compute, parts, job_id)
+        return str(DBOS.run_step({"name": "finish", **RETRIED}, finish, parts, job_id, found))
 
     DBOS.launch()
     DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=parts.settings.job_poll_interval_s, on_conflict="always_update")

@@ -11,6 +11,8 @@ from datetime import UTC, datetime
 from types import ModuleType
 from typing import Any
 
+from sqlalchemy.exc import SQLAlchemyError
+
 from trueup.canonical import Json
 from trueup.errors import TrueupError
 from trueup_service.actions import find
@@ -40,6 +42,8 @@ def compute(parts: Parts, job_id: str) -> dict[str, Json]:
         if job.state == JobState.CANCELLING:
             raise Cancelled
         return {"state": JobState.SUCCEEDED.value, "outcome": KINDS[job.kind].compute(parts, job, Progress(parts, job))}
+    except SQLAlchemyError:
+        raise  # the database, not the job: the engine tries this step again
     except Cancelled as error:
         return {"state": JobState.CANCELLED.value, "problem": _problem(error)}
     except TrueupError as error:

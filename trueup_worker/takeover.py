@@ -24,6 +24,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from trueup_service.jobs import QUEUE
 from trueup_service.locks import try_lock
 from trueup_service.registry.database import Database
+from trueup_service.registry.records import FINAL
+from trueup_service.registry.store import Reader
 
 log = logging.getLogger("trueup.worker")
 
@@ -112,7 +114,16 @@ def _resume(job: str, dead: str) -> str:
     return job
 
 
-def watch(lives: Lives, own: str, interval_s: float, stop: threading.Event) -> None:
+def revive(database: Database) -> list[str]:
+    """Put back what the engine gave up on, such as a job that could not be closed while the database was away; the jobs' ids."""
+    given_up = DBOS.list_workflows(status="ERROR", load_input=False, load_output=False)
+    with database.read() as connection:
+        reader = Reader(connection)
+        open_jobs = [w.workflow_id for w in given_up if (job := reader.job(w.workflow_id)) is not None and job.state not in FINAL]
+    return [_resume(job, "none: given up on") for job in open_jobs]
+
+
+def watch(database: Database, lives: Lives, own: str, interval_s: float, stop: threading.Event) -> None:
     """Look for dead workers until told to stop."""
     while not stop.wait(interval_s):
         try:
@@ -120,5 +131,6 @@ def watch(lives: Lives, own: str, interval_s: float, stop: threading.Event) -> N
                 log.error("the session that shows this worker alive is gone; stopping")
                 os._exit(75)  # EX_TEMPFAIL: somebody else may already be running our job
             take_over(lives, own)
+            revive(database)
         except Exception:
             log.exception("looking for dead workers failed; looking again")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 import orjson
@@ -87,16 +88,16 @@ def unpack(artifact: Artifact, digest: str | None = None) -> Predictor:
     """The predictor, once every digest holds and it answers its own probe. Raises BadArtifact, BadPlant."""
     if digest is not None and artifact.digest != digest:
         raise BadArtifact("the manifest is not the one that this digest names", expected=digest, found=artifact.digest)
-    document = artifact.document
-    _require_arrays(document.get("arrays"), artifact.arrays)
+    document: Any = artifact.document
     try:
-        plant = _plant(orjson.dumps(document["plant"]["document"]))  # type: ignore[index,call-overload]
-        kind = KINDS[str(document["kind"])]
-        predictor = kind.restore(plant, document["predictor"], arrays_from_bytes(artifact.arrays))  # type: ignore[arg-type]
-        answered = _answers(predictor, document["probe"])  # type: ignore[arg-type]
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+        _require_arrays(document["arrays"], artifact.arrays)
+        plant = _plant(orjson.dumps(document["plant"]["document"]))
+        predictor = KINDS[str(document["kind"])].restore(plant, document["predictor"], arrays_from_bytes(artifact.arrays))
+        answered = _answers(predictor, document["probe"])
+        named = document["plant"]["sha256"]
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
         raise BadArtifact(f"the manifest does not describe a predictor: {error!r}") from error
-    if plant.digest != document["plant"]["sha256"]:  # type: ignore[index,call-overload]
+    if plant.digest != named:
         raise BadArtifact("the plant in the manifest is not the one that its digest names")
     if not answered:
         raise BadArtifact("the predictor does not give the recorded outputs for the recorded inputs")
@@ -109,8 +110,8 @@ def _plant(document: bytes) -> Plant:
     return Plant.from_document(orjson.loads(document))
 
 
-def _require_arrays(declared: Json, arrays: bytes) -> None:
-    expected = declared["sha256"] if isinstance(declared, dict) else None
+def _require_arrays(declared: Any, arrays: bytes) -> None:
+    expected = None if declared is None else declared["sha256"]
     found = digest_of_bytes(arrays) if arrays else None
     if expected != found:
         raise BadArtifact("the arrays are not those that the manifest names", expected=expected, found=found)

@@ -47,7 +47,7 @@ class Gate:
                 raise BadGate(f"a gate holds schema ({SCHEMA}), rules and scoring, nothing else")
             scoring = document["scoring"]
             return Gate(tuple(_rule(r) for r in document["rules"]), Scoring(float(scoring["horizon_s"]), str(scoring["windows"])))  # type: ignore[union-attr,arg-type,index,call-overload]
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise BadGate(f"the gate cannot be read: {error!r}") from error
 
 

@@ -13,6 +13,13 @@ from trueup.errors import BadPlant
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")
 
 
+def _finite(number: float) -> bool:
+    try:
+        return math.isfinite(number)
+    except OverflowError:  # JSON knows integers that no float can hold
+        return False
+
+
 @dataclass(frozen=True, slots=True)
 class Reader:
     """An object of the document and the path that leads to it."""
@@ -54,7 +61,7 @@ class Reader:
     def number(self, key: str, *, above: float = -math.inf, default: float | None = None) -> float:
         """A finite number greater than `above`."""
         found = default if key not in self.value and default is not None else self._get(key)
-        if isinstance(found, bool) or not isinstance(found, int | float) or not math.isfinite(found) or not found > above:
+        if isinstance(found, bool) or not isinstance(found, int | float) or not _finite(found) or not found > above:
             wanted = "a finite number" if above == -math.inf else f"a finite number above {above:g}"
             raise BadPlant(f"{self._at(key)} must be {wanted}", field=self._at(key))
         return float(found)

@@ -14,6 +14,9 @@ def cancel_job(writer: Writer, job: str, stamp: Stamp) -> JobRecord:
     if found.state in FINAL or found.state == JobState.CANCELLING:
         return found
     state = JobState.CANCELLED if found.state == JobState.QUEUED else JobState.CANCELLING
-    writer.update_job(job, now=stamp.now, state=state, stage="cancelled" if state == JobState.CANCELLED else "cancelling")
-    writer.append_audit(at=stamp.now, kind="job:cancelled", actor=stamp.actor, plant=found.plant, subject=job, facts={"was": found.state})
+    stage = "cancelled" if state == JobState.CANCELLED else "cancelling"
+    if writer.update_job(job, now=stamp.now, state=state, stage=stage, only_from=found.state):
+        writer.append_audit(
+            at=stamp.now, kind="job:cancelled", actor=stamp.actor, plant=found.plant, subject=job, facts={"was": found.state}
+        )
     return find.job(writer, job)

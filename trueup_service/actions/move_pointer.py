@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from trueup.canonical import Json
+from typing import Any
+
+from trueup.canonical import Json, digest_of
+from trueup.errors import BrokenChain
 from trueup.ledger.pointer import Judged, NothingToRollBackTo, ServingPointer, promote, require_generation, roll_back
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
-from trueup_service.registry.records import ArtifactRecord, Move, MoveKind
+from trueup_service.registry.records import ArtifactRecord, DecisionRecord, Move, MoveKind
 from trueup_service.registry.store import Reader, Writer
 
 
@@ -14,7 +17,7 @@ def promote_decision(writer: Writer, plant: str, decision: str, expected_generat
     """The new position, at the decision's candidate. Raises PointerMoved, NotAccepted, NotFound."""
     now = find.serving(writer, plant)
     made = find.decision(writer, plant, decision)
-    judged = Judged(made.digest, made.accepted, made.candidate, made.incumbent, made.generation)
+    judged = _judged(made)
     pointer = promote(_pointer(now), judged, expected_generation, _later(now, stamp))
     artifact = find.artifact(writer, plant, pointer.artifact)
     move = Move(
@@ -29,6 +32,14 @@ def promote_decision(writer: Writer, plant: str, decision: str, expected_generat
         stamp.actor,
     )
     return _move(writer, now, move, stamp, {"gate": made.gate})
+
+
+def _judged(made: DecisionRecord) -> Judged:
+    """What the decision's document says, if it still is the one that the digest names. Raises BrokenChain."""
+    document: dict[str, Any] = made.document
+    if digest_of(document) != made.digest:
+        raise BrokenChain("the decision's document is not the one that its digest names", decision=made.digest)
+    return Judged(made.digest, document["accepted"], document["candidate"], document["incumbent"], document["generation"])
 
 
 def previous_artifact(reader: Reader, plant: str, expected_generation: int) -> tuple[Move, ArtifactRecord]:

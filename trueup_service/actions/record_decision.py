@@ -13,6 +13,7 @@ from trueup_service.registry.store import Writer
 def record_decision(writer: Writer, plant: str, document: dict[str, Any], job: str | None, stamp: Stamp) -> None:
     """Keep a decision's document under its digest; the same trial decided again is the same decision."""
     digest = digest_of(document)
+    writer.lock_plant(plant)
     if writer.decision(digest) is not None:
         return
     parts = document["gate"], document["candidate"], document["incumbent"], document["generation"], document["accepted"]

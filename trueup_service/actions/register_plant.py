@@ -14,6 +14,7 @@ from trueup_service.registry.store import Writer
 def register_plant(writer: Writer, document: object, stamp: Stamp) -> tuple[PlantRecord, bool]:
     """The plant, and whether it is new. Raises BadPlant, and Conflict if the name has another description."""
     plant = Plant.from_document(document)
+    writer.lock_name(f"plant {plant.name}")
     known = writer.plant(plant.name)
     if known is not None:
         if known.digest != plant.digest:

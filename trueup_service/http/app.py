@@ -10,6 +10,7 @@ from fastapi import FastAPI
 
 from trueup import __version__
 from trueup_service.http import openapi, problems
+from trueup_service.http.limiting import Limiting
 from trueup_service.http.observing import Observing
 from trueup_service.http.routers import artifacts, audit, decisions, episodes, gates, jobs, operations, plants, serving
 from trueup_service.http.serving_answers import ServingAnswers
@@ -39,5 +40,6 @@ def create_app(parts: Parts) -> FastAPI:
     openapi.install(app)
     for module in (plants, episodes, artifacts, gates, jobs, decisions, serving, audit, operations):
         app.include_router(module.router)
+    app.add_middleware(Limiting)
     app.add_middleware(Observing)
     return app

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from http import HTTPStatus
 
 import orjson
 from fastapi import FastAPI, Request, Response
 from fastapi.exceptions import RequestValidationError
-from sqlalchemy.exc import OperationalError
+from sqlalchemy.exc import DataError, OperationalError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 
@@ -16,7 +17,7 @@ from trueup import errors
 from trueup.canonical import NotCanonical
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
 from trueup_service import errors as service
-from trueup_service.registry.blobs import BlobMissing
+from trueup_service.registry.blobs import BlobMissing, StoreAway
 
 log = logging.getLogger("trueup.http")
 
@@ -35,6 +36,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     NotAccepted: HTTPStatus.CONFLICT,
     NothingToRollBackTo: HTTPStatus.CONFLICT,
     BlobMissing: HTTPStatus.INTERNAL_SERVER_ERROR,
+    StoreAway: HTTPStatus.SERVICE_UNAVAILABLE,
     service.NotFound: HTTPStatus.NOT_FOUND,
     service.Conflict: HTTPStatus.CONFLICT,
     service.KeyReused: HTTPStatus.CONFLICT,
@@ -65,7 +67,15 @@ def problem(request: Request, status: int, code: str, detail: str, hint: str, fa
         "facts": facts or {},
         "request_id": request.scope.get("request_id"),
     }
-    return Response(orjson.dumps(body, default=str), status, media_type=MEDIA_TYPE)
+    return Response(_plain_json(body), status, media_type=MEDIA_TYPE)
+
+
+def _plain_json(body: dict[str, object]) -> bytes:
+    """JSON, whatever text the caller may have sent; what is no Unicode is escaped."""
+    try:
+        return orjson.dumps(body, default=str)
+    except TypeError:
+        return json.dumps(body, default=str).encode()
 
 
 def install(app: FastAPI) -> None:
@@ -106,6 +116,11 @@ def install(app: FastAPI) -> None:
             "the database cannot be used now",
             "Try again with the same Idempotency-Key; /readyz says what is missing.",
         )
+
+    @app.exception_handler(DataError)
+    def _value(request: Request, error: DataError) -> Response:
+        hint = "Compare the request with /openapi.json."
+        return problem(request, HTTPStatus.BAD_REQUEST, "bad-request", "the database cannot hold a value that was sent", hint)
 
     @app.exception_handler(Exception)
     def _unexpected(request: Request, error: Exception) -> Response:

@@ -44,8 +44,15 @@ def document(move: Move) -> dict[str, Any]:
     }
 
 
+def matches(etag: str, asked: str) -> bool:
+    """Whether an If-None-Match header holds this tag: any of a list, weak ones too, or `*` (RFC 9110, section 13.1.2)."""
+    return asked == etag or asked.strip() == "*" or etag in (tag.strip().removeprefix("W/") for tag in asked.split(","))
+
+
 class ServingAnswers:
-    """Gives the answers; used on the event loop only."""
+    """Gives the answers; used on the event loop only. Once it is `closing` nobody waits any more."""
+
+    closing = False
 
     def __init__(self, database: Database, watch_interval_s: float) -> None:
         self._database = database
@@ -67,8 +74,9 @@ class ServingAnswers:
 
     async def after(self, plant: str, etag: str, wait_s: float) -> ServingAnswer:
         """What serves once its tag is another than `etag`, or what serves after `wait_s` [s]."""
-        deadline = asyncio.get_running_loop().time() + wait_s
-        while (answer := await self.now(plant)).etag == etag and (left := deadline - asyncio.get_running_loop().time()) > 0:
+        clock = asyncio.get_running_loop().time
+        deadline = clock() + wait_s
+        while matches((answer := await self.now(plant)).etag, etag) and (left := deadline - clock()) > 0 and not self.closing:
             await self._next_look(min(left, self._interval_s))
         return answer
 

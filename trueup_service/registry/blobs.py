@@ -5,9 +5,12 @@ A put returns when the bytes are durable: on a folder the file and the folder th
 
 from __future__ import annotations
 
+import filecmp
 import os
+import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,12 +30,19 @@ class BlobMissing(TrueupError):
     hint = "A row names bytes that the store lost: restore them from a copy; their digest tells whether it is the right one."
 
 
+class StoreAway(TrueupError):
+    """The blob store does not answer."""
+
+    code = "store-away"
+    hint = "Try again with the same Idempotency-Key; /readyz says when it is back."
+
+
 class Blobs(ABC):
     """A store of immutable bytes."""
 
     @abstractmethod
     def put(self, digest: str, source: Path) -> None:
-        """Keep the bytes of a file of ours, whose digest the caller has computed. Keeping them again changes nothing."""
+        """Keep the bytes of a file of ours, whose digest the caller has computed. Keeping them again mends them if they were damaged."""
 
     @abstractmethod
     def get(self, digest: str) -> bytes:
@@ -56,15 +66,22 @@ class FolderBlobs(Blobs):
 
     def put(self, digest: str, source: Path) -> None:
         target = self._path(digest)
-        if not target.parent.is_dir():
-            target.parent.mkdir(exist_ok=True)
-            _sync(self._root)
+        target.parent.mkdir(exist_ok=True)
         _sync(source)
         try:
             os.link(source, target)
         except FileExistsError:
-            return
-        _sync(target.parent)
+            self._mend(target, source)
+        for named in (target, target.parent, self._root):  # whoever linked it first may not have come this far
+            _sync(named)
+
+    @staticmethod
+    def _mend(target: Path, source: Path) -> None:
+        """Replace a kept file whose bytes have changed since, by the right ones that have come again."""
+        if not filecmp.cmp(target, source, shallow=False):
+            beside = target.with_name(f"{target.name}.{uuid.uuid4().hex}")
+            os.link(source, beside)
+            beside.replace(target)
 
     def get(self, digest: str) -> bytes:
         try:
@@ -89,7 +106,7 @@ class FolderBlobs(Blobs):
 
 
 class S3Blobs(Blobs):
-    """Blobs as objects of a bucket."""
+    """Blobs as objects of a bucket. A store that does not answer raises StoreAway."""
 
     def __init__(self, store: S3Store) -> None:
         self._store = store
@@ -97,35 +114,42 @@ class S3Blobs(Blobs):
     def put(self, digest: str, source: Path) -> None:
         import obstore  # noqa: PLC0415  (only a scaled installation has a store)
 
-        key = _checked(digest)
-        if self.holds(digest):
-            return
-        with source.open("rb") as file:
-            obstore.put(self._store, key, file)
+        if not self.holds(digest):
+            with source.open("rb") as file, _answering(digest):
+                obstore.put(self._store, _checked(digest), file)
 
     def get(self, digest: str) -> bytes:
         return b"".join(self.stream(digest))
 
     def stream(self, digest: str) -> Iterator[bytes]:
         import obstore  # noqa: PLC0415
-        from obstore.exceptions import NotFoundError  # noqa: PLC0415
 
-        try:
-            found = obstore.get(self._store, _checked(digest))
-        except (FileNotFoundError, NotFoundError) as error:
-            raise BlobMissing(digest=digest) from error
-        for part in found.stream(min_chunk_size=STREAM_BYTES):
-            yield bytes(part)
+        with _answering(digest):
+            for part in obstore.get(self._store, _checked(digest)).stream(min_chunk_size=STREAM_BYTES):
+                yield bytes(part)
 
     def holds(self, digest: str) -> bool:
         import obstore  # noqa: PLC0415
-        from obstore.exceptions import NotFoundError  # noqa: PLC0415
 
         try:
-            obstore.head(self._store, _checked(digest))
-        except (FileNotFoundError, NotFoundError):
+            with _answering(digest):
+                obstore.head(self._store, _checked(digest))
+        except BlobMissing:
             return False
         return True
+
+
+@contextmanager
+def _answering(digest: str) -> Iterator[None]:
+    """The store's errors as ours."""
+    from obstore.exceptions import BaseError, NotFoundError  # noqa: PLC0415
+
+    try:
+        yield
+    except (FileNotFoundError, NotFoundError) as error:
+        raise BlobMissing(digest=digest) from error
+    except (BaseError, OSError) as error:
+        raise StoreAway(f"the blob store does not answer: {type(error).__name__}") from error
 
 
 def _checked(digest: str) -> str:

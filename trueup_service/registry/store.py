@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from typing import Any, TypeVar
 
-from sqlalchemy import BindParameter, Connection, Select, Table, bindparam, func, insert, select, update
+from sqlalchemy import BindParameter, Connection, Select, Table, bindparam, func, insert, select, text, update
 from sqlalchemy.engine import RowMapping
 
 from trueup.canonical import Json, canonical_bytes
@@ -44,6 +44,7 @@ _SERVING = (
     .join(t.serving, (t.moves.c.plant == t.serving.c.plant) & (t.moves.c.generation == t.serving.c.generation))
     .where(t.serving.c.plant == _BY_PLANT)
 )
+_LOCK_NAME = text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))")
 _LOCK_HEAD = select(t.audit_head.c.sequence, t.audit_head.c.digest).with_for_update()
 _MOVE_HEAD = update(t.audit_head).values(sequence=bindparam("sequence"), digest=bindparam("digest"))
 _INSERT = {name: insert(table) for name, table in t.metadata.tables.items()}
@@ -221,6 +222,11 @@ class Writer(Reader):
         if self.connection.dialect.name != "sqlite":  # there every writer holds all others from its beginning
             self.connection.execute(_LOCK_PLANT, {"plant": plant})
 
+    def lock_name(self, name: str) -> None:
+        """Hold every other writer that locks this name until the commit, though there is no row of it yet."""
+        if self.connection.dialect.name != "sqlite":
+            self.connection.execute(_LOCK_NAME, {"name": name})
+
     def update_job(
         self,
         job: str,
@@ -230,11 +236,13 @@ class Writer(Reader):
         progress: float | None = None,
         stage: str | None = None,
         result: dict[str, Json] | None = None,
+        only_from: str | None = None,
     ) -> bool:
-        """Move a job on; False if it is already in a final state, which never changes."""
+        """Move a job on; False if it is in a final state, which never changes, or not in the state that it is to leave."""
         given = {"state": state and str(state), "progress": progress, "stage": stage, "result": None if result is None else _text(result)}
         values = {key: value for key, value in given.items() if value is not None} | {"updated_at": now}
-        changed = self.connection.execute(update(t.jobs).where(t.jobs.c.id == job, t.jobs.c.state.not_in(FINAL)).values(values))
+        where = t.jobs.c.state.not_in(FINAL) if only_from is None else t.jobs.c.state == only_from
+        changed = self.connection.execute(update(t.jobs).where(t.jobs.c.id == job, where).values(values))
         return changed.rowcount == 1
 
     def begin_serving(self, move: Move) -> None:

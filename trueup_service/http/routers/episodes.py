@@ -22,6 +22,7 @@ from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, 
 from trueup_service.http.serving_answers import document
 from trueup_service.http.uploads import Received, received
 from trueup_service.inspection import Inspected, inspect_upload
+from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import EpisodeRecord, Move
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
@@ -105,6 +106,8 @@ def _served(reader: Reader, episode: EpisodeRecord) -> list[Move]:
 def download(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
     with parts.database.read() as connection:
         found = find.episode(Reader(connection), plant, digest)
+    if not parts.blobs.holds(digest):
+        raise BlobMissing(digest=digest)
     headers = {"Content-Length": str(found.size_bytes), "ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
     return StreamingResponse(parts.blobs.stream(digest), media_type="application/octet-stream", headers=headers)
 

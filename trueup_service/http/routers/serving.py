@@ -7,13 +7,15 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
+from trueup.errors import PointerMoved
 from trueup_service.actions import find
 from trueup_service.actions.move_pointer import previous_artifact, promote_decision, roll_back_pointer
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import BadRequest
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, run_once
 from trueup_service.http.schemas import Page, Promotion, Rollback, Serving
-from trueup_service.http.serving_answers import ServingAnswers, document
+from trueup_service.http.serving_answers import ServingAnswers, document, matches
+from trueup_service.registry.records import ArtifactRecord
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
 
@@ -52,7 +54,7 @@ async def now(request: Request) -> Response:
     plant, tag = request.path_params["plant"], request.headers.get("if-none-match")
     wait_s = _wait_s(request, state.parts.settings.long_poll_limit_s) if request.scope["query_string"] else 0.0
     answer = await answers.after(plant, tag, wait_s) if tag and wait_s else await answers.now(plant)
-    if tag == answer.etag:
+    if tag and matches(answer.etag, tag):
         return Response(status_code=304, headers=answer.headers)
     return Response(answer.body, media_type="application/json", headers=answer.headers)
 
@@ -119,12 +121,22 @@ def _roll_back(parts: Parts, stamp: Stamp, plant: str, expected_generation: int,
     with parts.database.read() as connection:
         reader = Reader(connection)
         registered = find.plant(reader, plant)
-        done = key is not None and reader.remembered(scope, key) is not None
-        artifact = None if done else previous_artifact(reader, plant, expected_generation)[1]
+        artifact = _artifact_before(reader, plant, expected_generation, repeated=key is not None)
     if artifact is not None:
         tested = test_switchback(parts.blobs, artifact, registered.digest)
 
     def act(writer: Writer) -> dict[str, Any]:
+        previous_artifact(writer, plant, expected_generation)  # where nothing was tested this refuses, and nothing moves
         return document(roll_back_pointer(writer, plant, expected_generation, tested, stamp))
 
     return run_once(parts, stamp, scope, key, {"expected_generation": expected_generation}, act)
+
+
+def _artifact_before(reader: Reader, plant: str, expected_generation: int, *, repeated: bool) -> ArtifactRecord | None:
+    """What is to be tested; None where the request may be a repeated one, whose answer is known."""
+    try:
+        return previous_artifact(reader, plant, expected_generation)[1]
+    except PointerMoved:
+        if repeated:
+            return None
+        raise

@@ -1,0 +1,34 @@
+"""Bodies that are held in memory have a limit; uploads, which stream to disk, have one of their own."""
+
+from __future__ import annotations
+
+import re
+
+from trueup_service.errors import TooLargeUpload
+from trueup_service.http.observing import App, Message, Receive, Scope, Send
+
+LIMIT_BYTES = 4 << 20
+UPLOADS = re.compile(r"/v1/(plants/[^/]+/episodes|blobs/[^/]+)")
+
+
+class Limiting:
+    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it."""
+
+    def __init__(self, app: App) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http" or UPLOADS.fullmatch(scope["path"]):
+            await self._app(scope, receive, send)
+            return
+        read = 0
+
+        async def counted() -> Message:
+            nonlocal read
+            message = await receive()
+            read += len(message.get("body", b""))
+            if read > LIMIT_BYTES:
+                raise TooLargeUpload(f"the body has more than {LIMIT_BYTES} bytes", limit_bytes=LIMIT_BYTES)
+            return message
+
+        await self._app(scope, counted, send)
