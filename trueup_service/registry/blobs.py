@@ -42,7 +42,7 @@ class Blobs(ABC):
 
     @abstractmethod
     def put(self, digest: str, source: Path) -> None:
-        """Keep the bytes of a file of ours, whose digest the caller has computed. Keeping them again mends them if they were damaged."""
+        """Keep the bytes of a file of ours, whose digest the caller has computed. Keeping them again changes nothing; a folder mends what was damaged."""
 
     @abstractmethod
     def get(self, digest: str) -> bytes:
