@@ -5,14 +5,8 @@ from __future__ import annotations
 import sys
 
 from cyclopts import App
-from rich.markup import escape
 
 from trueup import __version__
-from trueup.errors import TrueupError
-from trueup_cli.show import err
-from trueup_client.problem import ClientError, Problem, Untrue
-
-EXIT_REFUSED, EXIT_UNREACHABLE, EXIT_DISAGREES = 1, 3, 4
 
 app = App(
     name="trueup",
@@ -47,28 +41,15 @@ def main() -> None:
     """Run a command. Exit codes: 0 done, 1 refused, 2 misused, 3 the service does not answer, 4 a replay or a log disagrees."""
     try:
         app()
-    except Problem as problem:
-        _complain(problem.code, problem.detail, problem.hint, problem.request_id)
-        sys.exit(EXIT_REFUSED)
-    except Untrue as error:
-        _complain("untrue", str(error), "The bytes are not what their digest names: the stored copy is damaged, or was changed.")
-        sys.exit(EXIT_DISAGREES)
-    except ClientError as error:
-        _complain("unreachable", str(error), "Start it with `trueup serve`, or name it with --url or TRUEUP_URL.")
-        sys.exit(EXIT_UNREACHABLE)
-    except TrueupError as error:
-        _complain(error.code, error.message, error.hint)
-        sys.exit(EXIT_REFUSED)
     except KeyboardInterrupt:
         sys.exit(130)
+    except Exception as error:
+        from trueup_cli.complaints import complain  # what it needs to print loads slowly, and a server never complains
 
-
-def _complain(code: str, detail: str, hint: str, request_id: str | None = None) -> None:
-    err.print(f"[bold red]{escape(code)}[/] {escape(detail)}", soft_wrap=True)
-    if hint:
-        err.print(f"  {escape(hint)}", soft_wrap=True)
-    if request_id:
-        err.print(f"  [dim]request {request_id}[/]")
+        code = complain(error)
+        if code is None:
+            raise
+        sys.exit(code)
 
 
 if __name__ == "__main__":

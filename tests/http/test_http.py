@@ -1,6 +1,7 @@
 """The service over HTTP, on both storages: what it accepts, refuses, repeats and remembers."""
 
 import base64
+import contextlib
 import hashlib
 import http.client
 import json
@@ -15,6 +16,8 @@ import numpy as np
 import pytest
 
 from tests.support.made import episode_bytes, mcap_bytes, plant_document, save
+from tests.support.service import Service
+from tests.support.storage import Storage, embedded
 from trueup.artifact.artifact import pack
 from trueup.chapter.data import PLANT as CHAPTER
 from trueup.episode.role import Role
@@ -114,6 +117,23 @@ def test_an_upload_that_stops_half_way_leaves_nothing(service, plant):
         head = f"POST /v1/plants/{plant}/episodes HTTP/1.1\r\nHost: x\r\nContent-Length: {len(data)}\r\n\r\n"
         raw.sendall(head.encode() + data[: len(data) // 2])
     assert json.loads(request(service, "GET", f"/v1/plants/{plant}/episodes")[2])["items"] == []
+
+
+def test_an_upload_over_the_limit_is_refused_while_it_streams(tmp_path):
+    """Without a Content-Length the limit is held by counting."""
+    storage = embedded(tmp_path / "data")
+    service = Service(Storage("small", storage.environment | {"TRUEUP_UPLOAD_LIMIT_BYTES": "3000000"}))
+    with service.running(worker=False):
+        for size, status in ((2_999_999, 422), (3_000_001, 413), (9_000_000, 413)):
+            connection = http.client.HTTPConnection("127.0.0.1", service.port)
+            parts = (b"x" * min(1 << 16, size - at) for at in range(0, size, 1 << 16))
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):
+                connection.request(
+                    "PUT", f"/v1/blobs/{'0' * 64}", body=parts, encode_chunked=True, headers={"Transfer-Encoding": "chunked"}
+                )
+            assert connection.getresponse().status == status
+            connection.close()
+        assert list((tmp_path / "data" / "spool").glob("*/*")) == []
 
 
 def test_an_upload_to_no_plant_is_refused(service):

@@ -13,8 +13,7 @@ from trueup_service.registry.store import Writer
 
 def add_artifact(writer: Writer, plant: str, artifact: Artifact, job: str | None, stamp: Stamp) -> tuple[ArtifactRecord, bool]:
     """The version, and whether it is new. The caller has unpacked the artifact, and its arrays are durable. Raises BadArtifact."""
-    registered = find.plant(writer, plant)
-    require_plant(artifact, registered.digest)
+    require_plant(artifact, find.plant_digest(writer, plant))
     writer.lock_plant(plant)
     known = writer.artifact(plant, artifact.digest)
     if known is not None:

@@ -15,6 +15,10 @@ def plant(reader: Reader, name: str) -> PlantRecord:
     return _found(reader.plant(name), "plant", name)
 
 
+def plant_digest(reader: Reader, name: str) -> str:
+    return _found(reader.plant_digest(name), "plant", name)
+
+
 def episode(reader: Reader, plant: str, digest: str) -> EpisodeRecord:
     return _found(reader.episode(plant, digest), "episode", digest)
 

@@ -14,7 +14,7 @@ def ingest_episode(
     writer: Writer, plant: str, digest: str, size_bytes: int, inspected: Inspected, stamp: Stamp
 ) -> tuple[EpisodeRecord, bool]:
     """The episode, and whether it is new: the same bytes are the same episode."""
-    find.plant(writer, plant)
+    find.plant_digest(writer, plant)
     writer.lock_plant(plant)
     known = writer.episode(plant, digest)
     if known is not None:

@@ -92,7 +92,7 @@ class ServingAnswers:
             return
 
     def _read(self, plant: str) -> ServingAnswer:
-        with self._database.read() as connection:
+        with self._database.glance() as connection:
             move = find.serving(Reader(connection), plant)
         etag = f'"{move.generation}"'
         return ServingAnswer(etag, orjson.dumps(document(move)), {"ETag": etag, "Cache-Control": "no-cache"})

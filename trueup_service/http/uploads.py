@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import hashlib
+import os
 import uuid
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from io import FileIO
 from pathlib import Path
 
 from fastapi import Request
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from trueup_service.errors import BadRequest, DigestMismatch, TooLargeUpload
+
+PART_BYTES, SYNC_BYTES = 1 << 20, 4 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,17 +45,43 @@ async def received(request: Request, spool: Path, limit_bytes: int) -> AsyncIter
 
 
 async def _receive(request: Request, path: Path, limit_bytes: int) -> tuple[str, int]:
-    hashed, size = hashlib.sha256(), 0
+    """Digest and size of the body. While one part is hashed and written in a thread, the next one is received."""
+    gathered, under_way, size = bytearray(), None, 0
     with path.open("xb", buffering=0) as file:
+        sink = _Sink(file)
         try:
             async for part in request.stream():
+                gathered += part
                 size += len(part)
                 _allow(str(size), limit_bytes)
-                hashed.update(part)
-                file.write(part)
+                if len(gathered) >= PART_BYTES:
+                    if under_way is not None:
+                        await under_way
+                    under_way = asyncio.create_task(run_in_threadpool(sink.take, gathered))
+                    gathered = bytearray()
         except ClientDisconnect as error:
             raise BadRequest("the connection closed before the body was whole", hint="Send it again.") from error
-    return hashed.hexdigest(), size
+        finally:
+            if under_way is not None:
+                await under_way
+        sink.take(gathered)
+    return sink.hashed.hexdigest(), size
+
+
+class _Sink:
+    """Hashes and writes parts, and syncs now and then, so that little is left to sync at the end."""
+
+    def __init__(self, file: FileIO) -> None:
+        self.hashed = hashlib.sha256()
+        self._file, self._unsynced = file, 0
+
+    def take(self, part: bytearray) -> None:
+        self.hashed.update(part)
+        self._file.write(part)
+        self._unsynced += len(part)
+        if self._unsynced >= SYNC_BYTES:
+            os.fdatasync(self._file.fileno())
+            self._unsynced = 0
 
 
 def _allow(size: str | None, limit_bytes: int) -> None:

@@ -42,7 +42,10 @@ class Blobs(ABC):
 
     @abstractmethod
     def put(self, digest: str, source: Path) -> None:
-        """Keep the bytes of a file of ours, whose digest the caller has computed. Keeping them again changes nothing; a folder mends what was damaged."""
+        """Keep the bytes of a file of ours, whose digest the caller has computed.
+
+        Keeping them again changes nothing; a folder mends what was damaged.
+        """
 
     @abstractmethod
     def get(self, digest: str) -> bytes:
@@ -72,8 +75,9 @@ class FolderBlobs(Blobs):
             os.link(source, target)
         except FileExistsError:
             self._mend(target, source)
-        for named in (target, target.parent, self._root):  # whoever linked it first may not have come this far
-            _sync(named)
+            _sync(target)
+        for folder in (target.parent, self._root):  # also for a file that was there: whoever linked it may not have come this far
+            _sync(folder)
 
     @staticmethod
     def _mend(target: Path, source: Path) -> None:

@@ -24,15 +24,19 @@ class Database:
     def __init__(self, url: str, pool: int) -> None:
         self._url = url
         self.is_sqlite = url.startswith("sqlite")
-        self.engine = (
-            _sqlite_engine(url, pool) if self.is_sqlite else create_engine(url, pool_size=pool, max_overflow=0, pool_pre_ping=True)
-        )
+        self.engine = _sqlite_engine(url, pool) if self.is_sqlite else create_engine(url, pool_size=pool, max_overflow=0)
         self._queue: Any = threading.Lock() if self.is_sqlite else nullcontext()
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
         """A consistent view."""
         with self.engine.connect() as connection:
+            yield connection
+
+    @contextmanager
+    def glance(self) -> Iterator[Connection]:
+        """For one statement that reads: no transaction is begun or ended, which on PostgreSQL spares two round trips."""
+        with self.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
             yield connection
 
     @contextmanager

@@ -36,6 +36,7 @@ _JSON = {"document", "summary", "request", "result", "facts"}
 # Statements of the busiest paths, built once: building one costs about as much as running it.
 _BY_PLANT: BindParameter[str] = bindparam("plant")
 _PLANT = select(t.plants).where(t.plants.c.name == _BY_PLANT)
+_PLANT_DIGEST = select(t.plants.c.digest).where(t.plants.c.name == _BY_PLANT)
 _LOCK_PLANT = select(t.plants.c.name).where(t.plants.c.name == _BY_PLANT).with_for_update()
 _ARTIFACT = select(t.artifacts).where(t.artifacts.c.plant == _BY_PLANT, t.artifacts.c.digest == bindparam("digest"))
 _LATEST_VERSION = select(func.max(t.artifacts.c.version)).where(t.artifacts.c.plant == _BY_PLANT)
@@ -58,6 +59,11 @@ class Reader:
 
     def plant(self, name: str) -> PlantRecord | None:
         return self._one(PlantRecord, _PLANT, plant=name)
+
+    def plant_digest(self, name: str) -> str | None:
+        """The digest of a plant's description, without the description."""
+        found: str | None = self.connection.scalar(_PLANT_DIGEST, {"plant": name})
+        return found
 
     def plants(self, after: str, limit: int) -> list[PlantRecord]:
         return self._all(PlantRecord, select(t.plants).where(t.plants.c.name > after).order_by(t.plants.c.name).limit(limit))
