@@ -45,6 +45,12 @@ _SERVING = (
     .join(t.serving, (t.moves.c.plant == t.serving.c.plant) & (t.moves.c.generation == t.serving.c.generation))
     .where(t.serving.c.plant == _BY_PLANT)
 )
+_DECISION = select(t.decisions).where(t.decisions.c.digest == bindparam("digest"))
+_SWAP = (
+    update(t.serving)
+    .where(t.serving.c.plant == bindparam("of"), t.serving.c.generation == bindparam("before"))
+    .values(generation=bindparam("after"))
+)
 _LOCK_NAME = text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))")
 _LOCK_HEAD = select(t.audit_head.c.sequence, t.audit_head.c.digest).with_for_update()
 _MOVE_HEAD = update(t.audit_head).values(sequence=bindparam("sequence"), digest=bindparam("digest"))
@@ -136,7 +142,7 @@ class Reader:
         )
 
     def decision(self, digest: str) -> DecisionRecord | None:
-        return self._one(DecisionRecord, select(t.decisions).where(t.decisions.c.digest == digest))
+        return self._one(DecisionRecord, _DECISION, digest=digest)
 
     def decisions(self, plant: str, before: str, limit: int) -> list[DecisionRecord]:
         """Decisions, the newest first, made before a time."""
@@ -258,11 +264,7 @@ class Writer(Reader):
 
     def move_serving(self, move: Move) -> None:
         """Compare and swap: the pointer goes to `move` if it stands one generation before. Raises PointerMoved."""
-        swapped = self.connection.execute(
-            update(t.serving)
-            .where(t.serving.c.plant == move.plant, t.serving.c.generation == move.generation - 1)
-            .values(generation=move.generation)
-        )
+        swapped = self.connection.execute(_SWAP, {"of": move.plant, "before": move.generation - 1, "after": move.generation})
         if swapped.rowcount != 1:
             raise PointerMoved(f"another move took generation {move.generation}", expected=move.generation - 1)
         self._add(t.moves, asdict(move))
