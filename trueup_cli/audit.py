@@ -11,11 +11,11 @@ from cyclopts import Parameter
 from rich.markup import escape
 
 from trueup.errors import TrueupError
+from trueup_cli.complaints import EXIT_DISAGREES
 from trueup_cli.options import DEFAULT_URL, Json, Url, connect
 from trueup_cli.show import as_json, err, moment, out, progress, table
 from trueup_client import Client
 
-EXIT_DISAGREES = 4
 AGREEMENT = 1e-9  # relative: matrix products differ by some 1e-13 between processors
 
 

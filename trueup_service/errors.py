@@ -66,10 +66,3 @@ class InspectionFailed(TrueupError):
 
     code = "inspection-limit"
     hint = "The file needs more memory or time than a sound recording of its size: check it, or raise the inspection limits."
-
-
-class NotReady(TrueupError):
-    """The service cannot do this now."""
-
-    code = "not-ready"
-    hint = "Try again; /readyz says what is missing."

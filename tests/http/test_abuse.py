@@ -47,6 +47,15 @@ def test_a_promotion_and_a_rollback_repeated_at_the_same_moment_move_once(servic
     assert client.serving(plant).generation == moved.generation + 1
 
 
+@pytest.mark.parametrize("off", [-1, 1])
+def test_a_keyed_rollback_from_another_generation_is_refused(service, client, plant, off):
+    moved = move(client, plant, 1.2)
+    body = json.dumps({"expected_generation": moved.generation + off})
+    path = f"/v1/plants/{plant}/serving/rollback"
+    assert problem(service, "POST", path, body, Idempotency_Key=uuid.uuid4().hex, **JSON)[:2] == (409, "pointer-moved")
+    assert client.serving(plant) == moved
+
+
 def test_a_job_cancelled_by_many_at_once_is_cancelled_once(service, client, plant, tmp_path):
     client.upload_episode(plant, save(tmp_path, "a.mcap", episode_bytes()))
     job = client.submit(plant, {"kind": "fit", "method": "identify"})["id"]

@@ -9,6 +9,7 @@ import pytest
 from sqlalchemy import text
 
 from tests.support.made import plant_document
+from trueup.canonical import digest_of
 from trueup.errors import PointerMoved
 from trueup.ledger.audit import verify
 from trueup.ledger.pointer import NothingToRollBackTo
@@ -55,38 +56,21 @@ def add_version(writer: Writer, plant: str, version: int) -> str:
     return digest
 
 
-def decide(writer: Writer, plant: str, candidate: str, *, accepted: bool = True) -> str:
+def decide(writer: Writer, plant: str, candidate: str) -> str:
+    """An accepted decision against what serves."""
     serving = writer.serving(plant)
     gate, _ = declare_gate(writer, plant, None, STAMP)
-    document = {
-        "gate": gate.digest,
-        "candidate": candidate,
-        "incumbent": serving.artifact,
-        "generation": serving.generation,
-        "accepted": accepted,
-    }
+    against = {"incumbent": serving.artifact, "generation": serving.generation}
+    document = {"gate": gate.digest, "candidate": candidate, "accepted": True, **against}
     record_decision(writer, plant, document, None, STAMP)
-    return (
-        writer.decisions(plant, "9", 1)[0].digest if accepted else next(d.digest for d in writer.decisions(plant, "9", 9) if not d.accepted)
-    )
+    return digest_of(document)
 
 
 def promote(parts, plant, version, second):
     with parts.database.write() as connection:
         writer = Writer(connection)
-        candidate = add_version(writer, plant, version)
-        serving = writer.serving(plant)
-        gate, _ = declare_gate(writer, plant, None, STAMP)
-        document = {
-            "gate": gate.digest,
-            "candidate": candidate,
-            "incumbent": serving.artifact,
-            "generation": serving.generation,
-            "accepted": True,
-        }
-        record_decision(writer, plant, document, None, at(second))
-        decision = next(d.digest for d in writer.decisions(plant, "9", 99) if d.candidate == candidate)
-        return promote_decision(writer, plant, decision, serving.generation, at(second))
+        decision = decide(writer, plant, add_version(writer, plant, version))
+        return promote_decision(writer, plant, decision, writer.serving(plant).generation, at(second))
 
 
 def test_a_fresh_database_is_at_the_head_and_migrating_again_changes_nothing(parts):

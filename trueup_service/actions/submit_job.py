@@ -17,14 +17,12 @@ from trueup_service.registry.store import Writer
 
 def submit_fit(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
     """A fit of `method` from adaptation episodes: those named, or all there are now. Raises RoleRefused, NotIdentifiable."""
-    find.plant(writer, plant)
+    find.plant_digest(writer, plant)
     episodes = _episodes(writer, plant, request.get("episodes"), (Role.ADAPTATION,))
     if not episodes:
         raise NotIdentifiable("there is no adaptation episode to fit", hint="Upload one whose metadata says role = adaptation.")
     frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(writer, plant).artifact}
-    return _submit(
-        writer, queue, JobRecord(job, plant, "fit", frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now), stamp
-    )
+    return _submit(writer, queue, job, plant, "fit", frozen, stamp)
 
 
 def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
@@ -42,9 +40,7 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
         "incumbent": now.artifact,
         "generation": now.generation,
     }
-    return _submit(
-        writer, queue, JobRecord(job, plant, "gate", frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now), stamp
-    )
+    return _submit(writer, queue, job, plant, "gate", frozen, stamp)
 
 
 def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) -> list[EpisodeRecord]:
@@ -65,15 +61,11 @@ def _digests(episodes: Sequence[EpisodeRecord]) -> list[str]:
     return list(dict.fromkeys(e.digest for e in episodes))
 
 
-def _submit(writer: Writer, queue: JobQueue, record: JobRecord, stamp: Stamp) -> JobRecord:
+def _submit(writer: Writer, queue: JobQueue, job: str, plant: str, kind: str, frozen: dict[str, Json], stamp: Stamp) -> JobRecord:
+    record = JobRecord(job, plant, kind, frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now)
     writer.add_job(record)
-    queue.enqueue(writer.connection, record.id)
+    queue.enqueue(writer.connection, job)
     writer.append_audit(
-        at=stamp.now,
-        kind="job:submitted",
-        actor=stamp.actor,
-        plant=record.plant,
-        subject=record.id,
-        facts={"kind": record.kind, "request": record.request},
+        at=stamp.now, kind="job:submitted", actor=stamp.actor, plant=plant, subject=job, facts={"kind": kind, "request": frozen}
     )
     return record

@@ -46,7 +46,6 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.BadRequest: HTTPStatus.BAD_REQUEST,
     service.SwitchbackFailed: HTTPStatus.CONFLICT,
     service.InspectionFailed: HTTPStatus.UNPROCESSABLE_ENTITY,
-    service.NotReady: HTTPStatus.SERVICE_UNAVAILABLE,
 }
 
 

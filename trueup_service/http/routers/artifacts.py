@@ -91,7 +91,7 @@ def list_artifacts(
 ) -> Page[Artifact]:
     with parts.database.read() as connection:
         reader = Reader(connection)
-        find.plant(reader, plant)
+        find.plant_digest(reader, plant)
         found = reader.artifacts(plant, after, limit)
     return page(Artifact, found, limit, "version")
 

@@ -16,7 +16,7 @@ router = APIRouter(prefix="/v1", tags=["decisions"])
 def list_decisions(parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100) -> Page[Decision]:
     with parts.database.read() as connection:
         reader = Reader(connection)
-        find.plant(reader, plant)
+        find.plant_digest(reader, plant)
         found = reader.decisions(plant, before, limit)
     return page(Decision, found, limit, "created_at")
 

@@ -77,7 +77,7 @@ def list_episodes(
     """In the order of their digests; `after` is the digest that the page before ended with."""
     with parts.database.read() as connection:
         reader = Reader(connection)
-        find.plant(reader, plant)
+        find.plant_digest(reader, plant)
         found = reader.episodes(plant, role, after, limit)
     return page(Episode, found, limit, "digest")
 

@@ -33,7 +33,7 @@ def declare(
 def list_gates(parts: With, plant: PlantName, after: Annotated[str, Query(max_length=64)] = "", limit: Limit = 100) -> Page[Gate]:
     with parts.database.read() as connection:
         reader = Reader(connection)
-        find.plant(reader, plant)
+        find.plant_digest(reader, plant)
         found = reader.gates(plant, after, limit)
     return page(Gate, found, limit, "digest")
 

@@ -35,7 +35,7 @@ def submit(parts: With, stamp: By, plant: PlantName, request: JobRequest, key: I
 def list_jobs(parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100) -> Page[Job]:
     with parts.database.read() as connection:
         reader = Reader(connection)
-        find.plant(reader, plant)
+        find.plant_digest(reader, plant)
         found = reader.jobs(plant, before, limit)
     return page(Job, found, limit, "created_at")
 

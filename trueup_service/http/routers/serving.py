@@ -15,7 +15,6 @@ from trueup_service.errors import BadRequest
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, run_once
 from trueup_service.http.schemas import Page, Promotion, Rollback, Serving
 from trueup_service.http.serving_answers import ServingAnswers, document, matches
-from trueup_service.registry.records import ArtifactRecord
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
 
@@ -80,7 +79,7 @@ def history(
     """Every position of the pointer in order, or with `at` the one that was live at that time."""
     with parts.database.read() as connection:
         reader = Reader(connection)
-        find.plant(reader, plant)
+        find.plant_digest(reader, plant)
         if at is not None:
             live = reader.served_at(plant, _padded(at))
             return Page(items=[Serving(**document(live))] if live else [])
@@ -115,28 +114,28 @@ async def rollback(request: Request, parts: With, stamp: By, plant: PlantName, w
 
 def _roll_back(parts: Parts, stamp: Stamp, plant: str, expected_generation: int, key: str | None) -> dict[str, Any]:
     """Test outside any transaction, for it reads a model; then move, if the pointer is still where the test found it."""
-    from trueup_service.actions.switchback import test_switchback  # noqa: PLC0415  (numpy: a server that only serves needs none)
-
-    scope, tested = f"rollback/{plant}", {}
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        registered = find.plant(reader, plant)
-        artifact = _artifact_before(reader, plant, expected_generation, repeated=key is not None)
-    if artifact is not None:
-        tested = test_switchback(parts.blobs, artifact, registered.digest)
+    tested, refused = {}, None
+    try:
+        tested = _tested(parts, plant, expected_generation)
+    except PointerMoved as error:
+        if key is None:
+            raise
+        refused = error  # unless the request is a repeated one, whose answer is known
 
     def act(writer: Writer) -> dict[str, Any]:
-        previous_artifact(writer, plant, expected_generation)  # where nothing was tested this refuses, and nothing moves
+        if refused is not None:
+            raise refused
         return document(roll_back_pointer(writer, plant, expected_generation, tested, stamp))
 
-    return run_once(parts, stamp, scope, key, {"expected_generation": expected_generation}, act)
+    return run_once(parts, stamp, f"rollback/{plant}", key, {"expected_generation": expected_generation}, act)
 
 
-def _artifact_before(reader: Reader, plant: str, expected_generation: int, *, repeated: bool) -> ArtifactRecord | None:
-    """What is to be tested; None where the request may be a repeated one, whose answer is known."""
-    try:
-        return previous_artifact(reader, plant, expected_generation)[1]
-    except PointerMoved:
-        if repeated:
-            return None
-        raise
+def _tested(parts: Parts, plant: str, expected_generation: int) -> dict[str, Any]:
+    """The record of the switchback test on what served before. Raises PointerMoved, SwitchbackFailed."""
+    from trueup_service.actions.switchback import test_switchback  # noqa: PLC0415  (numpy: a server that only serves needs none)
+
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        registered = find.plant_digest(reader, plant)
+        _, artifact = previous_artifact(reader, plant, expected_generation)
+    return test_switchback(parts.blobs, artifact, registered)
