@@ -27,6 +27,7 @@ _COMMANDS = {
     "promote": ("serving:promote", "Serve the candidate of an accepted decision."),
     "rollback": ("serving:rollback", "Serve what served before, after its switchback test."),
     "fetch": ("serving:fetch", "Fetch a model, every byte verified."),
+    "diagnose": ("diagnose:run", "Say where the gap lies, which effect causes it, and how far it shrinks."),
     "predict": ("predict:predict", "Roll a model out over an episode."),
     "audit": ("audit:audit", "Print or verify the audit log."),
     "replay": ("audit:replay", "Recompute a decision and say whether it agrees."),

@@ -1,17 +1,24 @@
 """Every law on every subject found, and a planted fault for each law to show that it is caught."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from trueup.chapter.data import PLANT, draw
-from trueup.checks import family_laws, predictor_laws, rule_laws
+from trueup.checks import effect_laws, family_laws, predictor_laws, rule_laws
 from trueup.checks.law import LawBroken
 from trueup.fit.residual import fit_blind, fit_conditioned, fit_residual
+from trueup.fit.rollout_fit import Fitter
 from trueup.gate.rule import Rule, Verdict, rules
+from trueup.model.block import nulls
+from trueup.model.corrected import Corrected
+from trueup.model.effect import Effect, Number, Port, Scale, effects
 from trueup.model.family import Family, Param, families
-from trueup.model.predictor import KINDS, Identified, Nominal
+from trueup.model.hypothesis import Hypothesis, Scales, switches
+from trueup.model.kinds import KINDS
+from trueup.model.predictor import Identified, Nominal
+from trueup.model.series import Scheme
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +30,65 @@ def predictors():
         fit_blind(PLANT, data.pooled),
         fit_conditioned(PLANT, data.pooled, (1.2, 0.6, 0.8)),
         fit_residual(PLANT, [data.adaptation])[0],
+        _corrected(),
     ]
     return {p.kind: p for p in made}
+
+
+def _corrected():
+    fitter = Fitter(PLANT.family, Scales(0.6, 0.5, 0.7, 1.0), np.ones(2))
+    values = fitter.with_effect(fitter.begin((1.2, 0.6, 0.8)), "coulomb_friction", (0.2,))
+    values = fitter.with_effect(values, "actuator_lag", (0.1,))
+    both = Hypothesis() | "coulomb_friction" | "actuator_lag"
+    return Corrected(PLANT, both, tuple(map(float, values)), Scheme(0.5, 2), ((0.2, 0.0), (0.1, 0.3)))
+
+
+@pytest.mark.parametrize("law", effect_laws.LAWS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize("name", list(effects()))
+def test_effects(law, name):
+    law(effects()[name])
+
+
+class _Vague(Effect):
+    """An effect that breaks the laws it can break without being compiled."""
+
+    name = "vague"
+    port = Port.FORCE
+    category = "structure"
+    params = (Number("level", Scale.ACCELERATION), Number("unused", Scale.ONE))
+    states = ("z",)
+    starts = ((0.1,),)
+
+    @staticmethod
+    def apply(a, level):
+        return a + level
+
+
+def test_an_undocumented_effect_is_caught():
+    with pytest.raises(LawBroken):
+        effect_laws.it_documents_itself(_Vague)
+
+
+@pytest.mark.parametrize(
+    "law", [effect_laws.vanishes_at_its_null, effect_laws.every_parameter_matters, effect_laws.its_value_is_found_again]
+)
+def test_an_effect_that_is_not_what_it_says_is_caught(law, monkeypatch):
+    """Another effect's numbers in this one's rows: the null is no null, numbers do nothing, values are not found."""
+    deadband = effects()["deadband"]
+    wrong = tuple(replace(n, null=0.3) for n in deadband.params)
+    monkeypatch.setattr(deadband, "params", wrong)
+    nulls.cache_clear()
+    monkeypatch.setattr(
+        effect_laws,
+        "switches",
+        lambda h: np.zeros(len(effects()), np.uint8) if law is not effect_laws.vanishes_at_its_null else switches(h),
+    )
+    monkeypatch.setattr("trueup.fit.rollout_fit.switches", lambda h: np.zeros(len(effects()), np.uint8))
+    try:
+        with pytest.raises(LawBroken):
+            law(deadband)
+    finally:
+        nulls.cache_clear()
 
 
 @pytest.mark.parametrize("law", family_laws.LAWS, ids=lambda f: f.__name__)

@@ -98,14 +98,18 @@ def test_every_error_that_the_service_can_answer_with_has_a_status():
 
 def test_every_setting_is_documented():
     assert all(setting.description for setting in Settings.model_fields.values())
+
+
+@pytest.mark.parametrize("page", ["settings", "effects"])
+def test_pages_made_from_the_code_are_up_to_date(page):
     written = subprocess.run(
-        [sys.executable, "-c", "import make_settings; print(make_settings.page(), end='')"],
+        [sys.executable, "-c", f"import make_{page}; print(make_{page}.page(), end='')"],
         cwd=ROOT / "docs",
         capture_output=True,
         text=True,
         check=True,
     )
-    assert (ROOT / "docs" / "settings.md").read_text() == written.stdout, "run `make docs`"
+    assert (ROOT / "docs" / f"{page}.md").read_text() == written.stdout, "run `make docs`"
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))

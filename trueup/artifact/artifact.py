@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from trueup.artifact.arrays import arrays_from_bytes, arrays_to_bytes
 from trueup.canonical import Json, canonical_bytes, digest_of_bytes
 from trueup.errors import BadArtifact, TrueupError
+from trueup.model.kinds import KINDS
 from trueup.model.plant import Plant
-from trueup.model.predictor import KINDS, Nominal, Predictor
+from trueup.model.predictor import Nominal, Predictor
 
 Array = NDArray[np.float64]
 SCHEMA = "trueup.artifact/1"

@@ -225,9 +225,6 @@ def _move(states: Array, by: Array, plant: Plant, h_s: Array | float | None) -> 
     return states + by if h_s is None else states + by * np.broadcast_to(np.asarray(h_s) / plant.timestep_s, len(states))[:, None]
 
 
-KINDS: Mapping[str, type[Predictor]] = {k.kind: k for k in (Nominal, Identified, Blind, Conditioned, Residual)}
-
-
 def predict_observations(predictor: Predictor, windows: Windows) -> Array:
     """Observations `(windows, samples, observations)` of a predictor's rollout."""
     return predictor.plant.observe(predictor.rollout(windows))

@@ -20,10 +20,12 @@ TOUCH_S = 1e-9  # a start this close before a multiple of the horizon is at it: 
 class Windows:
     """Rollout windows of one episode, padded to one length.
 
+    `episode` is what they were cut from: a predictor with inner states looks at its past, never beyond a window's start.
     `first` `(windows,)` is each window's first sample, `lengths` `(windows,)` its samples. `initial` `(windows, states)`;
     `issued` `(windows, samples, commands)`; `h_s` [s] and `steps` `(windows, samples)`, with 0 steps behind a window's end.
     """
 
+    episode: Episode
     first: NDArray[np.int64]
     lengths: NDArray[np.int64]
     initial: Array
@@ -55,7 +57,9 @@ def cut(plant: Plant, episode: Episode, first: NDArray[np.int64], lengths: NDArr
     rows = first[:, None] + np.minimum(np.arange(lengths.max()), lengths[:, None] - 1)
     h_s, steps = intervals(episode.t_s, plant.timestep_s)
     runs = np.arange(lengths.max()) < lengths[:, None] - 1
-    return Windows(first, lengths, past_states(plant, episode)[first], episode.commands[rows], h_s[rows], np.where(runs, steps[rows], 0))
+    return Windows(
+        episode, first, lengths, past_states(plant, episode)[first], episode.commands[rows], h_s[rows], np.where(runs, steps[rows], 0)
+    )
 
 
 def intervals(t_s: Array, timestep_s: float) -> tuple[Array, NDArray[np.int64]]:

@@ -1,0 +1,75 @@
+"""`trueup diagnose` on a case folder, then `trueup predict` with what it wrote."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.made import T0_NS
+from tests.support.simulated import recorded
+from trueup.episode.role import Role
+from trueup.episode.writer import write_episode
+
+TRUEUP = Path(sys.executable).parent / "trueup"
+
+
+def run(*arguments, code=0):
+    done = subprocess.run([TRUEUP, *map(str, arguments)], capture_output=True, text=True, check=False)
+    assert done.returncode == code, done.stderr
+    return done
+
+
+def _write(file, plant, t_s, commands, observations, role):
+    stamps = T0_NS + np.rint(t_s * 1e9).astype(np.int64)
+    conditions = {"stage": "SIL"}
+    write_episode(
+        file, stamps_ns=stamps, observations=observations, commands=commands, layout=plant.layout, role=role, conditions=conditions
+    )
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("case")
+    plant, episodes, trial = recorded("A1", ["coulomb_friction"], 11)
+    (folder / "plant.json").write_text(json.dumps(plant.document))
+    for i, e in enumerate(episodes):
+        with (folder / f"{i}-{e.role}.mcap").open("wb") as file:
+            _write(file, plant, e.t_s, e.commands, e.observations, e.role)
+    out = folder / "out"
+    return folder, out, run("diagnose", folder, "--out", out), plant, trial
+
+
+def test_it_writes_a_report_a_page_and_a_model(case):
+    _, out, done, _, _ = case
+    report = json.loads((out / "report.json").read_text())
+    assert report["schema"] == "trueup.diagnosis/1"
+    assert [e["effect"] for e in report["effects"]] == ["coulomb_friction"]
+    assert (out / "report.html").read_text().startswith("<!doctype html>")
+    assert "Coulomb friction" in done.stdout
+    assert len(report["evidence"]["episodes"]) == 6
+
+
+def test_its_model_predicts_an_episode_that_it_never_saw(case):
+    folder, out, _, plant, trial = case
+    test = trial.test[0]
+    episode = folder / "test.mcap"
+    with episode.open("wb") as file:
+        _write(file, plant, test.t_s, test.issued[:, None], test.observed, Role.TEST)
+    missed = {}
+    for which, extra in (("nominal", ["--nominal"]), ("corrected", [])):
+        table = folder / f"{which}.csv"
+        run("predict", "--model", out / "model", "--episode", episode, "--horizon", 2.0, "--out", table, *extra)
+        with table.open() as file:
+            rows = np.array([[float(x) for x in row] for row in list(csv.reader(file))[1:]])
+        assert np.allclose(rows[:, 0], test.t_s, atol=1e-8)
+        missed[which] = float(np.sqrt(np.mean((rows[:, 1:] - test.observed) ** 2)))
+    assert missed["corrected"] < 0.2 * missed["nominal"]
+
+
+def test_a_folder_without_a_plant_says_what_a_case_is(tmp_path):
+    done = run("diagnose", tmp_path, "--out", tmp_path / "out", code=1)
+    assert "plant.json" in done.stderr

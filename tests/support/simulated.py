@@ -1,0 +1,46 @@
+"""Machines of the second simulator as plants and episodes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
+from trueup.model.plant import Plant
+from trueup.simulate.machine import Run
+from trueup.simulate.trial import Bench, Trial, draw, draw_bench
+
+
+def plant_of(bench: Bench, *, velocity: bool = True) -> Plant:
+    parameters = {"k": bench.k, "c": bench.c, "b": bench.b}
+    if bench.kind == "inertia":
+        del parameters["k"]
+    observations = [{"name": "q", "unit": "rad"}, {"name": "v", "unit": "rad/s"}]
+    return Plant.from_document(
+        {
+            "name": "simulated",
+            "nominal": {"family": bench.kind, "parameters": parameters, "timestep_s": bench.timestep_s},
+            "commands": [{"name": "u", "unit": "rad/s^2", "limits": [-bench.limit, bench.limit]}],
+            "observations": observations if velocity else observations[:1],
+            "envelope": {"q": [-5.0, 5.0]},
+            "evaluation": {"horizon_s": 2.0},
+        }
+    )
+
+
+def episodes_of(plant: Plant, trial: Trial) -> list[Episode]:
+    parts = ((Role.ADAPTATION, trial.adaptation), (Role.VALIDATION, trial.validation))
+    return [episode_of(plant, run, role, f"{role}-{i}") for role, runs in parts for i, run in enumerate(runs)]
+
+
+def episode_of(plant: Plant, run: Run, role: Role, digest: str) -> Episode:
+    seen = run.observed[:, : len(plant.layout.observations)].copy()
+    return Episode(run.t_s.copy(), run.issued[:, None].copy(), seen, plant.layout, role, {"stage": "SIL"}, 0, digest)
+
+
+def recorded(tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True) -> tuple[Plant, list[Episode], Trial]:
+    rng = np.random.default_rng(seed)
+    bench = draw_bench(tier, rng)
+    trial = draw(bench, names, shifted, rng)
+    plant = plant_of(bench, velocity=velocity)
+    return plant, episodes_of(plant, trial), trial

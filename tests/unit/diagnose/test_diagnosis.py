@@ -1,0 +1,171 @@
+"""What a diagnosis says of machines whose faults are known, made by the second simulator."""
+
+import numpy as np
+import pytest
+
+from tests.support.simulated import recorded
+from trueup.diagnose.diagnosis import diagnose
+from trueup.diagnose.page import page, sentence
+from trueup.episode.role import Role
+from trueup.errors import NotIdentifiable
+
+
+def named(found):
+    return [e["effect"] for e in found.document["effects"]]
+
+
+def truth_in(entry, parameter, value):
+    low, high = entry["estimate"][parameter]["ci95"]
+    return low - 0.5 * (high - low) <= value <= high + 0.5 * (high - low)
+
+
+@pytest.fixture(scope="module")
+def friction():
+    plant, episodes, trial = recorded("A1", ["coulomb_friction"], 11)
+    return plant, episodes, trial, diagnose(plant, episodes)
+
+
+def test_friction_is_named_with_its_level_and_the_gap_closes(friction):
+    _, _, trial, found = friction
+    assert (found.document["verdict"], named(found)) == ("effect", ["coulomb_friction"])
+    assert found.document["indistinguishable"] == []
+    assert truth_in(found.document["effects"][0], "level", trial.machine.imperfections["coulomb_friction"]["level"])
+    gap = found.document["gap"]
+    assert gap["closed"] > 0.98
+    assert gap["floor"] <= gap["after"] * 1.1 < gap["parameters_only"] < gap["before"] * 1.05
+
+
+def test_parameters_are_found_beside_the_effect(friction):
+    _, _, trial, found = friction
+    for name, true in (("k", trial.machine.k), ("c", trial.machine.c), ("b", trial.machine.b)):
+        assert found.document["parameters"][name]["value"] == pytest.approx(true, rel=0.02)
+
+
+def test_what_is_absent_is_bounded(friction):
+    _, _, _, found = friction
+    delay = next(b for b in found.document["excluded"] if b["effect"] == "actuator_delay")
+    assert 0.0 < delay["below"] < 0.01
+    assert {b["effect"] for b in found.document["excluded"]}.isdisjoint(named(found))
+
+
+def test_the_same_episodes_give_the_same_report(friction):
+    plant, episodes, _, found = friction
+    assert diagnose(plant, episodes).document == found.document
+
+
+def test_the_page_says_what_the_report_says(friction):
+    _, _, _, found = friction
+    text = page(found)
+    assert "Coulomb friction" in sentence(found.document)
+    assert "<svg" in text
+    assert "http" not in text
+    assert sentence(found.document).replace("&", "&amp;") in text
+
+
+def test_validation_episodes_are_never_fitted(friction):
+    plant, episodes, _, found = friction
+    cut = [e if e.role is Role.ADAPTATION else episodes[-1] for e in episodes[:-1]]
+    again = diagnose(plant, cut)
+    assert again.document["parameters"]["k"]["value"] == pytest.approx(found.document["parameters"]["k"]["value"], rel=1e-6)
+
+
+def test_new_numbers_in_the_nominal_form_are_parameters_only():
+    plant, episodes, _ = recorded("A1", [], 5)
+    found = diagnose(plant, episodes)
+    assert (found.document["verdict"], named(found)) == ("parameters_only", [])
+    assert found.document["gap"]["closed"] > 0.98
+
+
+def test_no_gap_is_said_and_nothing_is_closed():
+    plant, episodes, _ = recorded("B1", [], 6, shifted=False)
+    found = diagnose(plant, episodes)
+    assert found.document["verdict"] in ("no_gap", "parameters_only")
+    assert named(found) == []
+
+
+def test_a_delay_of_the_sensor_has_the_law_of_the_actuators():
+    plant, episodes, _ = recorded("A1", ["sensor_delay"], 8)
+    found = diagnose(plant, episodes)
+    assert named(found) == ["actuator_delay"]
+    assert ["sensor_delay"] in found.document["indistinguishable"]
+    assert "clock" in found.document["next_experiment"]["why"]
+    assert found.document["next_experiment"]["command"] is None
+
+
+def test_a_bias_and_a_constant_force_are_one_on_a_linear_spring():
+    plant, episodes, _ = recorded("A1", ["sensor_bias"], 9)
+    found = diagnose(plant, episodes)
+    named_or_rival = {*named(found), *(e for other in found.document["indistinguishable"] for e in other)}
+    assert named_or_rival == {"sensor_bias", "constant_force"}
+
+
+def test_two_effects_are_named_together():
+    plant, episodes, _ = recorded("B1", ["gain_asymmetry", "coulomb_friction"], 12)
+    found = diagnose(plant, episodes)
+    assert sorted(named(found)) == ["coulomb_friction", "gain_asymmetry"]
+    assert all(e["share"] > 0.0 for e in found.document["effects"])
+
+
+def test_an_effect_outside_the_catalogue_is_not_named():
+    plant, episodes, _ = recorded("A1", ["k_modulated"], 13)
+    found = diagnose(plant, episodes)
+    assert (found.document["verdict"], named(found)) == ("unknown_effect", [])
+
+
+def test_positions_alone_are_enough():
+    plant, episodes, _ = recorded("A1", ["deadband"], 14, velocity=False)
+    found = diagnose(plant, episodes)
+    assert named(found) == ["deadband"]
+
+
+def test_held_frames_are_counted():
+    plant, episodes, trial = recorded("B2", ["dropped_frames"], 15)
+    found = diagnose(plant, episodes)
+    assert named(found) == ["dropped_frames"]
+    fraction = found.document["effects"][0]["estimate"]["fraction"]["value"]
+    assert fraction == pytest.approx(trial.machine.imperfections["dropped_frames"]["fraction"], abs=0.02)
+
+
+def test_a_coarse_sensor_is_told_by_its_lattice():
+    plant, episodes, trial = recorded("A1", ["sensor_quantization"], 16)
+    found = diagnose(plant, episodes)
+    assert "sensor_quantization" in named(found)
+    step = next(e for e in found.document["effects"] if e["effect"] == "sensor_quantization")["estimate"]["step"]["value"]
+    assert step == pytest.approx(trial.machine.imperfections["sensor_quantization"]["step"], rel=1e-3)
+
+
+def test_a_discrete_plant_is_fitted_by_its_own_step():
+    plant, episodes, trial = recorded("A0", ["quadratic_drag"], 17)
+    found = diagnose(plant, episodes)
+    assert named(found) == ["quadratic_drag"]
+    value = found.document["effects"][0]["estimate"]["coefficient"]["value"]
+    assert value == pytest.approx(trial.machine.imperfections["quadratic_drag"]["coefficient"], rel=1e-4)
+
+
+def test_without_validation_it_says_what_to_do():
+    plant, episodes, _ = recorded("A1", [], 5)
+    with pytest.raises(NotIdentifiable) as raised:
+        diagnose(plant, [e for e in episodes if e.role is Role.ADAPTATION])
+    assert "validation" in raised.value.hint
+
+
+def test_a_joint_that_never_moves_is_no_case():
+    plant, episodes, _ = recorded("A1", [], 5)
+    still = [type(e)(e.t_s, 0.0 * e.commands, 0.0 * e.observations, e.layout, e.role, e.conditions, 0, e.digest) for e in episodes]
+    with pytest.raises(NotIdentifiable):
+        diagnose(plant, still)
+
+
+def test_progress_is_told_from_the_start():
+    plant, episodes, _ = recorded("A1", [], 5)
+    told = []
+    diagnose(plant, episodes, progress=lambda stage, part: told.append((stage, part)))
+    assert told[0][0] == "looking at the episodes"
+    assert told[-1] == ("done", 1.0)
+    assert all(0.0 <= part <= 1.0 for _, part in told)
+
+
+def test_the_noise_is_told_from_the_signal():
+    plant, episodes, trial = recorded("B1", ["coulomb_friction"], 18)
+    found = diagnose(plant, episodes)
+    assert np.allclose([found.document["evidence"]["noise"][n] for n in ("q", "v")], trial.sigma, rtol=0.1)

@@ -1,0 +1,117 @@
+"""Admission: what the episodes are like before anything is fitted: noise, lattices, held frames, sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.episode.episode import Episode
+from trueup.errors import NotIdentifiable
+from trueup.model.hypothesis import Scales
+from trueup.model.plant import Plant
+from trueup.model.series import held
+from trueup.model.state import smoothed_states
+
+Array = NDArray[np.float64]
+DIFFERENCE = 4  # order: it takes away what is smooth over five samples
+GAIN = np.sqrt(70.0)  # of a fourth difference for white noise
+TRIMMED = 0.8  # of the smallest differences count; a kink or a lost frame is among the others
+NORMAL = 0.66161  # rms of the smallest 80 % of absolute standard normals
+NUMERICAL = 3e-4  # of a channel's standard deviation: below this lies what integration, not the machine, does
+LATTICE = 0.02  # of a step: how far a value may lie off it
+LATTICE_VALUES = 0.5  # of the samples: a lattice is coarse enough to count when no more values than that are distinct
+COARSE = 0.01  # of a channel's standard deviation: quantization below this makes no gap worth a name
+ROUNDING = np.sqrt(12.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """Sizes of one set of episodes.
+
+    `noise`, `sigma` and `motion` `(2,)`: standard deviation of the noise, of what fits count as noise, and of the motion, of position
+    and velocity, nan where not observed.
+    `lattice` `(2,)`: steps on which their values lie, 0 where on none. `held` is the fraction of repeated frames.
+    """
+
+    noise: Array
+    sigma: Array
+    motion: Array
+    lattice: Array
+    held: float
+    scales: Scales
+
+    @property
+    def observed(self) -> NDArray[np.bool_]:
+        """Which of position and velocity there are."""
+        return np.isfinite(self.sigma)
+
+    @property
+    def coarse(self) -> NDArray[np.bool_]:
+        """Which of them are quantized enough to make a gap."""
+        return np.asarray(self.lattice / ROUNDING > COARSE * np.nan_to_num(self.motion, nan=np.inf))
+
+
+def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
+    """Look at adaptation episodes. Raises NotIdentifiable where nothing moves or no command was given."""
+    if not episodes:
+        raise NotIdentifiable("there is no adaptation episode to fit", hint="Give episodes the role adaptation, and others validation.")
+    noise, sigma, motion, lattice = np.full(2, np.nan), np.full(2, np.nan), np.full(2, np.nan), np.zeros(2)
+    repeats = [held(_columns(plant, e)) for e in episodes]
+    for channel, column in enumerate(plant.state_columns):
+        tracks = [e.observations[:, channel][~r] for e, r in zip(episodes, repeats, strict=True)]
+        tracks = [x[np.isfinite(x)] for x in tracks if np.isfinite(x).sum() > 2 * DIFFERENCE]
+        if tracks:
+            lattice[column] = _lattice(np.concatenate(tracks))
+            motion[column] = float(np.std(np.concatenate([x - x.mean() for x in tracks])))
+            whole = [(e.observations[:, channel], r) for e, r in zip(episodes, repeats, strict=True)]
+            noise[column] = max(_noise(whole), lattice[column] / ROUNDING)
+            sigma[column] = max(noise[column], NUMERICAL * motion[column])
+    states = np.concatenate([smoothed_states(plant, e) for e in episodes])
+    states = states[np.isfinite(states).all(axis=1)]
+    issued = np.concatenate([plant.applied(e.commands)[:, 0] for e in episodes])
+    sizes = float(np.abs(states[:, 0]).max()), float(np.std(states[:, 1])), float(np.sqrt(np.mean(issued**2)))
+    if min(sizes) <= 0.0:
+        raise NotIdentifiable(
+            "the joint never moves, or no command was ever given", hint="Record episodes with a command that moves the joint."
+        )
+    gain = abs(dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True)).get("b", 1.0))
+    limit = float(np.abs(issued).max())
+    return Admission(
+        noise, sigma, motion, lattice, float(np.mean(np.concatenate(repeats))), Scales(sizes[0], sizes[1], gain * sizes[2], limit)
+    )
+
+
+def _columns(plant: Plant, episode: Episode) -> Array:
+    observed = np.full((len(episode.t_s), 2), np.nan)
+    observed[:, plant.state_columns] = episode.observations
+    return observed
+
+
+def _noise(tracks: Sequence[tuple[Array, NDArray[np.bool_]]]) -> float:
+    """Standard deviation of white noise on smooth tracks, from the smaller ones of their fourth differences without held frames."""
+    parts = []
+    for x, repeated in tracks:
+        fourth = np.abs(np.diff(x, DIFFERENCE))
+        touched = np.convolve(repeated | ~np.isfinite(x), np.ones(DIFFERENCE + 1), "valid") > 0.0
+        parts.append(fourth[~touched])
+    fourth = np.sort(np.concatenate(parts))
+    if not len(fourth):
+        return 0.0
+    kept = fourth[: max(1, int(TRIMMED * len(fourth)))]
+    return float(np.sqrt(np.mean(kept**2)) / GAIN / NORMAL)
+
+
+def _lattice(values: Array) -> float:
+    """The step of the lattice on which all values lie, 0 where there is none."""
+    distinct = np.unique(values)
+    if len(distinct) < 3 or len(distinct) > LATTICE_VALUES * len(values):  # noqa: PLR2004  (three values make two steps)
+        return 0.0
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > 1e-9 * (distinct[-1] - distinct[0])]
+    step = float(gaps.min())
+    counts = np.rint(gaps / step)
+    step = float(gaps.sum() / counts.sum())
+    return step if float(np.abs(gaps / step - counts).max()) < LATTICE else 0.0

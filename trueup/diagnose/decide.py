@@ -1,0 +1,151 @@
+"""Decide: which composition the evidence supports, what it cannot be told from, and whether any does.
+
+- Comparisons are of squared normalised errors, window by window, over the episodes that were fitted and those that were not;
+  a larger composition must also earn its place on the latter alone.
+- Differences are scaled by the best candidate's own misfit, so that what no candidate explains does not separate them, and every
+  free number has its price.
+- A larger composition is taken where it removes a material part of the gap, beyond the accuracy of laws and integration.
+- Compositions of one size are told apart where a difference is certain over windows, and not where it is small.
+- Where even the best leaves a material part of the gap, none of them is the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from trueup.diagnose.search import Candidate
+from trueup.episode.episode import Episode
+from trueup.fit.rollout_fit import RolloutFit
+from trueup.model.effect import effects
+
+LOG_LIKELIHOOD = 9.0  # units of log-likelihood that separate two candidates
+CERTAIN = 3.0  # times that, for windows that do not agree
+AGREEMENT = 3.0  # of the evidence in windows for a difference to that against it
+FLOOR = 0.5  # the least misfit: the noise is known to a few per cent, so none is far below 1
+FINISHED = 0.2  # of what was left: a composition that leaves no more than that explains it
+NOISE_POWER = 0.06  # of the noise's power: the least that an effect must remove
+ADEQUATE = 1.25  # misfit up to which noise, known to a few per cent, is all that is left
+
+
+@dataclass(frozen=True, slots=True)
+class Yardstick:
+    """How exact a law may be expected to be.
+
+    `material` is the least part of the refitted gap that an effect must remove, `finishing` the same where it leaves FINISHED of the
+    rest; `overall` the least part of the nominal model's gap; `unexplained` the part of the gap beyond which no law is the answer;
+    `most_effects` how many are looked for.
+    """
+
+    material: float
+    finishing: float
+    overall: float
+    unexplained: float
+    most_effects: int
+
+
+SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 3)  # the laws' forms and the integration differ by about a thousandth
+PHYSICAL = Yardstick(0.02, 0.02, 2e-3, 0.15, 2)  # no textbook law holds on a machine to better than some per cent
+
+
+def yardstick(episodes: Sequence[Episode]) -> Yardstick:
+    """By the stage that the episodes declare: a machine is measured by another yardstick than a simulator."""
+    return PHYSICAL if any(e.conditions.get("stage") in ("physical", "HIL") for e in episodes) else SIMULATED
+
+
+class Verdict(StrEnum):
+    """What a diagnosis ends in."""
+
+    EFFECT = "effect"
+    PARAMETERS_ONLY = "parameters_only"
+    NO_GAP = "no_gap"
+    UNKNOWN = "unknown_effect"
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The verdict, the winner, what cannot be told from it, and the part of the gap that it leaves."""
+
+    verdict: Verdict
+    winner: Candidate
+    rivals: tuple[Candidate, ...]
+    left: float
+
+
+def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick = SIMULATED) -> Choice:
+    """Choose among fitted candidates, the bare family among them. `nominal` is the nominal model on validation episodes."""
+    sound = [c for c in candidates if np.isfinite(total(c))]
+    spread = max(min(map(total, sound)), FLOOR)
+    by_size: dict[float, list[Candidate]] = {}
+    for c in sorted(sound, key=lambda c: penalised(c, spread)):
+        by_size.setdefault(complexity(c), []).append(c)
+    base = by_size[0][0]
+    gap = max(base.misfit - 1.0, nominal.misfit - 1.0, 0.0)
+    winner = base
+    for _, group in sorted(by_size.items())[1:]:
+        if _earns(group[0], winner, base, gap, by):
+            winner = group[0]
+    size = complexity(winner)
+    left = max(winner.misfit - 1.0, 0.0) / max(base.misfit - 1.0 if size else gap, 1e-12)
+    if winner.misfit > ADEQUATE and left > by.unexplained:
+        return Choice(Verdict.UNKNOWN, winner, (), left)
+    if size:
+        rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner))
+        return Choice(Verdict.EFFECT, winner, rivals, left)
+    moved = nominal.misfit - base.misfit > NOISE_POWER * max(base.misfit, FLOOR)
+    better = moved and _certain(nominal.costs - base.check.costs, base.misfit)
+    return Choice(Verdict.PARAMETERS_ONLY if better else Verdict.NO_GAP, winner, (), left)
+
+
+def complexity(c: Candidate) -> float:
+    """Number of effects; one that contains another is half an effect more."""
+    return sum(1.5 if effects()[name].contains else 1.0 for name in c.hypothesis.effects)
+
+
+def total(c: Candidate) -> float:
+    """Misfit over adaptation and validation episodes together."""
+    return (c.fit.cost + c.check.cost) / (c.fit.samples + c.check.samples)
+
+
+def penalised(c: Candidate, spread: float) -> float:
+    """Cost in units of what the best leaves, and a price for each free number.
+
+    Source: G. Schwarz, Annals of Statistics 6 (1978).
+    """
+    numbers = len(c.fit.free.rows) + sum(len(s.memory) for s in c.fit.starts.values())
+    return (c.fit.cost + c.check.cost) / spread + numbers * float(np.log(c.fit.samples + c.check.samples))
+
+
+def enough(candidate: Candidate, base: Candidate, by: Yardstick) -> bool:
+    """Whether nothing material is left for a larger composition to explain."""
+    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < by.finishing * (base.misfit - 1.0)
+
+
+def _earns(larger: Candidate, smaller: Candidate, base: Candidate, gap: float, by: Yardstick) -> bool:
+    """Whether a larger composition removes a material and certain part of the gap on validation episodes."""
+    removed = smaller.misfit - larger.misfit
+    rest = max(larger.misfit - 1.0, 0.0) / max(smaller.misfit - 1.0, 1e-12)
+    part = by.material if rest > FINISHED else by.finishing
+    material = max(part * (base.misfit - 1.0), by.overall * gap, NOISE_POWER * max(larger.misfit, FLOOR))
+    return removed > material and _certain(smaller.check.costs - larger.check.costs, larger.misfit)
+
+
+def _told_apart(rival: Candidate, winner: Candidate) -> bool:
+    """Whether the windows of all episodes are certain that a rival of the same size is worse, numbers of parameters accounted for."""
+    worse = np.concatenate([rival.fit.costs - winner.fit.costs, rival.check.costs - winner.check.costs])
+    spread = max(total(winner), FLOOR)
+    priced = penalised(rival, spread) - penalised(winner, spread)
+    return priced > 2.0 * LOG_LIKELIHOOD and (_agree(worse) or priced > CERTAIN * LOG_LIKELIHOOD * 2.0)
+
+
+def _certain(worse: np.ndarray, misfit: float) -> bool:
+    """Whether windows agree that the first is worse, and by enough."""
+    return float(worse.sum()) / 2.0 / max(misfit, FLOOR) > LOG_LIKELIHOOD and _agree(worse)
+
+
+def _agree(worse: np.ndarray) -> bool:
+    """Whether what speaks for the difference outweighs what speaks against it."""
+    return float(worse[worse > 0.0].sum()) > AGREEMENT * float(-worse[worse < 0.0].sum())

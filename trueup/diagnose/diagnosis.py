@@ -1,0 +1,88 @@
+"""Diagnosis: from a plant and its episodes to a verdict, the corrected predictor, and a report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from trueup.canonical import Json
+from trueup.diagnose.admission import admit
+from trueup.diagnose.decide import Choice, Verdict, decide, yardstick
+from trueup.diagnose.explain import bounds, estimates, parameter_table, shares
+from trueup.diagnose.explore import explore, polished
+from trueup.diagnose.filtering import corrected
+from trueup.diagnose.locate import locate
+from trueup.diagnose.measure import Gap, measure
+from trueup.diagnose.probe import Experiment, next_experiment
+from trueup.diagnose.report import report
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
+from trueup.errors import NotIdentifiable
+from trueup.model.corrected import Corrected
+from trueup.model.hypothesis import Hypothesis
+from trueup.model.plant import Plant
+from trueup.model.predictor import Nominal
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """A verdict with everything that it rests on. `document` is the report as JSON; `predictor` the corrected model."""
+
+    document: Mapping[str, Json]
+    predictor: Corrected
+    plant: Plant
+    validation: Sequence[Episode]
+    gap: Gap
+    choice: Choice
+    experiment: Experiment | None
+
+    @property
+    def verdict(self) -> Verdict:
+        """What the diagnosis ended in."""
+        return self.choice.verdict
+
+
+def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress: Progress = lambda _stage, _part: None) -> Diagnosis:
+    """Diagnose the gap between a nominal model and recorded episodes.
+
+    Adaptation episodes are fitted; validation episodes compare and measure. Raises NotIdentifiable where there are none of either,
+    or where the joint never moves.
+    """
+    adaptation = [e for e in episodes if e.role is Role.ADAPTATION]
+    validation = [e for e in episodes if e.role is Role.VALIDATION]
+    if not validation:
+        raise NotIdentifiable("there is no validation episode to compare on", hint="Give at least one episode the role validation.")
+    progress("looking at the episodes", 0.0)
+    admission = admit(plant, adaptation)
+    search = explore(plant, admission, adaptation, validation, progress)
+    nominal = search.nominal(plant.parameters)
+    choice = decide(list(search), nominal, yardstick(episodes))
+    progress("measuring on held-out episodes", 0.0)
+    base = search.found[Hypothesis()]
+    best, scheme = polished(plant, admission, search, choice.winner, adaptation, validation)
+    predictor = corrected(plant, admission, best.fit, scheme, adaptation)
+    refitted = corrected(plant, admission, base.fit, search.adaptation[0].scheme, adaptation)
+    gap = measure(Nominal(plant), refitted, predictor, validation, admission.noise, seed)
+    progress("what the data speak against", 0.0)
+    excluded, unexcited = bounds(search, choice.winner, plant)
+    experiment = next_experiment(plant, admission, search, choice)
+    document = report(
+        plant=plant,
+        admission=admission,
+        search=search,
+        choice=choice,
+        nominal=nominal,
+        gap=gap,
+        effects=estimates(best.fit, search.fitter, plant, shares(search, choice, nominal)),
+        parameters=parameter_table(plant, best.fit),
+        excluded=excluded,
+        unexcited=unexcited,
+        where=locate(plant, search, base, nominal, adaptation, validation),
+        experiment=experiment,
+        episodes=episodes,
+        seed=seed,
+    )
+    progress("done", 1.0)
+    return Diagnosis(document, predictor, plant, validation, gap, choice, experiment)

@@ -1,0 +1,173 @@
+"""Explain: estimates with intervals, each effect's share of the gap, what the data speak against, what they could not show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.canonical import Json
+from trueup.diagnose.admission import Admission
+from trueup.diagnose.decide import Choice
+from trueup.diagnose.search import Candidate, Search, searchable
+from trueup.fit.rollout_fit import Fitter, RolloutFit, in_parallel
+from trueup.model.effect import Effect, Number, Scale, effects
+from trueup.model.plant import Plant
+
+Array = NDArray[np.float64]
+TWO_SIDED = 1.96  # standard errors of a 95 % interval
+LINEAR = 1.5  # times a start: up to there what was computed at the start is believed
+RULED_OUT = 0.5  # of a limit's whole effect
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """What the data say of one effect that was not found: how large it may be, or why they cannot tell."""
+
+    effect: str
+    parameter: str
+    value: float | None
+    falls: bool
+    unit: str
+    why: str
+
+    def document(self) -> dict[str, Json]:
+        """The same as JSON."""
+        if self.value is None:
+            return {"effect": self.effect, "why": self.why}
+        side = "above" if self.falls else "below"
+        return {"effect": self.effect, "parameter": self.parameter, side: self.value, "unit": self.unit, "confidence": 0.95}
+
+
+def unit(scale: Scale, plant: Plant) -> str:
+    """A scale in the plant's declared units."""
+    q = next((c.unit for c in plant.layout.observations), "") or "1"
+    u = plant.layout.commands[0].unit or "1"
+    return {
+        Scale.ACCELERATION: f"{q}/s^2",
+        Scale.VELOCITY: f"{q}/s",
+        Scale.POSITION: q,
+        Scale.COMMAND: u,
+        Scale.RATE: f"{u}/s",
+        Scale.TIME: "s",
+        Scale.ONE: "1",
+        Scale.DRAG: f"1/{q}",
+        Scale.CUBIC: f"1/({q}^2 s^2)",
+        Scale.DRIFT: f"{q}/s",
+        Scale.STIFFNESS: "1/s^2",
+        Scale.DAMPING: "1/s",
+    }[scale]
+
+
+def half_widths(fit: RolloutFit) -> dict[tuple[str, str], float]:
+    """Half of each 95 % interval, by (effect or "", parameter); scaled by what the fit leaves unexplained."""
+    if not len(fit.free.rows):
+        return {}
+    size = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
+    scaled = fit.information / size[:, None] / size
+    variance = np.maximum(np.diag(np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)), 0.0) / size**2
+    width = TWO_SIDED * np.sqrt(variance * max(fit.misfit, 1.0))
+    return {name: float(w) for name, w in zip(fit.free.names, width, strict=True)}
+
+
+def estimates(fit: RolloutFit, fitter: Fitter, plant: Plant, share: Mapping[str, float]) -> list[Json]:
+    """A fit's effects with estimates, units, intervals and shares."""
+    widths = half_widths(fit)
+    found: list[Json] = []
+    for name in fit.hypothesis.effects:
+        kind = effects()[name]
+        values: dict[str, Json] = {}
+        for number in kind.params:
+            value = fit.parameters(name)[number.name]
+            low, high = _inside(value, widths[name, number.name], number, fitter)
+            values[number.name] = {"value": value, "unit": unit(number.scale, plant), "ci95": [low, high]}
+        found.append(_entry(kind, values, share.get(name, 0.0), plant))
+    return found
+
+
+def counted(admission: Admission, plant: Plant, samples: int) -> list[Json]:
+    """Effects that are counted in the samples themselves: held frames and coarse lattices."""
+    found: list[Json] = []
+    if admission.held > HELD:
+        error = TWO_SIDED * float(np.sqrt(admission.held * (1.0 - admission.held) / samples))
+        value: Json = {"value": admission.held, "unit": "1", "ci95": [max(admission.held - error, 0.0), admission.held + error]}
+        found.append(_entry(effects()["dropped_frames"], {"fraction": value}, 0.0, plant))
+    if admission.coarse.any():
+        steps: dict[str, Json] = {
+            n.name: {"value": float(step), "unit": unit(n.scale, plant), "ci95": [float(step), float(step)]}
+            for n, step, coarse in zip(effects()["sensor_quantization"].params, admission.lattice, admission.coarse, strict=True)
+            if coarse
+        }
+        found.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant))
+    return found
+
+
+HELD = 0.005  # of the frames
+
+
+def _entry(kind: type[Effect], values: dict[str, Json], share: float, plant: Plant) -> dict[str, Json]:
+    joint = plant.layout.observations[0].joint or "joint"
+    port = kind.port.reported
+    return {"effect": kind.name, "port": port, "channel": joint, "category": kind.category, "estimate": values, "share": share}
+
+
+def _inside(value: float, width: float, number: Number, fitter: Fitter) -> tuple[float, float]:
+    scale = fitter.scales.of(number.scale)
+    return max(value - width, number.low * scale), min(value + width, number.high * scale)
+
+
+def parameter_table(plant: Plant, fit: RolloutFit) -> dict[str, Json]:
+    """Nominal and fitted parameters with 95 % intervals."""
+    widths, values = half_widths(fit), fit.parameters()
+    return {
+        name: {"nominal": nominal, "value": values[name], "ci95": [values[name] - widths["", name], values[name] + widths["", name]]}
+        for name, nominal in zip(plant.dynamics.parameter_names, plant.parameters, strict=True)
+    }
+
+
+def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, float]:
+    """Each effect's share of the gap on validation episodes: what comes back of it when the effect is removed and the rest refitted.
+
+    They do not add up: what two effects can explain as well as one belongs to neither, and what parameters explain is the rest.
+    """
+    winner = choice.winner
+    whole = max(nominal.misfit, winner.misfit) - winner.misfit
+    back = {n: max(search.fitted(winner.hypothesis.without(n), winner).misfit - winner.misfit, 0.0) for n in winner.hypothesis.effects}
+    scale = max(whole, sum(back.values()), 1e-12)
+    return {name: comes_back / scale for name, comes_back in back.items()}
+
+
+def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
+    """Of each effect that the winner has not: a bound, or why there is none. Two lists."""
+    names = [n for n in searchable() if n not in winner.hypothesis.effects and effects()[n].contains not in winner.hypothesis.effects]
+    found = in_parallel(lambda name: _bound(search, winner, name, plant), names)
+    return [b for b in found if b.value is not None], [b for b in found if b.value is None]
+
+
+def _bound(search: Search, winner: Candidate, name: str, plant: Plant) -> Bound:
+    kind, fitter = effects()[name], search.fitter
+    screened = fitter.screen(search.adaptation, winner.fit, name)
+    error = TWO_SIDED * screened.error * np.sqrt(max(winner.fit.misfit, 1.0))
+    number = kind.params[0]
+    starts = np.array([max(abs(s[0]), abs(s[1]) if name == "cogging" else 0.0) for s in kind.starts]) * fitter.scales.of(number.scale)
+    measure = unit(number.scale, plant)
+    if kind.falls:
+        ruled_out = screened.factor + error < RULED_OUT
+        order = np.argsort(starts)  # the strongest first
+        last = int(np.argmin(np.append(ruled_out[order], False)))
+        value = float(starts[order][last - 1]) if last else None
+        return Bound(name, number.name, value, True, measure, "" if last else _blind(kind))
+    limits = (np.abs(screened.factor) + error) * starts
+    sound = np.flatnonzero(limits <= LINEAR * starts)
+    if not len(sound):
+        return Bound(name, number.name, None, False, measure, _blind(kind))
+    value = float(limits[sound].max() if name == "cogging" else limits[sound].min())
+    return Bound(name, number.name, value, False, measure, "")
+
+
+def _blind(kind: type[Effect]) -> str:
+    """The effect's own word on the data that cannot show it."""
+    text = (kind.__doc__ or "").split("Blind:")[-1]
+    return " ".join(text.split())

@@ -1,0 +1,136 @@
+"""Explore: how far the search goes before there is nothing left to explain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from trueup.diagnose.admission import NUMERICAL, Admission
+from trueup.diagnose.decide import PHYSICAL, enough, total, yardstick
+from trueup.diagnose.periodicity import pitches
+from trueup.diagnose.search import Candidate, Search, searchable
+from trueup.episode.episode import Episode
+from trueup.fit.rollout_fit import Fitter, in_parallel
+from trueup.model.hypothesis import Hypothesis
+from trueup.model.plant import Plant
+from trueup.model.series import DECLARED, Scheme, refined, series
+
+Progress = Callable[[str, float], None]
+PARENTS = 4  # of the best compositions grow by one more effect
+REFINED = 5  # of the best are fitted until nothing moves
+WINDOW_S = 2.0
+SHORT_S = 0.5  # windows for beginnings
+GROWN = 9  # effects that each of them is tried with, of those that a linear model expects most of
+HOPELESS = 0.25  # of the gap left by the best of a size: no effect more makes an explanation of that
+ENOUGH_SAMPLES = 6000  # in all adaptation episodes; more than twice as many are thinned where they are close together
+FINE = 0.02  # of the time in which the joint crosses its travel: a step that still integrates well
+FINER = 4  # steps for one of the search
+FAR_BEHIND = 4.0  # times the best misfit
+
+
+def explore(plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], progress: Progress) -> Search:
+    """The search under the scheme of integration that explains the episodes best."""
+    schemes = [refined(plant), DECLARED]
+    if quiet(admission):
+        schemes.reverse()  # a log without noise is a simulator's, and its step is the declared one
+    best: Search | None = None
+    for scheme in schemes:
+        search = _explore(plant, admission, adaptation, validation, scheme, progress)
+        if best is None or min(map(total, search)) < min(map(total, best)):
+            best = search
+        if any(enough(c, search.found[Hypothesis()], yardstick(adaptation)) for c in search):
+            break
+    assert best is not None
+    return best
+
+
+def quiet(admission: Admission) -> bool:
+    """Whether the noise is below what integration does."""
+    seen = admission.observed
+    return bool((admission.noise[seen] < NUMERICAL * admission.motion[seen]).all())
+
+
+def window_s(plant: Plant, episodes: Sequence[Episode]) -> float:
+    """Length of the windows that are fitted [s]: the horizon of evaluation on a machine, whose disturbances no model foresees; else two
+    seconds at least.
+    """
+    shortest = min(float(e.t_s[-1]) for e in episodes)
+    wanted = plant.horizon_s if yardstick(episodes) is PHYSICAL else max(WINDOW_S, plant.horizon_s)
+    return min(wanted, shortest)
+
+
+def _explore(
+    plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme, progress: Progress
+) -> Search:
+    length = window_s(plant, [*adaptation, *validation])
+    if scheme.alpha:
+        every = thinning(admission, adaptation)
+        adaptation, validation = ([thinned(e, every) for e in group] for group in (adaptation, validation))
+    search = Search(
+        Fitter(plant.family, admission.scales, admission.sigma),
+        [series(plant, e, scheme, length) for e in adaptation],
+        [series(plant, e, scheme, length) for e in validation],
+        [series(plant, e, scheme, min(SHORT_S, length)) for e in adaptation],
+    )
+    search.pitches = pitches(plant, admission, adaptation)
+    base, by = search.base(plant.parameters), yardstick(adaptation)
+    progress("the nominal form refitted", 1.0)
+    generation = search.extend([base], searchable(), partial(progress, "one effect"))
+    for size in range(2, by.most_effects + 1):
+        leaders = _refined(search, generation)
+        if size > 2:  # noqa: PLR2004  (one effect less than two is what the others began from)
+            in_parallel(search.shrink, leaders[:2])
+        best = min(c.misfit for c in search)
+        if any(enough(c, base, by) for c in search) or (size > 2 and best - 1.0 > HOPELESS * (base.misfit - 1.0)):  # noqa: PLR2004
+            break
+        parents = sorted(leaders, key=total)[: PARENTS if size == 2 else 2]  # noqa: PLR2004
+        generation = search.extend(parents, searchable(), partial(progress, f"{size} effects"), most=GROWN)
+    for c in _refined(search, generation)[:2]:
+        search.shrink(c)
+    return search
+
+
+def polished(
+    plant: Plant, admission: Admission, search: Search, best: Candidate, adaptation: Sequence[Episode], validation: Sequence[Episode]
+) -> tuple[Candidate, Scheme]:
+    """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates."""
+    scheme = search.adaptation[0].scheme
+    if scheme.alpha == 0.0:
+        return best, scheme
+    finer = Scheme(scheme.alpha, FINER * scheme.parts)
+    length = window_s(plant, [*adaptation, *validation])
+    last = Search(
+        search.fitter,
+        [series(plant, e, finer, length) for e in adaptation],
+        [series(plant, e, finer, length) for e in validation],
+        search.short,
+    )
+    fit = last.fitter.fit(last.adaptation, best.hypothesis, best.fit.values, iterations=25, tolerance=1e-7)
+    return last.keep(fit), finer
+
+
+def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]:
+    """The best of a generation, fitted until nothing moves; those far behind are left as they are."""
+    near = [c for c in generation[:REFINED] if total(c) < FAR_BEHIND * max(total(generation[0]), 1.0)]
+    return in_parallel(search.refine, near) + [c for c in generation[:REFINED] if c not in near]
+
+
+def thinning(admission: Admission, episodes: Sequence[Episode]) -> int:
+    """How many samples become one, where there are many and they follow each other much faster than the motion."""
+    many = sum(len(e.t_s) for e in episodes) // ENOUGH_SAMPLES
+    fast = int(FINE * admission.scales.position / admission.scales.velocity / max(e.period_s for e in episodes))
+    return max(1, min(many, fast))
+
+
+def thinned(episode: Episode, every: int) -> Episode:
+    """Each `every`-th sample of an episode, with the mean of the commands in between."""
+    if every == 1:
+        return episode
+    kept = slice(0, len(episode.t_s), every)
+    spans = np.diff(episode.t_s, append=2.0 * episode.t_s[-1] - episode.t_s[-2])[:, None]
+    starts = np.arange(0, len(episode.t_s), every)
+    commands = np.add.reduceat(episode.commands * spans, starts) / np.add.reduceat(spans, starts)
+    return replace(episode, t_s=episode.t_s[kept].copy(), commands=commands, observations=episode.observations[kept].copy())

@@ -1,0 +1,124 @@
+"""Locate: where the residual lies: in which channel, at which port, in which region.
+
+The residual of a region is what the refitted nominal form misses over a short stride, so that one place's error is not carried
+to the next; a region counts for as much as it holds more of the residual than of the time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.canonical import Json
+from trueup.diagnose.search import Candidate, Search, trajectory
+from trueup.episode.episode import Episode
+from trueup.fit.rollout_fit import RolloutFit, Start
+from trueup.model.effect import effects
+from trueup.model.plant import Plant
+from trueup.model.series import whole
+from trueup.model.state import smoothed_states
+
+Array = NDArray[np.float64]
+STRIDE_S = 0.1
+SLOW, LARGE, LATE = 0.1, 0.8, 2.0 / 3.0  # of the top speed; of the largest command or travel; of the episode
+LEAST = 3  # samples in a stride
+
+
+@dataclass(frozen=True, slots=True)
+class Strides:
+    """What the nominal form misses over short strides: residual acceleration, and where each stride was, `(strides,)` each."""
+
+    residual: Array
+    q: Array
+    v: Array
+    u: Array
+    t: Array
+    use: Array
+    turned: NDArray[np.bool_]
+
+
+def locate(
+    plant: Plant, search: Search, base: Candidate, nominal: RolloutFit, adaptation: Sequence[Episode], validation: Sequence[Episode]
+) -> dict[str, Json]:
+    """Shares of the residual by channel, by port and by region."""
+    strides = strides_of(plant, search, base, [*adaptation, *validation])
+    return {"channels": _channels(plant, search, nominal), "ports": _ports(search, base), "regions": _regions(plant, strides)}
+
+
+def _channels(plant: Plant, search: Search, nominal: RolloutFit) -> list[Json]:
+    names = {int(column): c.name for column, c in zip(plant.state_columns, plant.layout.observations, strict=True)}
+    squares = np.zeros(2)
+    for s in search.validation:
+        missed = (s.observed - trajectory(search.fitter, nominal, s)) / search.fitter.sigma
+        squares += np.where(s.usable, missed**2, 0.0).sum(axis=0)
+    whole_ = max(float(squares.sum()), 1e-300)
+    return [{"channel": name, "share": float(squares[column] / whole_)} for column, name in names.items()]
+
+
+def _ports(search: Search, base: Candidate) -> list[Json]:
+    """The part of the remaining gap that the best single effect at each port takes away."""
+    best: dict[str, tuple[float, str]] = {}
+    for c in search:
+        if len(c.hypothesis.effects) == 1:
+            name = c.hypothesis.effects[0]
+            part = 1.0 - (c.misfit - 1.0) / max(base.misfit - 1.0, 1e-9)
+            best[effects()[name].port.reported] = max(
+                best.get(effects()[name].port.reported, (0.0, "")), (float(np.clip(part, 0.0, 1.0)), name)
+            )
+    return [{"port": port, "share": part, "by": name} for port, (part, name) in sorted(best.items(), key=lambda item: -item[1][0])]
+
+
+def strides_of(plant: Plant, search: Search, base: Candidate, episodes: Sequence[Episode]) -> Strides:
+    """The refitted nominal form's misses over strides of STRIDE_S."""
+    parts = []
+    for e in episodes:
+        every = max(LEAST, round(STRIDE_S / e.period_s))
+        first = np.arange(0, len(e.t_s) - every, every)
+        s = whole(plant, e, search.adaptation[0].scheme, first)
+        states = smoothed_states(plant, e)
+        fit = RolloutFit(
+            base.hypothesis,
+            base.fit.values,
+            base.fit.free,
+            {s.digest: Start(states[first], {})},
+            0.0,
+            np.zeros(0),
+            0,
+            np.zeros((0, 0)),
+            True,
+        )
+        path = trajectory(search.fitter, fit, s)
+        end = first + every - 1
+        missed = (states[end, 1] - path[end, 1]) / (e.t_s[end] - e.t_s[first])
+        middle = first + every // 2
+        u = plant.applied(e.commands)[:, 0]
+        use = np.concatenate([[0.0], np.cumsum(u[:-1] ** 2 * np.diff(e.t_s))]) / np.maximum(e.t_s, e.period_s)
+        turned = states[first, 1] * states[end, 1] < 0.0
+        parts.append((missed, states[middle, 0], states[middle, 1], u[middle], e.t_s[middle] / e.t_s[-1], use[middle], turned))
+    return Strides(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _regions(plant: Plant, s: Strides) -> list[Json]:
+    energy = s.residual**2
+    fine = np.isfinite(energy)
+    regions = {
+        "near zero speed": np.abs(s.v) < SLOW * np.quantile(np.abs(s.v), 0.99),
+        "at reversals": s.turned,
+        "beyond 80 % of the largest command": np.abs(s.u) > LARGE * np.abs(s.u).max(),
+        "small commands": np.abs(s.u) < SLOW * 2.0 * np.abs(s.u).max(),
+        "upper end of travel": s.q > LARGE * s.q.max(),
+        "lower end of travel": s.q < LARGE * s.q.min(),
+        "fast motion": np.abs(s.v) > LARGE * np.quantile(np.abs(s.v), 0.99),
+        "late in the episode": s.t > LATE,
+        "after heavy use": s.use > np.quantile(s.use, 0.75),
+    }
+    whole_ = max(float(energy[fine].sum()), 1e-300)
+    found: list[tuple[float, Json]] = []
+    for name, inside in regions.items():
+        time, share = float((inside & fine).mean()), float(energy[inside & fine].sum() / whole_)
+        if time > 0.0:
+            found.append((share / time, {"region": name, "share": share, "of_time": time, "lift": share / time}))
+    return [entry for _, entry in sorted(found, key=lambda pair: -pair[0])]

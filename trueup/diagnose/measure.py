@@ -1,0 +1,117 @@
+"""Measure: how far the gap closes on held-out episodes, from rollouts that start as `trueup predict` starts them.
+
+error    root mean square over samples and channels of (predicted - observed) / the channel's standard deviation over the held-out
+         episodes; rollouts start at each multiple of the horizon, and the starting samples do not count
+floor    what the measured noise does to the compared sample, and to the prediction through the state from which a window starts:
+         the latter is how far predictions move when the episodes are given the same noise once more
+closed   1 - (after^2 - floor^2) / (before^2 - floor^2)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.canonical import Json
+from trueup.episode.episode import Episode
+from trueup.model.plant import Plant
+from trueup.model.predictor import Predictor
+from trueup.model.state import known_from
+from trueup.model.windows import cut, starts_every
+
+Array = NDArray[np.float64]
+RESAMPLES = 400
+AT_THE_FLOOR = 1.1  # times the floor's power: an error below that is not told from it
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Errors before, with parameters only, after, and the floor; `closed` is None where there was nothing to close."""
+
+    horizon_s: float
+    before: float
+    parameters_only: float
+    after: float
+    floor: float
+    closed: float | None
+    ci95: tuple[float, float] | None
+    by_channel: dict[str, tuple[float, float]]
+
+    def document(self) -> dict[str, Json]:
+        """The same as JSON."""
+        return {
+            "metric": "normalised rollout RMS, held out",
+            "horizon_s": self.horizon_s,
+            "before": self.before,
+            "parameters_only": self.parameters_only,
+            "after": self.after,
+            "floor": self.floor,
+            "closed": self.closed,
+            "ci95": list(self.ci95) if self.ci95 else None,
+            "channels": {name: {"before": b, "after": a} for name, (b, a) in self.by_channel.items()},
+        }
+
+
+def squared_errors(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array) -> Array:
+    """Mean squared normalised error of each window, `(windows,)`."""
+    return np.asarray(_by_channel(predictor, episode, horizon_s, motion).mean(axis=1))
+
+
+def _floor(corrected: Predictor, episode: Episode, horizon_s: float, motion: Array, sigma: Array, rng: np.random.Generator) -> Array:
+    """The noise's own part of each window's squared error, `(windows, channels)`."""
+    plant = corrected.plant
+    seen = plant.state_columns
+    noise = rng.normal(size=episode.observations.shape) * np.nan_to_num(sigma[seen])
+    again = replace(episode, observations=episode.observations + noise, digest=episode.digest + "/again")
+    paths = []
+    for e in (episode, again):
+        begin = float(e.t_s[known_from(plant, e)])
+        windows = cut(plant, e, starts_every(e.t_s[:-1], horizon_s, begin))
+        paths.append(plant.observe(corrected.rollout(windows)))
+    moved = np.where(windows.inside[:, :, None], (paths[1] - paths[0]) / motion[seen], 0.0) ** 2
+    return np.asarray(moved.sum(axis=1) / windows.inside.sum(axis=1)[:, None] + (np.nan_to_num(sigma[seen]) / motion[seen]) ** 2)
+
+
+def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array) -> Array:
+    """Mean squared normalised error of each window and observed channel, `(windows, channels)`."""
+    plant = predictor.plant
+    begin = float(episode.t_s[known_from(plant, episode)])
+    windows = cut(plant, episode, starts_every(episode.t_s[:-1], horizon_s, begin))
+    with np.errstate(over="ignore", invalid="ignore"):
+        missed = (plant.observe(predictor.rollout(windows)) - episode.observations[windows.rows]) / motion[plant.state_columns]
+        counted = windows.inside & (np.arange(windows.inside.shape[1]) > 0)
+        squares = np.where(counted[:, :, None] & np.isfinite(episode.observations[windows.rows]), missed**2, 0.0)
+        return np.asarray(squares.sum(axis=1) / np.maximum(counted.sum(axis=1), 1)[:, None])
+
+
+def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episodes: Sequence[Episode], sigma: Array, seed: int) -> Gap:
+    """The gap on held-out episodes whose positions and velocities have noise of `sigma` `(2,)`."""
+    plant: Plant = corrected.plant
+    rng = np.random.default_rng(seed)
+    motion = np.ones(2)
+    motion[plant.state_columns] = [
+        max(float(np.nanstd(np.concatenate([e.observations[:, i] for e in episodes]))), 1e-12) for i in range(len(plant.scales))
+    ]
+    horizon = plant.horizon_s
+    tables = [np.concatenate([_by_channel(p, e, horizon, motion) for e in episodes]) for p in (nominal, refitted, corrected)]
+    before, parameters, after = (t.mean(axis=1) for t in tables)
+    floor = np.concatenate([_floor(corrected, e, horizon, motion, sigma, rng) for e in episodes])
+    least = np.nan_to_num(floor.mean(axis=1))
+    drawn = rng.integers(0, len(before), (RESAMPLES, len(before)))
+    closed, interval = None, None
+    base = float(least.mean())
+    if before.mean() > AT_THE_FLOOR * base:
+        closed = _closed(before.mean(), after.mean(), base)
+        spread = [_closed(b, a, base) for b, a in zip(before[drawn].mean(axis=1), after[drawn].mean(axis=1), strict=True) if b > base]
+        interval = (float(np.quantile(spread, 0.025)), float(np.quantile(spread, 0.975))) if spread else None
+    names = [c.name for c in plant.layout.observations]
+    channels = {n: (float(np.sqrt(tables[0][:, i].mean())), float(np.sqrt(tables[2][:, i].mean()))) for i, n in enumerate(names)}
+    rms = [float(np.sqrt(x.mean())) for x in (before, parameters, after, least)]
+    return Gap(horizon, rms[0], rms[1], rms[2], rms[3], closed, interval, channels)
+
+
+def _closed(before: float, after: float, floor: float) -> float:
+    return float(min(1.0, 1.0 - (after - floor) / (before - floor)))

@@ -1,0 +1,203 @@
+"""Search: which compositions of effects explain the episodes, by rollout fits that grow one effect at a time.
+
+Every effect of the catalogue is tried on the nominal form, every other on the best of those, and so on. Fits see adaptation episodes
+alone; compositions are compared on validation episodes, where nothing but the windows' starts is estimated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from trueup.fit.rollout_fit import Fitter, RolloutFit, in_parallel
+from trueup.model.block import BLOCK, layout, memories, nulls
+from trueup.model.effect import Effect, effects
+from trueup.model.hypothesis import Hypothesis, switches
+from trueup.model.series import Series, roll
+
+RACE = 6  # iterations that each start of a fit is given before the best go on
+SETTLE = 16  # iterations of the best
+Start = tuple[Sequence[float], Sequence[float]]  # of the family's parameters, of the effect's
+RACED = 3  # starts that are tried; twice as many of a scanned effect
+FAR = 25  # starts are neighbours within so many-th of all
+MANY = 50
+KEPT = 2  # starts that go on
+ZOOMS = (0.04, 0.013, 0.004)  # of a scanned value: grids around the best, ever finer
+ZOOM_POINTS = (-1.0, -0.66, -0.33, 0.33, 0.66, 1.0)
+CHECK = 10  # iterations for the starts of validation windows
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A fitted composition, and how it does on validation episodes."""
+
+    fit: RolloutFit
+    check: RolloutFit
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """What acts."""
+        return self.fit.hypothesis
+
+    @property
+    def misfit(self) -> float:
+        """Mean squared normalised error on validation episodes."""
+        return self.check.misfit
+
+
+@dataclass
+class Search:
+    """Fits of one plant's episodes under one scheme of integration; grows as it is asked."""
+
+    fitter: Fitter
+    adaptation: Sequence[Series]
+    validation: Sequence[Series]
+    short: Sequence[Series]
+    pitches: Sequence[Start] = ()
+    found: dict[Hypothesis, Candidate] = field(default_factory=dict)
+
+    def base(self, parameters: Sequence[float]) -> Candidate:
+        """The nominal form with the numbers that fit best."""
+        fit = self.fitter.fit(self.adaptation, Hypothesis(), self.fitter.begin(parameters), iterations=25)
+        return self.keep(fit)
+
+    def nominal(self, parameters: Sequence[float]) -> RolloutFit:
+        """The nominal parameters, on validation episodes."""
+        return self.fitter.fit(self.validation, Hypothesis(), self.fitter.begin(parameters), iterations=CHECK, only_starts=True)
+
+    def extend(
+        self, parents: Sequence[Candidate], names: Sequence[str], progress: Callable[[float], None] = lambda _: None, most: int = 0
+    ) -> list[Candidate]:
+        """Each parent with each effect that it has not, where not fitted before; the best first.
+
+        With `most`, only so many effects of each parent, those of which a linear model expects most.
+        """
+        jobs: dict[Hypothesis, tuple[Candidate, str]] = {}
+        for parent in parents:
+            for name in self._promising(parent, names, most):
+                wanted = parent.hypothesis | name
+                if name not in parent.hypothesis.effects and wanted not in self.found and wanted not in jobs:
+                    jobs[wanted] = parent, name
+        done = []
+        for fit in in_parallel(lambda job: self.grow(job[0].fit, job[1]), list(jobs.values())):
+            done.append(self.keep(fit))
+            progress(len(done) / len(jobs))
+        return sorted(done, key=lambda c: c.misfit)
+
+    def _promising(self, parent: Candidate, names: Sequence[str], most: int) -> Sequence[str]:
+        rest = [n for n in names if n not in parent.hypothesis.effects and self.fitter.has_room(parent.hypothesis | n)]
+        if not most:
+            return rest
+        near = self._near(parent.fit)
+        costs = in_parallel(lambda name: float(self.fitter.screen(self.short, near, name).cost.min()), rest)
+        return [rest[i] for i in np.argsort(costs, kind="stable")[:most]]
+
+    def grow(self, parent: RolloutFit, name: str) -> RolloutFit:
+        """The best fit of a composition with one effect more: starts race, the best settle, a scanned value is zoomed in on."""
+        kind, hypothesis = effects()[name], parent.hypothesis | name
+        raced = [self.fitter.fit(self.short, hypothesis, begin, iterations=RACE, tolerance=1e-2) for begin in self._begins(parent, kind)]
+        raced.sort(key=lambda f: f.cost)
+        near = [self.fitter.fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3) for f in raced[:KEPT]]
+        settled = [self.fitter.fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3) for f in near]
+        best = min(settled, key=lambda f: f.cost)
+        return self._zoomed(best, kind) if kind.scanned == "step" and best.cost < parent.cost else best
+
+    def _begins(self, parent: RolloutFit, kind: type[Effect]) -> list[np.ndarray]:
+        """Parameter vectors from which a fit begins: those of a periodicity, or the starts of which a linear model expects most."""
+        if kind.name == "cogging" and self.pitches:
+            begins = []
+            for family, start in self.pitches:
+                values = self.fitter.with_effect(parent.values, kind.name, start)
+                if not parent.hypothesis.effects:
+                    values[: len(family)] = family
+                begins.append(values)
+            return begins
+        expected = self.fitter.screen(self.short, self._near(parent), kind.name).cost
+        return [self.fitter.with_effect(parent.values, kind.name, kind.starts[i]) for i in _apart(expected)]
+
+    def _near(self, fit: RolloutFit) -> RolloutFit:
+        """A fit on short windows: there a linear model reaches further, for no error has grown yet."""
+        return self.fitter.fit(self.short, fit.hypothesis, fit.values, iterations=2, only_starts=True)
+
+    def _zoomed(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
+        row = dict(zip((n.name for n in kind.params), layout()[kind.name], strict=True))[kind.scanned]
+        for width in ZOOMS:
+            centre = best.values[row]
+            for point in ZOOM_POINTS:
+                values = best.values.copy()
+                values[row] = centre * (1.0 + width * point)
+                tried = self.fitter.fit(
+                    self.adaptation, best.hypothesis, values, best.starts, iterations=2, fixed=[(kind.name, kind.scanned)]
+                )
+                best = tried if tried.cost < best.cost else best
+        free = self.fitter.fit(self.adaptation, best.hypothesis, best.values, best.starts, iterations=4)
+        return free if free.cost <= best.cost else best
+
+    def refine(self, candidate: Candidate) -> Candidate:
+        """The same fitted until nothing moves."""
+        fit = self.fitter.fit(
+            self.adaptation, candidate.hypothesis, candidate.fit.values, candidate.fit.starts, iterations=25, tolerance=1e-6
+        )
+        return self.keep(fit) if fit.cost < candidate.fit.cost else candidate
+
+    def fitted(self, hypothesis: Hypothesis, larger: Candidate) -> Candidate:
+        """A part of a composition, fitted if it was not yet."""
+        if hypothesis not in self.found:
+            values = larger.fit.values
+            for name in set(larger.hypothesis.effects) - set(hypothesis.effects):
+                values = _off(values, name)
+            self.keep(self.fitter.fit(self.adaptation, hypothesis, values, larger.fit.starts, iterations=SETTLE))
+        return self.found[hypothesis]
+
+    def shrink(self, candidate: Candidate) -> list[Candidate]:
+        """Each composition with one effect less, fitted from where this one is; kept where that is better than what was found."""
+        better = []
+        for name in candidate.hypothesis.effects:
+            smaller = candidate.hypothesis.without(name)
+            fit = self.fitter.fit(
+                self.adaptation, smaller, _off(candidate.fit.values, name), candidate.fit.starts, iterations=SETTLE, tolerance=1e-3
+            )
+            if smaller not in self.found or fit.cost < self.found[smaller].fit.cost:
+                better.append(self.keep(fit))
+        return better
+
+    def keep(self, fit: RolloutFit) -> Candidate:
+        """A fit as a candidate, with the starts of validation windows estimated."""
+        check = self.fitter.fit(self.validation, fit.hypothesis, fit.values, iterations=CHECK, only_starts=True)
+        self.found[fit.hypothesis] = Candidate(fit, check)
+        return self.found[fit.hypothesis]
+
+    def __iter__(self) -> Iterator[Candidate]:
+        return iter(sorted(self.found.values(), key=lambda c: c.misfit))
+
+
+def trajectory(fitter: Fitter, fit: RolloutFit, s: Series) -> np.ndarray:
+    """What a fit says was observed, `(samples, 2)`, from the starts that were estimated for it."""
+    p = np.repeat(fit.values[:, None], BLOCK, axis=1)
+    for key, value in fit.starts[s.digest].memory.items():
+        p[memories()[key]] += value
+    init = np.repeat(fit.starts[s.digest].windows[:, :, None], BLOCK, axis=2)
+    return np.asarray(roll(s, fitter.family, p, switches(fit.hypothesis), init)[:, :, 0])
+
+
+def _apart(expected: np.ndarray) -> list[int]:
+    """The most promising starts, no two of them neighbours."""
+    chosen: list[int] = []
+    for i in np.argsort(expected, kind="stable"):
+        if all(abs(int(i) - j) > max(1, len(expected) // FAR) for j in chosen):
+            chosen.append(int(i))
+    return chosen[: RACED if len(expected) < MANY else 2 * RACED]
+
+
+def _off(values: np.ndarray, name: str) -> np.ndarray:
+    values = values.copy()
+    rows = list(layout()[name])
+    values[rows] = nulls()[rows]
+    return values
+
+
+def searchable() -> list[str]:
+    """Effects that are found by fitting: a sensor's delay has the actuator's law, held frames and lattices are counted."""
+    return [name for name in effects() if name not in ("sensor_delay", "dropped_frames", "sensor_quantization")]

@@ -1,0 +1,415 @@
+"""Rollout fits: parameters of a family and any effects by least squares of the simulation error.
+
+Levenberg-Marquardt on windows of the adaptation episodes. The only noisy input of a rollout is its start, and starts are
+estimated too: two unknowns for each window, eliminated by their Schur complement, so that noise in the observed states does not
+bias the parameters. One block of lanes gives the error and all its derivatives at once.
+Source: J. Nocedal, S. Wright, Numerical Optimization (2006), section 10.3; elimination: B. Triggs et al., Bundle Adjustment (1999), 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from trueup.model.block import BLOCK, layout, memories, nulls
+from trueup.model.compose import cores
+from trueup.model.effect import effects
+from trueup.model.family import families
+from trueup.model.hypothesis import Hypothesis, Scales, switches
+from trueup.model.series import Series, roll
+
+Array = NDArray[np.float64]
+MOST_FREE = BLOCK - 3  # lanes left for parameters beside the unperturbed one and the two of the start
+STEP = 1e-4  # of a parameter's scale: a finite difference
+CORNER = 3e-3  # the same where the error has corners
+RAN_AWAY = 1e100  # of a sum of squares: no rollout that stays near its log comes there, and its own square is still finite
+UNSEEN = 1e-6  # squared standard errors that an effect makes where the log cannot have shown it
+NEGLIGIBLE = 0.02  # of a squared standard error: a decrease not worth an iteration
+MEMORY_STEP = 1e-3  # of its scale
+
+
+@dataclass(frozen=True, slots=True)
+class Free:
+    """The parameters that a hypothesis leaves free: rows in the block, finite-difference steps and bounds, `(free,)` each."""
+
+    rows: NDArray[np.int64]
+    names: tuple[tuple[str, str], ...]  # (effect or "", parameter)
+    step: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where an episode's rollouts start: each window's position and velocity `(windows, 2)`, and the hidden states' offsets."""
+
+    windows: Array
+    memory: Mapping[tuple[str, str], float]
+
+
+@dataclass(frozen=True, slots=True)
+class RolloutFit:
+    """A fitted hypothesis.
+
+    `values` is the block's parameter vector, `free` its free rows, `starts` where rollouts start, by episode digest. `cost` is the sum
+    of squared normalised errors over `samples` numbers, `costs` the same of each window; `information` `(free, free)` the reduced
+    normal matrix.
+    """
+
+    hypothesis: Hypothesis
+    values: Array
+    free: Free
+    starts: Mapping[str, Start]
+    cost: float
+    costs: Array
+    samples: int
+    information: Array
+    converged: bool
+
+    @property
+    def misfit(self) -> float:
+        """Mean squared normalised error: 1 where noise is all that is left."""
+        return self.cost / self.samples
+
+    def parameters(self, of: str = "") -> dict[str, float]:
+        """Fitted parameters of one effect, or of the family."""
+        return {name: float(self.values[row]) for row, (effect, name) in zip(self.free.rows, self.free.names, strict=True) if effect == of}
+
+
+@dataclass(frozen=True, slots=True)
+class Screening:
+    """For each start of an effect `(starts,)`: the cost expected once it acts, the factor on it, and that factor's standard error."""
+
+    cost: Array
+    factor: Array
+    error: Array
+
+
+@njit(cache=True, nogil=True)
+def _gram(out, observed, weight, window_of, inverse, into):  # type: ignore[no-untyped-def]
+    """Sum of outer products of (error, derivatives) over each window; `into` is (windows, BLOCK, BLOCK)."""
+    row = np.zeros(BLOCK)
+    for i in range(len(window_of)):
+        w = window_of[i]
+        if w < 0:
+            continue
+        for c in range(2):
+            if weight[i, c] == 0.0:
+                continue
+            base = out[i, c, 0]
+            for lane in range(BLOCK):
+                row[lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
+            row[0] = (observed[i, c] - base) * weight[i, c]
+            for a in range(BLOCK):
+                for b in range(BLOCK):
+                    into[w, a, b] += row[a] * row[b]
+
+
+class Fitter:
+    """Fits hypotheses of one family to a set of series. Holds no state but what it was built with."""
+
+    def __init__(self, family: str, scales: Scales, sigma: Array) -> None:
+        self.family = list(families()).index(family)
+        self.family_type = families()[family]
+        self.scales = scales
+        self.sigma = np.where(np.isfinite(sigma), sigma, np.inf)
+        self.first_effect = min(min(rows) for rows in layout().values())
+        self.start_steps = 1e-3 * np.array([scales.position, scales.velocity])
+
+    def has_room(self, hypothesis: Hypothesis) -> bool:
+        """Whether a block has a lane for every parameter of a composition."""
+        return len(self.free(hypothesis).rows) <= MOST_FREE
+
+    def free(self, hypothesis: Hypothesis, fixed: Iterable[tuple[str, str]] = ()) -> Free:
+        """What a hypothesis leaves free, the family's parameters first."""
+        kept = set(fixed)
+        rows: list[int] = []
+        names: list[tuple[str, str]] = []
+        steps: list[float] = []
+        bounds: list[tuple[float, float]] = []
+        for row, name in enumerate(self._family_parameters()):
+            if ("", name) not in kept:
+                rows.append(row)
+                names.append(("", name))
+                steps.append(STEP)
+                bounds.append((-np.inf, np.inf))
+        for effect in hypothesis.effects:
+            kind = effects()[effect]
+            for row, number in zip(layout()[effect], kind.params, strict=True):
+                if (effect, number.name) in kept:
+                    continue
+                unit = self.scales.of(number.scale)
+                rows.append(row)
+                names.append((effect, number.name))
+                steps.append(unit * (CORNER if number.name in kind.threshold else STEP))
+                bounds.append((number.low * unit, number.high * unit))
+        limits = np.array(bounds).reshape(-1, 2)
+        return Free(np.array(rows, np.int64), tuple(names), np.array(steps), limits[:, 0], limits[:, 1])
+
+    def _family_parameters(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.family_type.params)
+
+    def begin(self, parameters: Sequence[float]) -> Array:
+        """A block's parameter vector in which nothing acts."""
+        values = nulls().copy()
+        values[: len(parameters)] = parameters
+        return values
+
+    def with_effect(self, values: Array, effect: str, start: Sequence[float]) -> Array:
+        """The same with one effect begun at a start given in units of its scales."""
+        values = values.copy()
+        for row, number, x in zip(layout()[effect], effects()[effect].params, start, strict=True):
+            values[row] = np.clip(x, number.low, number.high) * self.scales.of(number.scale)
+        return values
+
+    def fit(
+        self,
+        data: Sequence[Series],
+        hypothesis: Hypothesis,
+        values: Array,
+        starts: Mapping[str, Start] | None = None,
+        *,
+        iterations: int = 12,
+        fixed: Iterable[tuple[str, str]] = (),
+        only_starts: bool = False,
+        tolerance: float = 1e-4,
+    ) -> RolloutFit:
+        """Levenberg-Marquardt from `values`. With `only_starts`, what the windows start from is estimated alone."""
+        free = self.free(hypothesis, fixed)
+        if only_starts:
+            free = Free(free.rows[:0], (), free.step[:0], free.low[:0], free.high[:0])
+        states = self._memories(hypothesis, len(free.rows))
+        values = values.copy()
+        values[free.rows] = np.clip(values[free.rows], free.low, free.high)
+        given = starts or {}
+        now = {s.digest: given.get(s.digest, Start(s.begin, {})) for s in data}
+        best = self._evaluate(data, hypothesis, values, now, free, states)
+        damping, converged = 1e-3, False
+        for _ in range(iterations if np.isfinite(best.cost) else 0):
+            step, moves, expected = best.step(damping, values, free)
+            if not expected > tolerance * best.cost + NEGLIGIBLE:
+                converged = True
+                break
+            tried = values.copy()
+            tried[free.rows] = np.clip(values[free.rows] + step, free.low, free.high)
+            there = {key: _moved(now[key], *move, states) for key, move in moves.items()}
+            found = self._evaluate(data, hypothesis, tried, there, free, states)
+            if found.cost < best.cost:
+                damping = max(damping * (0.2 if best.cost - found.cost > 0.5 * expected else 1.0), 1e-9)
+                values, now, best = tried, there, found
+            else:
+                damping = damping * 10.0
+                if damping > 1e7:  # noqa: PLR2004  (nothing within a millionth of a step is better)
+                    converged = True
+                    break
+        n = len(free.rows)
+        information = best.reduced()[0] if np.isfinite(best.cost) else np.zeros((n, n))
+        samples = sum(int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum()) for s in data)
+        costs = np.concatenate([g[:, 0, 0] for g in best.parts.values()])
+        return RolloutFit(hypothesis, values, free, now, best.cost, costs, samples, information, converged)
+
+    def screen(self, data: Sequence[Series], parent: RolloutFit, effect: str) -> Screening:
+        """What a linear model expects of each start of an effect on a parent's rollouts.
+
+        What the effect does to them is scaled by one factor, and everything that the parent leaves free adapts to it. One lane for
+        each start.
+        """
+        free = self.free(parent.hypothesis)
+        starts = effects()[effect].starts
+        room = MOST_FREE - len(free.rows)
+        parts = [self._screened(data, parent, effect, free, starts[i : i + room]) for i in range(0, len(starts), room)]
+        cost, factor, error = np.concatenate(parts, axis=1)
+        return Screening(cost, factor, error)
+
+    def _screened(self, data: Sequence[Series], parent: RolloutFit, effect: str, free: Free, begins: Sequence[Sequence[float]]) -> Array:
+        n, k = len(free.rows), len(begins)
+        p, inverse = self._lanes(parent.values, free)
+        off = list(layout()[effect])
+        for lane in range(BLOCK):
+            p[off, lane] = nulls()[off]
+        for lane, begin in enumerate(begins, start=n + 1):
+            p[:, lane] = self.with_effect(parent.values, effect, begin)
+            inverse[lane] = 1.0
+        inverse[n + k + 1 : n + k + 3] = 1.0 / self.start_steps
+        parts = self._grams(data, parent.hypothesis | effect, p, inverse, parent.starts, n + k)
+        parts = {key: np.where(np.abs(g) < RAN_AWAY, g, 0.0) for key, g in parts.items()}
+        normal, gradient = _Gram(parts, {key: np.zeros(0) for key in parts}, np.zeros(0), n + k).reduced(1e-9)
+        found = np.array([[parent.cost] * k, [0.0] * k, [np.inf] * k])
+        for i in range(k):
+            columns = [*range(n), n + i]
+            diagonal = np.diag(normal)[columns]
+            if not diagonal[-1] > UNSEEN:
+                continue
+            size = np.sqrt(np.maximum(diagonal, UNSEEN))
+            inverse_part = np.linalg.inv(normal[np.ix_(columns, columns)] / size[:, None] / size + 1e-9 * np.eye(n + 1))
+            by = inverse_part @ (gradient[columns] / size)
+            gained = float(by @ (gradient[columns] / size)) if by[-1] > 0.0 else 0.0
+            found[:, i] = parent.cost - gained, by[-1] / size[-1], np.sqrt(inverse_part[-1, -1]) / size[-1]
+        return found
+
+    def _memories(self, hypothesis: Hypothesis, free: int) -> tuple[tuple[str, str], ...]:
+        """The hidden states whose past is estimated, as far as lanes are left."""
+        keys = [(name, state) for name in hypothesis.effects for state in effects()[name].states]
+        return tuple(keys[: max(0, MOST_FREE - free)])
+
+    def _evaluate(
+        self, data: Sequence[Series], hypothesis: Hypothesis, values: Array, starts: Mapping[str, Start], free: Free,
+        states: tuple[tuple[str, str], ...],
+    ) -> _Gram:  # fmt: skip
+        n, m = len(free.rows), len(states)
+        p, inverse = self._lanes(values, free)
+        scales = np.array([self.scales.of(effects()[e].memory[effects()[e].states.index(state)]) for e, state in states])
+        for lane, (key, scale) in enumerate(zip(states, scales, strict=True), start=n + 1):
+            p[memories()[key], lane] += MEMORY_STEP * scale
+            inverse[lane] = 1.0 / (MEMORY_STEP * scale)
+        inverse[n + m + 1 : n + m + 3] = 1.0 / self.start_steps
+        parts = self._grams(data, hypothesis, p, inverse, starts, n + m)
+        began = {s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in states]) for s in data}
+        return _Gram(parts, began, scales, n)
+
+    def _lanes(self, values: Array, free: Free) -> tuple[Array, Array]:
+        """A block with one lane for each free parameter, and the inverse of each lane's step."""
+        p = np.repeat(values[:, None], BLOCK, axis=1)
+        inverse = np.zeros(BLOCK)
+        for lane, row in enumerate(free.rows, start=1):
+            size = free.step[lane - 1] * (max(1.0, abs(values[row])) if row < self.first_effect else 1.0)
+            size = -size if values[row] + size > free.high[lane - 1] else size
+            p[row, lane] += size
+            inverse[lane] = 1.0 / size
+        return p, inverse
+
+    def _grams(
+        self, data: Sequence[Series], hypothesis: Hypothesis, p: Array, inverse: Array, starts: Mapping[str, Start], before: int
+    ) -> dict[str, Array]:
+        """Outer products by episode; the lanes behind `before` ones hold the derivatives by the start."""
+        on = switches(hypothesis)
+        parts = {}
+        for s in data:
+            start = starts[s.digest]
+            block = p.copy()
+            for key, value in start.memory.items():
+                block[memories()[key]] += value
+            init = np.repeat(start.windows[:, :, None], BLOCK, axis=2)
+            init[:, 0, before + 1] += self.start_steps[0]
+            init[:, 1, before + 2] += self.start_steps[1]
+            out = roll(s, self.family, block, on, init)
+            into = np.zeros((len(init), BLOCK, BLOCK))
+            _gram(out, s.observed, s.usable / self.sigma, s.window_of, inverse, into)
+            parts[s.digest] = into[:, : before + 3, : before + 3]
+        return parts
+
+
+def _moved(start: Start, windows: Array, memory: Array, states: tuple[tuple[str, str], ...]) -> Start:
+    kept = dict(start.memory)
+    for key, by in zip(states, memory, strict=True):
+        kept[key] = kept.get(key, 0.0) + float(by)
+    return Start(start.windows + windows, kept)
+
+
+@dataclass(frozen=True, slots=True)
+class _Gram:
+    """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows, 3 + free + memory, …)`.
+
+    Starts are eliminated window by window, then what hidden states began with episode by episode; those have a prior of one scale.
+    """
+
+    parts: Mapping[str, Array]
+    began: Mapping[str, Array]
+    scales: Array
+    free: int
+
+    @property
+    def cost(self) -> float:
+        if not all(np.abs(g).max(initial=0.0) < RAN_AWAY for g in self.parts.values()):
+            return np.inf  # it ran away, or would a little further on
+        prior = sum(float(np.sum((b / self.scales) ** 2)) for b in self.began.values())
+        return sum(float(g[:, 0, 0].sum()) for g in self.parts.values()) + prior
+
+    def _condensed(self, damping: float) -> _Condensed:
+        """Starts eliminated window by window: matrices over (error, parameters, memories) by episode, with the memories' prior."""
+        n, m = self.free, len(self.scales)
+        sizes = [len(g) for g in self.parts.values()]
+        stacked = np.concatenate(list(self.parts.values()))
+        episode = np.repeat(np.arange(len(sizes)), sizes)
+        inverse, cross = np.empty((len(stacked), 2, 2)), np.empty((len(stacked), 2, n + m + 1))
+        total = np.zeros((len(sizes), n + m + 1, n + m + 1))
+        _eliminate(stacked, episode, n + m + 1, damping, inverse, cross, total)
+        if m:
+            weight = self.scales**-2
+            at = np.arange(n + 1, n + m + 1)
+            total[:, at, at] = (total[:, at, at] + weight) * (1.0 + damping)
+            pull = weight * np.array(list(self.began.values()))
+            total[:, 0, at] -= pull
+            total[:, at, 0] -= pull
+        solve = np.linalg.inv(total[:, n + 1 :, n + 1 :])
+        reduced = (total[:, : n + 1, : n + 1] - total[:, : n + 1, n + 1 :] @ solve @ total[:, n + 1 :, : n + 1]).sum(axis=0)
+        return _Condensed(episode, inverse, cross, total, np.asarray(solve, float), reduced)
+
+    def reduced(self, damping: float = 0.0) -> tuple[Array, Array]:
+        """Normal matrix and gradient of the parameters once starts and memories are eliminated."""
+        total = self._condensed(damping).reduced
+        return total[1:, 1:], total[0, 1:]
+
+    def step(self, damping: float, values: Array, free: Free) -> tuple[Array, dict[str, tuple[Array, Array]], float]:
+        """Steps of the parameters and of each episode's starts and memories, and the decrease that the linear model expects."""
+        c, n = self._condensed(damping), self.free
+        normal, gradient = c.reduced[1:, 1:], c.reduced[0, 1:]
+        at = values[free.rows]
+        moving = ~(((at <= free.low) & (gradient < 0.0)) | ((at >= free.high) & (gradient > 0.0)))
+        step = np.zeros(n)
+        if moving.any():
+            part = normal[np.ix_(moving, moving)]
+            size = np.sqrt(np.maximum(np.diag(part), 1e-300))
+            scaled = part / size[:, None] / size + (damping + 1e-12) * np.eye(len(size))
+            step[moving] = np.linalg.solve(scaled, gradient[moving] / size) / size
+        memory = np.einsum("eij,ej->ei", c.solve, c.total[:, n + 1 :, 0] - c.total[:, n + 1 :, 1 : n + 1] @ step)
+        others = np.concatenate([np.repeat(step[None], len(memory), axis=0), memory], axis=1)[c.episode]
+        windows = np.einsum("wij,wj->wi", c.inverse, c.cross[:, :, 0] - np.einsum("wij,wj->wi", c.cross[:, :, 1:], others))
+        expected = float(step @ gradient)
+        expected += float(np.einsum("ei,eij,ej->", c.total[:, n + 1 :, 0], c.solve, c.total[:, n + 1 :, 0]))
+        expected += float(np.einsum("wi,wij,wj->", c.cross[:, :, 0], c.inverse, c.cross[:, :, 0]))
+        moves = {key: (windows[c.episode == e], memory[e]) for e, key in enumerate(self.parts)}
+        return step, moves, expected
+
+
+@dataclass(frozen=True, slots=True)
+class _Condensed:
+    """Products of an elimination: `inverse` and `cross` of starts by window, `total` and `solve` of memories by episode."""
+
+    episode: NDArray[np.int64]
+    inverse: Array
+    cross: Array
+    total: Array
+    solve: Array
+    reduced: Array
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignore[no-untyped-def]
+    """The Schur complement of each window's two starting values, summed by episode."""
+    for w in range(len(g)):
+        a, b, d = g[w, size, size] * (1.0 + damping), g[w, size, size + 1], g[w, size + 1, size + 1] * (1.0 + damping)
+        ridge = 1e-9 * max(a + d, 1e-3)
+        a, d = a + ridge, d + ridge
+        over = 1.0 / (a * d - b * b)
+        inverse[w, 0, 0], inverse[w, 1, 1], inverse[w, 0, 1], inverse[w, 1, 0] = d * over, a * over, -b * over, -b * over
+        for i in range(size):
+            cross[w, 0, i], cross[w, 1, i] = g[w, size, i], g[w, size + 1, i]
+        e = episode[w]
+        for i in range(size):
+            x = inverse[w, 0, 0] * cross[w, 0, i] + inverse[w, 0, 1] * cross[w, 1, i]
+            y = inverse[w, 1, 0] * cross[w, 0, i] + inverse[w, 1, 1] * cross[w, 1, i]
+            for j in range(size):
+                total[e, i, j] += g[w, i, j] - x * cross[w, 0, j] - y * cross[w, 1, j]
+
+
+def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """Map over threads: the kernel holds no lock."""
+    with ThreadPoolExecutor(cores()) as pool:
+        return list(pool.map(work, items))

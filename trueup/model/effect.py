@@ -1,0 +1,130 @@
+"""Effect: something that the nominal model leaves out, as a small pure function at a port.
+
+A file in `effects/` holds one; they are found by themselves. What `apply` takes is told by the names of its arguments:
+
+    signals      `u` command, `q` position, `v` velocity, `t` time since the episode began [s], `h` step [s], `lag_s` transport delay [s],
+                 `period` of the samples [s], `u_scale` the command's declared limit, `implicit` 1 where a step takes its end's values,
+                 `passive` and `drive` the nominal acceleration without and by the command, `spring` the passive one at rest
+    states       the names in `states`: what the effect remembers of the episode's past
+    parameters   the names in `params`
+
+It returns its port's signal, then its states. A friction returns the level up to which it holds or brakes: the step itself
+keeps it from reversing the motion, for any number of frictions at one joint.
+Ports act in this order: timing, command, force and friction, observation; within a port by `order`, from the controller's
+side to the joint's.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+from typing import Any, ClassVar
+
+INFINITY = float("inf")
+
+
+class Port(StrEnum):
+    """Where an effect acts."""
+
+    TIMING = "timing"
+    COMMAND = "command"
+    FORCE = "force"
+    FRICTION = "friction"  # reported as force: a force that can hold but never push
+    OBSERVATION = "observation"
+
+    @property
+    def reported(self) -> str:
+        """The port's name in a report."""
+        return "force" if self is Port.FRICTION else str(self)
+
+
+SIGNALS = {
+    Port.TIMING: ("h",),
+    Port.COMMAND: ("u",),
+    Port.FORCE: ("a",),
+    Port.FRICTION: ("level",),
+    Port.OBSERVATION: ("q", "v"),
+}
+DELAYS = ("lag_s",)  # what an effect returns instead of its port's signal where it is a pure transport delay
+
+
+class Scale(StrEnum):
+    """What a parameter is measured against: the plant's own motion, so that nothing assumes newton metres."""
+
+    ACCELERATION = "acceleration"
+    VELOCITY = "velocity"
+    POSITION = "position"
+    COMMAND = "command"
+    RATE = "command / s"
+    TIME = "s"
+    ONE = "1"
+    DRAG = "acceleration / velocity^2"
+    CUBIC = "acceleration / position^3"
+    DRIFT = "position / s"
+    STIFFNESS = "acceleration / position"
+    DAMPING = "acceleration / velocity"
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A parameter of an effect: its scale, the value at which the effect vanishes, and its range in units of the scale."""
+
+    name: str
+    scale: Scale
+    null: float = 0.0
+    low: float = 0.0
+    high: float = INFINITY
+
+
+class Effect(ABC):
+    """One unmodelled effect. `starts` are the values, in units of each parameter's scale, from which a fit begins.
+
+    `threshold` names the parameters along which the error has corners: their finite differences are wider. `scanned` is the one
+    with many local minima: its starts are tried at that value first, and released once the rest has settled.
+    What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`.
+    """
+
+    name: ClassVar[str]
+    port: ClassVar[Port]
+    category: ClassVar[str]
+    order: ClassVar[int] = 0
+    params: ClassVar[tuple[Number, ...]]
+    states: ClassVar[tuple[str, ...]] = ()
+    begins: ClassVar[tuple[str, ...]] = ()  # of each state: "zero", or the signal that it starts from
+    memory: ClassVar[tuple[Scale, ...]] = ()
+    starts: ClassVar[tuple[tuple[float, ...], ...]]
+    threshold: ClassVar[tuple[str, ...]] = ()
+    scanned: ClassVar[str] = ""
+    contains: ClassVar[str] = ""  # the effect that this one is where some of its parameters vanish
+    falls: ClassVar[bool] = False  # whether the effect grows as its first parameter falls, as a limit's does
+
+    @staticmethod
+    @abstractmethod
+    def apply(*arguments: Any) -> Any:
+        """The signal after the effect, then the effect's states."""
+
+    @classmethod
+    def arguments(cls) -> tuple[str, ...]:
+        """Names of what `apply` takes."""
+        return tuple(inspect.signature(cls.apply).parameters)
+
+    @classmethod
+    def delays(cls) -> bool:
+        """Whether the effect is a pure transport delay."""
+        return "lag_s" in cls.arguments()
+
+
+@cache
+def effects() -> dict[str, type[Effect]]:
+    """Every effect there is, by name, in the order in which they act."""
+    from trueup.model import effects as package  # noqa: PLC0415  (the files import this module)
+
+    for module in pkgutil.iter_modules(package.__path__):
+        importlib.import_module(f"{package.__name__}.{module.name}")
+    ports = list(Port)
+    return {e.name: e for e in sorted(Effect.__subclasses__(), key=lambda e: (ports.index(e.port), e.order, e.name))}

@@ -1,0 +1,1 @@
+"""The catalogue: one effect in each file."""

@@ -1,0 +1,26 @@
+"""Deadband: small commands do nothing."""
+
+import numpy as np
+
+from trueup.model.effect import Effect, Number, Port, Scale
+
+
+class Deadband(Effect):
+    """A drive that answers only beyond a threshold, and from there on by the excess.
+
+    Equation: u' = sign(u) max(|u| - width, 0)
+    Source: H. K. Khalil, Nonlinear Systems (2002), section 1.2.7.
+    Blind: commands that are all small, or all large and of one sign.
+    """
+
+    name = "deadband"
+    port = Port.COMMAND
+    order = 5
+    category = "structure"
+    params = (Number("width", Scale.COMMAND, 0.0, 0.0, 0.8),)
+    starts = tuple((0.02 * 1.5**i,) for i in range(9))
+    threshold = ("width",)
+
+    @staticmethod
+    def apply(u, width):  # type: ignore[no-untyped-def]
+        return np.copysign(np.maximum(abs(u) - width, 0.0), u)

@@ -1,0 +1,39 @@
+"""Elastic transmission: motor and load are joined by a spring."""
+
+import numpy as np
+
+from trueup.model.effect import Effect, Number, Port, Scale
+
+
+class ElasticTransmission(Effect):
+    """Two masses and a damped spring; the observed joint is the load's.
+
+    Equation: load (1 - share) a = passive + T, motor share m'' = drive - T, T = K w + D w', w = m - q,
+    K = (2 pi / period)^2 share (1 - share), D = 4 pi ratio / period share (1 - share)
+    Source: M. W. Spong, Journal of Dynamic Systems, Measurement, and Control 109 (1987).
+    Blind: an excitation far below the resonance.
+    """
+
+    name = "elastic_transmission"
+    port = Port.FORCE
+    order = 9
+    category = "structure"
+    params = (
+        Number("period", Scale.TIME, 0.0, 0.0, 2.0),
+        Number("ratio", Scale.ONE, 0.05, 0.0, 1.0),
+        Number("share", Scale.ONE, 0.3, 0.02, 0.9),
+    )
+    states = ("twist", "rate")
+    begins = ("zero", "zero")
+    memory = (Scale.POSITION, Scale.VELOCITY)
+    starts = tuple((0.05 * 1.4**i, ratio, 0.3) for i in range(12) for ratio in (0.02, 0.1))
+
+    @staticmethod
+    def apply(a, passive, drive, h, twist, rate, period, ratio, share):  # type: ignore[no-untyped-def]
+        w = 6.283185307179586 / np.maximum(period, 6.0 * h)
+        both = share * (1.0 - share)
+        force = both * w * (w * twist + 2.0 * ratio * rate)
+        rate = rate + h * ((drive - force) / share - (passive + force) / (1.0 - share))
+        twist = twist + h * rate
+        soft = period > 0.0
+        return a + ((passive + force) / (1.0 - share) - (passive + drive)) * soft, twist * soft, rate * soft

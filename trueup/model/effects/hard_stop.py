@@ -1,0 +1,40 @@
+"""Hard stop: an end of travel."""
+
+import numpy as np
+
+from trueup.model.effect import Effect, Number, Port, Scale
+
+
+class HardStop(Effect):
+    """A stiff, damped contact at the same distance to both sides of a centre.
+
+    Equation: a - stiffness d - damping v (where pressed), with d = q beyond centre +- limit; the contact never pulls
+    Source: K. H. Hunt, F. R. E. Crossley, Journal of Applied Mechanics 42 (1975), the linear case.
+    Blind: travel within the limit.
+    """
+
+    name = "hard_stop"
+    port = Port.FORCE
+    category = "structure"
+    params = (
+        Number("limit", Scale.POSITION, 1e9, 0.2, 1.6),
+        Number("stiffness", Scale.STIFFNESS, 1e3, 1.0, 1e6),
+        Number("damping", Scale.DAMPING, 1.0, 0.0, 1e4),
+        Number("centre", Scale.POSITION, 0.0, -0.6, 0.6),
+    )
+    falls = True
+    starts = tuple(
+        (limit, stiffness, 1.0, 0.0) for limit in (0.99, 0.97, 0.94, 0.9, 0.85, 0.78, 0.7, 0.6, 0.5, 0.4) for stiffness in (30.0, 300.0)
+    )
+    scanned = "limit"
+    threshold = ("limit",)
+
+    @staticmethod
+    def apply(a, q, v, limit, stiffness, damping, centre):  # type: ignore[no-untyped-def]
+        above = np.maximum(q - centre - limit, 0.0)
+        below = np.maximum(centre - q - limit, 0.0)
+        return (
+            a
+            - np.maximum(stiffness * above + damping * v * (above > 0.0), 0.0)
+            + np.maximum(stiffness * below - damping * v * (below > 0.0), 0.0)
+        )

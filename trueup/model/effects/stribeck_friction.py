@@ -1,0 +1,30 @@
+"""Stribeck friction: dry friction that is larger near rest than in motion."""
+
+from trueup.model.effect import Effect, Number, Port, Scale
+
+
+class StribeckFriction(Effect):
+    """Dry friction that falls from its breakaway level to a lower one as the joint gains speed.
+
+    Equation: |friction| <= level + extra / (1 + x^2 + sharpness (x^4 / 2 + x^6 / 6)), x = v / speed
+    Source: R. Stribeck, Zeitschrift des VDI 46 (1902); the algebraic curve: B. Armstrong-Helouvry, P. Dupont,
+    C. Canudas de Wit, Automatica 30 (1994), section 2; with sharpness 1 it is close to the Gaussian one.
+    Blind: an episode without slow motion, or without fast one.
+    """
+
+    name = "stribeck_friction"
+    port = Port.FRICTION
+    category = "structure"
+    params = (
+        Number("level", Scale.ACCELERATION),
+        Number("extra", Scale.ACCELERATION),
+        Number("speed", Scale.VELOCITY, 1.0, 0.005, 1.0),
+        Number("sharpness", Scale.ONE, 0.0, 0.0, 1.0),
+    )
+    contains = "coulomb_friction"
+    starts = tuple((level, 0.2, 0.02 * 2.0**i, 0.5) for i in range(5) for level in (0.05, 0.2))
+
+    @staticmethod
+    def apply(v, level, extra, speed, sharpness):  # type: ignore[no-untyped-def]
+        x = (v / speed) * (v / speed)
+        return level + extra / (1.0 + x * (1.0 + sharpness * x * (0.5 + x / 6.0)))

@@ -1,0 +1,129 @@
+"""Series: an episode laid out for compiled rollouts, cut into windows whose starts are estimated.
+
+Positions and velocities are compared where they were observed; a sample that repeats the one before it (a held frame), or
+that has no number, is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.episode.episode import Episode
+from trueup.model.block import BLOCK
+from trueup.model.plant import Plant
+from trueup.model.state import known_from, smoothed_states
+from trueup.model.windows import intervals, starts_every
+
+Array = NDArray[np.float64]
+DISTINCT = 0.9  # of the samples have a value of their own where noise is finer than no lattice
+AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one after another
+NO_GAIN = np.zeros((2, 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Scheme:
+    """How the dynamics are integrated: the declared step, or its symmetric form on `parts` of it."""
+
+    alpha: float
+    parts: int
+
+
+DECLARED = Scheme(0.0, 1)
+
+
+def refined(plant: Plant) -> Scheme:
+    """The symmetric scheme; a declared step over 10 ms is halved."""
+    return Scheme(0.5, 2 if plant.timestep_s > 0.01 else 1)  # noqa: PLR2004  (at 10 ms the error of a 1 Hz motion is 2e-4)
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One episode for the kernel. Arrays over its samples; `weight` and `observed` `(samples, 2)` are position and velocity.
+
+    `window_of` is the window to which a sample belongs, `resets` the window that starts at it or -1; `begin` `(windows, 2)` are
+    first guesses of the windows' starting states.
+    """
+
+    digest: str
+    scheme: Scheme
+    t_s: Array
+    h_s: Array
+    steps: NDArray[np.int64]
+    issued: Array
+    integral: Array
+    observed: Array
+    usable: NDArray[np.bool_]
+    window_of: NDArray[np.int64]
+    resets: NDArray[np.int64]
+    begin: Array
+    period_s: float
+    u_scale: float
+
+
+def series(plant: Plant, episode: Episode, scheme: Scheme, window_s: float) -> Series:
+    """An episode cut into windows of about `window_s` [s], all of one length; the last one ends with the episode."""
+    t = episode.t_s
+    begins = known_from(plant, episode)
+    span = t[-1] - t[begins]
+    count = max(1, round(span / window_s))
+    return whole(plant, episode, scheme, starts_every(t[:-1], span / count * (1 + 1e-9), float(t[begins])))
+
+
+def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int64]) -> Series:
+    """An episode with windows that start at the `first` samples `(windows,)`."""
+    t = episode.t_s
+    h, steps = intervals(t, plant.timestep_s)
+    observed = np.full((len(t), 2), np.nan)
+    observed[:, plant.state_columns] = episode.observations
+    resets = np.full(len(t), -1)
+    resets[first] = np.arange(len(first))
+    issued = np.ascontiguousarray(plant.applied(episode.commands)[:, 0])
+    return Series(
+        episode.digest,
+        scheme,
+        t,
+        h / scheme.parts,
+        steps * scheme.parts,
+        issued,
+        np.concatenate([[0.0], np.cumsum(issued[:-1] * np.diff(t))]),
+        np.nan_to_num(observed),
+        np.isfinite(observed) & ~held(observed)[:, None],
+        np.cumsum(resets >= 0) - 1,
+        resets,
+        smoothed_states(plant, episode)[first],
+        episode.period_s,
+        float(np.max(np.abs(plant.limits))),
+    )
+
+
+def held(observed: Array) -> NDArray[np.bool_]:
+    """Which samples repeat the one before it while the joint moves, `(samples,)`: frames that never arrived.
+
+    A sensor coarser than its noise repeats values by itself, and a joint at rest without noise does; neither is counted.
+    """
+    seen = np.isfinite(observed).any(axis=0)
+    known = observed[:, seen]
+    fresh: NDArray[np.bool_] = np.ones(len(known), np.bool_)
+    fresh[1:] = (np.diff(known, axis=0) != 0.0).any(axis=1)
+    if min((len(np.unique(c)) for c in known[fresh].T), default=0) < DISTINCT * fresh.sum():
+        return np.zeros(len(known), np.bool_)
+    if bool(np.isfinite(observed[:, 1]).any()):
+        return np.asarray(np.logical_not(fresh) & (observed[:, 1] != 0.0))
+    runs: NDArray[np.int64] = np.cumsum(fresh)
+    return np.asarray(np.logical_not(fresh) & (np.asarray(np.bincount(runs))[runs] < AT_REST))
+
+
+def roll(s: Series, family: int, p: Array, on: NDArray[np.uint8], init: Array, gain: Array | None = None) -> Array:
+    """Rollout of one block over one series, `(samples, 2, BLOCK)`; with a gain, lanes follow lane 0, which is a filter."""
+    from trueup.model.composition import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
+
+    out = np.empty((len(s.t_s), 2, BLOCK))
+    observed = np.where(s.usable, s.observed, np.nan) if gain is not None else s.observed
+    kernel()(
+        p, on, family, s.scheme.alpha, s.u_scale, s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.integral, s.resets,
+        np.ascontiguousarray(init), gain is not None, NO_GAIN if gain is None else gain, observed, out,
+    )  # fmt: skip
+    return out

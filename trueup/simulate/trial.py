@@ -1,0 +1,191 @@
+"""Trial: a machine drawn by lot, its recordings, and the label that says what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.simulate.excitation import SHAPES, planned
+from trueup.simulate.machine import BEYOND, SLOTS, Feedback, Machine, Run, run
+
+Array = NDArray[np.float64]
+CATALOGUE = tuple(name for name in SLOTS if name not in BEYOND)
+ROUNDS = 18  # of bisection for a magnitude
+
+
+@dataclass(frozen=True)
+class Bench:
+    """How trials of one plant are made: its nominal numbers, rates, noise and excitation."""
+
+    kind: str
+    k: float
+    c: float
+    b: float
+    limit: float
+    timestep_s: float
+    parts: int
+    duration_s: float
+    noise: float  # of a channel's standard deviation
+    feedback: Feedback | None
+    reach: float  # what a planned value of 1 stands for: a command, or a reference position
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What was recorded, and what is wrong: effects with their numbers, whether the parameters moved, and the gap that they make."""
+
+    bench: Bench
+    machine: Machine
+    shifted: bool
+    gap: float
+    sigma: tuple[float, float]
+    adaptation: Sequence[Run]
+    validation: Sequence[Run]
+    test: Sequence[Run]
+
+
+def draw_bench(tier: str, rng: np.random.Generator) -> Bench:
+    """A plant of one of four tiers: A0 the chapter's discrete oscillator, A1 oscillator, B1 pendulum, B2 an inertia in a loop."""
+    if tier == "A0":
+        return Bench("oscillator", 1.0, 0.4, 1.0, 1.0, 0.05, 1, 8.0, 0.0, None, 1.0)
+    if tier == "A1":
+        k, c, b = rng.uniform(0.8, 3.2), rng.uniform(0.3, 0.8), rng.uniform(0.8, 1.3)
+        return Bench("oscillator", k, c, b, 1.0, 0.02, 20, 8.0, rng.uniform(0.002, 0.01), None, 1.0)
+    if tier == "B1":
+        k, c, b = rng.uniform(6.0, 18.0), rng.uniform(0.7, 2.0), rng.uniform(0.9, 1.2)
+        limit = round(k * rng.uniform(0.25, 0.6), 1)
+        return Bench("pendulum", k, c, b, limit, 0.01, 20, 8.0, rng.uniform(0.002, 0.008), None, limit)
+    c, b = rng.uniform(0.6, 2.0), rng.uniform(4.0, 12.0)
+    return Bench(
+        "inertia", 0.0, c, b, 2.0, 0.005, 10, 8.0, rng.uniform(0.002, 0.006), Feedback(rng.uniform(3.0, 8.0), rng.uniform(0.3, 0.8)), 1.0
+    )
+
+
+def draw(bench: Bench, names: Sequence[str], shifted: bool, rng: np.random.Generator, gaps: tuple[float, float] = (0.06, 0.5)) -> Trial:
+    """A machine of a bench with the named imperfections, each as large as a gap drawn within `gaps`, recorded in ten episodes.
+
+    The gap is the change of position that an imperfection causes, relative to the motion.
+    """
+    moved = rng.uniform(0.75, 1.3, 3) if shifted else np.ones(3)
+    machine = Machine(bench.kind, bench.k * moved[0], bench.c * moved[1], bench.b * moved[2], bench.limit)
+    plan = [_plan(bench, shape, rng) for shape in SHAPES]
+    size = _sizes(bench, machine, plan)
+    total = 0.0
+    for name in names:
+        wanted = float(np.exp(rng.uniform(*np.log(gaps))))
+        shape = _shape(name, bench, size, rng)
+        machine, reached = _as_large_as(bench, machine, name, shape, plan, wanted)
+        total = max(total, reached)
+    sigma = (bench.noise * size["position"], bench.noise * 1.5 * size["velocity"])
+    if "sensor_quantization" in names:
+        sigma = (sigma[0] * 0.3, sigma[1] * 0.3)
+    runs = [
+        run(machine, _plan(bench, SHAPES[i % 4], rng), bench.timestep_s, bench.parts, sigma, rng,
+            (0.3 * rng.normal() * size["position"], 0.3 * rng.normal() * size["velocity"]), _warm_up(bench), bench.feedback)
+        for i in (0, 1, 2, 3, 0, 2, 0, 1, 2, 3)
+    ]  # fmt: skip
+    return Trial(bench, machine, shifted, total, sigma, runs[:4], runs[4:6], runs[6:])
+
+
+def _warm_up(bench: Bench) -> int:
+    return round(1.0 / bench.timestep_s)
+
+
+def _plan(bench: Bench, shape: str, rng: np.random.Generator) -> Array:
+    return bench.reach * planned(shape, round(bench.duration_s / bench.timestep_s) + 1 + _warm_up(bench), bench.timestep_s, rng)
+
+
+def _record(bench: Bench, machine: Machine, plan: Sequence[Array]) -> list[Run]:
+    quiet = np.random.default_rng(0)
+    return [run(machine, p, bench.timestep_s, bench.parts, (0.0, 0.0), quiet, (0.0, 0.0), _warm_up(bench), bench.feedback) for p in plan]
+
+
+def _sizes(bench: Bench, machine: Machine, plan: Sequence[Array]) -> dict[str, float]:
+    runs = _record(bench, machine, plan)
+    y = np.concatenate([r.observed for r in runs])
+    u = np.concatenate([r.issued for r in runs])
+    return {
+        "position": float(y[:, 0].std()), "velocity": float(y[:, 1].std()), "travel": float(np.abs(y[:, 0]).max()),
+        "acceleration": float(machine.b * u.std()), "command": float(np.abs(u).max()), "time": float(y[:, 0].std() / y[:, 1].std()),
+    }  # fmt: skip
+
+
+def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Generator) -> dict[str, tuple[float, float, bool]]:
+    """Of each number: its value at magnitude 0 and its growth with magnitude, or (value, 0) where it does not grow."""
+    a, q, v, u, t = s["acceleration"], s["position"], s["velocity"], s["command"], s["time"]
+    sign = float(rng.choice([-1.0, 1.0]))
+
+    def grows(by: float, at: float = 0.0) -> tuple[float, float, bool]:
+        return (at, by, False)
+
+    def fixed(value: float) -> tuple[float, float, bool]:
+        return (value, 0.0, False)
+
+    def shrinks(by: float) -> tuple[float, float, bool]:
+        return (by, 0.0, True)
+
+    shapes: dict[str, dict[str, tuple[float, float, bool]]] = {
+        "coulomb_friction": {"level": grows(a)},
+        "stribeck_friction": {
+            "level": grows(0.4 * a),
+            "extra": grows(a * rng.uniform(0.4, 1.0)),
+            "speed": fixed(v * rng.uniform(0.1, 0.4)),
+        },
+        "quadratic_drag": {"coefficient": grows(a / v**2)},
+        "cubic_stiffness": {"coefficient": grows(a / q**3 * (sign if bench.kind != "inertia" else 1.0) * 0.3)},
+        "constant_force": {"level": grows(a * sign)},
+        "hysteresis": {"level": grows(a), "distance": fixed(q * rng.uniform(0.15, 0.6))},
+        "hard_stop": {"limit": shrinks(s["travel"]), "stiffness": fixed(400.0 * a / q), "damping": fixed(5.0 * a / v)},
+        "cogging": {"amplitude": grows(a), "pitch": fixed(q * rng.uniform(0.3, 1.2)), "phase": fixed(rng.uniform(0, 6.28))},
+        "elastic_transmission": {"stiffness": shrinks(40.0 / t**2), "damping": fixed(0.15 / t), "share": fixed(rng.uniform(0.15, 0.5))},
+        "load_dependent_friction": {"coefficient": grows(1.0)},
+        "deadband": {"width": grows(u)},
+        "backlash": {"gap": grows(u)},
+        "actuator_lag": {"time_constant": grows(t)},
+        "actuator_delay": {"delay": grows(t)},
+        "saturation": {"limit": shrinks(u)},
+        "rate_limit": {"rate": shrinks(20.0 * u / t)},
+        "thermal_derating": {"loss": grows(1.0), "time_constant": fixed(rng.uniform(1.5, 6.0))},
+        "gain_asymmetry": {"asymmetry": grows(sign)},
+        "command_quantization": {"step": grows(u)},
+        "sensor_delay": {"delay": grows(t)},
+        "sensor_bias": {"bias": grows(q * sign)},
+        "sensor_scale": {"error": grows(sign)},
+        "sensor_quantization": {"step": grows(q), "velocity_step": fixed(0.0)},
+        "sensor_drift": {"rate": grows(q / 8.0 * sign)},
+        "clock_skew": {"skew": grows(sign)},
+        "dropped_frames": {"fraction": fixed(rng.uniform(0.05, 0.3))},
+        "k_modulated": {"depth": grows(1.0), "rate": fixed(rng.uniform(0.7, 2.5))},
+        "van_der_pol": {"strength": grows(a / v), "width": fixed(q)},
+        "position_damping": {"coefficient": grows(a / v / q)},
+        "quadratic_gain": {"coefficient": grows(sign)},
+        "hidden_mode": {"stiffness": grows(a / q), "damping": fixed(0.02 * a / v), "share": fixed(rng.uniform(0.1, 0.4))},
+        "viscoelastic": {"stiffness": grows(a / q), "time_constant": fixed(t * rng.uniform(0.5, 2.0))},
+        "asymmetric_stiffness": {"change": grows(sign)},
+        "growing_friction": {"rate": grows(a / 8.0)},
+    }
+    return shapes[name]
+
+
+def _as_large_as(
+    bench: Bench, machine: Machine, name: str, shape: Mapping[str, tuple[float, float, bool]], plan: Sequence[Array], wanted: float
+) -> tuple[Machine, float]:
+    """The machine with one imperfection more, its magnitude bisected until it moves the position by `wanted` of its motion."""
+    without = np.concatenate([r.observed for r in _record(bench, machine, plan)])
+    low, high, best, reached = 0.0, 1.0, machine, 0.0
+    for _ in range(ROUNDS):
+        size = 0.5 * (low + high)
+        values = {key: at * (1.0 - size) if falls else at + by * size for key, (at, by, falls) in shape.items()}
+        best = replace(machine, imperfections={**machine.imperfections, name: values})
+        with_it = np.concatenate([r.observed for r in _record(bench, best, plan)])
+        reached = float(np.sqrt(np.mean((with_it[:, 0] - without[:, 0]) ** 2)) / without[:, 0].std())
+        if not np.isfinite(reached) or reached > wanted:
+            high = size
+        else:
+            low = size
+        if abs(reached / wanted - 1.0) < 0.1:  # noqa: PLR2004  (a tenth is close enough for a lot)
+            break
+    return best, reached

@@ -1,0 +1,33 @@
+"""A case folder: plant.json and its episodes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import orjson
+
+from trueup.episode.episode import Episode
+from trueup.episode.mcap import read_episode_stream
+from trueup.errors import BadPlant, NotAnEpisode
+from trueup.model.plant import Plant
+
+
+def read_case(folder: Path) -> tuple[Plant, list[Episode]]:
+    """The plant and every episode of a case folder, in the order of their file names. Raises BadPlant, BadEpisode."""
+    description = folder / "plant.json"
+    if not description.is_file():
+        raise BadPlant(f"{folder} holds no plant.json", field="plant.json", hint="A case is a folder with plant.json and *.mcap episodes.")
+    try:
+        document = orjson.loads(description.read_bytes())
+    except orjson.JSONDecodeError as error:
+        raise BadPlant(f"{description} is not JSON: {error}", field="plant.json") from error
+    plant = Plant.from_document(document)
+    files = sorted(folder.glob("*.mcap"))
+    if not files:
+        raise NotAnEpisode(f"{folder} holds no *.mcap episode", rule="samples")
+    return plant, [_read(file, plant) for file in files]
+
+
+def _read(file: Path, plant: Plant) -> Episode:
+    with file.open("rb") as stream:
+        return read_episode_stream(stream, file.stat().st_size, plant.layout)

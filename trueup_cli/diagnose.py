@@ -1,0 +1,57 @@
+"""`trueup diagnose`: where the gap lies, which effect causes it, how far it shrinks."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from trueup.artifact.artifact import pack
+from trueup.diagnose.diagnosis import Diagnosis, diagnose
+from trueup.diagnose.page import page, sentence
+from trueup.diagnose.report import COMMAND_FILE
+from trueup.episode.episode import Episode
+from trueup_cli.case import read_case
+
+
+def run(case: Path, *, out: Path, seed: int = 0) -> None:
+    """Diagnose the gap between a case's nominal model and its recordings.
+
+    Writes report.json, report.html and the corrected model to a folder.
+
+    Parameters
+    ----------
+    case: folder with plant.json and *.mcap episodes
+    out: folder to write to
+    seed: of the resampling behind the intervals
+    """
+    console = Console(stderr=True)
+    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("reading the episodes", total=1.0)
+        plant, episodes = read_case(case)
+        found = diagnose(plant, episodes, seed, lambda stage, part: bar.update(task, description=stage, completed=part))
+    write(found, episodes, out)
+    print(sentence(found.document))
+    print(f"report: {out / 'report.html'}   model: {out / 'model'}")
+
+
+def write(found: Diagnosis, episodes: list[Episode], out: Path) -> None:
+    """The report as JSON and as a page, the corrected model, and the next experiment's command."""
+    model = out / "model"
+    model.mkdir(parents=True, exist_ok=True)
+    artifact = pack(
+        found.predictor, {"origin": "diagnosis", "episodes": [e.digest for e in episodes], "verdict": str(found.document["verdict"])}
+    )
+    (model / "manifest.json").write_bytes(artifact.manifest)
+    (model / "arrays.safetensors").write_bytes(artifact.arrays)
+    if found.experiment is not None and found.experiment.command is not None:
+        with (out / COMMAND_FILE).open("w", newline="") as file:
+            writer = csv.writer(file)
+            writer.writerow(["t", found.plant.layout.commands[0].name])
+            writer.writerows([repr(float(t)), repr(float(u))] for t, u in zip(found.experiment.t_s, found.experiment.command, strict=True))
+    (out / "report.json").write_text(json.dumps(found.document, indent=1) + "\n")
+    (out / "report.html").write_text(page(found))
