@@ -86,7 +86,7 @@ def _explore(
         best = min(c.misfit for c in search)
         if any(enough(c, base, by) for c in search) or (size > 2 and best - 1.0 > HOPELESS * (base.misfit - 1.0)):  # noqa: PLR2004
             break
-        parents = sorted(leaders, key=total)[: PARENTS if size == 2 else 2]  # noqa: PLR2004
+        parents = leaders[: PARENTS if size == 2 else 2]  # noqa: PLR2004
         generation = search.extend(parents, searchable(), partial(progress, f"{size} effects"), most=GROWN)
     for c in _refined(search, generation)[:2]:
         search.shrink(c)
@@ -113,9 +113,9 @@ def polished(
 
 
 def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]:
-    """The best of a generation, fitted until nothing moves; those far behind are left as they are."""
+    """The best of a generation, fitted until nothing moves, the best first; those far behind are left as they are."""
     near = [c for c in generation[:REFINED] if total(c) < FAR_BEHIND * max(total(generation[0]), 1.0)]
-    return in_parallel(search.refine, near) + [c for c in generation[:REFINED] if c not in near]
+    return sorted(in_parallel(search.refine, near) + [c for c in generation[:REFINED] if c not in near], key=total)
 
 
 def thinning(admission: Admission, episodes: Sequence[Episode]) -> int:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trueup.fit.rollout_fit import Fitter, RolloutFit, in_parallel
+from trueup.fit.rollout_fit import Start as FitStart
 from trueup.model.block import BLOCK, layout, memories, nulls
 from trueup.model.effect import Effect, effects
 from trueup.model.hypothesis import Hypothesis, switches
@@ -26,6 +27,9 @@ MANY = 50
 KEPT = 2  # starts that go on
 ZOOMS = (0.04, 0.013, 0.004)  # of a scanned value: grids around the best, ever finer
 ZOOM_POINTS = (-1.0, -0.66, -0.33, 0.33, 0.66, 1.0)
+ASKED_FOR = 18.0  # squared standard errors that a number must be worth
+PASTS = (0.0, 0.5, -0.5)  # of a memory's scale, where its effect has corners
+NEARLY = 4.0  # times the misfit: a part of a composition that does about as well
 CHECK = 10  # iterations for the starts of validation windows
 
 
@@ -102,7 +106,21 @@ class Search:
         near = [self.fitter.fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3) for f in raced[:KEPT]]
         settled = [self.fitter.fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3) for f in near]
         best = min(settled, key=lambda f: f.cost)
-        return self._zoomed(best, kind) if kind.scanned == "step" and best.cost < parent.cost else best
+        best = self._pruned(best, kind)
+        return self._zoomed(best, kind.name, kind.scanned) if kind.scanned == "step" and best.cost < parent.cost else best
+
+    def _pruned(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
+        """The fit without each number that it may do without, where the log does not ask for it."""
+        rows = dict(zip((n.name for n in kind.params), layout()[kind.name], strict=True))
+        for name in kind.optional:
+            values = best.values.copy()
+            values[rows[name]] = nulls()[rows[name]]
+            fixed = [(kind.name, name)]
+            plain = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=RACE, tolerance=1e-3, fixed=fixed)
+            if plain.cost < best.cost + ASKED_FOR * max(best.misfit, 1.0):
+                best = self.fitter.fit(self.adaptation, best.hypothesis, plain.values, plain.starts, iterations=1)
+                best = best if best.cost <= plain.cost else plain
+        return best
 
     def _begins(self, parent: RolloutFit, kind: type[Effect]) -> list[np.ndarray]:
         """Parameter vectors from which a fit begins: those of a periodicity, or the starts of which a linear model expects most."""
@@ -121,16 +139,15 @@ class Search:
         """A fit on short windows: there a linear model reaches further, for no error has grown yet."""
         return self.fitter.fit(self.short, fit.hypothesis, fit.values, iterations=2, only_starts=True)
 
-    def _zoomed(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
-        row = dict(zip((n.name for n in kind.params), layout()[kind.name], strict=True))[kind.scanned]
+    def _zoomed(self, best: RolloutFit, effect: str, parameter: str) -> RolloutFit:
+        """The best of ever finer grids around one number, along which the error has corners."""
+        row = dict(zip((n.name for n in effects()[effect].params), layout()[effect], strict=True))[parameter]
         for width in ZOOMS:
             centre = best.values[row]
             for point in ZOOM_POINTS:
                 values = best.values.copy()
                 values[row] = centre * (1.0 + width * point)
-                tried = self.fitter.fit(
-                    self.adaptation, best.hypothesis, values, best.starts, iterations=2, fixed=[(kind.name, kind.scanned)]
-                )
+                tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=2, fixed=[(effect, parameter)])
                 best = tried if tried.cost < best.cost else best
         free = self.fitter.fit(self.adaptation, best.hypothesis, best.values, best.starts, iterations=4)
         return free if free.cost <= best.cost else best
@@ -140,6 +157,9 @@ class Search:
         fit = self.fitter.fit(
             self.adaptation, candidate.hypothesis, candidate.fit.values, candidate.fit.starts, iterations=25, tolerance=1e-6
         )
+        for name in candidate.hypothesis.effects:
+            for parameter in effects()[name].threshold[:1]:
+                fit = self._zoomed(fit, name, parameter)
         return self.keep(fit) if fit.cost < candidate.fit.cost else candidate
 
     def fitted(self, hypothesis: Hypothesis, larger: Candidate) -> Candidate:
@@ -161,13 +181,33 @@ class Search:
             )
             if smaller not in self.found or fit.cost < self.found[smaller].fit.cost:
                 better.append(self.keep(fit))
+        for part in list(better):
+            if len(part.hypothesis.effects) > 1 and part.misfit < NEARLY * max(candidate.misfit, 1.0):
+                better += self.shrink(part)
         return better
 
     def keep(self, fit: RolloutFit) -> Candidate:
         """A fit as a candidate, with the starts of validation windows estimated."""
-        check = self.fitter.fit(self.validation, fit.hypothesis, fit.values, iterations=CHECK, only_starts=True)
-        self.found[fit.hypothesis] = Candidate(fit, check)
+        self.found[fit.hypothesis] = Candidate(fit, self._checked(fit))
         return self.found[fit.hypothesis]
+
+    def _checked(self, fit: RolloutFit) -> RolloutFit:
+        """The starts of validation windows; what hidden states began with is tried at several places, episode by episode."""
+        states = [
+            (e, state, scale) for e in fit.hypothesis.effects for state, scale in zip(effects()[e].states, effects()[e].memory, strict=True)
+        ]
+        offsets = PASTS if any(effects()[e].threshold for e, _, _ in states) else PASTS[:1]
+        tried = []
+        for offset in offsets:
+            memory = {(e, state): offset * self.fitter.scales.of(scale) for e, state, scale in states}
+            starts = {s.digest: FitStart(s.begin, memory) for s in self.validation}
+            tried.append(self.fitter.fit(self.validation, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True))
+        if len(tried) == 1:
+            return tried[0]
+        best = {}
+        for s in self.validation:
+            best[s.digest] = min(tried, key=lambda f: f.by_episode[s.digest]).starts[s.digest]
+        return self.fitter.fit(self.validation, fit.hypothesis, fit.values, best, iterations=2, only_starts=True)
 
     def __iter__(self) -> Iterator[Candidate]:
         return iter(sorted(self.found.values(), key=lambda c: c.misfit))

@@ -73,6 +73,13 @@ class RolloutFit:
     converged: bool
 
     @property
+    def by_episode(self) -> dict[str, float]:
+        """Cost of each episode, by digest."""
+        ends = np.cumsum([len(s.windows) for s in self.starts.values()])
+        parts = np.split(self.costs, ends[:-1])
+        return {key: float(part.sum()) for key, part in zip(self.starts, parts, strict=True)}
+
+    @property
     def misfit(self) -> float:
         """Mean squared normalised error: 1 where noise is all that is left."""
         return self.cost / self.samples

@@ -100,6 +100,7 @@ class Effect(ABC):
     starts: ClassVar[tuple[tuple[float, ...], ...]]
     threshold: ClassVar[tuple[str, ...]] = ()
     scanned: ClassVar[str] = ""
+    optional: ClassVar[tuple[str, ...]] = ()  # numbers that stay at their null unless the log asks for them
     contains: ClassVar[str] = ""  # the effect that this one is where some of its parameters vanish
     falls: ClassVar[bool] = False  # whether the effect grows as its first parameter falls, as a limit's does
 

@@ -26,7 +26,7 @@ class RateLimit(Effect):
     threshold = ("rate",)
 
     @staticmethod
-    def apply(u, h, y, rate):  # type: ignore[no-untyped-def]
+    def apply(u, h, implicit, y, rate):  # type: ignore[no-untyped-def]
         after = y + np.minimum(np.maximum(u - y, -rate * h), rate * h)
         moving = np.minimum(abs(u - y) / (rate * h), 1.0)  # the part of the step in which it moves
-        return after - 0.5 * (after - y) * moving, after
+        return after - 0.5 * (1.0 - implicit) * (after - y) * moving, after

@@ -21,6 +21,7 @@ class StribeckFriction(Effect):
         Number("speed", Scale.VELOCITY, 1.0, 0.005, 1.0),
         Number("sharpness", Scale.ONE, 0.0, 0.0, 1.0),
     )
+    optional = ("sharpness",)
     contains = "coulomb_friction"
     starts = tuple((level, 0.2, 0.02 * 2.0**i, 0.5) for i in range(5) for level in (0.05, 0.2))
 

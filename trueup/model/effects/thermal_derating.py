@@ -25,6 +25,7 @@ class ThermalDerating(Effect):
     states = ("heat",)
     begins = ("zero",)
     memory = (Scale.ONE,)
+    optional = ("least",)
     starts = tuple((0.5, 1.0 * 1.8**i, least) for i in range(7) for least in (0.05, 0.7, 0.85))
 
     @staticmethod
