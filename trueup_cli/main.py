@@ -22,6 +22,7 @@ _COMMANDS = {
     "plant": ("plant:app", "Register and look at plants."),
     "upload": ("registry:upload", "Upload recordings."),
     "fit": ("registry:fit", "Fit a candidate from adaptation episodes."),
+    "diagnosis": ("registry:diagnosis", "The same as a job of the service, on uploaded episodes."),
     "gate": ("registry:gate", "Judge a candidate by a declared gate against what serves."),
     "serving": ("serving:serving", "Say what serves, or what served when."),
     "promote": ("serving:promote", "Serve the candidate of an accepted decision."),

@@ -60,6 +60,18 @@ def fit(
     as_json(found) if as_json_ else out.print(f"candidate [bold]{found['result']['artifact']}[/]")
 
 
+def diagnosis(plant: str, *, seed: int = 0, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """Diagnose a plant's gap from its uploaded episodes; the corrected model becomes a candidate."""
+    found = run_job(connect(url), plant, {"kind": "diagnose", "seed": seed}, "diagnose")
+    if as_json_:
+        as_json(found)
+        return
+    from trueup.diagnose.page import sentence
+
+    out.print(sentence(found["result"]["report"]))
+    out.print(f"candidate [bold]{found['result']['artifact']}[/]")
+
+
 def gate(
     plant: str,
     candidate: str,

@@ -50,6 +50,7 @@ def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress:
     Adaptation episodes are fitted; validation episodes compare and measure. Raises NotIdentifiable where there are none of either,
     or where the joint never moves.
     """
+    episodes = sorted(episodes, key=lambda e: e.digest)  # however they were handed in, the report is the same
     adaptation = [e for e in episodes if e.role is Role.ADAPTATION]
     validation = [e for e in episodes if e.role is Role.VALIDATION]
     if not validation:

@@ -142,7 +142,7 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
     """Of each effect that the winner has not: a bound, or why there is none. Two lists."""
     names = [n for n in searchable() if n not in winner.hypothesis.effects and effects()[n].contains not in winner.hypothesis.effects]
-    found = in_parallel(lambda name: _bound(search, winner, name, plant), names)
+    found = list(in_parallel(lambda name: _bound(search, winner, name, plant), names))
     return [b for b in found if b.value is not None], [b for b in found if b.value is None]
 
 

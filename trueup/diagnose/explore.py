@@ -82,7 +82,7 @@ def _explore(
     for size in range(2, by.most_effects + 1):
         leaders = _refined(search, generation)
         if size > 2:  # noqa: PLR2004  (one effect less than two is what the others began from)
-            in_parallel(search.shrink, leaders[:2])
+            list(in_parallel(search.shrink, leaders[:2]))
         best = min(c.misfit for c in search)
         if any(enough(c, base, by) for c in search) or (size > 2 and best - 1.0 > HOPELESS * (base.misfit - 1.0)):  # noqa: PLR2004
             break
@@ -115,7 +115,7 @@ def polished(
 def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]:
     """The best of a generation, fitted until nothing moves, the best first; those far behind are left as they are."""
     near = [c for c in generation[:REFINED] if total(c) < FAR_BEHIND * max(total(generation[0]), 1.0)]
-    return sorted(in_parallel(search.refine, near) + [c for c in generation[:REFINED] if c not in near], key=total)
+    return sorted([*in_parallel(search.refine, near), *(c for c in generation[:REFINED] if c not in near)], key=total)
 
 
 def thinning(admission: Admission, episodes: Sequence[Episode]) -> int:

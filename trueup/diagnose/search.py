@@ -95,7 +95,7 @@ class Search:
         if not most:
             return rest
         near = self._near(parent.fit)
-        costs = in_parallel(lambda name: float(self.fitter.screen(self.short, near, name).cost.min()), rest)
+        costs = list(in_parallel(lambda name: float(self.fitter.screen(self.short, near, name).cost.min()), rest))
         return [rest[i] for i in np.argsort(costs, kind="stable")[:most]]
 
     def grow(self, parent: RolloutFit, name: str) -> RolloutFit:

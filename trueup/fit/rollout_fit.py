@@ -8,7 +8,7 @@ Source: J. Nocedal, S. Wright, Numerical Optimization (2006), section 10.3; elim
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -100,7 +100,8 @@ class Screening:
 
 @njit(cache=True, nogil=True)
 def _gram(out, observed, weight, window_of, inverse, into):  # type: ignore[no-untyped-def]
-    """Sum of outer products of (error, derivatives) over each window; `into` is (windows, BLOCK, BLOCK)."""
+    """Sum of outer products of (error, derivatives) over each window; `into` is (windows, used, used)."""
+    used = into.shape[1]
     row = np.zeros(BLOCK)
     for i in range(len(window_of)):
         w = window_of[i]
@@ -113,8 +114,8 @@ def _gram(out, observed, weight, window_of, inverse, into):  # type: ignore[no-u
             for lane in range(BLOCK):
                 row[lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
             row[0] = (observed[i, c] - base) * weight[i, c]
-            for a in range(BLOCK):
-                for b in range(BLOCK):
+            for a in range(used):
+                for b in range(used):
                     into[w, a, b] += row[a] * row[b]
 
 
@@ -306,9 +307,8 @@ class Fitter:
             init[:, 0, before + 1] += self.start_steps[0]
             init[:, 1, before + 2] += self.start_steps[1]
             out = roll(s, self.family, block, on, init)
-            into = np.zeros((len(init), BLOCK, BLOCK))
-            _gram(out, s.observed, s.usable / self.sigma, s.window_of, inverse, into)
-            parts[s.digest] = into[:, : before + 3, : before + 3]
+            parts[s.digest] = np.zeros((len(init), before + 3, before + 3))
+            _gram(out, s.observed, s.usable / self.sigma, s.window_of, inverse, parts[s.digest])
         return parts
 
 
@@ -416,7 +416,7 @@ def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignor
                 total[e, i, j] += g[w, i, j] - x * cross[w, 0, j] - y * cross[w, 1, j]
 
 
-def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
-    """Map over threads: the kernel holds no lock."""
+def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
+    """Map over threads, in order: the kernel holds no lock."""
     with ThreadPoolExecutor(cores()) as pool:
-        return list(pool.map(work, items))
+        yield from pool.map(work, items)

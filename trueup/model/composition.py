@@ -29,6 +29,8 @@ from trueup.model.block import BLOCK, layout, memories
 from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
 
+APART = frozenset({"passive", "drive", "spring"})  # parts of the nominal acceleration
+
 HEAD = """
 def make(digest, functions, njit):
     {unpack} = functions
@@ -145,7 +147,9 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
             ports["follow_states"].append(f"{state}_{index}[lane] = {state}_{index}[0]")
             from_ = "" if begins == "zero" else f"{begins}[lane] + "
             ports["begin"] += ["for lane in range(W):", f"    {state}_{index}[lane] = {from_}p[{memories()[effect.name, state]}, lane]"]
-    ports["families"] = [line for i, f in enumerate(known_families.values()) for line in _family(i, f)]
+    asking = [f"on[{i}]" for i, e in enumerate(known_effects.values()) if APART.intersection(e.arguments())]
+    apart = " or ".join(asking) or "False"
+    ports["families"] = [line for i, f in enumerate(known_families.values()) for line in _family(i, f, apart)]
     ports["observe"] = ports.pop("observation")
     text = "\n".join(_fill(line, ports | {"unpack": [", ".join(names)]}) for line in HEAD.splitlines())
     return functions, text
@@ -161,7 +165,8 @@ def _fill(line: str, parts: dict[str, list[str]]) -> str:
     return line
 
 
-def _family(index: int, family: type[Family]) -> list[str]:
+def _family(index: int, family: type[Family], apart: str) -> list[str]:
+    """One family's loop over the lanes; its parts are told apart only where an effect asks for them."""
     values = "".join(f", p[{j}, lane]" for j in range(len(family.params)))
     call = f"family_{index}"
     return [
@@ -169,9 +174,11 @@ def _family(index: int, family: type[Family]) -> list[str]:
         "    for lane in range(W):",
         f"        ve[lane] += alpha * h[lane] * {call}(qe[lane], ve[lane], u[lane]{values})",
         f"        a[lane] = {call}(qe[lane], ve[lane], u[lane]{values})",
-        f"        passive[lane] = {call}(qe[lane], ve[lane], 0.0{values})",
-        f"        spring[lane] = {call}(qe[lane], 0.0, 0.0{values})",
-        "        drive[lane] = a[lane] - passive[lane]",
+        f"    if {apart}:",
+        "        for lane in range(W):",
+        f"            passive[lane] = {call}(qe[lane], ve[lane], 0.0{values})",
+        f"            spring[lane] = {call}(qe[lane], 0.0, 0.0{values})",
+        "            drive[lane] = a[lane] - passive[lane]",
     ]
 
 

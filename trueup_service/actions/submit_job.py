@@ -43,6 +43,21 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
     return _submit(writer, queue, job, plant, "gate", frozen, stamp)
 
 
+def submit_diagnosis(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+    """A diagnosis of the nominal model from adaptation and validation episodes. Raises RoleRefused, NotIdentifiable."""
+    find.plant_digest(writer, plant)
+    episodes = _episodes(writer, plant, request.get("episodes"), (Role.ADAPTATION, Role.VALIDATION))
+    missing = {Role.ADAPTATION, Role.VALIDATION} - {Role(e.role) for e in episodes}
+    if missing:
+        role = min(missing)
+        raise NotIdentifiable(f"there is no {role} episode to diagnose with", hint=f"Upload one whose metadata says role = {role}.")
+    frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(writer, plant).artifact}
+    return _submit(writer, queue, job, plant, "diagnose", frozen, stamp)
+
+
+SUBMIT = {"fit": submit_fit, "gate": submit_gate, "diagnose": submit_diagnosis}
+
+
 def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) -> list[EpisodeRecord]:
     if named is None:
         return writer.episodes_of_role(plant, roles)

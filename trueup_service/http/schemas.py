@@ -178,6 +178,15 @@ class GateRequest(BaseModel):
     episodes: list[Digest] | None = None
 
 
+class DiagnosisRequest(BaseModel):
+    """Diagnose the gap of the plant's nominal model; `episodes` are adaptation and validation ones, null for all there are."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["diagnose"]
+    episodes: list[Digest] | None = None
+    seed: int = Field(0, ge=0, lt=2**32, description="of the resampling behind the intervals")
+
+
 class Promotion(BaseModel):
     """Serve the decision's candidate, if the pointer is still at `expected_generation`."""
 

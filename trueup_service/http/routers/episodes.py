@@ -87,7 +87,7 @@ def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeCon
     with parts.database.read() as connection:
         reader = Reader(connection)
         found = find.episode(reader, plant, digest)
-        uses = {purpose: reader.uses(digest, purpose) for purpose in ("fit", "gate")}
+        uses = {purpose: reader.uses(digest, purpose) for purpose in ("fit", "gate", "diagnose")}
         served = _served(reader, found)
     return EpisodeContext(**Episode.model_validate(found).model_dump(), served=[Serving(**document(m)) for m in served], uses=uses)
 
@@ -118,5 +118,6 @@ def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
         reader = Reader(connection)
         find.episode(reader, plant, digest)
         raise Kept(
-            f"episode {digest[:12]} is kept: fits and decisions name it", uses=reader.uses(digest, "fit") + reader.uses(digest, "gate")
+            f"episode {digest[:12]} is kept: fits and decisions name it",
+            uses=sum(reader.uses(digest, purpose) for purpose in ("fit", "gate", "diagnose")),
         )

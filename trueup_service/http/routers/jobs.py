@@ -1,4 +1,4 @@
-"""Jobs: fits and trials, run by workers, with progress and cancellation."""
+"""Jobs: fits, trials and diagnoses, run by workers, with progress and cancellation."""
 
 from __future__ import annotations
 
@@ -11,21 +11,25 @@ from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
 from trueup_service.http.context import END_OF_TIME, Before, By, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import FitRequest, GateRequest, Job, JobWithReads, Page, page
+from trueup_service.http.schemas import DiagnosisRequest, FitRequest, GateRequest, Job, JobWithReads, Page, page
 from trueup_service.registry.store import Reader, Writer
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
-JobRequest = Annotated[FitRequest | GateRequest, Body(discriminator="kind")]
+JobRequest = Annotated[FitRequest | GateRequest | DiagnosisRequest, Body(discriminator="kind")]
 
 
-@router.post("/plants/{plant}/jobs", status_code=201, response_model=Job, summary="Submit a fit or a trial", responses=there(Job))
+@router.post(
+    "/plants/{plant}/jobs", status_code=201, response_model=Job, summary="Submit a fit, a trial or a diagnosis", responses=there(Job)
+)
 def submit(parts: With, stamp: By, plant: PlantName, request: JobRequest, key: IdempotencyKey = None) -> Response:
-    """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a trial held-out ones alone."""
-    from trueup_service.actions.submit_job import submit_fit, submit_gate  # noqa: PLC0415  (numpy: a server that only serves needs none)
+    """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a trial held-out ones alone;
+    a diagnosis fits the former and compares on the latter.
+    """
+    from trueup_service.actions.submit_job import SUBMIT  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     chosen, job = request.model_dump(exclude={"kind"}, exclude_none=True), uuid.uuid4().hex
-    act = submit_fit if request.kind == "fit" else submit_gate
+    act = SUBMIT[request.kind]
     parts.queue.prepare()
     frozen = {"kind": request.kind, **chosen}
     return create(parts, stamp, f"jobs/{plant}", key, frozen, lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True), Job)

@@ -1,0 +1,42 @@
+"""A diagnosis as a job of the service gives the command's report, and its model is a candidate like any other."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.support.made import T0_NS
+from tests.support.service import command
+from tests.support.simulated import recorded
+from trueup.episode.writer import write_episode
+
+
+@pytest.fixture(scope="module")
+def done(service, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("job")
+    plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21)
+    (folder / "plant.json").write_text(json.dumps(dict(plant.document)))
+    for i, e in enumerate(episodes):
+        stamps = T0_NS + 10**10 * i + np.rint(e.t_s * 1e9).astype(np.int64)
+        with (folder / f"{i}.mcap").open("wb") as file:
+            write_episode(
+                file, stamps_ns=stamps, observations=e.observations, commands=e.commands, layout=plant.layout, role=e.role, conditions={}
+            )
+    command(service, "plant", "register", str(folder))
+    command(service, "upload", "simulated", str(folder))
+    job = json.loads(command(service, "diagnosis", "simulated", "--json").stdout)
+    command(service, "diagnose", str(folder), "--out", str(folder / "out"))
+    return folder, job, json.loads((folder / "out" / "report.json").read_text())
+
+
+def test_the_service_gives_the_commands_report(done):
+    _, job, report = done
+    ours = job["result"]["report"]
+    assert [e["effect"] for e in ours["effects"]] == ["quadratic_drag"]
+    assert ours == report
+
+
+def test_its_model_goes_through_the_gate(service, done):
+    _, job, _ = done
+    decision = json.loads(command(service, "gate", "simulated", job["result"]["artifact"], "--json").stdout)
+    assert decision["accepted"]

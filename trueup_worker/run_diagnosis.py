@@ -1,0 +1,51 @@
+"""Run a diagnosis: adaptation and validation episodes become a report and the corrected model, a candidate like any other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from trueup.artifact.artifact import Artifact, pack
+from trueup.canonical import Json, digest_of, digest_of_bytes
+from trueup.diagnose.diagnosis import diagnose
+from trueup.diagnose.page import sentence
+from trueup.episode.role import Role
+from trueup_service.actions.add_artifact import add_artifact
+from trueup_service.actions.stamp import Stamp
+from trueup_service.registry.records import JobRecord
+from trueup_service.registry.store import Writer
+from trueup_service.wiring import Parts
+from trueup_worker.code_identity import code_identity
+from trueup_worker.inputs import read_episodes, read_plant, sources
+from trueup_worker.progress import Progress
+
+READING = 0.1  # of the job's time
+
+
+def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
+    """Diagnose, and give the manifest and the report. Repeating it gives the same bytes."""
+    plant = read_plant(parts, job)
+    roles = Role.ADAPTATION, Role.VALIDATION
+    episodes = read_episodes(parts, job, plant, roles, progress.stage("reading episodes", 0.0, READING))
+    request: dict[str, Any] = dict(job.request)
+    seed = int(request["seed"])
+    found = diagnose(plant, episodes, seed, lambda stage, part: progress.stage(stage, READING, 1.0)(part))
+    provenance: dict[str, Json] = {
+        "origin": "diagnosis",
+        "episodes": sources(episodes),
+        "configuration": {"sha256": digest_of(job.request), "document": job.request},
+        "code": code_identity(),
+        "seed": seed,
+        "parent": job.request["parent"],
+        "report": {"sha256": digest_of(dict(found.document)), "verdict": found.document["verdict"], "sentence": sentence(found.document)},
+    }
+    return {"manifest": pack(found.predictor, provenance).manifest.decode(), "report": dict(found.document)}
+
+
+def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+    """The corrected model becomes the plant's next version."""
+    add_artifact(writer, job.plant, Artifact(outcome["manifest"].encode(), b""), job.id, stamp)
+
+
+def result(outcome: dict[str, Any]) -> dict[str, Json]:
+    """What the job answers with."""
+    return {"artifact": digest_of_bytes(outcome["manifest"].encode()), "report": outcome["report"]}
