@@ -92,7 +92,8 @@ def migrate() -> None:
 
 def kernels() -> None:
     """Compile the rollout kernels into the cache, so that the first rollout is as quick as the others."""
+    from trueup.fit.rollout_fit import warm
     from trueup.model.compose import compile_all
     from trueup_cli.show import out
 
-    out.print(f"compiled: {', '.join(compile_all())}")
+    out.print(f"compiled: {', '.join(compile_all())}, and one kernel with {warm()} effects")
