@@ -37,7 +37,9 @@ class Yardstick:
 
     `material` is the least part of the refitted gap that an effect must remove, `finishing` the same where it leaves FINISHED of the
     rest; `overall` the least part of the nominal model's gap; `unexplained` the part of the gap beyond which no law is the answer;
-    `most_effects` how many are looked for.
+    `most_effects` how many are looked for; `alike` the part
+    of the best misfit on validation episodes within which two compositions of one size are alike. Where that is not 0, what remains is no
+    white noise, samples are no independent witnesses, and only validation episodes rank.
     """
 
     material: float
@@ -45,10 +47,11 @@ class Yardstick:
     overall: float
     unexplained: float
     most_effects: int
+    alike: float
 
 
-SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 3)  # the laws' forms and the integration differ by about a thousandth
-PHYSICAL = Yardstick(0.02, 0.02, 2e-3, 0.15, 2)  # no textbook law holds on a machine to better than some per cent
+SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 3, 0.0)  # the laws' forms and the integration differ by about a thousandth
+PHYSICAL = Yardstick(0.02, 0.02, 2e-3, 0.15, 2, 0.25)  # no textbook law holds on a machine to better than some per cent
 
 
 def yardstick(episodes: Sequence[Episode]) -> Yardstick:
@@ -80,7 +83,7 @@ def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick =
     sound = [c for c in candidates if np.isfinite(total(c))]
     spread = max(min(map(total, sound)), FLOOR)
     by_size: dict[float, list[Candidate]] = {}
-    for c in sorted(sound, key=lambda c: penalised(c, spread)):
+    for c in sorted(sound, key=lambda c: c.misfit if by.alike else penalised(c, spread)):
         by_size.setdefault(complexity(c), []).append(c)
     base = by_size[0][0]
     gap = max(base.misfit - 1.0, nominal.misfit - 1.0, 0.0)
@@ -93,7 +96,7 @@ def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick =
     if winner.misfit > ADEQUATE and left > by.unexplained:
         return Choice(Verdict.UNKNOWN, winner, (), left)
     if size:
-        rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner))
+        rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner, by))
         return Choice(Verdict.EFFECT, winner, rivals, left)
     moved = nominal.misfit - base.misfit > NOISE_POWER * max(base.misfit, FLOOR)
     better = moved and _certain(nominal.costs - base.check.costs, base.misfit)
@@ -133,8 +136,10 @@ def _earns(larger: Candidate, smaller: Candidate, base: Candidate, gap: float, b
     return removed > material and _certain(smaller.check.costs - larger.check.costs, larger.misfit)
 
 
-def _told_apart(rival: Candidate, winner: Candidate) -> bool:
+def _told_apart(rival: Candidate, winner: Candidate, by: Yardstick) -> bool:
     """Whether the windows of all episodes are certain that a rival of the same size is worse, numbers of parameters accounted for."""
+    if by.alike:
+        return rival.misfit > (1.0 + by.alike) * winner.misfit
     worse = np.concatenate([rival.fit.costs - winner.fit.costs, rival.check.costs - winner.check.costs])
     spread = max(total(winner), FLOOR)
     priced = penalised(rival, spread) - penalised(winner, spread)

@@ -96,11 +96,15 @@ def _explore(
 def polished(
     plant: Plant, admission: Admission, search: Search, best: Candidate, adaptation: Sequence[Episode], validation: Sequence[Episode]
 ) -> tuple[Candidate, Scheme]:
-    """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates."""
+    """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates.
+
+    On a machine the windows start where a prediction would: what no law explains must not hide in their starts.
+    """
     scheme = search.adaptation[0].scheme
-    if scheme.alpha == 0.0:
+    physical = yardstick(adaptation) is PHYSICAL
+    if scheme.alpha == 0.0 and not physical:
         return best, scheme
-    finer = Scheme(scheme.alpha, FINER * scheme.parts)
+    finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha else scheme
     length = window_s(plant, [*adaptation, *validation])
     last = Search(
         search.fitter,
@@ -108,7 +112,7 @@ def polished(
         [series(plant, e, finer, length) for e in validation],
         search.short,
     )
-    fit = last.fitter.fit(last.adaptation, best.hypothesis, best.fit.values, iterations=25, tolerance=1e-7)
+    fit = last.fitter.fit(last.adaptation, best.hypothesis, best.fit.values, iterations=25, tolerance=1e-7, hold_starts=physical)
     return last.keep(fit), finer
 
 

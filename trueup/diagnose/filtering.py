@@ -25,7 +25,7 @@ from trueup.model.series import Scheme
 
 Array = NDArray[np.float64]
 SETTLED = 2000  # samples
-DISTURBANCES = tuple(10.0**e for e in range(-7, 2))  # of the motion's acceleration, as a random force in one second
+DISTURBANCES = tuple(10.0**e for e in range(-7, 6))  # of the motion's acceleration, as a random force in one second
 
 
 def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Scheme, episodes: Sequence[Episode]) -> Corrected:

@@ -199,9 +199,12 @@ class Fitter:
         iterations: int = 12,
         fixed: Iterable[tuple[str, str]] = (),
         only_starts: bool = False,
+        hold_starts: bool = False,
         tolerance: float = 1e-4,
     ) -> RolloutFit:
-        """Levenberg-Marquardt from `values`. With `only_starts`, what the windows start from is estimated alone."""
+        """Levenberg-Marquardt from `values`. With `only_starts`, what the windows start from is estimated alone; with `hold_starts` their
+        positions and velocities stay as observed, as a prediction's do.
+        """
         free = self.free(hypothesis, fixed)
         if only_starts:
             free = Free(free.rows[:0], (), free.step[:0], free.low[:0], free.high[:0])
@@ -210,7 +213,7 @@ class Fitter:
         values[free.rows] = np.clip(values[free.rows], free.low, free.high)
         given = starts or {}
         now = {s.digest: given.get(s.digest, Start(s.begin, {})) for s in data}
-        best = self._evaluate(data, hypothesis, values, now, free, states)
+        best = self._evaluate(data, hypothesis, values, now, free, states, hold_starts)
         damping, converged = 1e-3, False
         for _ in range(iterations if np.isfinite(best.cost) else 0):
             step, moves, expected = best.step(damping, values, free)
@@ -220,7 +223,7 @@ class Fitter:
             tried = values.copy()
             tried[free.rows] = np.clip(values[free.rows] + step, free.low, free.high)
             there = {key: _moved(now[key], *move, states) for key, move in moves.items()}
-            found = self._evaluate(data, hypothesis, tried, there, free, states)
+            found = self._evaluate(data, hypothesis, tried, there, free, states, hold_starts)
             if found.cost < best.cost:
                 damping = max(damping * (0.2 if best.cost - found.cost > 0.5 * expected else 1.0), 1e-9)
                 values, now, best = tried, there, found
@@ -281,7 +284,7 @@ class Fitter:
 
     def _evaluate(
         self, data: Sequence[Series], hypothesis: Hypothesis, values: Array, starts: Mapping[str, Start], free: Free,
-        states: tuple[tuple[str, str], ...],
+        states: tuple[tuple[str, str], ...], hold_starts: bool,
     ) -> _Gram:  # fmt: skip
         n, m = len(free.rows), len(states)
         p, inverse = self._lanes(values, free)
@@ -289,7 +292,7 @@ class Fitter:
         for lane, (key, scale) in enumerate(zip(states, scales, strict=True), start=n + 1):
             p[memories()[key], lane] += MEMORY_STEP * scale
             inverse[lane] = 1.0 / (MEMORY_STEP * scale)
-        inverse[n + m + 1 : n + m + 3] = 1.0 / self.start_steps
+        inverse[n + m + 1 : n + m + 3] = 0.0 if hold_starts else 1.0 / self.start_steps
         parts = self._grams(data, hypothesis, p, inverse, starts, n + m)
         began = {s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in states]) for s in data}
         return _Gram(parts, began, scales, n)
