@@ -61,20 +61,24 @@ def unit(scale: Scale, plant: Plant) -> str:
     }[scale]
 
 
-def half_widths(fit: RolloutFit) -> dict[tuple[str, str], float]:
-    """Half of each 95 % interval, by (effect or "", parameter); scaled by what the fit leaves unexplained."""
+def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], float]:
+    """Half of each 95 % interval, by (effect or "", parameter); scaled by what the fit leaves unexplained.
+
+    How far an estimate moves between coarse and fine steps of integration is added in quadrature: a machine has no step.
+    """
     if not len(fit.free.rows):
         return {}
     size = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
     scaled = fit.information / size[:, None] / size
     variance = np.maximum(np.diag(np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)), 0.0) / size**2
-    width = TWO_SIDED * np.sqrt(variance * max(fit.misfit, 1.0))
+    moved = fit.values[fit.free.rows] - coarse.values[fit.free.rows]
+    width = np.sqrt(TWO_SIDED**2 * variance * max(fit.misfit, 1.0) + moved**2)
     return {name: float(w) for name, w in zip(fit.free.names, width, strict=True)}
 
 
-def estimates(fit: RolloutFit, fitter: Fitter, plant: Plant, share: Mapping[str, float]) -> list[Json]:
-    """A fit's effects with estimates, units, intervals and shares."""
-    widths = half_widths(fit)
+def estimates(fit: RolloutFit, coarse: RolloutFit, fitter: Fitter, plant: Plant, share: Mapping[str, float]) -> list[Json]:
+    """A fit's effects with estimates, units, intervals and shares; `coarse` is the same on the search's steps."""
+    widths = half_widths(fit, coarse)
     found: list[Json] = []
     for name in fit.hypothesis.effects:
         kind = effects()[name]
@@ -118,9 +122,9 @@ def _inside(value: float, width: float, number: Number, fitter: Fitter) -> tuple
     return max(value - width, number.low * scale), min(value + width, number.high * scale)
 
 
-def parameter_table(plant: Plant, fit: RolloutFit) -> dict[str, Json]:
+def parameter_table(plant: Plant, fit: RolloutFit, coarse: RolloutFit) -> dict[str, Json]:
     """Nominal and fitted parameters with 95 % intervals."""
-    widths, values = half_widths(fit), fit.parameters()
+    widths, values = half_widths(fit, coarse), fit.parameters()
     return {
         name: {"nominal": nominal, "value": values[name], "ci95": [values[name] - widths["", name], values[name] + widths["", name]]}
         for name, nominal in zip(plant.dynamics.parameter_names, plant.parameters, strict=True)
