@@ -6,15 +6,13 @@ import csv
 import json
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
 from trueup.artifact.artifact import pack
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.page import page, sentence
 from trueup.diagnose.report import COMMAND_FILE
 from trueup.episode.episode import Episode
 from trueup_cli.case import read_case
+from trueup_cli.show import progress
 
 
 def run(case: Path, *, out: Path, seed: int = 0) -> None:
@@ -28,12 +26,10 @@ def run(case: Path, *, out: Path, seed: int = 0) -> None:
     out: folder to write to
     seed: of the resampling behind the intervals
     """
-    console = Console(stderr=True)
-    columns = SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("reading the episodes", total=1.0)
+    with progress("diagnose") as bar:
+        bar(0.0, "reading the episodes")
         plant, episodes = read_case(case)
-        found = diagnose(plant, episodes, seed, lambda stage, part: bar.update(task, description=stage, completed=part))
+        found = diagnose(plant, episodes, seed, lambda stage, part: bar(part, stage))
     write(found, episodes, out)
     print(sentence(found.document))
     print(f"report: {out / 'report.html'}   model: {out / 'model'}")

@@ -12,7 +12,7 @@ from trueup.episode.episode import Episode
 from trueup.errors import NotIdentifiable
 from trueup.model.hypothesis import Scales
 from trueup.model.plant import Plant
-from trueup.model.series import held
+from trueup.model.series import held, position_and_velocity
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
@@ -59,7 +59,7 @@ def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
     if not episodes:
         raise NotIdentifiable("there is no adaptation episode to fit", hint="Give episodes the role adaptation, and others validation.")
     noise, sigma, motion, lattice = np.full(2, np.nan), np.full(2, np.nan), np.full(2, np.nan), np.zeros(2)
-    repeats = [held(_columns(plant, e)) for e in episodes]
+    repeats = [held(position_and_velocity(plant, e)) for e in episodes]
     for channel, column in enumerate(plant.state_columns):
         tracks = [e.observations[:, channel][~r] for e, r in zip(episodes, repeats, strict=True)]
         tracks = [x[np.isfinite(x)] for x in tracks if np.isfinite(x).sum() > 2 * DIFFERENCE]
@@ -82,12 +82,6 @@ def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
     return Admission(
         noise, sigma, motion, lattice, float(np.mean(np.concatenate(repeats))), Scales(sizes[0], sizes[1], gain * sizes[2], limit)
     )
-
-
-def _columns(plant: Plant, episode: Episode) -> Array:
-    observed = np.full((len(episode.t_s), 2), np.nan)
-    observed[:, plant.state_columns] = episode.observations
-    return observed
 
 
 def _noise(tracks: Sequence[tuple[Array, NDArray[np.bool_]]]) -> float:

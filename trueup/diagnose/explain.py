@@ -19,6 +19,7 @@ from trueup.model.plant import Plant
 Array = NDArray[np.float64]
 TWO_SIDED = 1.96  # standard errors of a 95 % interval
 LINEAR = 1.5  # times a start: up to there what was computed at the start is believed
+HELD = 0.005  # of the frames: fewer make no gap worth a name
 RULED_OUT = 0.5  # of a limit's whole effect
 
 
@@ -106,9 +107,6 @@ def counted(admission: Admission, plant: Plant, samples: int) -> list[Json]:
         }
         found.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant))
     return found
-
-
-HELD = 0.005  # of the frames
 
 
 def _entry(kind: type[Effect], values: dict[str, Json], share: float, plant: Plant) -> dict[str, Json]:

@@ -7,7 +7,7 @@ to the next; a region counts for as much as it holds more of the residual than o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,7 @@ def locate(
 ) -> dict[str, Json]:
     """Shares of the residual by channel, by port and by region."""
     strides = strides_of(plant, search, base, [*adaptation, *validation])
-    return {"channels": _channels(plant, search, nominal), "ports": _ports(search, base), "regions": _regions(plant, strides)}
+    return {"channels": _channels(plant, search, nominal), "ports": _ports(search, base), "regions": _regions(strides)}
 
 
 def _channels(plant: Plant, search: Search, nominal: RolloutFit) -> list[Json]:
@@ -79,17 +79,7 @@ def strides_of(plant: Plant, search: Search, base: Candidate, episodes: Sequence
         first = np.arange(0, len(e.t_s) - every, every)
         s = whole(plant, e, search.adaptation[0].scheme, first)
         states = smoothed_states(plant, e)
-        fit = RolloutFit(
-            base.hypothesis,
-            base.fit.values,
-            base.fit.free,
-            {s.digest: Start(states[first], {})},
-            0.0,
-            np.zeros(0),
-            0,
-            np.zeros((0, 0)),
-            True,
-        )
+        fit = replace(base.fit, starts={s.digest: Start(states[first], {})})
         path = trajectory(search.fitter, fit, s)
         end = first + every - 1
         missed = (states[end, 1] - path[end, 1]) / (e.t_s[end] - e.t_s[first])
@@ -101,7 +91,7 @@ def strides_of(plant: Plant, search: Search, base: Candidate, episodes: Sequence
     return Strides(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _regions(plant: Plant, s: Strides) -> list[Json]:
+def _regions(s: Strides) -> list[Json]:
     energy = s.residual**2
     fine = np.isfinite(energy)
     regions = {

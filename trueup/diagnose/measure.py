@@ -20,7 +20,7 @@ from trueup.episode.episode import Episode
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 from trueup.model.state import known_from
-from trueup.model.windows import cut, starts_every
+from trueup.model.windows import Windows, cut, starts_every
 
 Array = NDArray[np.float64]
 RESAMPLES = 400
@@ -68,18 +68,21 @@ def _floor(corrected: Predictor, episode: Episode, horizon_s: float, motion: Arr
     again = replace(episode, observations=episode.observations + noise, digest=episode.digest + "/again")
     paths = []
     for e in (episode, again):
-        begin = float(e.t_s[known_from(plant, e)])
-        windows = cut(plant, e, starts_every(e.t_s[:-1], horizon_s, begin))
+        windows = _windows(plant, e, horizon_s)
         paths.append(plant.observe(corrected.rollout(windows)))
     moved = np.where(windows.inside[:, :, None], (paths[1] - paths[0]) / motion[seen], 0.0) ** 2
     return np.asarray(moved.sum(axis=1) / windows.inside.sum(axis=1)[:, None] + (np.nan_to_num(sigma[seen]) / motion[seen]) ** 2)
 
 
+def _windows(plant: Plant, episode: Episode, horizon_s: float) -> Windows:
+    """Windows at each multiple of the horizon from where the state is known."""
+    return cut(plant, episode, starts_every(episode.t_s[:-1], horizon_s, float(episode.t_s[known_from(plant, episode)])))
+
+
 def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array) -> Array:
     """Mean squared normalised error of each window and observed channel, `(windows, channels)`."""
     plant = predictor.plant
-    begin = float(episode.t_s[known_from(plant, episode)])
-    windows = cut(plant, episode, starts_every(episode.t_s[:-1], horizon_s, begin))
+    windows = _windows(plant, episode, horizon_s)
     with np.errstate(over="ignore", invalid="ignore"):
         missed = (plant.observe(predictor.rollout(windows)) - episode.observations[windows.rows]) / motion[plant.state_columns]
         counted = windows.inside & (np.arange(windows.inside.shape[1]) > 0)

@@ -21,7 +21,7 @@ from trueup.diagnose.search import Candidate, Search
 from trueup.model.block import BLOCK
 from trueup.model.hypothesis import switches
 from trueup.model.plant import Plant
-from trueup.model.series import Scheme, Series, roll
+from trueup.model.series import Series, roll, unobserved
 
 Array = NDArray[np.float64]
 DURATION_S = 6.0
@@ -99,7 +99,7 @@ def _command(shape: str, rate: float, t: Array) -> Array:
 
 def _separation(plant: Plant, admission: Admission, search: Search, winner: Candidate, rival: Candidate, t: Array, command: Array) -> float:
     """Distance of two predictions in standard errors, what the rival's parameters and start could take up removed."""
-    s = _series(search.adaptation[0].scheme, t, command, float(np.max(np.abs(plant.limits))), plant.timestep_s)
+    s = unobserved(search.adaptation[0].scheme, t, command, float(np.max(np.abs(plant.limits))), plant.timestep_s)
     truth, columns = _predicted(search, winner, s, jacobian=False)[0], _predicted(search, rival, s, jacobian=True)
     if not (np.isfinite(truth).all() and np.isfinite(columns).all()) or not _inside(plant, truth, columns[0]):
         return 0.0
@@ -131,18 +131,3 @@ def _inside(plant: Plant, *paths: Array) -> bool:
         if any(path[:, column].min() < low or path[:, column].max() > high for path in paths):
             return False
     return True
-
-
-def _series(scheme: Scheme, t: Array, command: Array, u_scale: float, period_s: float) -> Series:
-    n = len(t)
-    h = np.full(n, period_s / scheme.parts)
-    steps = np.full(n, scheme.parts)
-    steps[-1] = 0
-    resets = np.full(n, -1)
-    resets[0] = 0
-    integral = np.concatenate([[0.0], np.cumsum(command[:-1] * np.diff(t))])
-    zeros = np.zeros((n, 2))
-    return Series(
-        "", scheme, t, h, steps, np.ascontiguousarray(command), integral, zeros, zeros == 0.0, np.zeros(n, np.int64), resets,
-        np.zeros((1, 2)), period_s, u_scale,
-    )  # fmt: skip

@@ -82,7 +82,7 @@ class Search:
         for parent in parents:
             for name in self._promising(parent, names, most):
                 wanted = parent.hypothesis | name
-                if name not in parent.hypothesis.effects and wanted not in self.found and wanted not in jobs:
+                if wanted not in self.found and wanted not in jobs:
                     jobs[wanted] = parent, name
         done = []
         for fit in in_parallel(lambda job: self.grow(job[0].fit, job[1]), list(jobs.values())):

@@ -22,7 +22,7 @@ from trueup.model.compose import cores
 from trueup.model.effect import effects
 from trueup.model.family import families
 from trueup.model.hypothesis import Hypothesis, Scales, switches
-from trueup.model.series import DECLARED, Series, roll
+from trueup.model.series import DECLARED, Series, roll, unobserved
 
 Array = NDArray[np.float64]
 MOST_FREE = BLOCK - 3  # lanes left for parameters beside the unperturbed one and the two of the start
@@ -121,13 +121,7 @@ def _gram(out, observed, weight, window_of, inverse, into):  # type: ignore[no-u
 
 def warm(family: str = "oscillator") -> int:
     """Compile what fits and diagnoses need into the cache; the number of effects in the kernel."""
-    n = 4
-    t = np.arange(n, dtype=float)
-    zeros = np.zeros((n, 2))
-    first = np.array([0, -1, -1, -1])
-    one = Series(
-        "", DECLARED, t, np.ones(n), np.ones(n, np.int64), t, t, zeros, zeros == 0.0, np.zeros(n, np.int64), first, zeros[:1], 1.0, 1.0
-    )
+    one = unobserved(DECLARED, np.arange(4.0), np.zeros(4), 1.0, 1.0)
     Fitter(family, Scales(1.0, 1.0, 1.0, 1.0), np.ones(2)).fit([one], Hypothesis(), nulls(), iterations=1)
     return len(effects())
 

@@ -41,7 +41,7 @@ def refined(plant: Plant) -> Scheme:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One episode for the kernel. Arrays over its samples; `weight` and `observed` `(samples, 2)` are position and velocity.
+    """One episode for the kernel. Arrays over its samples; `observed` `(samples, 2)` are position and velocity, `usable` what counts.
 
     `window_of` is the window to which a sample belongs, `resets` the window that starts at it or -1; `begin` `(windows, 2)` are
     first guesses of the windows' starting states.
@@ -76,8 +76,7 @@ def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int6
     """An episode with windows that start at the `first` samples `(windows,)`."""
     t = episode.t_s
     h, steps = intervals(t, plant.timestep_s)
-    observed = np.full((len(t), 2), np.nan)
-    observed[:, plant.state_columns] = episode.observations
+    observed = position_and_velocity(plant, episode)
     resets = np.full(len(t), -1)
     resets[first] = np.arange(len(first))
     issued = np.ascontiguousarray(plant.applied(episode.commands)[:, 0])
@@ -96,6 +95,37 @@ def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int6
         smoothed_states(plant, episode)[first],
         episode.period_s,
         float(np.max(np.abs(plant.limits))),
+    )
+
+
+def position_and_velocity(plant: Plant, episode: Episode) -> Array:
+    """What was observed of them, nan where it was not, `(samples, 2)`."""
+    observed = np.full((len(episode.t_s), 2), np.nan)
+    observed[:, plant.state_columns] = episode.observations
+    return observed
+
+
+def unobserved(scheme: Scheme, t_s: Array, command: Array, u_scale: float, period_s: float) -> Series:
+    """A command at `t_s` [s] that nobody recorded an answer to, from rest, in one window."""
+    n = len(t_s)
+    steps, resets = np.full(n, scheme.parts), np.full(n, -1)
+    steps[-1], resets[0] = 0, 0
+    zeros = np.zeros((n, 2))
+    return Series(
+        digest="",
+        scheme=scheme,
+        t_s=t_s,
+        h_s=np.full(n, period_s / scheme.parts),
+        steps=steps,
+        issued=np.ascontiguousarray(command),
+        integral=np.concatenate([[0.0], np.cumsum(command[:-1] * np.diff(t_s))]),
+        observed=zeros,
+        usable=zeros == 0.0,
+        window_of=np.zeros(n, np.int64),
+        resets=resets,
+        begin=np.zeros((1, 2)),
+        period_s=period_s,
+        u_scale=u_scale,
     )
 
 

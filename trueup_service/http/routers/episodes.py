@@ -27,6 +27,7 @@ from trueup_service.registry.records import EpisodeRecord, Move
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
 
+PURPOSES = ("fit", "gate", "diagnose")  # kinds of jobs that read episodes
 router = APIRouter(prefix="/v1/plants/{plant}/episodes", tags=["episodes"])
 MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 
@@ -87,7 +88,7 @@ def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeCon
     with parts.database.read() as connection:
         reader = Reader(connection)
         found = find.episode(reader, plant, digest)
-        uses = {purpose: reader.uses(digest, purpose) for purpose in ("fit", "gate", "diagnose")}
+        uses = {purpose: reader.uses(digest, purpose) for purpose in PURPOSES}
         served = _served(reader, found)
     return EpisodeContext(**Episode.model_validate(found).model_dump(), served=[Serving(**document(m)) for m in served], uses=uses)
 
@@ -119,5 +120,5 @@ def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
         find.episode(reader, plant, digest)
         raise Kept(
             f"episode {digest[:12]} is kept: fits and decisions name it",
-            uses=sum(reader.uses(digest, purpose) for purpose in ("fit", "gate", "diagnose")),
+            uses=sum(reader.uses(digest, purpose) for purpose in PURPOSES),
         )
