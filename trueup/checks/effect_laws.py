@@ -143,7 +143,7 @@ def its_value_is_found_again(effect: type[Effect]) -> None:
     begin[row] = begin[row] * (1.02 if number.name in effect.threshold else 1.2) + 1e-3 * SCALES.of(number.scale)
     others = [(effect.name, n.name) for n in effect.params[1:]]
     family = [("", name) for name in PLANT.dynamics.parameter_names]
-    if effect.scanned == "step":  # the error is flat between corners: the best of a grid, as a search finds it
+    if effect.zoomed:  # the error is flat between corners: the best of a grid, as a search finds it
         begins = [np.where(np.arange(len(values)) == row, values[row] * factor, values) for factor in np.linspace(0.9, 1.1, 81)]
         tried = [fitter.fit([s], Hypothesis((effect.name,)), b, iterations=0) for b in begins]
         found = min(tried, key=lambda f: f.cost)

@@ -21,11 +21,11 @@ from trueup.model.series import Series, roll
 RACE = 6  # iterations that each start of a fit is given before the best go on
 SETTLE = 16  # iterations of the best
 Start = tuple[Sequence[float], Sequence[float]]  # of the family's parameters, of the effect's
-RACED = 3  # starts that are tried; twice as many of a scanned effect
+RACED = 3  # starts that are tried; twice as many of an effect with many
 FAR = 25  # starts are neighbours within so many-th of all
 MANY = 50
 KEPT = 2  # starts that go on
-ZOOMS = (0.04, 0.013, 0.004)  # of a scanned value: grids around the best, ever finer
+ZOOMS = (0.04, 0.013, 0.004)  # of a value: grids around the best, ever finer
 ZOOM_POINTS = (-1.0, -0.66, -0.33, 0.33, 0.66, 1.0)
 ASKED_FOR = 18.0  # squared standard errors that a number must be worth
 PASTS = (0.0, 0.5, -0.5)  # of a memory's scale, where its effect has corners
@@ -99,7 +99,7 @@ class Search:
         return [rest[i] for i in np.argsort(costs, kind="stable")[:most]]
 
     def grow(self, parent: RolloutFit, name: str) -> RolloutFit:
-        """The best fit of a composition with one effect more: starts race, the best settle, a scanned value is zoomed in on."""
+        """The best fit of a composition with one effect more: starts race, the best settle, a value between corners is zoomed in on."""
         kind, hypothesis = effects()[name], parent.hypothesis | name
         raced = [self.fitter.fit(self.short, hypothesis, begin, iterations=RACE, tolerance=1e-2) for begin in self._begins(parent, kind)]
         raced.sort(key=lambda f: f.cost)
@@ -107,7 +107,7 @@ class Search:
         settled = [self.fitter.fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3) for f in near]
         best = min(settled, key=lambda f: f.cost)
         best = self._pruned(best, kind)
-        return self._zoomed(best, kind.name, kind.scanned) if kind.scanned == "step" and best.cost < parent.cost else best
+        return self._zoomed(best, kind.name, kind.zoomed) if kind.zoomed and best.cost < parent.cost else best
 
     def _pruned(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
         """The fit without each number that it may do without, where the log does not ask for it."""

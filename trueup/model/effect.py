@@ -84,8 +84,8 @@ class Number:
 class Effect(ABC):
     """One unmodelled effect. `starts` are the values, in units of each parameter's scale, from which a fit begins.
 
-    `threshold` names the parameters along which the error has corners: their finite differences are wider. `scanned` is the one
-    with many local minima: its starts are tried at that value first, and released once the rest has settled.
+    `threshold` names the parameters along which the error has corners: their finite differences are wider. `zoomed` is
+    one between whose corners the error is flat: ever finer grids find it.
     What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`.
     """
 
@@ -99,7 +99,7 @@ class Effect(ABC):
     memory: ClassVar[tuple[Scale, ...]] = ()
     starts: ClassVar[tuple[tuple[float, ...], ...]]
     threshold: ClassVar[tuple[str, ...]] = ()
-    scanned: ClassVar[str] = ""
+    zoomed: ClassVar[str] = ""
     optional: ClassVar[tuple[str, ...]] = ()  # numbers that stay at their null unless the log asks for them
     contains: ClassVar[str] = ""  # the effect that this one is where some of its parameters vanish
     falls: ClassVar[bool] = False  # whether the effect grows as its first parameter falls, as a limit's does

@@ -22,7 +22,6 @@ class Cogging(Effect):
         Number("pitch", Scale.POSITION, 1.0, 0.02, 1.0),
     )
     starts = tuple(s for i in range(30) for s in ((0.02, 0.0, 0.05 * 1.1**i), (0.0, 0.02, 0.05 * 1.1**i)))
-    scanned = "pitch"
 
     @staticmethod
     def apply(a, q, sine, cosine, pitch):  # type: ignore[no-untyped-def]

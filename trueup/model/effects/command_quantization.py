@@ -19,7 +19,7 @@ class CommandQuantization(Effect):
     category = "structure"
     params = (Number("step", Scale.COMMAND, 0.0, 0.0, 1.0),)
     starts = tuple((4.0 / (4 + i),) for i in range(100))
-    scanned = "step"
+    zoomed = "step"
     threshold = ("step",)
 
     @staticmethod

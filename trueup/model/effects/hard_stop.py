@@ -27,7 +27,6 @@ class HardStop(Effect):
     starts = tuple(
         (limit, stiffness, 1.0, 0.0) for limit in (0.99, 0.97, 0.94, 0.9, 0.85, 0.78, 0.7, 0.6, 0.5, 0.4) for stiffness in (30.0, 300.0)
     )
-    scanned = "limit"
     threshold = ("limit",)
 
     @staticmethod
