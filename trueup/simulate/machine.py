@@ -1,7 +1,8 @@
 """Machine: one joint with known imperfections, integrated on a step far finer than its log.
 
 Written apart from the models that are fitted to what it produces, and on purpose in other laws: velocity-verlet steps, friction
-after Karnopp with an exponential Stribeck curve, Bouc-Wen hysteresis of exponent 2, a one-way damped stop, delays in whole fine steps.
+after Karnopp with an exponential Stribeck curve, Bouc-Wen hysteresis of exponent 2, a one-way damped stop. What resists a motion is taken at
+the middle of a fine step, as the last step foretells it.
 Sources: D. Karnopp, ASME Journal of Dynamic Systems 107 (1985); R. Bouc (1967), Y.-K. Wen (1976).
 """
 
@@ -132,7 +133,9 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
     h = period / parts
     issued, observed = np.zeros(total), np.zeros((total, 2))
     fine_q, fine_v = np.zeros(total * parts + 1), np.zeros(total * parts + 1)
-    wait_u, wait_y = round(n[S_DELAY] / h), round(n[S_SDELAY] / h)
+    wait_u, wait_y = int(n[S_DELAY] / h), int(n[S_SDELAY] / h)
+    rest_u, rest_y = n[S_DELAY] / h - wait_u, n[S_SDELAY] / h - wait_y
+    gained = 0.0
     fine_u = np.zeros(total * parts + 1)
     play = lag = rate = wind = heat = 0.0
     twist, twist_speed, mode, mode_speed, creep = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -140,7 +143,9 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
     for i in range(total):
         # what the sensors say
         past = max(0, i * parts - wait_y)
-        seen_q, seen_v = fine_q[past], fine_v[past]
+        before = max(0, past - 1)
+        seen_q = (1.0 - rest_y) * fine_q[past] + rest_y * fine_q[before]
+        seen_v = (1.0 - rest_y) * fine_v[past] + rest_y * fine_v[before]
         now = (i - warm_up) * dt
         seen_q = seen_q * (1.0 + n[S_SCALE]) + n[S_BIAS] + n[S_DRIFT] * max(now, 0.0)
         seen_q, seen_v = seen_q + noise[i, 0], seen_v + noise[i, 1]
@@ -156,7 +161,7 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
         for part in range(parts):
             j = i * parts + part
             fine_u[j] = issued[i]
-            u = fine_u[max(0, j - wait_u)]
+            u = (1.0 - rest_u) * fine_u[max(0, j - wait_u)] + rest_u * fine_u[max(0, j - wait_u - 1)]
             # the drive
             if has[S_CQUANT]:
                 u = n[S_CQUANT] * np.floor(u / n[S_CQUANT] + 0.5)
@@ -177,8 +182,9 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
                     play = u + half
                 u = play
             if has[S_LAG]:
-                lag += (u - lag) * (1.0 - np.exp(-h / n[S_LAG]))
-                u = lag
+                later = lag + (u - lag) * (1.0 - np.exp(-h / n[S_LAG]))
+                u = later if parts == 1 else 0.5 * (lag + later)
+                lag = later
             if has[S_ASYM]:
                 u = u * (1.0 + n[S_ASYM]) if u > 0.0 else u * (1.0 - n[S_ASYM])
             if has[S_HEAT]:
@@ -188,6 +194,7 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
                 u = u + n[S_QGAIN] * u * u / limit
             # forces on the joint at rest of its friction
             x = q if parts == 1 else q + 0.5 * h * v
+            w = v if parts == 1 else v + 0.5 * gained
             stiffness = k
             if has[S_KMOD]:
                 stiffness = k * (1.0 + n[S_KMOD] * np.sin(n[S_KMOD + 1] * now))
@@ -195,43 +202,43 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
                 stiffness = k * (1.0 + n[S_ASTIFF]) if x > 0.0 else k * (1.0 - n[S_ASTIFF])
             spring = 0.0 if kind == 0 else (-stiffness * x if kind == 1 else -stiffness * np.sin(x))
             drive = b * u
-            force = spring + n[S_FORCE] - n[S_DRAG] * v * abs(v) - n[S_CUBIC] * x**3
+            force = spring + n[S_FORCE] - n[S_DRAG] * w * abs(w) - n[S_CUBIC] * x**3
             if has[S_COG]:
                 force += n[S_COG] * np.sin(2.0 * np.pi * x / n[S_COG + 1] + n[S_COG + 2])
             if has[S_VDP]:
-                force -= n[S_VDP] * ((x / n[S_VDP + 1]) ** 2 - 1.0) * v
+                force -= n[S_VDP] * ((x / n[S_VDP + 1]) ** 2 - 1.0) * w
             if has[S_PDAMP]:
-                force -= n[S_PDAMP] * abs(x) * v
+                force -= n[S_PDAMP] * abs(x) * w
             if has[S_STOP]:
                 depth = abs(x) - n[S_STOP]
                 if depth > 0.0:
-                    outward = v if x > 0.0 else -v
+                    outward = w if x > 0.0 else -w
                     push = n[S_STOP + 1] * depth + (n[S_STOP + 2] * outward if outward > 0.0 else 0.0)
                     force -= push if x > 0.0 else -push
             if has[S_HYST]:
                 # exponent 2: the restoring part follows |z|
-                wind += h * (v - 0.5 * abs(v) * abs(wind) * wind - 0.5 * v * wind * wind) / n[S_HYST + 1]
+                wind += h * (w - 0.5 * abs(w) * abs(wind) * wind - 0.5 * w * wind * wind) / n[S_HYST + 1]
                 force -= n[S_HYST] * wind
             if has[S_VISCO]:
                 creep += h * (x - creep) / n[S_VISCO + 1]
                 force -= n[S_VISCO] * (x - creep)
             if has[S_MODE]:
-                mode_force = n[S_MODE] * (x - mode) + n[S_MODE + 1] * (v - mode_speed)
+                mode_force = n[S_MODE] * (x - mode) + n[S_MODE + 1] * (w - mode_speed)
                 mode_speed += h * mode_force / n[S_MODE + 2]
                 mode += h * mode_speed
                 force -= mode_force
             if has[S_ELASTIC]:
                 share = n[S_ELASTIC + 2]
                 coupling = n[S_ELASTIC] * twist + n[S_ELASTIC + 1] * twist_speed
-                twist_speed += h * ((drive - coupling) / share - (force - c * v + coupling) / (1.0 - share))
+                twist_speed += h * ((drive - coupling) / share - (force - c * w + coupling) / (1.0 - share))
                 twist += h * twist_speed
-                pulled = (force - c * v + coupling) / (1.0 - share)
+                pulled = (force - c * w + coupling) / (1.0 - share)
             else:
-                pulled = force - c * v + drive
+                pulled = force - c * w + drive
             # friction
             stick = n[S_COULOMB] + n[S_LOAD] * abs(drive - spring) / 2.0 + n[S_GROW] * max(now, 0.0)
             if has[S_STRIBECK]:
-                stick += n[S_STRIBECK] + n[S_STRIBECK + 1] * np.exp(-((v / n[S_STRIBECK + 2]) ** 2))
+                stick += n[S_STRIBECK] + n[S_STRIBECK + 1] * np.exp(-((w / n[S_STRIBECK + 2]) ** 2))
             speed = v + h * pulled
             if stick > 0.0:
                 if speed > h * stick:
@@ -241,6 +248,6 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
                 else:
                     speed = 0.0
             q = x + (h * speed if parts == 1 else 0.5 * h * speed)
-            v = speed
+            gained, v = speed - v, speed
             fine_q[j + 1], fine_v[j + 1] = q, v
     return issued, observed
