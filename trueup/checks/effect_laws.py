@@ -67,7 +67,7 @@ def _usual(effect: type[Effect]) -> int:
 def _strong(effect: type[Effect], start: int) -> tuple[float, ...]:
     """One of the effect's own starts; those that are made to be weak are made visible."""
     chosen = list(effect.starts[start])
-    if effect.name == "cogging":
+    if effect.periodic:
         chosen[:2] = [0.1, 0.05]
     return tuple(chosen)
 
@@ -135,7 +135,7 @@ def its_value_is_found_again(effect: type[Effect]) -> None:
     values = _values(effect, _usual(effect))
     number, row = effect.params[0], layout()[effect.name][0]
     log = _rolled(values, effect, SYMMETRIC, _commands())
-    if effect.name == "sensor_quantization":
+    if effect.counted:
         return  # found as the lattice of the values, not by a fit
     s: Series = whole(PLANT, _episode(_commands(), log), SYMMETRIC, np.array([0]))
     fitter = Fitter("oscillator", SCALES, np.array([1e-3, 1e-3]))

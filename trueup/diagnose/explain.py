@@ -153,7 +153,7 @@ def _bound(search: Search, winner: Candidate, name: str, plant: Plant) -> Bound:
     screened = fitter.screen(search.adaptation, winner.fit, name)
     error = TWO_SIDED * screened.error * np.sqrt(max(winner.fit.misfit, 1.0))
     number = kind.params[0]
-    starts = np.array([max(abs(s[0]), abs(s[1]) if name == "cogging" else 0.0) for s in kind.starts]) * fitter.scales.of(number.scale)
+    starts = np.array([max(abs(s[0]), abs(s[1]) if kind.periodic else 0.0) for s in kind.starts]) * fitter.scales.of(number.scale)
     measure = unit(number.scale, plant)
     if kind.falls:
         ruled_out = screened.factor + error < RULED_OUT
@@ -165,7 +165,7 @@ def _bound(search: Search, winner: Candidate, name: str, plant: Plant) -> Bound:
     sound = np.flatnonzero(limits <= LINEAR * starts)
     if not len(sound):
         return Bound(name, number.name, None, False, measure, _blind(kind))
-    value = float(limits[sound].max() if name == "cogging" else limits[sound].min())
+    value = float(limits[sound].max() if kind.periodic else limits[sound].min())
     return Bound(name, number.name, value, False, measure, "")
 
 

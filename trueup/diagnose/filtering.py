@@ -2,7 +2,8 @@
 
 Steady-state Kalman gain of the model linearised at rest; the one number that the log does not tell, how much the machine is
 disturbed, is chosen by how well windows of the adaptation episodes are predicted.
-Source: B. D. O. Anderson, J. B. Moore, Optimal Filtering (1979), chapter 4.
+Source: B. D. O. Anderson, J. B. Moore, Optimal Filtering (1979), chapter 4; the doubling: B. D. O. Anderson,
+International Journal of Control 28 (1978).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from trueup.model.plant import Plant
 from trueup.model.series import Scheme
 
 Array = NDArray[np.float64]
-SETTLED = 2000  # samples
+DOUBLINGS = 24  # of the time over which a filter settles: from one sample to days
 DISTURBANCES = tuple(10.0**e for e in range(-7, 6))  # of the motion's acceleration, as a random force in one second
 
 
@@ -56,9 +57,24 @@ def _gain(
     unit = np.diag([admission.scales.position, admission.scales.velocity])  # keeps the equation well scaled
     inverse = np.linalg.inv(unit)
     a, drive, c = inverse @ a @ unit, inverse @ drive @ inverse + 1e-16 * np.eye(2), c @ unit
-    p = np.eye(2)
-    for _ in range(SETTLED):  # the filter's own covariance, until it stands still
-        p = a @ (p - p @ c.T @ np.linalg.solve(c @ p @ c.T + noise, c @ p)) @ a.T + drive
+    p = _steady(a, c.T @ np.linalg.solve(noise, c), drive)
     gain = np.zeros((2, 2))
     gain[:, seen] = unit @ p @ c.T @ np.linalg.inv(c @ p @ c.T + noise)
     return (float(gain[0, 0]), float(gain[0, 1])), (float(gain[1, 0]), float(gain[1, 1]))
+
+
+def _steady(a: Array, information: Array, drive: Array) -> Array:
+    """The covariance before an observation at which a filter's own equation stands still, by doubling the time it has run.
+
+    `information` is what one observation adds, `drive` the covariance that one sample of disturbance adds; `(2, 2)` each.
+    """
+    onward, gathered, p = a.T, information, drive
+    for _ in range(DOUBLINGS):
+        shared = np.linalg.inv(np.eye(2) + gathered @ p)
+        later = p + onward.T @ p @ shared @ onward
+        gathered = gathered + onward @ shared @ gathered @ onward.T
+        onward = onward @ shared @ onward
+        if np.allclose(later, p, rtol=1e-12, atol=0.0):
+            break
+        p = later
+    return p

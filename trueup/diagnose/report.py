@@ -16,6 +16,7 @@ from trueup.diagnose.probe import Experiment
 from trueup.diagnose.search import Candidate, Search
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
+from trueup.model.effect import effects
 from trueup.model.plant import Plant
 
 SCHEMA = "trueup.diagnosis/1"
@@ -73,12 +74,12 @@ def report(
 
 
 def alternatives(choice: Choice) -> list[list[str]]:
-    """Compositions that cannot be told from the answer, a sensor's delay for an actuator's among them."""
+    """Compositions that cannot be told from the answer, those of the same law among them."""
     if choice.verdict is not Verdict.EFFECT:
         return []
     named = [list(c.hypothesis.effects) for c in (choice.winner, *choice.rivals)]
-    delayed = [["sensor_delay" if e == "actuator_delay" else e for e in n] for n in named if "actuator_delay" in n]
-    return named[1:] + delayed
+    same = [[other.name if e == other.same_as else e for e in n] for other in effects().values() for n in named if other.same_as in n]
+    return named[1:] + same
 
 
 def _hypotheses(search: Search, choice: Choice, nominal: RolloutFit) -> list[Json]:

@@ -25,6 +25,7 @@ RACED = 3  # starts that are tried; twice as many of an effect with many
 FAR = 25  # starts are neighbours within so many-th of all
 MANY = 50
 KEPT = 2  # starts that go on
+SAME_PLACE, SAME_COST = 0.02, 1e-3  # of a value, of a cost: nearer fits are one
 ZOOMS = (0.04, 0.013, 0.004)  # of a value: grids around the best, ever finer
 ZOOM_POINTS = (-1.0, -0.66, -0.33, 0.33, 0.66, 1.0)
 ASKED_FOR = 18.0  # squared standard errors that a number must be worth
@@ -78,33 +79,40 @@ class Search:
 
         With `most`, only so many effects of each parent, those of which a linear model expects most.
         """
-        jobs: dict[Hypothesis, tuple[Candidate, str]] = {}
+        jobs: dict[Hypothesis, tuple[Candidate, str, np.ndarray]] = {}
         for parent in parents:
-            for name in self._promising(parent, names, most):
-                wanted = parent.hypothesis | name
-                if wanted not in self.found and wanted not in jobs:
-                    jobs[wanted] = parent, name
+            for name, expected in self._promising(parent, names, most):
+                jobs.setdefault(parent.hypothesis | name, (parent, name, expected))
         done = []
-        for fit in in_parallel(lambda job: self.grow(job[0].fit, job[1]), list(jobs.values())):
+        for fit in in_parallel(lambda job: self.grow(job[0].fit, job[1], job[2]), list(jobs.values())):
             done.append(self.keep(fit))
             progress(len(done) / len(jobs))
         return sorted(done, key=lambda c: c.misfit)
 
-    def _promising(self, parent: Candidate, names: Sequence[str], most: int) -> Sequence[str]:
-        rest = [n for n in names if n not in parent.hypothesis.effects and self.fitter.has_room(parent.hypothesis | n)]
-        if not most:
-            return rest
-        near = self._near(parent.fit)
-        costs = list(in_parallel(lambda name: float(self.fitter.screen(self.short, near, name).cost.min()), rest))
-        return [rest[i] for i in np.argsort(costs, kind="stable")[:most]]
+    def _promising(self, parent: Candidate, names: Sequence[str], most: int) -> list[tuple[str, np.ndarray]]:
+        """The effects to try, with the cost that a linear model expects of each of their starts, the most promising first.
 
-    def grow(self, parent: RolloutFit, name: str) -> RolloutFit:
-        """The best fit of a composition with one effect more: starts race, the best settle, a value between corners is zoomed in on."""
+        On short windows: there it reaches further, for no error has grown yet.
+        """
+        wanted = [(n, parent.hypothesis | n) for n in names if n not in parent.hypothesis.effects]
+        rest = [n for n, h in wanted if h not in self.found and self.fitter.has_room(h)]
+        near = self.fitter.fit(self.short, parent.hypothesis, parent.fit.values, iterations=2, only_starts=True)
+        expected = list(in_parallel(lambda name: self.fitter.screen(self.short, near, name).cost, rest))
+        order = np.argsort([cost.min() for cost in expected], kind="stable")
+        return [(rest[i], expected[i]) for i in order[: most or None]]
+
+    def grow(self, parent: RolloutFit, name: str, expected: np.ndarray) -> RolloutFit:
+        """The best fit of a composition with one effect more: starts race, the best settle, a value between corners is zoomed in on.
+
+        `expected` is the cost that a linear model expects of each of the effect's starts.
+        """
         kind, hypothesis = effects()[name], parent.hypothesis | name
-        raced = [self.fitter.fit(self.short, hypothesis, begin, iterations=RACE, tolerance=1e-2) for begin in self._begins(parent, kind)]
+        begins = self._begins(parent, kind, expected)
+        raced = [self.fitter.fit(self.short, hypothesis, begin, iterations=RACE, tolerance=1e-2) for begin in begins]
         raced.sort(key=lambda f: f.cost)
         near = [self.fitter.fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3) for f in raced[:KEPT]]
-        settled = [self.fitter.fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3) for f in near]
+        apart = [f for i, f in enumerate(near) if not any(_same(f, g) for g in near[:i])]
+        settled = [self.fitter.fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3) for f in apart]
         best = min(settled, key=lambda f: f.cost)
         best = self._pruned(best, kind)
         return self._zoomed(best, kind.name, kind.zoomed) if kind.zoomed and best.cost < parent.cost else best
@@ -122,22 +130,17 @@ class Search:
                 best = best if best.cost <= plain.cost else plain
         return best
 
-    def _begins(self, parent: RolloutFit, kind: type[Effect]) -> list[np.ndarray]:
+    def _begins(self, parent: RolloutFit, kind: type[Effect], expected: np.ndarray) -> list[np.ndarray]:
         """Parameter vectors from which a fit begins: those of a periodicity, or the starts of which a linear model expects most."""
-        if kind.name == "cogging" and self.pitches:
-            begins = []
-            for family, start in self.pitches:
-                values = self.fitter.with_effect(parent.values, kind.name, start)
-                if not parent.hypothesis.effects:
-                    values[: len(family)] = family
-                begins.append(values)
-            return begins
-        expected = self.fitter.screen(self.short, self._near(parent), kind.name).cost
-        return [self.fitter.with_effect(parent.values, kind.name, kind.starts[i]) for i in _apart(expected)]
-
-    def _near(self, fit: RolloutFit) -> RolloutFit:
-        """A fit on short windows: there a linear model reaches further, for no error has grown yet."""
-        return self.fitter.fit(self.short, fit.hypothesis, fit.values, iterations=2, only_starts=True)
+        if not kind.periodic or not self.pitches:
+            return [self.fitter.with_effect(parent.values, kind.name, kind.starts[i]) for i in _apart(expected)]
+        begins = []
+        for family, start in self.pitches:
+            values = self.fitter.with_effect(parent.values, kind.name, start)
+            if not parent.hypothesis.effects:
+                values[: len(family)] = family
+            begins.append(values)
+        return begins
 
     def _zoomed(self, best: RolloutFit, effect: str, parameter: str) -> RolloutFit:
         """The best of ever finer grids around one number, along which the error has corners."""
@@ -231,6 +234,13 @@ def _apart(expected: np.ndarray) -> list[int]:
     return chosen[: RACED if len(expected) < MANY else 2 * RACED]
 
 
+def _same(one: RolloutFit, other: RolloutFit) -> bool:
+    """Whether two fits of one composition ended at the same place."""
+    rows = one.free.rows
+    near = np.abs(one.values[rows] - other.values[rows]) < SAME_PLACE * (one.free.step + np.abs(one.values[rows]))
+    return bool(near.all()) and abs(one.cost - other.cost) < SAME_COST * other.cost
+
+
 def _off(values: np.ndarray, name: str) -> np.ndarray:
     values = values.copy()
     rows = list(layout()[name])
@@ -239,5 +249,5 @@ def _off(values: np.ndarray, name: str) -> np.ndarray:
 
 
 def searchable() -> list[str]:
-    """Effects that are found by fitting: a sensor's delay has the actuator's law, held frames and lattices are counted."""
-    return [name for name in effects() if name not in ("sensor_delay", "dropped_frames", "sensor_quantization")]
+    """Effects that are found by fitting."""
+    return [name for name, kind in effects().items() if not kind.counted and not kind.same_as]

@@ -86,6 +86,8 @@ class Effect(ABC):
 
     `threshold` names the parameters along which the error has corners: their finite differences are wider. `zoomed` is
     one between whose corners the error is flat: ever finer grids find it.
+    `counted` ones are found in the samples themselves, `periodic` ones by a scan along the travel; one that is the `same_as` another on
+    every log is fitted as that one, and told as an alternative to it.
     What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`.
     """
 
@@ -102,6 +104,9 @@ class Effect(ABC):
     zoomed: ClassVar[str] = ""
     optional: ClassVar[tuple[str, ...]] = ()  # numbers that stay at their null unless the log asks for them
     contains: ClassVar[str] = ""  # the effect that this one is where some of its parameters vanish
+    counted: ClassVar[bool] = False
+    periodic: ClassVar[bool] = False  # its first two numbers are a sine's and a cosine's, its third the pitch
+    same_as: ClassVar[str] = ""
     falls: ClassVar[bool] = False  # whether the effect grows as its first parameter falls, as a limit's does
 
     @staticmethod

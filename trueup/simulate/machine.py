@@ -1,8 +1,8 @@
 """Machine: one joint with known imperfections, integrated on a step far finer than its log.
 
 Written apart from the models that are fitted to what it produces, and on purpose in other laws: velocity-verlet steps, friction
-after Karnopp with an exponential Stribeck curve, Bouc-Wen hysteresis of exponent 2, a one-way damped stop. What resists a motion is taken at
-the middle of a fine step, as the last step foretells it.
+after Karnopp with an exponential Stribeck curve, Bouc-Wen hysteresis of exponent 2, a one-way damped stop. What resists a motion is
+taken at the middle of a fine step, as the last step foretells it.
 Sources: D. Karnopp, ASME Journal of Dynamic Systems 107 (1985); R. Bouc (1967), Y.-K. Wen (1976).
 """
 

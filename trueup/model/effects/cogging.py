@@ -16,6 +16,7 @@ class Cogging(Effect):
     name = "cogging"
     port = Port.FORCE
     category = "structure"
+    periodic = True
     params = (
         Number("sine", Scale.ACCELERATION, 0.0, -INFINITY, INFINITY),
         Number("cosine", Scale.ACCELERATION, 0.0, -INFINITY, INFINITY),

@@ -15,6 +15,7 @@ class DroppedFrames(Effect):
     port = Port.OBSERVATION
     order = 0
     category = "timing"
+    counted = True
     params = (Number("fraction", Scale.ONE, 0.0, 0.0, 0.9),)
     starts = ((0.1,),)
 

@@ -14,6 +14,7 @@ class SensorDelay(Effect):
     name = "sensor_delay"
     port = Port.OBSERVATION
     category = "timing"
+    same_as = "actuator_delay"
     params = (Number("delay", Scale.TIME, 0.0, 0.0, 1.0),)
     states = ("past",)
     begins = ("u",)
