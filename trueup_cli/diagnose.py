@@ -7,11 +7,11 @@ import json
 from pathlib import Path
 
 from trueup.artifact.artifact import pack
+from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.page import page, sentence
 from trueup.diagnose.report import COMMAND_FILE
 from trueup.episode.episode import Episode
-from trueup_cli.case import read_case
 from trueup_cli.show import progress
 
 

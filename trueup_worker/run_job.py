@@ -21,12 +21,12 @@ from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.registry.records import FINAL, JobRecord, JobState
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
-from trueup_worker import run_diagnosis, run_fit, run_gate
+from trueup_worker import run_blindtrial, run_diagnosis, run_fit, run_gate
 from trueup_worker.progress import Cancelled, Progress
 
 log = logging.getLogger("trueup.worker")
 
-KINDS: dict[str, ModuleType] = {"fit": run_fit, "gate": run_gate, "diagnose": run_diagnosis}
+KINDS: dict[str, ModuleType] = {"fit": run_fit, "gate": run_gate, "diagnose": run_diagnosis, "blindtrial": run_blindtrial}
 
 
 def compute(parts: Parts, job_id: str) -> dict[str, Json]:

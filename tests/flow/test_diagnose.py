@@ -55,7 +55,7 @@ def test_it_writes_a_report_a_page_and_a_model(case):
 
 def test_its_model_predicts_an_episode_that_it_never_saw(case):
     folder, out, _, plant, trial = case
-    test = trial.test[0]
+    test = trial.of("test")[0]
     episode = folder / "test.mcap"
     with episode.open("wb") as file:
         _write(file, plant, test.t_s, test.issued[:, None], test.observed, Role.TEST)

@@ -29,8 +29,8 @@ def plant_of(bench: Bench, *, velocity: bool = True) -> Plant:
 
 
 def episodes_of(plant: Plant, trial: Trial) -> list[Episode]:
-    parts = ((Role.ADAPTATION, trial.adaptation), (Role.VALIDATION, trial.validation))
-    return [episode_of(plant, run, role, f"{role}-{i}") for role, runs in parts for i, run in enumerate(runs)]
+    roles = Role.ADAPTATION, Role.VALIDATION
+    return [episode_of(plant, run, role, f"{role}-{i}") for role in roles for i, run in enumerate(trial.of(role))]
 
 
 def episode_of(plant: Plant, run: Run, role: Role, digest: str) -> Episode:

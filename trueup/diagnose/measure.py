@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.model.plant import Plant
-from trueup.model.predictor import Predictor
+from trueup.model.predictor import Nominal, Predictor
 from trueup.model.state import known_from
 from trueup.model.windows import Windows, cut, starts_every
 
 Array = NDArray[np.float64]
 RESAMPLES = 400
+RAN_AWAY = -1e6  # what is said of a prediction that did
 AT_THE_FLOOR = 1.1  # times the floor's power: an error below that is not told from it
 
 
@@ -94,10 +95,7 @@ def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episo
     """The gap on held-out episodes whose positions and velocities have noise of `sigma` `(2,)`."""
     plant: Plant = corrected.plant
     rng = np.random.default_rng(seed)
-    motion = np.ones(2)
-    motion[plant.state_columns] = [
-        max(float(np.nanstd(np.concatenate([e.observations[:, i] for e in episodes]))), 1e-12) for i in range(len(plant.scales))
-    ]
+    motion = _motion(plant, episodes)
     horizon = plant.horizon_s
     tables = [np.concatenate([_by_channel(p, e, horizon, motion) for e in episodes]) for p in (nominal, refitted, corrected)]
     before, parameters, after = (t.mean(axis=1) for t in tables)
@@ -114,6 +112,27 @@ def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episo
     channels = {n: (float(np.sqrt(tables[0][:, i].mean())), float(np.sqrt(tables[2][:, i].mean()))) for i, n in enumerate(names)}
     rms = [float(np.sqrt(x.mean())) for x in (before, parameters, after, least)]
     return Gap(horizon, rms[0], rms[1], rms[2], rms[3], closed, interval, channels)
+
+
+def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -> float | None:
+    """The part of the nominal model's gap that a predictor closes on further episodes; None where there was none above their noise."""
+    plant = corrected.plant
+    motion = _motion(plant, episodes)
+    before, after = (
+        float(np.mean(np.concatenate([squared_errors(p, e, plant.horizon_s, motion) for e in episodes])))
+        for p in (Nominal(plant), corrected)
+    )
+    floor = float(np.mean((np.nan_to_num(sigma) / motion)[plant.state_columns] ** 2))
+    return max(_closed(before, after, floor), RAN_AWAY) if before > AT_THE_FLOOR * floor else None
+
+
+def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:
+    """Standard deviation of position and velocity over all episodes `(2,)`, 1 where not observed."""
+    motion = np.ones(2)
+    motion[plant.state_columns] = [
+        max(float(np.nanstd(np.concatenate([e.observations[:, i] for e in episodes]))), 1e-12) for i in range(len(plant.scales))
+    ]
+    return motion
 
 
 def _closed(before: float, after: float, floor: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,8 +17,20 @@ ROUNDS = 18  # of bisection for a magnitude
 
 
 @dataclass(frozen=True)
+class Plan:
+    """What one recording is commanded, or the reference it is to follow, `(samples,)`, and the position and velocity it starts from."""
+
+    role: str
+    series: Array
+    start: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class Bench:
-    """How trials of one plant are made: its nominal numbers, rates, noise and excitation."""
+    """How trials of one plant are made: its numbers, rates, noise and excitation.
+
+    With `recorded` plans every machine is given those; without, each trial draws its own, after a second that is not logged.
+    """
 
     kind: str
     k: float
@@ -31,20 +43,29 @@ class Bench:
     noise: float  # of a channel's standard deviation
     feedback: Feedback | None
     reach: float  # what a planned value of 1 stands for: a command, or a reference position
+    recorded: Sequence[Plan] = ()
+    sigma: tuple[float, float] | None = None  # of position and velocity, instead of `noise`
+
+    @property
+    def warm_up(self) -> int:
+        """Samples before the log begins."""
+        return 0 if self.recorded else round(1.0 / self.timestep_s)
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What was recorded, and what is wrong: effects with their numbers, whether the parameters moved, and the gap that they make."""
+    """What was recorded, by role, and what is wrong: effects with their numbers, whether the parameters moved, the gap that they make."""
 
     bench: Bench
     machine: Machine
     shifted: bool
     gap: float
     sigma: tuple[float, float]
-    adaptation: Sequence[Run]
-    validation: Sequence[Run]
-    test: Sequence[Run]
+    runs: Sequence[tuple[str, Run]]
+
+    def of(self, role: str) -> list[Run]:
+        """The recordings of one role."""
+        return [run for of, run in self.runs if of == role]
 
 
 def draw_bench(tier: str, rng: np.random.Generator) -> Bench:
@@ -64,14 +85,22 @@ def draw_bench(tier: str, rng: np.random.Generator) -> Bench:
     )
 
 
-def draw(bench: Bench, names: Sequence[str], shifted: bool, rng: np.random.Generator, gaps: tuple[float, float] = (0.06, 0.5)) -> Trial:
-    """A machine of a bench with the named imperfections, each as large as a gap drawn within `gaps`, recorded in ten episodes.
+def draw(
+    bench: Bench,
+    names: Sequence[str],
+    shifted: bool,
+    rng: np.random.Generator,
+    gaps: tuple[float, float] = (0.06, 0.5),
+    spread: tuple[float, float] = (0.75, 1.3),
+) -> Trial:
+    """A machine of a bench with the named imperfections, each as large as a gap drawn within `gaps`, recorded by the bench's plans.
 
-    The gap is the change of position that an imperfection causes, relative to the motion.
+    The gap is the change of position that an imperfection causes, relative to the motion. Parameters that are shifted move by factors
+    within `spread`.
     """
-    moved = rng.uniform(0.75, 1.3, 3) if shifted else np.ones(3)
+    moved = rng.uniform(*spread, 3) if shifted else np.ones(3)
     machine = Machine(bench.kind, bench.k * moved[0], bench.c * moved[1], bench.b * moved[2], bench.limit)
-    plan = [_plan(bench, shape, rng) for shape in SHAPES]
+    plan = bench.recorded or [Plan("", _plan(bench, shape, rng), (0.0, 0.0)) for shape in SHAPES]
     size = _sizes(bench, machine, plan)
     total = 0.0
     for name in names:
@@ -79,31 +108,39 @@ def draw(bench: Bench, names: Sequence[str], shifted: bool, rng: np.random.Gener
         shape = _shape(name, bench, size, rng)
         machine, reached = _as_large_as(bench, machine, name, shape, plan, wanted)
         total = max(total, reached)
-    sigma = (bench.noise * size["position"], bench.noise * 1.5 * size["velocity"])
+    sigma = bench.sigma or (bench.noise * size["position"], bench.noise * 1.5 * size["velocity"])
     if "sensor_quantization" in names:
         sigma = (sigma[0] * 0.3, sigma[1] * 0.3)
     runs = [
-        run(machine, _plan(bench, SHAPES[i % 4], rng), bench.timestep_s, bench.parts, sigma, rng,
-            (0.3 * rng.normal() * size["position"], 0.3 * rng.normal() * size["velocity"]), _warm_up(bench), bench.feedback)
-        for i in (0, 1, 2, 3, 0, 2, 0, 1, 2, 3)
-    ]  # fmt: skip
-    return Trial(bench, machine, shifted, total, sigma, runs[:4], runs[4:6], runs[6:])
+        (p.role, run(machine, p.series, bench.timestep_s, bench.parts, sigma, rng, p.start, bench.warm_up, bench.feedback))
+        for p in _plans(bench, size, rng)
+    ]
+    return Trial(bench, machine, shifted, total, sigma, runs)
 
 
-def _warm_up(bench: Bench) -> int:
-    return round(1.0 / bench.timestep_s)
+def _plans(bench: Bench, size: Mapping[str, float], rng: np.random.Generator) -> Iterator[Plan]:
+    """What is recorded: drawn series from rest about the middle, or the recorded ones, and those of validation once more as a test."""
+    if bench.recorded:
+        yield from bench.recorded
+        for p in bench.recorded:
+            if p.role == "validation":
+                yield Plan("test", p.series, p.start)
+        return
+    for i, role in zip((0, 1, 2, 3, 0, 2, 0, 1, 2, 3), ["adaptation"] * 4 + ["validation"] * 2 + ["test"] * 4, strict=True):
+        series = _plan(bench, SHAPES[i], rng)
+        yield Plan(role, series, (0.3 * rng.normal() * size["position"], 0.3 * rng.normal() * size["velocity"]))
 
 
 def _plan(bench: Bench, shape: str, rng: np.random.Generator) -> Array:
-    return bench.reach * planned(shape, round(bench.duration_s / bench.timestep_s) + 1 + _warm_up(bench), bench.timestep_s, rng)
+    return bench.reach * planned(shape, round(bench.duration_s / bench.timestep_s) + 1 + bench.warm_up, bench.timestep_s, rng)
 
 
-def _record(bench: Bench, machine: Machine, plan: Sequence[Array]) -> list[Run]:
+def _record(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> list[Run]:
     quiet = np.random.default_rng(0)
-    return [run(machine, p, bench.timestep_s, bench.parts, (0.0, 0.0), quiet, (0.0, 0.0), _warm_up(bench), bench.feedback) for p in plan]
+    return [run(machine, p.series, bench.timestep_s, bench.parts, (0.0, 0.0), quiet, p.start, bench.warm_up, bench.feedback) for p in plan]
 
 
-def _sizes(bench: Bench, machine: Machine, plan: Sequence[Array]) -> dict[str, float]:
+def _sizes(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> dict[str, float]:
     runs = _record(bench, machine, plan)
     y = np.concatenate([r.observed for r in runs])
     u = np.concatenate([r.issued for r in runs])
@@ -171,7 +208,7 @@ def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Gener
 
 
 def _as_large_as(
-    bench: Bench, machine: Machine, name: str, shape: Mapping[str, tuple[float, float, bool]], plan: Sequence[Array], wanted: float
+    bench: Bench, machine: Machine, name: str, shape: Mapping[str, tuple[float, float, bool]], plan: Sequence[Plan], wanted: float
 ) -> tuple[Machine, float]:
     """The machine with one imperfection more, its magnitude bisected until it moves the position by `wanted` of its motion."""
     without = np.concatenate([r.observed for r in _record(bench, machine, plan)])

@@ -45,17 +45,26 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
 
 def submit_diagnosis(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
     """A diagnosis of the nominal model from adaptation and validation episodes. Raises RoleRefused, NotIdentifiable."""
+    return _submit_on_both(writer, queue, job, plant, "diagnose", request, stamp)
+
+
+def submit_blindtrial(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+    """A blind trial after adaptation and validation episodes. Raises RoleRefused, NotIdentifiable."""
+    return _submit_on_both(writer, queue, job, plant, "blindtrial", request, stamp)
+
+
+def _submit_on_both(writer: Writer, queue: JobQueue, job: str, plant: str, kind: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
     find.plant_digest(writer, plant)
     episodes = _episodes(writer, plant, request.get("episodes"), (Role.ADAPTATION, Role.VALIDATION))
     missing = {Role.ADAPTATION, Role.VALIDATION} - {Role(e.role) for e in episodes}
     if missing:
         role = min(missing)
-        raise NotIdentifiable(f"there is no {role} episode to diagnose with", hint=f"Upload one whose metadata says role = {role}.")
+        raise NotIdentifiable(f"there is no {role} episode to start from", hint=f"Upload one whose metadata says role = {role}.")
     frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(writer, plant).artifact}
-    return _submit(writer, queue, job, plant, "diagnose", frozen, stamp)
+    return _submit(writer, queue, job, plant, kind, frozen, stamp)
 
 
-SUBMIT = {"fit": submit_fit, "gate": submit_gate, "diagnose": submit_diagnosis}
+SUBMIT = {"fit": submit_fit, "gate": submit_gate, "diagnose": submit_diagnosis, "blindtrial": submit_blindtrial}
 
 
 def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) -> list[EpisodeRecord]:

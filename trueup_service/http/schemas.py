@@ -187,6 +187,15 @@ class DiagnosisRequest(BaseModel):
     seed: int = Field(0, ge=0, lt=2**32, description="of the resampling behind the intervals")
 
 
+class BlindtrialRequest(BaseModel):
+    """Hide effects in simulated machines after the plant and its episodes, diagnose them blindly, and say how often that was right."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["blindtrial"]
+    trials: int = Field(60, ge=1, le=2000, description="machines to draw; each takes as long as a diagnosis")
+    episodes: list[Digest] | None = None
+
+
 class Promotion(BaseModel):
     """Serve the decision's candidate, if the pointer is still at `expected_generation`."""
 

@@ -11,12 +11,12 @@ from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
 from trueup_service.http.context import END_OF_TIME, Before, By, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import DiagnosisRequest, FitRequest, GateRequest, Job, JobWithReads, Page, page
+from trueup_service.http.schemas import BlindtrialRequest, DiagnosisRequest, FitRequest, GateRequest, Job, JobWithReads, Page, page
 from trueup_service.registry.store import Reader, Writer
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
-JobRequest = Annotated[FitRequest | GateRequest | DiagnosisRequest, Body(discriminator="kind")]
+JobRequest = Annotated[FitRequest | GateRequest | DiagnosisRequest | BlindtrialRequest, Body(discriminator="kind")]
 
 
 @router.post(

@@ -1,0 +1,95 @@
+"""Lot: which effects a machine is given, how large, and what the label says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from trueup.blindtrial.bench import nominal
+from trueup.canonical import Json
+from trueup.model.plant import Plant
+from trueup.simulate.machine import BEYOND
+from trueup.simulate.trial import CATALOGUE, Bench, Trial, draw
+
+PARTS = {"single": 0.6, "pair": 0.12, "outside": 0.1, "none": 0.1, "faint": 0.08}
+GAPS = (0.06, 0.5)  # of the motion: what an effect changes of the position
+FAINT = (0.3, 2.0)  # times the noise
+LEAST_FAINT = 1e-3  # of the motion, where there is no noise
+SPREAD = (0.85, 1.15)  # of the numbers that fit the user's episodes
+AS_NOMINAL = 0.25  # of the machines have the nominal numbers
+REDRAWN = 5  # times a machine that runs away is drawn again
+
+
+@dataclass(frozen=True, slots=True)
+class Lot:
+    """One machine's fate. A lot of kind `none` has no effect and names a `bait`: what only somebody who read the label can answer."""
+
+    kind: str
+    effects: tuple[str, ...]
+    moved: bool
+    bait: str | None
+
+
+def left_out(plant: Plant) -> tuple[str, ...]:
+    """Effects that the nominal form takes up on this plant's channels: they make no gap, and nothing could name them."""
+    found = []
+    if "k" not in plant.dynamics.parameter_names:
+        found += ["sensor_bias"]  # nothing says where zero is
+    if len(plant.state_columns) == 1:
+        found += ["sensor_scale", "clock_skew"]  # other numbers of the form give the same positions
+    return tuple(found)
+
+
+def draw_lots(plant: Plant, count: int, rng: np.random.Generator) -> list[Lot]:
+    """So many lots in the proportions of PARTS, in random order; single effects come in turn, so that each is met as often."""
+    known = [name for name in CATALOGUE if name not in left_out(plant)]
+    kinds = [kind for kind, part in PARTS.items() for _ in range(round(part * count))]
+    kinds = (kinds + ["single"] * count)[:count]
+    turns = {kind: _turns(known if kind != "outside" else list(BEYOND), rng) for kind in PARTS}
+    lots = []
+    for kind in kinds:
+        moved = bool(rng.random() >= AS_NOMINAL)
+        if kind == "none":
+            lots.append(Lot(kind, (), moved, next(turns[kind])))
+        elif kind == "pair":
+            names = next(turns[kind]), next(turns[kind])
+            lots.append(Lot(kind, names if names[0] != names[1] else (names[0], known[known.index(names[0]) - 1]), moved, None))
+        else:
+            lots.append(Lot(kind, (next(turns[kind]),), moved, None))
+    return [lots[i] for i in rng.permutation(len(lots))]
+
+
+def _turns(names: Sequence[str], rng: np.random.Generator):  # type: ignore[no-untyped-def]  # noqa: ANN202
+    """The names in random order, again and again."""
+    while True:
+        yield from (names[i] for i in rng.permutation(len(names)))
+
+
+def machine_of(plant: Plant, bench: Bench, lot: Lot, rng: np.random.Generator) -> Trial:
+    """A machine of a lot and its recordings."""
+    gaps = GAPS
+    if lot.kind == "faint":
+        noise = max(bench.noise, LEAST_FAINT)
+        gaps = (FAINT[0] * noise, FAINT[1] * noise)
+    own = bench if lot.moved else nominal(plant, bench)
+    for _ in range(REDRAWN):
+        trial = draw(own, lot.effects, lot.moved, rng, gaps, SPREAD)
+        if all(np.isfinite(run.observed).all() and np.isfinite(run.issued).all() for _, run in trial.runs):
+            break
+    return trial
+
+
+def label_of(plant: Plant, lot: Lot, trial: Trial) -> Mapping[str, Json]:
+    """What is true of a machine: its effects with their numbers, its parameters, the gap that an effect makes."""
+    m = trial.machine
+    numbers = {"k": m.k, "c": m.c, "b": m.b}
+    return {
+        "kind": lot.kind,
+        "effects": {name: {k: float(v) for k, v in values.items()} for name, values in m.imperfections.items()},
+        "parameters": {name: float(numbers[name]) for name in plant.dynamics.parameter_names},
+        "moved": lot.moved,
+        "bait": lot.bait,
+        "gap": float(trial.gap),
+    }

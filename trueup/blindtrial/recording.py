@@ -1,0 +1,58 @@
+"""Recording: a machine's runs as the case folder that a diagnosis is given, and as the episodes that it never sees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+
+import numpy as np
+from mcap.writer import CompressionType
+
+from trueup.canonical import canonical_bytes
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
+from trueup.episode.writer import write_episode
+from trueup.model.plant import Plant
+from trueup.simulate.machine import Run
+from trueup.simulate.trial import Trial
+
+
+def case_files(plant: Plant, trial: Trial, conditions: Mapping[str, str]) -> dict[str, bytes]:
+    """plant.json and the adaptation and validation recordings, by file name; uncompressed, so that whoever doubts can read them."""
+    files = {"plant.json": canonical_bytes(dict(plant.document))}
+    for role in (Role.ADAPTATION, Role.VALIDATION):
+        for i, run in enumerate(trial.of(role)):
+            files[f"{role}-{i}.mcap"] = _mcap(plant, run, role, conditions)
+    return files
+
+
+def _mcap(plant: Plant, run: Run, role: Role, conditions: Mapping[str, str]) -> bytes:
+    stream = BytesIO()
+    write_episode(
+        stream,
+        stamps_ns=np.rint(run.t_s * 1e9).astype(np.int64),
+        observations=run.observed[:, plant.state_columns],
+        commands=run.issued[:, None],
+        layout=plant.layout,
+        role=role,
+        conditions=conditions,
+        compression=CompressionType.NONE,
+    )
+    return stream.getvalue()
+
+
+def tests(plant: Plant, trial: Trial) -> list[Episode]:
+    """The recordings that only measure."""
+    found = []
+    for i, run in enumerate(trial.of("test")):
+        seen = run.observed[:, plant.state_columns].copy()
+        found.append(Episode(run.t_s.copy(), run.issued[:, None].copy(), seen, plant.layout, Role.TEST, {}, 0, f"test-{i}"))
+    return found
+
+
+def conditions_of(episodes: Sequence[Episode]) -> dict[str, str]:
+    """The collection conditions that all of the user's episodes share: the trial declares the same."""
+    shared = dict(episodes[0].conditions)
+    for e in episodes[1:]:
+        shared = {k: v for k, v in shared.items() if e.conditions.get(k) == v}
+    return shared

@@ -1,0 +1,79 @@
+"""Blind room: a process of its own that diagnoses case folders and knows nothing else.
+
+It is started with an empty environment, is told folders on its standard input, one a line, and answers each with one line of JSON. What
+it diagnoses was drawn by the process that started it, whose memory alone holds the labels.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+PASSED_ON = ("PATH", "HOME", "TMPDIR", "NUMBA_CACHE_DIR", "LANG")  # what a process needs to find its libraries and its cache
+
+
+class Room:
+    """One such process, on one core. Use it in a `with` block, or as what diagnoses in a blind trial."""
+
+    def __init__(self, core: int) -> None:
+        kept = {name: os.environ[name] for name in PASSED_ON if name in os.environ}
+        command = [sys.executable, "-I", "-m", "trueup_worker.blind_room", str(core)]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=kept, cwd="/", text=True)
+
+    def __call__(self, folder: Path) -> Mapping[str, Any]:
+        """`report` and `manifest`, or `problem`; and `seconds`."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(f"{folder}\n")
+        self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        if not line:
+            return {"problem": f"the diagnosing process ended with code {self._process.wait()}", "seconds": 0.0}
+        found: dict[str, Any] = json.loads(line)
+        return found
+
+    def __enter__(self) -> Room:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        if kind is not None:
+            self._process.kill()
+        self._process.wait()
+
+
+def _answer(folder: Path) -> Mapping[str, Any]:
+    from trueup.artifact.artifact import pack  # noqa: PLC0415
+    from trueup.diagnose.case import read_case  # noqa: PLC0415
+    from trueup.diagnose.diagnosis import diagnose  # noqa: PLC0415
+    from trueup.errors import TrueupError  # noqa: PLC0415
+
+    began = time.monotonic()
+    try:
+        found = diagnose(*read_case(folder))
+    except TrueupError as error:
+        return {"problem": f"{error.code}: {error.message}", "seconds": time.monotonic() - began}
+    manifest = pack(found.predictor, {"origin": "diagnosis"}).manifest.decode()
+    return {"report": dict(found.document), "manifest": manifest, "seconds": time.monotonic() - began}
+
+
+def main() -> None:
+    """Answer folders until there are no more."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {int(sys.argv[1])})
+    answers, sys.stdout = sys.stdout, sys.stderr  # whatever prints must not spoil an answer
+    for line in sys.stdin:
+        answers.write(json.dumps(_answer(Path(line.strip()))) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    main()

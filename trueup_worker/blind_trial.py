@@ -1,0 +1,160 @@
+"""Conduct a blind trial: draw, commit, have diagnosed in rooms of their own, open.
+
+lots        what is hidden, by a secret that exists in this process alone
+recordings  case folders on disk, held against their labels: nothing in them may spell what is hidden
+commitment  published before the first diagnosis
+rooms       processes that are told a folder and nothing else
+opening     labels, salts and the secret, so that anybody can hold them against the commitments, or draw it all again
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+import numpy as np
+
+import trueup
+from trueup.artifact.artifact import Artifact, unpack
+from trueup.blindtrial.bench import bench_of
+from trueup.blindtrial.lot import draw_lots, label_of, left_out, machine_of
+from trueup.blindtrial.recording import case_files, conditions_of, tests
+from trueup.blindtrial.seal import commitment, require_silent, salt_of
+from trueup.blindtrial.tally import Answer, answer_words, judge, tally
+from trueup.canonical import Json, digest_of_bytes
+from trueup.diagnose.measure import closed_on
+from trueup.episode.episode import Episode
+from trueup.model.plant import Plant
+from trueup_worker.blind_room import Room
+
+SCHEMA = "trueup.blindtrial/1"
+SECRET_BYTES = 32
+DRAWING = 0.2  # of the time
+
+Diagnose = Callable[[Path], Mapping[str, Any]]
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Sealed:
+    """One trial before it is opened: its folder is all that a room is told."""
+
+    folder: Path
+    label: Mapping[str, Json]
+    salt: str
+    commitment: str
+    tests: Sequence[Episode]
+    sigma: tuple[float, float]
+
+
+def conduct(
+    plant: Plant,
+    episodes: Sequence[Episode],
+    count: int,
+    secret: bytes,
+    commit: Callable[[list[str]], None],
+    progress: Progress,
+    rooms: Sequence[Diagnose] | None = None,
+    keep: Path | None = None,
+) -> dict[str, Any]:
+    """The report of `count` trials after a user's plant and episodes.
+
+    `commit` is called with the commitments before the first diagnosis. `keep` is a folder for the cases, else they are removed.
+    Raises NotIdentifiable, LabelLeaked.
+    """
+    with tempfile.TemporaryDirectory(prefix="blind-") as temporary:
+        sealed = []
+        for trial in _drawn(plant, episodes, count, secret, keep or Path(temporary)):
+            sealed.append(trial)
+            progress("drawing machines and recording them", DRAWING * len(sealed) / count)
+        commit([s.commitment for s in sealed])
+        answers = []
+        for answer in _answered([s.folder for s in sealed], rooms):
+            answers.append(answer)
+            progress(f"diagnosing, {len(answers)} of {count}", DRAWING + (1.0 - DRAWING) * len(answers) / count)
+    found = [Answer(a.get("report"), a.get("problem"), float(a["seconds"])) for a in answers]
+    rows = [_row(i, plant, *parts) for i, parts in enumerate(zip(sealed, answers, found, strict=True))]
+    bench = bench_of(plant, episodes)
+    return {
+        "schema": SCHEMA,
+        "plant": plant.name,
+        "trials": count,
+        **tally(rows, found),
+        "rows": list(rows),
+        "bench": {
+            "episodes": [{"sha256": e.digest, "role": str(e.role)} for e in sorted(episodes, key=lambda e: e.digest)],
+            "period_s": bench.timestep_s,
+            "fine_step_s": bench.timestep_s / bench.parts,
+            "sigma": list(bench.sigma or ()),
+            "feedback": asdict(bench.feedback) if bench.feedback else None,
+            "left_out": list(left_out(plant)),
+        },
+        "opening": {"secret": secret.hex()},
+        "version": trueup.__version__,
+    }
+
+
+def _drawn(plant: Plant, episodes: Sequence[Episode], count: int, secret: bytes, where: Path) -> Iterator[Sealed]:
+    rng = np.random.default_rng(int.from_bytes(bytes.fromhex(digest_of_bytes(secret + b"/lots"))))
+    bench, conditions = bench_of(plant, episodes), conditions_of(episodes)
+    own: Json = [dict(plant.document), conditions]
+    for i, lot in enumerate(draw_lots(plant, count, rng)):
+        trial = machine_of(plant, bench, lot, rng)
+        label, salt = label_of(plant, lot, trial), salt_of(secret, i)
+        files = case_files(plant, trial, conditions)
+        require_silent(files, label, salt, own)
+        folder = where / f"{i:04d}"
+        folder.mkdir(parents=True)
+        for name, data in files.items():
+            (folder / name).write_bytes(data)
+        yield Sealed(folder, label, salt, commitment(label, salt), tests(plant, trial), trial.sigma)
+
+
+def _answered(folders: Sequence[Path], given: Sequence[Diagnose] | None) -> Iterator[Mapping[str, Any]]:
+    """Every folder's answer, in order; as many rooms as there are cores."""
+    with ExitStack() as stack:
+        rooms: Sequence[Diagnose] = given or [stack.enter_context(Room(core)) for core in _cores()]
+        free: SimpleQueue[Diagnose] = SimpleQueue()
+        for room in rooms:
+            free.put(room)
+
+        def ask(folder: Path) -> Mapping[str, Any]:
+            room = free.get()
+            try:
+                return room(folder)
+            finally:
+                free.put(room)
+
+        with ThreadPoolExecutor(len(rooms)) as pool:
+            yield from pool.map(ask, folders)
+
+
+def _cores() -> list[int]:
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
+def _row(index: int, plant: Plant, sealed: Sealed, answer: Mapping[str, Any], found: Answer) -> dict[str, Json]:
+    closed = None
+    if "manifest" in answer:
+        closed = closed_on(unpack(Artifact(answer["manifest"].encode(), b"")), sealed.tests, np.array(sealed.sigma))
+    return {
+        "index": index,
+        "label": sealed.label,
+        "salt": sealed.salt,
+        "commitment": sealed.commitment,
+        "verdict": found.verdict,
+        "problem": found.problem,
+        "answer": answer_words(found),
+        "indistinguishable": found.report["indistinguishable"] if found.report else [],
+        "closed": closed,
+        "reported_closed": found.report["gap"]["closed"] if found.report else None,
+        "seconds": found.seconds,
+        **judge(sealed.label, found),
+    }

@@ -1,0 +1,55 @@
+"""Run a blind trial: labels are committed in the audit log before the first diagnosis, and opened with the job's end."""
+
+from __future__ import annotations
+
+import os
+from datetime import UTC, datetime
+from typing import Any
+
+from trueup.canonical import Json
+from trueup.episode.role import Role
+from trueup_service.actions.stamp import time_text
+from trueup_service.registry.records import JobRecord
+from trueup_service.registry.store import Writer
+from trueup_service.wiring import Parts
+from trueup_worker.blind_trial import SECRET_BYTES, conduct
+from trueup_worker.inputs import read_episodes, read_plant
+from trueup_worker.progress import Progress
+
+READING = 0.02  # of the job's time
+
+
+def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
+    """The report. Repeating it draws and commits anew: an auditor sees every commitment, and which of them was opened."""
+    plant = read_plant(parts, job)
+    episodes = read_episodes(parts, job, plant, (Role.ADAPTATION, Role.VALIDATION), progress.stage("reading episodes", 0.0, READING))
+    request: dict[str, Any] = dict(job.request)
+    stages: list[str] = []
+
+    def commit(commitments: list[str]) -> None:
+        with parts.database.write() as connection:
+            Writer(connection).append_audit(
+                at=time_text(datetime.now(UTC)),
+                kind="blindtrial:committed",
+                actor=job.created_by,
+                plant=job.plant,
+                subject=job.id,
+                facts={"commitments": commitments},
+            )
+
+    def told(stage: str, share: float) -> None:
+        if [stage] != stages:
+            stages[:] = [stage]
+            progress.stage(stage, READING, 1.0)
+        progress(share)
+
+    return {"report": conduct(plant, episodes, int(request["trials"]), os.urandom(SECRET_BYTES), commit, told)}
+
+
+def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: object) -> None:
+    """None beside its result: what was opened stands in it."""
+
+
+def result(outcome: dict[str, Any]) -> dict[str, Json]:
+    """What the job answers with."""
+    return {"report": outcome["report"]}
