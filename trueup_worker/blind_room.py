@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -31,8 +32,9 @@ class Room:
         """`report` and `manifest`, or `problem`; and `seconds`."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
-        self._process.stdin.write(f"{folder}\n")
-        self._process.stdin.flush()
+        with suppress(BrokenPipeError):  # it has ended, and its answer is empty
+            self._process.stdin.write(f"{folder}\n")
+            self._process.stdin.flush()
         line = self._process.stdout.readline()
         if not line:
             return {"problem": f"the diagnosing process ended with code {self._process.wait()}", "seconds": 0.0}
@@ -43,11 +45,10 @@ class Room:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        assert self._process.stdin is not None
-        self._process.stdin.close()
         if kind is not None:
             self._process.kill()
-        self._process.wait()
+        with suppress(BrokenPipeError), self._process:  # closes what leads to it, and waits
+            pass
 
 
 def _answer(folder: Path) -> Mapping[str, Any]:

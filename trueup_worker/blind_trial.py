@@ -27,7 +27,7 @@ from trueup.blindtrial.bench import bench_of
 from trueup.blindtrial.lot import draw_lots, label_of, left_out, machine_of
 from trueup.blindtrial.recording import case_files, conditions_of, tests
 from trueup.blindtrial.seal import commitment, require_silent, salt_of
-from trueup.blindtrial.tally import Answer, answer_words, judge, tally
+from trueup.blindtrial.tally import Answer, answer_words, intervals, judge, tally
 from trueup.canonical import Json, digest_of_bytes
 from trueup.diagnose.measure import closed_on
 from trueup.episode.episode import Episode
@@ -154,6 +154,8 @@ def _row(index: int, plant: Plant, sealed: Sealed, answer: Mapping[str, Any], fo
         "answer": answer_words(found),
         "indistinguishable": found.report["indistinguishable"] if found.report else [],
         "closed": closed,
+        "unexplained": found.report["evidence"]["unexplained"] if found.report else None,
+        "intervals": intervals(sealed.label, found),
         "reported_closed": found.report["gap"]["closed"] if found.report else None,
         "seconds": found.seconds,
         **judge(sealed.label, found),

@@ -1,4 +1,4 @@
-"""A diagnosis as a job of the service gives the command's report, and its model is a candidate like any other."""
+"""A diagnosis as a job of the service gives the command's report, and its model is a candidate like any other; so does a blind trial."""
 
 import json
 
@@ -8,6 +8,7 @@ import pytest
 from tests.support.made import T0_NS
 from tests.support.service import command
 from tests.support.simulated import recorded
+from trueup.blindtrial.seal import require_as_committed
 from trueup.episode.writer import write_episode
 
 
@@ -40,3 +41,17 @@ def test_its_model_goes_through_the_gate(service, done):
     _, job, _ = done
     decision = json.loads(command(service, "gate", "simulated", job["result"]["artifact"], "--json").stdout)
     assert decision["accepted"]
+
+
+def test_a_blind_trial_is_committed_before_it_is_diagnosed_and_opened_at_its_end(service, done, tmp_path):
+    out = tmp_path / "trial"
+    command(service, "blindtrial", "simulated", "--out", str(out), "--trials", "3")
+    report = json.loads((out / "report.json").read_text())
+    entries = json.loads(command(service, "audit", "simulated", "--json").stdout)
+    (committed,) = [e for e in entries if e["kind"] == "blindtrial:committed"]
+    opened = next(e for e in entries if e["kind"] == "job:finished" and e["subject"] == committed["subject"])
+    assert committed["sequence"] < opened["sequence"]
+    assert opened["facts"]["result"]["report"] == report
+    require_as_committed(report, committed["facts"]["commitments"])
+    assert (out / "report.html").read_text().startswith("<!doctype html>")
+    command(service, "audit", "--verify")

@@ -19,6 +19,7 @@ FAINT = (0.3, 2.0)  # times the noise
 LEAST_FAINT = 1e-3  # of the motion, where there is no noise
 SPREAD = (0.85, 1.15)  # of the numbers that fit the user's episodes
 AS_NOMINAL = 0.25  # of the machines have the nominal numbers
+ON_A_SPRING = ("k_modulated", "asymmetric_stiffness")
 REDRAWN = 5  # times a machine that runs away is drawn again
 
 
@@ -45,9 +46,10 @@ def left_out(plant: Plant) -> tuple[str, ...]:
 def draw_lots(plant: Plant, count: int, rng: np.random.Generator) -> list[Lot]:
     """So many lots in the proportions of PARTS, in random order; single effects come in turn, so that each is met as often."""
     known = [name for name in CATALOGUE if name not in left_out(plant)]
+    beyond = [name for name in BEYOND if name not in ON_A_SPRING or "k" in plant.dynamics.parameter_names]
     kinds = [kind for kind, part in PARTS.items() for _ in range(round(part * count))]
     kinds = (kinds + ["single"] * count)[:count]
-    turns = {kind: _turns(known if kind != "outside" else list(BEYOND), rng) for kind in PARTS}
+    turns = {kind: _turns(known if kind != "outside" else beyond, rng) for kind in PARTS}
     lots = []
     for kind in kinds:
         moved = bool(rng.random() >= AS_NOMINAL)

@@ -22,9 +22,15 @@ from trueup.diagnose.probe import WITHOUT_INPUT
 from trueup.model.effect import effects
 
 ONE_SIDED = 1.645  # standard errors
-# Numbers that both simulators mean alike, beside each effect's first: the laws behind the others differ on purpose.
-ALIKE = {"thermal_derating": ("time_constant",), "cogging": ("pitch",)}
-DIFFER = {"elastic_transmission", "cogging", "thermal_derating", "sensor_quantization", "dropped_frames"}  # in their first number
+# Numbers that both simulators mean alike, where that is not an effect's first alone: the laws behind the others differ on purpose,
+# and what is counted has no interval worth the name.
+ALIKE: Mapping[str, tuple[str, ...]] = {
+    "thermal_derating": ("time_constant",),
+    "cogging": ("pitch",),
+    "elastic_transmission": (),
+    "sensor_quantization": (),
+    "dropped_frames": (),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,22 +74,28 @@ def judge(label: Mapping[str, Any], answer: Answer) -> dict[str, Json]:
         exact = claimed and (named == truth or (truth in others and (named ^ truth) in WITHOUT_INPUT))
         in_set = claimed and (exact or truth in others)
     taken = bool(label["bait"]) and label["bait"] in named
-    excess = others - {truth} if exact else others
+    excess = {o for o in others - {truth} if (o ^ named) not in WITHOUT_INPUT}
     return {"exact": exact, "in_set": in_set, "alternatives": len(excess), "bait_taken": taken}
 
 
-def intervals(label: Mapping[str, Any], answer: Answer) -> tuple[list[bool], list[bool]]:
-    """Of a rightly named composition: whether each comparable interval holds the truth, of the effects and of the parameters."""
-    if answer.report is None or answer.verdict not in ("effect", "parameters_only") or answer.named != _folded(label["effects"]):
-        return [], []
-    of_effects = []
+def intervals(label: Mapping[str, Any], answer: Answer) -> list[dict[str, Any]]:
+    """Of a rightly named composition each comparable number: of what, the hidden value, the estimate, and whether its interval holds."""
+    if label["kind"] == "outside" or answer.report is None or answer.verdict not in ("effect", "parameters_only"):
+        return []
+    if answer.named != _folded(label["effects"]):
+        return []
+    found = []
     for entry in answer.report["effects"]:
         name = entry["effect"]
         true: Mapping[str, float] = label["effects"].get(name) or next((v for n, v in label["effects"].items() if name in _folded([n])), {})
-        comparable = [*(effects()[name].params[0].name for _ in range(name not in DIFFER)), *ALIKE.get(name, ())]
-        of_effects += [_inside(true[n], entry["estimate"][n]["ci95"]) for n in comparable if n in true and n in entry["estimate"]]
-    of_parameters = [_inside(label["parameters"][n], p["ci95"]) for n, p in answer.report["parameters"].items()]
-    return of_effects, of_parameters
+        compared = [n for n in ALIKE.get(name, (effects()[name].params[0].name,)) if n in true and n in entry["estimate"]]
+        found += [_held(name, n, true[n], entry["estimate"][n]) for n in compared]
+    return found + [_held("", n, label["parameters"][n], p) for n, p in answer.report["parameters"].items()]
+
+
+def _held(of: str, number: str, true: float, estimate: Mapping[str, Any]) -> dict[str, Any]:
+    low, high = estimate["ci95"]
+    return {"of": of, "number": number, "true": true, "value": estimate["value"], "ci95": [low, high], "holds": low <= true <= high}
 
 
 def bound(label: Mapping[str, Any], answer: Answer) -> bool | None:
@@ -109,7 +121,7 @@ def tally(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> dict[
             "in_set": _rate(r["in_set"] for r in of),
             "alternatives": float(np.mean([r["alternatives"] for r in of])),
         }
-    checks = [intervals(r["label"], a) for r, a in zip(rows, answers, strict=True)]
+    checks = [x for r in rows for x in r["intervals"]]
     bounds = [b for r, a in zip(rows, answers, strict=True) if (b := bound(r["label"], a)) is not None]
     baits = [r for r in rows if r["label"]["bait"]]
     return {
@@ -117,8 +129,8 @@ def tally(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> dict[
         "confusion": _confusion(rows),
         "trust": _trust(rows),
         "coverage": {
-            "effects": _rate(x for pair in checks for x in pair[0]),
-            "parameters": _rate(x for pair in checks for x in pair[1]),
+            "effects": _rate(x["holds"] for x in checks if x["of"]),
+            "parameters": _rate(x["holds"] for x in checks if not x["of"]),
             "bounds": _rate(bounds),
         },
         "closed": _closed(rows),
@@ -185,7 +197,3 @@ def lower(right: int, n: int) -> float:
         return 0.0
     z2, share = ONE_SIDED**2, right / n
     return max(0.0, (share + z2 / 2 / n - ONE_SIDED * math.sqrt(share * (1 - share) / n + z2 / 4 / n**2)) / (1 + z2 / n))
-
-
-def _inside(true: float, interval: Sequence[float]) -> bool:
-    return interval[0] <= true <= interval[1]

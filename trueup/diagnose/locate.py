@@ -1,4 +1,4 @@
-"""Locate: where the residual lies: in which channel, at which port, in which region.
+"""Locate: where the residual lies: in which channel, at which port, in which region, in which band of frequency.
 
 The residual of a region is what the refitted nominal form misses over a short stride, so that one place's error is not carried
 to the next; a region counts for as much as it holds more of the residual than of the time.
@@ -25,27 +25,39 @@ Array = NDArray[np.float64]
 STRIDE_S = 0.1
 SLOW, LARGE, LATE = 0.1, 0.8, 2.0 / 3.0  # of the top speed; of the largest command or travel; of the episode
 LEAST = 3  # samples in a stride
+EDGES_HZ = (0.3, 1.0, 3.0)  # between bands
 
 
 @dataclass(frozen=True, slots=True)
 class Strides:
-    """What the nominal form misses over short strides: residual acceleration, and where each stride was, `(strides,)` each."""
+    """What the nominal form misses over short strides: residual acceleration, and where each stride was, `(strides,)` each.
+
+    `motion` is the acceleration itself, `episode` counts episodes, `stride_s` is one stride's length in each.
+    """
 
     residual: Array
+    motion: Array
     q: Array
     v: Array
     u: Array
     t: Array
     use: Array
     turned: NDArray[np.bool_]
+    episode: NDArray[np.int64]
+    stride_s: Array
 
 
 def locate(
     plant: Plant, search: Search, base: Candidate, nominal: RolloutFit, adaptation: Sequence[Episode], validation: Sequence[Episode]
 ) -> dict[str, Json]:
-    """Shares of the residual by channel, by port and by region."""
+    """Shares of the residual by channel, by port, by region and by band of frequency."""
     strides = strides_of(plant, search, base, [*adaptation, *validation])
-    return {"channels": _channels(plant, search, nominal), "ports": _ports(search, base), "regions": _regions(strides)}
+    return {
+        "channels": _channels(plant, search, nominal),
+        "ports": _ports(search, base),
+        "regions": _regions(strides),
+        "bands": _bands(strides),
+    }
 
 
 def _channels(plant: Plant, search: Search, nominal: RolloutFit) -> list[Json]:
@@ -74,7 +86,7 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
 def strides_of(plant: Plant, search: Search, base: Candidate, episodes: Sequence[Episode]) -> Strides:
     """The refitted nominal form's misses over strides of STRIDE_S."""
     parts = []
-    for e in episodes:
+    for count, e in enumerate(episodes):
         every = max(LEAST, round(STRIDE_S / e.period_s))
         first = np.arange(0, len(e.t_s) - every, every)
         s = whole(plant, e, search.adaptation[0].scheme, first)
@@ -82,12 +94,27 @@ def strides_of(plant: Plant, search: Search, base: Candidate, episodes: Sequence
         fit = replace(base.fit, starts={s.digest: Start(states[first], {})})
         path = trajectory(search.fitter, fit, s)
         end = first + every - 1
-        missed = (states[end, 1] - path[end, 1]) / (e.t_s[end] - e.t_s[first])
+        span = e.t_s[end] - e.t_s[first]
+        missed, motion = (states[end, 1] - path[end, 1]) / span, (states[end, 1] - states[first, 1]) / span
         middle = first + every // 2
         u = plant.applied(e.commands)[:, 0]
         use = np.concatenate([[0.0], np.cumsum(u[:-1] ** 2 * np.diff(e.t_s))]) / np.maximum(e.t_s, e.period_s)
         turned = states[first, 1] * states[end, 1] < 0.0
-        parts.append((missed, states[middle, 0], states[middle, 1], u[middle], e.t_s[middle] / e.t_s[-1], use[middle], turned))
+        numbered = np.full(len(first), count)
+        parts.append(
+            (
+                missed,
+                motion,
+                states[middle, 0],
+                states[middle, 1],
+                u[middle],
+                e.t_s[middle] / e.t_s[-1],
+                use[middle],
+                turned,
+                numbered,
+                span,
+            )
+        )
     return Strides(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
@@ -112,3 +139,23 @@ def _regions(s: Strides) -> list[Json]:
         if time > 0.0:
             found.append((share / time, {"region": name, "share": share, "of_time": time, "lift": share / time}))
     return [entry for _, entry in sorted(found, key=lambda pair: -pair[0])]
+
+
+def _bands(s: Strides) -> list[Json]:
+    """The residual's energy in each band of frequency, beside the motion's own; what the strides cannot resolve is left out."""
+    edges = [0.0, *EDGES_HZ, np.inf]
+    energy = np.zeros((2, len(edges) - 1))
+    for count in np.unique(s.episode):
+        rows = s.episode == count
+        series = np.nan_to_num(np.stack([s.residual[rows], s.motion[rows]]))
+        n = series.shape[1]
+        rate = np.fft.rfftfreq(n, float(np.median(s.stride_s[rows])))
+        power = np.abs(np.fft.rfft((series - series.mean(axis=1, keepdims=True)) * np.hanning(n + 2)[1:-1], axis=1)) ** 2
+        for band in range(len(edges) - 1):
+            energy[:, band] += power[:, (rate >= edges[band]) & (rate < edges[band + 1])].sum(axis=1)
+    share = energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
+    found: list[Json] = []
+    for low, high, residual, motion in zip(edges[:-1], edges[1:], *share, strict=True):
+        name = f"below {high:g} Hz" if low == 0.0 else f"above {low:g} Hz" if high == np.inf else f"{low:g} to {high:g} Hz"
+        found.append({"band": name, "share": float(residual), "of_motion": float(motion)})
+    return found

@@ -174,11 +174,14 @@ def _where(d: Mapping[str, Any]) -> str:
     where = d["where"]
     regions = [(r["region"], r["share"], f"{r['share']:.0%} of the residual in {r['of_time']:.0%} of the time") for r in where["regions"]]
     ports = [(p["port"], p["share"], f"{p['share']:.1%} by {p['by'].replace('_', ' ')}") for p in where["ports"]]
+    bands = [(b["band"], b["share"], f"{b['share']:.0%} of the residual, {b['of_motion']:.0%} of the motion") for b in where["bands"]]
     channels = [(c["channel"], c["share"], f"{c['share']:.0%}") for c in where["channels"]]
     return (
         "<div class=cols><div><p class=pale>by region, the most telling first</p>" + _bars(regions) + "</div>"
         "<div><p class=pale>by port: what its best single effect takes away</p>"
         + _bars(ports)
+        + "<p class=pale>by band of frequency, of the acceleration</p>"
+        + _bars(bands)
         + "<p class=pale>by channel</p>"
         + _bars(channels)
         + "</div></div>"

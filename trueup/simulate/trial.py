@@ -218,7 +218,8 @@ def _as_large_as(
         values = {key: at * (1.0 - size) if falls else at + by * size for key, (at, by, falls) in shape.items()}
         best = replace(machine, imperfections={**machine.imperfections, name: values})
         with_it = np.concatenate([r.observed for r in _record(bench, best, plan)])
-        reached = float(np.sqrt(np.mean((with_it[:, 0] - without[:, 0]) ** 2)) / without[:, 0].std())
+        with np.errstate(over="ignore", invalid="ignore"):  # a machine that runs away is too much
+            reached = float(np.sqrt(np.mean((with_it[:, 0] - without[:, 0]) ** 2)) / without[:, 0].std())
         if not np.isfinite(reached) or reached > wanted:
             high = size
         else:

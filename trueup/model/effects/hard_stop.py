@@ -10,7 +10,7 @@ class HardStop(Effect):
 
     Equation: a - stiffness d - damping v (where pressed), with d = q beyond centre +- limit; the contact never pulls
     Source: K. H. Hunt, F. R. E. Crossley, Journal of Applied Mechanics 42 (1975), the linear case.
-    Blind: travel within the limit.
+    Blind: travel within the limit. One not stiffer than eight times what the motion itself meets is a spring that differs by side, no stop.
     """
 
     name = "hard_stop"
@@ -18,7 +18,7 @@ class HardStop(Effect):
     category = "structure"
     params = (
         Number("limit", Scale.POSITION, 1e9, 0.2, 1.6),
-        Number("stiffness", Scale.STIFFNESS, 1e3, 1.0, 1e6),
+        Number("stiffness", Scale.STIFFNESS, 1e3, 8.0, 1e6),
         Number("damping", Scale.DAMPING, 1.0, 0.0, 1e4),
         Number("centre", Scale.POSITION, 0.0, -0.6, 0.6),
     )

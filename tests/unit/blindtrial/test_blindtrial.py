@@ -1,0 +1,224 @@
+"""Blind trials: drawn after the user's log, committed before the diagnosis, and no label gets out unnoticed."""
+
+import json
+import os
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.simulated import recorded
+from trueup.blindtrial.bench import bench_of
+from trueup.blindtrial.lot import draw_lots, left_out
+from trueup.blindtrial.page import page
+from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted, commitment, require_as_committed, require_silent, salt_of
+from trueup.blindtrial.tally import Answer, bound, judge, lower
+from trueup.diagnose.case import read_case
+from trueup.errors import NotIdentifiable
+from trueup_worker import blind_trial
+from trueup_worker.blind_room import Room
+
+SECRET = bytes(range(32))
+LABEL = {"kind": "single", "effects": {"coulomb_friction": {"level": 0.2}}, "moved": True, "bait": None, "gap": 0.1}
+COUNT = 10
+
+
+def _answer(verdict, effects=(), others=(), excluded=()):
+    named = [{"effect": e, "estimate": {}} for e in effects]
+    return Answer({"verdict": verdict, "effects": named, "indistinguishable": list(others), "excluded": list(excluded)}, None, 1.0)
+
+
+@cache
+def users():
+    plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)
+    return plant, episodes
+
+
+@pytest.fixture(scope="module")
+def conducted():
+    happened = []
+
+    def room(folder: Path):
+        happened.append("asked")
+        assert sorted(p.suffix for p in folder.iterdir()) == [".json"] + [".mcap"] * 6
+        return real(folder)
+
+    with Room(min(os.sched_getaffinity(0))) as real:
+        committed = []
+        plant, episodes = users()
+
+        def commit(labels):
+            committed.extend(labels)
+            happened.append("committed")
+
+        document = blind_trial.conduct(plant, episodes, COUNT, SECRET, commit, lambda *_: None, [room])
+    return document, committed, happened
+
+
+def test_labels_are_committed_before_anybody_is_asked(conducted):
+    document, committed, happened = conducted
+    assert happened == ["committed"] + ["asked"] * COUNT
+    require_as_committed(document, committed)
+    assert [r["commitment"] for r in document["rows"]] == committed
+
+
+def test_a_label_changed_after_its_commitment_is_found(conducted):
+    document, committed, _ = conducted
+    forged = json.loads(json.dumps(document))
+    forged["rows"][3]["label"]["effects"] = {"cogging": {"amplitude": 1.0, "pitch": 0.2, "phase": 0.0}}
+    with pytest.raises(NotAsCommitted, match="trial 3"):
+        require_as_committed(forged, committed)
+    with pytest.raises(NotAsCommitted, match="were opened"):
+        require_as_committed({**document, "rows": document["rows"][1:]}, committed)
+
+
+def test_the_secret_draws_the_same_trials_again(conducted, tmp_path):
+    document, committed, _ = conducted
+    plant, episodes = users()
+    again = list(blind_trial._drawn(plant, episodes, COUNT, bytes.fromhex(document["opening"]["secret"]), tmp_path))
+    assert [s.commitment for s in again] == committed
+    assert salt_of(SECRET, 0) != salt_of(SECRET, 1)
+
+
+def test_single_effects_of_a_plain_oscillator_are_mostly_named(conducted):
+    document, _, _ = conducted
+    assert document["kinds"]["single"]["n"] == 6
+    assert document["kinds"]["single"]["exact"]["share"] >= 5 / 6
+    assert document["closed"]["median"] > 0.95
+    assert not document["leak"]["void"]
+    assert sum(c["n"] for c in document["confusion"]) + document["kinds"]["faint"]["n"] == COUNT
+    assert "<svg" in page(document)
+
+
+def test_a_planted_leak_is_caught_by_its_words(monkeypatch):
+    plain = blind_trial.case_files
+    monkeypatch.setattr(blind_trial, "case_files", lambda p, t, c: plain(p, t, c | {"note": " ".join(t.machine.imperfections)}))
+    with pytest.raises(LabelLeaked, match="spells"):
+        blind_trial.conduct(*users(), 5, SECRET, lambda _: None, lambda *_: None, [])
+    require_silent({"a.mcap": b"no word of it"}, LABEL, "5a17", {})
+    with pytest.raises(LabelLeaked, match=r"a\.mcap spells 'coulomb_friction'"):
+        require_silent({"a.mcap": b"xx coulomb_friction xx"}, LABEL, "5a17", {})
+    with pytest.raises(LabelLeaked, match=r"coulomb_friction\.mcap"):
+        require_silent({"coulomb_friction.mcap": b""}, LABEL, "5a17", {})
+    require_silent({"plant.json": b"my coulomb_friction rig"}, LABEL, "5a17", {"name": "my coulomb_friction rig"})
+    with pytest.raises(LabelLeaked):
+        require_silent({"a.mcap": b"salt 5a17"}, LABEL, "5a17", {})
+
+
+def test_a_planted_leak_that_spells_no_word_takes_the_bait(monkeypatch):
+    """Labels are smuggled through in hexadecimal; the cheat that reads them knows even what no recording holds."""
+    told, plain = {}, blind_trial.case_files
+
+    def smuggled(plant, trial, conditions):
+        return plain(plant, trial, {**conditions, "machine": told["next"].encode().hex()})
+
+    def label_of(plant, lot, trial, kept=blind_trial.label_of):
+        label = kept(plant, lot, trial)
+        told["next"] = label["bait"] or "+".join(label["effects"])
+        return label
+
+    monkeypatch.setattr(blind_trial, "label_of", label_of)
+    monkeypatch.setattr(blind_trial, "case_files", smuggled)
+
+    def cheat(folder: Path):
+        _, episodes = read_case(folder)
+        names = bytes.fromhex(episodes[0].conditions["machine"]).decode().split("+")
+        report = dict(_answer("effect", [n for n in names if n]).report) | {
+            "gap": {"closed": None},
+            "parameters": {},
+            "evidence": {"unexplained": 0.0},
+        }
+        return {"report": report, "seconds": 0.1}
+
+    plant, episodes = users()
+    document = blind_trial.conduct(plant, episodes, 20, SECRET, lambda _: None, lambda *_: None, [cheat])
+    assert document["leak"]["baits"] == 2
+    assert document["leak"]["taken"] == 2
+    assert document["leak"]["void"]
+    assert "Void" in page(document)
+
+
+def test_a_room_knows_nothing_of_its_makers_environment(monkeypatch):
+    monkeypatch.setenv("TRUEUP_DATABASE_URL", "postgresql://somebody:secret@somewhere/labels")
+    with Room(min(os.sched_getaffinity(0))) as room:
+        assert b"secret" not in Path(f"/proc/{room._process.pid}/environ").read_bytes()
+        answer = room(Path("/nowhere"))
+    assert answer["problem"].startswith("bad-plant")
+
+
+def test_a_room_that_dies_is_a_refusal():
+    with Room(min(os.sched_getaffinity(0))) as room:
+        room._process.kill()
+        room._process.wait()
+        assert "ended with code" in room(Path("/nowhere"))["problem"]
+
+
+def test_lots_come_in_their_proportions_and_every_effect_in_turn():
+    plant, _ = users()
+    lots = draw_lots(plant, 100, np.random.default_rng(1))
+    assert Counter(lot.kind for lot in lots) == {"single": 60, "pair": 12, "outside": 10, "none": 10, "faint": 8}
+    singles = Counter(lot.effects for lot in lots if lot.kind == "single")
+    assert len(singles) == 26
+    assert max(singles.values()) - min(singles.values()) <= 1
+    assert all(len(set(lot.effects)) == 2 for lot in lots if lot.kind == "pair")
+    assert all(lot.bait for lot in lots if lot.kind == "none")
+
+
+def test_what_a_plant_cannot_show_is_left_out():
+    assert left_out(recorded("B2", [], 1, shifted=False)[0]) == ("sensor_bias",)
+    assert left_out(recorded("A1", [], 1, shifted=False, velocity=False)[0]) == ("sensor_scale", "clock_skew")
+
+
+def test_the_bench_takes_after_the_log():
+    plant, episodes = users()
+    bench = bench_of(plant, episodes)
+    assert [p.role for p in bench.recorded] == [str(e.role) for e in sorted(episodes, key=lambda e: e.digest)]
+    assert bench.timestep_s == pytest.approx(plant.timestep_s)
+    assert bench.timestep_s / bench.parts <= 5e-4
+    first = min(episodes, key=lambda e: e.digest)
+    assert np.array_equal(bench.recorded[0].series, plant.applied(first.commands)[:, 0])
+    assert bench.feedback is None
+    assert bench_of(*recorded("B2", [], 1, shifted=False)[:2]).feedback is not None
+    with pytest.raises(NotIdentifiable, match="no validation episode"):
+        bench_of(plant, [e for e in episodes if e.role != "validation"])
+
+
+@pytest.mark.parametrize(
+    ("label", "answer", "expected"),
+    [
+        (LABEL, _answer("effect", ["coulomb_friction"]), (True, True, 0)),
+        (LABEL, _answer("effect", ["deadband"], [["coulomb_friction"]]), (False, True, 0)),
+        (LABEL, _answer("effect", ["coulomb_friction"], [["deadband"]]), (True, True, 1)),
+        (LABEL, _answer("parameters_only"), (False, False, 0)),
+        (LABEL | {"effects": {"sensor_delay": {}}}, _answer("effect", ["actuator_delay"], [["sensor_delay"]]), (True, True, 0)),
+        (LABEL | {"effects": {"sensor_bias": {}}}, _answer("effect", ["constant_force"], [["sensor_bias"]]), (True, True, 0)),
+        (LABEL | {"effects": {"sensor_bias": {}}}, _answer("effect", ["constant_force"]), (False, False, 0)),
+        (LABEL | {"kind": "none", "effects": {}, "bait": "cogging"}, _answer("no_gap"), (False, False, 0)),
+        (LABEL | {"kind": "none", "effects": {}, "bait": "cogging", "moved": False}, _answer("no_gap"), (True, True, 0)),
+        (LABEL | {"kind": "outside", "effects": {"van_der_pol": {}}}, _answer("unknown_effect", ["cogging"]), (True, True, 0)),
+        (LABEL | {"kind": "outside", "effects": {"van_der_pol": {}}}, _answer("effect", ["cogging"]), (False, False, 0)),
+        (LABEL, Answer(None, "bad-plant: no", 0.0), (False, False, 0)),
+    ],
+)
+def test_an_answer_is_judged(label, answer, expected):
+    found = judge(label, answer)
+    assert (found["exact"], found["in_set"], found["alternatives"]) == expected
+
+
+def test_a_bound_holds_or_does_not():
+    entry = {"effect": "coulomb_friction", "parameter": "level", "below": 0.1}
+    assert bound(LABEL, _answer("no_gap", excluded=[entry])) is False
+    assert bound(LABEL, _answer("no_gap", excluded=[entry | {"below": 0.3}])) is True
+    assert bound(LABEL, _answer("no_gap")) is None
+
+
+def test_few_trials_promise_little():
+    assert lower(5, 5) == pytest.approx(0.649, abs=0.01)
+    assert lower(0, 0) == 0.0
+    assert lower(95, 100) < 0.95
+
+
+def test_a_commitment_hides_behind_its_salt():
+    assert commitment(LABEL, "1") != commitment(LABEL, "2")
