@@ -34,7 +34,9 @@ FAR_BEHIND = 4.0  # times the best misfit
 def explore(plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], progress: Progress) -> Search:
     """The search under the scheme of integration that explains the episodes best."""
     schemes = [refined(plant), DECLARED]
-    if quiet(admission):
+    if yardstick(adaptation) is PHYSICAL:
+        schemes = schemes[:1]  # a machine has no step
+    elif quiet(admission):
         schemes.reverse()  # a log without noise is a simulator's, and its step is the declared one
     best: Search | None = None
     for scheme in schemes:

@@ -1,7 +1,8 @@
 """Measure: how far the gap closes on held-out episodes, from rollouts that start as `trueup predict` starts them.
 
 error    root mean square over samples and channels of (predicted - observed) / the channel's standard deviation over the held-out
-         episodes; rollouts start at each multiple of the horizon, and the starting samples do not count
+         episodes; rollouts start at each multiple of the horizon, and the starting samples do not count; where no velocity is observed
+         an episode's first rollout starts in ignorance of it, which is not the model's gap, and does not count either
 floor    what the measured noise does to the compared sample, and to the prediction through the state from which a window starts:
          the latter is how far predictions move when the episodes are given the same noise once more
 closed   1 - (after^2 - floor^2) / (before^2 - floor^2)
@@ -19,7 +20,7 @@ from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal, Predictor
-from trueup.model.state import known_from
+from trueup.model.state import is_observed
 from trueup.model.windows import Windows, cut, starts_every
 
 Array = NDArray[np.float64]
@@ -76,8 +77,9 @@ def _floor(corrected: Predictor, episode: Episode, horizon_s: float, motion: Arr
 
 
 def _windows(plant: Plant, episode: Episode, horizon_s: float) -> Windows:
-    """Windows at each multiple of the horizon from where the state is known."""
-    return cut(plant, episode, starts_every(episode.t_s[:-1], horizon_s, float(episode.t_s[known_from(plant, episode)])))
+    """Windows at each multiple of the horizon; where a velocity is not observed, from the second on if there is one."""
+    first = starts_every(episode.t_s[:-1], horizon_s)
+    return cut(plant, episode, first if is_observed(plant, episode) or len(first) == 1 else first[1:])
 
 
 def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array) -> Array:

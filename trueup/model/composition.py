@@ -7,7 +7,8 @@ its own effects cost, and nothing is compiled for it.
 
     each episode runs from its first sample to its last; hidden states (lag, play, heat, hysteresis) run through
     at the start of a window, position and velocity are set; the rest keeps its past
-    where lanes follow lane 0, lane 0 is corrected by each observation and the others start each window from its whole state
+    where lanes follow lane 0, lane 0 is corrected by each observation, in position, velocity and a force that disturbs it, and the others
+    start each window from its whole state
 
 Two schemes of integration: the declared one (semi-implicit Euler, alpha 0), and its symmetric form (alpha 1/2), in which
 position drifts, velocity is kicked and position drifts, of second order. Source: E. Hairer, C. Lubich, G. Wanner, Geometric
@@ -47,7 +48,7 @@ def make(digest, functions, njit):
         for lane in range(W):
             u[lane] = issued[0]
         {begin}
-        delayed = False
+        delayed, push = False, 0.0
         implicit = 1.0 - 2.0 * alpha
         {delays}
         for i in range(last + 1):
@@ -75,6 +76,7 @@ def make(digest, functions, njit):
                         else:
                             q[0] += gain[0, c] * missed
                             v[0] += gain[1, c] * missed
+                            push += gain[2, c] * missed
                 if resets[i] >= 0:
                     for lane in range(1, W):
                         q[lane], v[lane] = q[0], v[0]
@@ -107,6 +109,7 @@ def make(digest, functions, njit):
                     ve[lane] = v[lane]
                 {families}
                 {force}
+                a[0] += push  # of the filter alone: what disturbs the machine for a while is not foretold
                 for lane in range(W):
                     level[lane] = 0.0
                 {friction}
@@ -125,7 +128,7 @@ def kernel() -> Callable[..., None]:
     """The compiled rollout of one block over one episode.
 
     p `(parameters, BLOCK)`; on `(effects,)`; t_s, h_s, steps, issued, integral (of the command, up to each sample), resets (the window
-    that starts at a sample, or -1) `(samples,)`; init `(windows, 2, BLOCK)`; gain `(2, channels)`; observed `(samples, channels)`;
+    that starts at a sample, or -1) `(samples,)`; init `(windows, 2, BLOCK)`; gain `(3, channels)`; observed `(samples, channels)`;
     writes out `(samples, 2, BLOCK)`.
     """
     functions, text = assemble(families(), effects())

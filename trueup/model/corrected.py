@@ -1,7 +1,8 @@
 """Corrected: the nominal form with the numbers and effects that a diagnosis found.
 
 A rollout starts from a filter that ran over the episode's past: the same model, corrected by each observation with a constant
-gain. So lag, play, heat and hysteresis have the past that they need, and noise of the starting sample is averaged out.
+gain. So lag, play, heat and hysteresis have the past that they need, and noise of the starting sample is averaged out. Where no
+velocity is observed, an episode's first is the one expected at its first position and command.
 Source of the gain: R. E. Kalman, Journal of Basic Engineering 82 (1960), in the steady state.
 """
 
@@ -33,14 +34,16 @@ Array = NDArray[np.float64]
 class Corrected(Predictor):
     """A family with effects.
 
-    `values` is the block's vector, `gain` `(2, 2)` corrects position and velocity by an observed position and velocity.
+    `values` is the block's vector; `gain` `(3, 2)` corrects position, velocity and a disturbing acceleration by an observed position and
+    velocity; `begin` are the weights of 1, position and command in a first velocity that nobody observed.
     """
 
     plant: Plant
     hypothesis: Hypothesis
     values: tuple[float, ...]
     scheme: Scheme
-    gain: tuple[tuple[float, float], tuple[float, float]]
+    gain: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    begin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     kind = "corrected"
 
     @property
@@ -59,7 +62,10 @@ class Corrected(Predictor):
     def rollout(self, windows: Windows) -> Array:
         series = whole(self.plant, windows.episode, self.scheme, windows.first)
         p = np.repeat(np.array(self.values)[:, None], BLOCK, axis=1)
-        init = np.repeat(np.nan_to_num(past_states(self.plant, windows.episode)[:1, :, None]), BLOCK, axis=2)
+        first = np.nan_to_num(past_states(self.plant, windows.episode)[:1])
+        if 1 not in self.plant.state_columns:
+            first[0, 1] = np.dot(self.begin, (1.0, first[0, 0], series.issued[0]))
+        init = np.repeat(first[:, :, None], BLOCK, axis=2)
         family = list(families()).index(self.family.name)
         out = roll(series, family, p, switches(self.hypothesis), init, np.array(self.gain))
         return np.asarray(out[windows.rows][:, :, :, 1])
@@ -75,6 +81,7 @@ class Corrected(Predictor):
             "effects": found,
             "scheme": {"alpha": self.scheme.alpha, "parts": self.scheme.parts},
             "gain": [list(row) for row in self.gain],
+            "begin": list(self.begin),
         }
 
     def arrays(self) -> dict[str, Array]:
@@ -94,8 +101,10 @@ class Corrected(Predictor):
         if not np.isfinite(values[list(_rows(hypothesis))]).all():
             raise ValueError("a parameter of an acting effect is not finite")
         scheme = Scheme(float(given["scheme"]["alpha"]), int(given["scheme"]["parts"]))
-        (a, b), (c, d) = given["gain"]
-        return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, ((float(a), float(b)), (float(c), float(d))))
+        gain = np.array(given["gain"], float).reshape(3, 2)
+        one, q, u = map(float, given["begin"])
+        rows = tuple((float(a), float(b)) for a, b in gain)
+        return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, rows, (one, q, u))
 
 
 def _family(plant: Plant) -> type[Family]:

@@ -20,7 +20,7 @@ from trueup.model.windows import intervals, starts_every
 Array = NDArray[np.float64]
 DISTINCT = 0.9  # of the samples have a value of their own where noise is finer than no lattice
 AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one after another
-NO_GAIN = np.zeros((2, 2))
+NO_GAIN = np.zeros((3, 2))
 
 
 @dataclass(frozen=True, slots=True)

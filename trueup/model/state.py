@@ -32,8 +32,12 @@ def smoothed_states(plant: Plant, episode: Episode) -> Array:
 
 def known_from(plant: Plant, episode: Episode) -> int:
     """The first sample at which the past gives the whole state: a velocity that nobody observes needs a span of positions."""
-    observed = len(plant.layout.observations) == 2 * plant.dynamics.joints and not episode.missing
-    return 0 if observed else min(_span(episode), len(episode.t_s) - 1)
+    return 0 if is_observed(plant, episode) else min(_span(episode), len(episode.t_s) - 1)
+
+
+def is_observed(plant: Plant, episode: Episode) -> bool:
+    """Whether every position and velocity was observed."""
+    return len(plant.layout.observations) == 2 * plant.dynamics.joints and not episode.missing
 
 
 def _span(episode: Episode) -> int:

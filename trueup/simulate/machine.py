@@ -32,6 +32,7 @@ SLOTS: Mapping[str, tuple[str, ...]] = {
     "cogging": ("amplitude", "pitch", "phase"),
     "elastic_transmission": ("stiffness", "damping", "share"),
     "load_dependent_friction": ("coefficient",),
+    "asymmetric_viscous_friction": ("difference",),
     "deadband": ("width",),
     "backlash": ("gap",),
     "actuator_lag": ("time_constant",),
@@ -61,7 +62,7 @@ SLOTS: Mapping[str, tuple[str, ...]] = {
 BEYOND = tuple(list(SLOTS)[-8:])
 FIRST = dict(zip(SLOTS, np.cumsum([0] + [len(v) for v in SLOTS.values()])[:-1], strict=True))
 SIZE = sum(len(v) for v in SLOTS.values())
-(S_COULOMB, S_STRIBECK, S_DRAG, S_CUBIC, S_FORCE, S_HYST, S_STOP, S_COG, S_ELASTIC, S_LOAD, S_DEAD, S_PLAY, S_LAG, S_DELAY, S_SAT,
+(S_COULOMB, S_STRIBECK, S_DRAG, S_CUBIC, S_FORCE, S_HYST, S_STOP, S_COG, S_ELASTIC, S_LOAD, S_VASYM, S_DEAD, S_PLAY, S_LAG, S_DELAY, S_SAT,
  S_RATE, S_HEAT, S_ASYM, S_CQUANT, S_SDELAY, S_BIAS, S_SCALE, S_SQUANT, S_DRIFT, S_SKEW, S_DROP, S_KMOD, S_VDP, S_PDAMP, S_QGAIN,
  S_MODE, S_VISCO, S_ASTIFF, S_GROW) = (int(FIRST[name]) for name in SLOTS)  # fmt: skip
 
@@ -202,6 +203,7 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
                 stiffness = k * (1.0 + n[S_ASTIFF]) if x > 0.0 else k * (1.0 - n[S_ASTIFF])
             spring = 0.0 if kind == 0 else (-stiffness * x if kind == 1 else -stiffness * np.sin(x))
             drive = b * u
+            damping = c + n[S_VASYM] if w > 0.0 else c - n[S_VASYM]
             force = spring + n[S_FORCE] - n[S_DRAG] * w * abs(w) - n[S_CUBIC] * x**3
             if has[S_COG]:
                 force += n[S_COG] * np.sin(2.0 * np.pi * x / n[S_COG + 1] + n[S_COG + 2])
@@ -230,11 +232,11 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
             if has[S_ELASTIC]:
                 share = n[S_ELASTIC + 2]
                 coupling = n[S_ELASTIC] * twist + n[S_ELASTIC + 1] * twist_speed
-                twist_speed += h * ((drive - coupling) / share - (force - c * w + coupling) / (1.0 - share))
+                twist_speed += h * ((drive - coupling) / share - (force - damping * w + coupling) / (1.0 - share))
                 twist += h * twist_speed
-                pulled = (force - c * w + coupling) / (1.0 - share)
+                pulled = (force - damping * w + coupling) / (1.0 - share)
             else:
-                pulled = force - c * w + drive
+                pulled = force - damping * w + drive
             # friction
             stick = n[S_COULOMB] + n[S_LOAD] * abs(drive - spring) / 2.0 + n[S_GROW] * max(now, 0.0)
             if has[S_STRIBECK]:

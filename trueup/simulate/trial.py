@@ -179,6 +179,7 @@ def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Gener
         "cogging": {"amplitude": grows(a), "pitch": fixed(q * rng.uniform(0.3, 1.2)), "phase": fixed(rng.uniform(0, 6.28))},
         "elastic_transmission": {"stiffness": shrinks(40.0 / t**2), "damping": fixed(0.15 / t), "share": fixed(rng.uniform(0.15, 0.5))},
         "load_dependent_friction": {"coefficient": grows(1.0)},
+        "asymmetric_viscous_friction": {"difference": grows(a / v * sign)},
         "deadband": {"width": grows(u)},
         "backlash": {"gap": grows(u)},
         "actuator_lag": {"time_constant": grows(t)},

@@ -160,7 +160,7 @@ def test_lots_come_in_their_proportions_and_every_effect_in_turn():
     lots = draw_lots(plant, 100, np.random.default_rng(1))
     assert Counter(lot.kind for lot in lots) == {"single": 60, "pair": 12, "outside": 10, "none": 10, "faint": 8}
     singles = Counter(lot.effects for lot in lots if lot.kind == "single")
-    assert len(singles) == 26
+    assert len(singles) == 27
     assert max(singles.values()) - min(singles.values()) <= 1
     assert all(len(set(lot.effects)) == 2 for lot in lots if lot.kind == "pair")
     assert all(lot.bait for lot in lots if lot.kind == "none")
