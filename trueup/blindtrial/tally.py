@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from trueup.canonical import Json
-from trueup.diagnose.probe import WITHOUT_INPUT
+from trueup.diagnose.twins import TWINS
 from trueup.model.effect import effects
 
 ONE_SIDED = 1.645  # standard errors
@@ -71,10 +71,10 @@ def judge(label: Mapping[str, Any], answer: Answer) -> dict[str, Json]:
         exact = in_set = answer.verdict == "unknown_effect"
     else:
         claimed = answer.verdict == "effect"
-        exact = claimed and (named == truth or (truth in others and (named ^ truth) in WITHOUT_INPUT))
+        exact = claimed and (named == truth or (truth in others and (named ^ truth) in TWINS))
         in_set = claimed and (exact or truth in others)
     taken = bool(label["bait"]) and label["bait"] in named
-    excess = {o for o in others - {truth} if (o ^ named) not in WITHOUT_INPUT}
+    excess = {o for o in others - {truth} if (o ^ named) not in TWINS}
     return {"exact": exact, "in_set": in_set, "alternatives": len(excess), "bait_taken": taken}
 
 

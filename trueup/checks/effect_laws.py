@@ -110,7 +110,7 @@ def compiled_equals_numpy(effect: type[Effect]) -> None:
     values = _values(effect, _usual(effect))
     for scheme in (DECLARED, SYMMETRIC):
         single = replace(scheme, parts=1)
-        model = Corrected(PLANT, Hypothesis((effect.name,)), tuple(values), single, ((0.0, 0.0), (0.0, 0.0)))
+        model = Corrected(PLANT, Hypothesis((effect.name,)), tuple(values), single)
         for _ in range(20):
             state, u = rng.normal(size=2) * 0.6, rng.uniform(-1.0, 1.0)
             expected = model.predict_batch(state[None], np.array([[u]]))[0]

@@ -36,7 +36,8 @@ class Yardstick:
     """How exact a law may be expected to be.
 
     `material` is the least part of the refitted gap that an effect must remove, `finishing` the same where it leaves FINISHED of the
-    rest; `overall` the least part of the nominal model's gap; `unexplained` the part of the gap beyond which no law is the answer;
+    rest; `overall` the least part of the nominal model's gap; `unexplained` the part of the gap beyond which no law is the answer, and
+    `unexplained_by_more` the same of more than one: what many numbers cannot take up;
     `most_effects` how many are looked for; `alike` the part
     of the best misfit on validation episodes within which two compositions of one size are alike. Where that is not 0, what remains is no
     white noise, samples are no independent witnesses, and only validation episodes rank.
@@ -46,12 +47,13 @@ class Yardstick:
     finishing: float
     overall: float
     unexplained: float
+    unexplained_by_more: float
     most_effects: int
     alike: float
 
 
-SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 3, 0.0)  # the laws' forms and the integration differ by about a thousandth
-PHYSICAL = Yardstick(0.02, 0.02, 2e-3, 0.15, 2, 0.25)  # no textbook law holds on a machine to better than some per cent
+SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 0.003, 3, 0.0)  # the laws' forms and the integration differ by about a thousandth
+PHYSICAL = Yardstick(0.02, 0.02, 2e-3, 0.15, 0.15, 2, 0.25)  # no textbook law holds on a machine to better than some per cent
 
 
 def yardstick(episodes: Sequence[Episode]) -> Yardstick:
@@ -93,7 +95,8 @@ def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick =
             winner = group[0]
     size = complexity(winner)
     left = max(winner.misfit - 1.0, 0.0) / max(base.misfit - 1.0 if size else gap, 1e-12)
-    if winner.misfit > ADEQUATE and left > by.unexplained:
+    bearable = by.unexplained_by_more if len(winner.hypothesis.effects) > 1 else by.unexplained
+    if winner.misfit > ADEQUATE and left > bearable:
         return Choice(Verdict.UNKNOWN, winner, (), left)
     if size:
         rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner, by))

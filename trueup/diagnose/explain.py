@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
-from trueup.diagnose.search import Candidate, Search, searchable
+from trueup.diagnose.search import RESOLUTION, Candidate, Search, searchable
 from trueup.fit.rollout_fit import Fitter, RolloutFit, in_parallel
 from trueup.model.effect import Effect, Number, Scale, effects
 from trueup.model.plant import Plant
@@ -65,7 +65,8 @@ def unit(scale: Scale, plant: Plant) -> str:
 def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], float]:
     """Half of each 95 % interval, by (effect or "", parameter); scaled by what the fit leaves unexplained.
 
-    How far an estimate moves between coarse and fine steps of integration is added in quadrature: a machine has no step.
+    How far an estimate moves between coarse and fine steps of integration is added in quadrature, for a machine has no step; and so is
+    the grid on which a number was found between whose corners the error is flat.
     """
     if not len(fit.free.rows):
         return {}
@@ -73,7 +74,8 @@ def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], fl
     scaled = fit.information / size[:, None] / size
     variance = np.maximum(np.diag(np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)), 0.0) / size**2
     moved = fit.values[fit.free.rows] - coarse.values[fit.free.rows]
-    width = np.sqrt(TWO_SIDED**2 * variance * max(fit.misfit, 1.0) + moved**2)
+    grid = np.array([RESOLUTION * (e != "" and effects()[e].zoomed == n) for e, n in fit.free.names]) * fit.values[fit.free.rows]
+    width = np.sqrt(TWO_SIDED**2 * variance * max(fit.misfit, 1.0) + moved**2 + grid**2)
     return {name: float(w) for name, w in zip(fit.free.names, width, strict=True)}
 
 

@@ -18,6 +18,7 @@ from trueup.canonical import Json
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
 from trueup.diagnose.search import Candidate, Search
+from trueup.diagnose.twins import TWINS
 from trueup.model.block import BLOCK
 from trueup.model.hypothesis import switches
 from trueup.model.plant import Plant
@@ -29,15 +30,6 @@ DETECTABLE = 4.0  # standard errors between two predictions, over the whole expe
 RATES_HZ = (0.15, 0.4, 1.0, 2.5)
 SIZES = (0.25, 0.5, 0.95)  # of the command's limit
 SHAPES = ("sine", "square", "ramp and hold", "chirp")
-WITHOUT_INPUT = {
-    frozenset(
-        {"constant_force", "sensor_bias"}
-    ): "compare the logged position with a gauge or an end stop at rest, or hold the joint by hand at a known place",
-    frozenset(
-        {"sensor_scale", "clock_skew"}
-    ): "compare the logged travel with a ruler over a known distance, or the log's clock with a second one",
-    frozenset({"actuator_delay", "sensor_delay"}): "log the applied command or the motor current with the sensor's own clock",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +58,7 @@ def next_experiment(plant: Plant, admission: Admission, search: Search, choice: 
     if not choice.rivals:
         if "actuator_delay" in choice.winner.hypothesis.effects:
             pair = ("actuator_delay",), ("sensor_delay",)
-            return Experiment(
-                pair, "No command parts them: " + WITHOUT_INPUT[frozenset({"actuator_delay", "sensor_delay"})] + ".", t, None, 0.0
-            )
+            return Experiment(pair, "No command parts them: " + TWINS[frozenset(pair[0] + pair[1])] + ".", t, None, 0.0)
         return None
     rival = choice.rivals[0]
     splits = choice.winner.hypothesis.effects, rival.hypothesis.effects
@@ -80,7 +70,7 @@ def next_experiment(plant: Plant, admission: Admission, search: Search, choice: 
             best, separation = command, found
     if best is None or separation < DETECTABLE:
         differing = frozenset(splits[0]) ^ frozenset(splits[1])
-        how = WITHOUT_INPUT.get(differing, "another sensor at the joint, or another load, is needed")
+        how = TWINS.get(differing, "another sensor at the joint, or another load, is needed")
         return Experiment(splits, f"No command within the limits parts them by {DETECTABLE:g} standard errors: {how}.", t, None, separation)
     why = (
         f"The two predictions differ by {separation:.0f} standard errors over {DURATION_S:g} s, after the rival's parameters have adapted."

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from trueup.diagnose.twins import twins
 from trueup.fit.rollout_fit import Fitter, RolloutFit, in_parallel
 from trueup.fit.rollout_fit import Start as FitStart
 from trueup.model.block import BLOCK, layout, memories, nulls
@@ -28,6 +29,7 @@ KEPT = 2  # starts that go on
 SAME_PLACE, SAME_COST = 0.02, 1e-3  # of a value, of a cost: nearer fits are one
 ZOOMS = (0.04, 0.013, 0.004)  # of a value: grids around the best, ever finer
 ZOOM_POINTS = (-1.0, -0.66, -0.33, 0.33, 0.66, 1.0)
+RESOLUTION = ZOOMS[-1] * ZOOM_POINTS[3]  # of a value that was zoomed in on
 ASKED_FOR = 18.0  # squared standard errors that a number must be worth
 PASTS = (0.0, 0.5, -0.5)  # of a memory's scale, where its effect has corners
 NEARLY = 4.0  # times the misfit: a part of a composition that does about as well
@@ -188,6 +190,13 @@ class Search:
             if len(part.hypothesis.effects) > 1 and part.misfit < NEARLY * max(candidate.misfit, 1.0):
                 better += self.shrink(part)
         return better
+
+    def mirror(self, candidate: Candidate) -> None:
+        """The same with each effect replaced by its twin, fitted until nothing moves, where not known yet."""
+        for rest, twin in twins(candidate.hypothesis):
+            if twin in searchable() and rest | twin not in self.found:
+                for found in self.extend([self.fitted(rest, candidate)], [twin]):
+                    self.refine(found)
 
     def keep(self, fit: RolloutFit) -> Candidate:
         """A fit as a candidate, with the starts of validation windows estimated."""

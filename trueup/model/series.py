@@ -19,6 +19,7 @@ from trueup.model.windows import intervals, starts_every
 
 Array = NDArray[np.float64]
 DISTINCT = 0.9  # of the samples have a value of their own where noise is finer than no lattice
+FINE_S = 0.0125  # there the error of a 1 Hz motion is 3e-4
 AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one after another
 NO_GAIN = np.zeros((3, 2))
 
@@ -35,8 +36,8 @@ DECLARED = Scheme(0.0, 1)
 
 
 def refined(plant: Plant) -> Scheme:
-    """The symmetric scheme; a declared step over 10 ms is halved."""
-    return Scheme(0.5, 2 if plant.timestep_s > 0.01 else 1)  # noqa: PLR2004  (at 10 ms the error of a 1 Hz motion is 2e-4)
+    """The symmetric scheme, on parts of the declared step no longer than FINE_S."""
+    return Scheme(0.5, max(1, int(np.ceil(plant.timestep_s / FINE_S - 1e-9))))
 
 
 @dataclass(frozen=True, slots=True)

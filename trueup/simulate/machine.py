@@ -171,8 +171,9 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
             if has[S_RATE]:
                 change = u - rate
                 most = n[S_RATE] * h
-                rate = u if abs(change) <= most else rate + (most if change > 0.0 else -most)
-                u = rate
+                later = u if abs(change) <= most else rate + (most if change > 0.0 else -most)
+                u = later if parts == 1 else 0.5 * (rate + later)
+                rate = later
             if has[S_DEAD]:
                 u = 0.0 if abs(u) <= n[S_DEAD] else (u - n[S_DEAD] if u > 0.0 else u + n[S_DEAD])
             if has[S_PLAY]:

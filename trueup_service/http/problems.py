@@ -14,6 +14,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 
 from trueup import errors
+from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted
 from trueup.canonical import NotCanonical
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
 from trueup_service import errors as service
@@ -32,6 +33,8 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.RoleRefused: HTTPStatus.FORBIDDEN,
     errors.PointerMoved: HTTPStatus.CONFLICT,
     errors.BrokenChain: HTTPStatus.INTERNAL_SERVER_ERROR,
+    LabelLeaked: HTTPStatus.UNPROCESSABLE_ENTITY,
+    NotAsCommitted: HTTPStatus.INTERNAL_SERVER_ERROR,
     NotCanonical: HTTPStatus.UNPROCESSABLE_ENTITY,
     NotAccepted: HTTPStatus.CONFLICT,
     NothingToRollBackTo: HTTPStatus.CONFLICT,
