@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from rich.text import Text
 
+from trueup.diagnose.page import sentence
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.fit.score import rollout_rms
@@ -39,6 +40,7 @@ CANDIDATES: dict[str, dict[str, Any]] = {
     "identified parameters": {"kind": "fit", "method": "identify"},
     "nominal + quadratic residual": {"kind": "fit", "method": "residual"},
     "nominal + friction residual": {"kind": "fit", "method": "residual", "features": FRICTION},
+    "diagnosed effects": {"kind": "diagnose"},
 }
 START_LIMIT_S, LOOK_S = 30.0, 0.02
 
@@ -57,7 +59,7 @@ class Case:
 
 
 def demo(case: Path = EXAMPLE, *, work: Path = Path(".trueup/demo")) -> None:
-    """Register a plant, upload its recordings, fit candidates, gate them, promote, predict, roll back, and show the audit trail.
+    """Register a plant, upload recordings, fit candidates and diagnose, gate, promote, predict, roll back, and show the audit trail.
 
     Parameters
     ----------
@@ -146,10 +148,13 @@ def _fit_and_gate(client: Client, case: Case) -> dict[str, Any] | None:
         f"gate {gate['digest'][:12]}: {', '.join(r['rule'] for r in gate['document']['rules'])}, "
         f"over windows of {gate['document']['scoring']['horizon_s']:g} s"
     )
-    _say(3, "Fit candidates from the adaptation episodes, judge each on the validation episodes")
+    _say(3, "Fit candidates from the adaptation episodes and diagnose the gap; judge each on the validation episodes")
     rows, decisions = [], []
     for name, request in CANDIDATES.items():
-        artifact = run_job(client, case.name, request, "fit")["result"]["artifact"]
+        result = run_job(client, case.name, request, request["kind"])["result"]
+        artifact = result["artifact"]
+        if "report" in result:
+            out.print(sentence(result["report"]))
         judged = run_job(client, case.name, {"kind": "gate", "candidate": artifact, "gate": gate["digest"]}, "judge")
         decisions.append(client.decision(case.name, judged["result"]["decision"]))
         figures = {v["rule"]: v["value"] for v in decisions[-1]["document"]["verdicts"]}

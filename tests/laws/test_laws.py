@@ -40,7 +40,14 @@ def _corrected():
     values = fitter.with_effect(fitter.begin((1.2, 0.6, 0.8)), "coulomb_friction", (0.2,))
     values = fitter.with_effect(values, "actuator_lag", (0.1,))
     both = Hypothesis() | "coulomb_friction" | "actuator_lag"
-    return Corrected(PLANT, both, tuple(map(float, values)), Scheme(0.5, 2), ((0.2, 0.0), (0.1, 0.3), (0.0, 0.5)), (0.1, 0.2, 0.3))
+    return Corrected(
+        PLANT,
+        both,
+        tuple(map(float, values)),
+        Scheme(0.5, 2),
+        ((0.5, 0.0, 0.2, 0.6, 0.0, 0.0), (0.2, 0.0, 0.1, 0.3, 0.0, 0.5)),
+        (0.1, 0.2, 0.3),
+    )
 
 
 @pytest.mark.parametrize("law", effect_laws.LAWS, ids=lambda f: f.__name__)

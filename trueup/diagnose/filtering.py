@@ -1,7 +1,8 @@
 """Filtering: the gain with which a corrected model follows an episode before it predicts.
 
-Steady-state Kalman gain of the model linearised at rest; what the log does not tell, how much the machine is disturbed and whether
-from sample to sample or for a while, is chosen by how well windows of the adaptation episodes are predicted.
+Kalman gain of the model linearised at rest, from a first sample to its steady state. What the log does not tell, how much the machine
+is disturbed and whether from sample to sample or for a while, is chosen by how well windows of the adaptation episodes are predicted,
+and among those that do as well by how near the next sample is.
 Source: B. D. O. Anderson, J. B. Moore, Optimal Filtering (1979), chapter 4; the doubling: B. D. O. Anderson,
 International Journal of Control 28 (1978).
 """
@@ -30,6 +31,9 @@ DOUBLINGS = 24  # of the time over which a filter settles: from one sample to da
 LEAST, MOST = -7.0, 5.0  # decades of the motion's acceleration: a force that is random in each second, or wanders so far in one
 COARSE = 2.0  # decades between the first sizes that are tried
 FINEST = 0.4
+BEGINNING = 24  # samples until the steady gain is used
+UNCERTAIN = 2.0  # standard errors
+RAN_AWAY = 1e12
 
 
 def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Scheme, episodes: Sequence[Episode]) -> Corrected:
@@ -38,40 +42,56 @@ def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Schem
     if admission.coarse.any():
         hypothesis = Hypothesis((*hypothesis.effects, "sensor_quantization"))
         values[list(layout()["sensor_quantization"])] = np.where(admission.coarse, admission.lattice, 0.0)
-    model = Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, begin=_first_velocity(plant, episodes))
+    begin, unknown = _first_velocity(plant, episodes)
+    model = Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, begin=begin)
     period = episodes[0].period_s
 
-    def tried(kind: tuple[float, bool]) -> tuple[float, Corrected]:
-        candidate = replace(model, gain=_gain(plant, admission, model, 10.0 ** kind[0], period, wanders=kind[1]))
-        error = np.mean([squared_errors(candidate, e, plant.horizon_s, admission.motion).mean() for e in episodes])
-        return (float(error) if np.isfinite(error) else np.inf), candidate
+    def tried(kind: tuple[float, bool]) -> tuple[Array, Corrected]:
+        candidate = replace(model, gain=_gain(plant, admission, model, 10.0 ** kind[0], period, unknown, wanders=kind[1]))
+        return _errors(candidate, admission, episodes, plant.horizon_s), candidate
 
-    def tried_all(kinds: Sequence[tuple[float, bool]]) -> dict[tuple[float, bool], tuple[float, Corrected]]:
+    def tried_all(kinds: Sequence[tuple[float, bool]]) -> dict[tuple[float, bool], tuple[Array, Corrected]]:
         return dict(zip(kinds, in_parallel(tried, kinds), strict=True))
 
     found = tried_all([(size, wanders) for wanders in (False, True) for size in np.arange(LEAST, MOST + 1e-9, COARSE)])
     width = COARSE / 2.0
     while width > FINEST:
-        size, wanders = min(found, key=lambda k: found[k][0])
+        size, wanders = min(found, key=lambda k: found[k][0].mean())
         found |= tried_all([(size - width, wanders), (size + width, wanders)])
         width /= 2.0
-    return min(found.values(), key=lambda pair: pair[0])[1]
+    least = min((errors for errors, _ in found.values()), key=lambda errors: errors.mean())
+    alike = [candidate for errors, candidate in found.values() if _as_well(errors - least)]
+    nearest = list(in_parallel(lambda c: _errors(c, admission, episodes, period).mean(), alike))
+    return alike[int(np.argmin(nearest))]
 
 
-def _first_velocity(plant: Plant, episodes: Sequence[Episode]) -> tuple[float, float, float]:
-    """Weights of 1, position and command in the velocity that goes with them, by least squares over all samples."""
+def _errors(model: Corrected, admission: Admission, episodes: Sequence[Episode], horizon_s: float) -> Array:
+    """Mean squared normalised error of each window of a horizon, `(windows,)`; what ran away is huge."""
+    found = np.concatenate([squared_errors(model, e, horizon_s, admission.motion) for e in episodes])
+    return np.where(np.isfinite(found), found, RAN_AWAY)
+
+
+def _as_well(worse: Array) -> bool:
+    """Whether windows do not show a difference; then the gain that is nearest a sample ahead is the filter's."""
+    return bool(worse.mean() <= UNCERTAIN * worse.std() / np.sqrt(len(worse)))
+
+
+def _first_velocity(plant: Plant, episodes: Sequence[Episode]) -> tuple[tuple[float, float, float], float]:
+    """Weights of 1, position and command in the velocity that goes with them, by least squares over all samples, and what they miss."""
     states = np.concatenate([smoothed_states(plant, e) for e in episodes])
     u = np.concatenate([plant.applied(e.commands)[:, 0] for e in episodes])
     sound = np.isfinite(states).all(axis=1) & np.isfinite(u)
-    terms = np.column_stack([np.ones(len(u)), states[:, 0], u])[sound]
-    one, q, drive = np.linalg.lstsq(terms, states[sound, 1], rcond=None)[0]
-    return float(one), float(q), float(drive)
+    terms, speed = np.column_stack([np.ones(len(u)), states[:, 0], u])[sound], states[sound, 1]
+    one, q, drive = (float(x) for x in np.linalg.lstsq(terms, speed, rcond=None)[0])
+    return (one, q, drive), float(np.std(speed - terms @ np.array([one, q, drive])))
 
 
 def _gain(
-    plant: Plant, admission: Admission, model: Corrected, size: float, period_s: float, *, wanders: bool
-) -> tuple[tuple[float, float], ...]:
-    """The steady gain `(3, 2)` for a disturbance of a size: a force random from sample to sample, or one that wanders and is estimated."""
+    plant: Plant, admission: Admission, model: Corrected, size: float, period_s: float, unknown: float, *, wanders: bool
+) -> tuple[tuple[float, ...], ...]:
+    """The gains of the first samples and the steady one, `(3, 2)` each in a row, for a disturbance of a size: a force random from sample to
+    sample, or one that wanders and is estimated. `unknown` is the standard deviation of a first velocity that nobody observed.
+    """
     names = plant.dynamics.parameter_names
     h, seen, sizes = period_s, admission.observed, admission.scales
     unit = np.array([sizes.position, sizes.velocity, sizes.acceleration])  # keeps the equation well scaled
@@ -88,10 +108,19 @@ def _gain(
     noise = np.diag(np.maximum(admission.noise[seen], 1e-6 * admission.motion[seen]) ** 2)
     a, drive = (a * unit / unit[:, None])[kept, kept], (drive / unit / unit[:, None] + 1e-16 * np.eye(3))[kept, kept]
     c = (np.eye(3)[:2][seen] * unit)[:, kept]
-    p = _steady(a, c.T @ np.linalg.solve(noise, c), drive)
-    gain = np.zeros((3, 2))
-    gain[kept, seen] = unit[kept, None] * (p @ c.T @ np.linalg.inv(c @ p @ c.T + noise))
-    return tuple((float(x), float(y)) for x, y in gain)
+    steady = _steady(a, c.T @ np.linalg.solve(noise, c), drive)
+    p = steady.copy()
+    p[:2] = p[:, :2] = 0.0
+    p[[0, 1], [0, 1]] = np.where(seen, np.nan_to_num(admission.noise), unknown)[:2] ** 2 / unit[:2] ** 2
+    gains = [np.zeros((len(a), len(c)))]  # the first sample is all that is known, and is taken as it is
+    for _ in range(BEGINNING):
+        p = a @ p @ a.T + drive
+        gains.append(p @ c.T @ np.linalg.inv(c @ p @ c.T + noise))
+        p = p - gains[-1] @ c @ p
+    gains.append(steady @ c.T @ np.linalg.inv(c @ steady @ c.T + noise))
+    rows = np.zeros((len(gains), 3, 2))
+    rows[:, kept, seen] = unit[kept, None] * np.stack(gains)
+    return tuple(tuple(float(x) for x in row) for row in rows.reshape(-1, 6))
 
 
 def _steady(a: Array, information: Array, drive: Array) -> Array:

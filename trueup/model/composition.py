@@ -67,16 +67,17 @@ def make(digest, functions, njit):
                 qe[lane], ve[lane] = q[lane], v[lane]
             {observe}
             if follow:
-                for c in range(gain.shape[1]):
+                now = min(i, len(gain) - 1)
+                for c in range(gain.shape[2]):
                     if np.isfinite(observed[i, c]):
                         missed = observed[i, c] - (qe[0] if c == 0 else ve[0])
                         if i == 0:  # the log's first sample is all that is known
                             q[0] += missed if c == 0 else 0.0
                             v[0] += missed if c == 1 else 0.0
                         else:
-                            q[0] += gain[0, c] * missed
-                            v[0] += gain[1, c] * missed
-                            push += gain[2, c] * missed
+                            q[0] += gain[now, 0, c] * missed
+                            v[0] += gain[now, 1, c] * missed
+                            push += gain[now, 2, c] * missed
                 if resets[i] >= 0:
                     for lane in range(1, W):
                         q[lane], v[lane] = q[0], v[0]
@@ -128,7 +129,8 @@ def kernel() -> Callable[..., None]:
     """The compiled rollout of one block over one episode.
 
     p `(parameters, BLOCK)`; on `(effects,)`; t_s, h_s, steps, issued, integral (of the command, up to each sample), resets (the window
-    that starts at a sample, or -1) `(samples,)`; init `(windows, 2, BLOCK)`; gain `(3, channels)`; observed `(samples, channels)`;
+    that starts at a sample, or -1) `(samples,)`; init `(windows, 2, BLOCK)`; gain `(beginning, 3, channels)`; observed `(samples,
+    channels)`;
     writes out `(samples, 2, BLOCK)`.
     """
     functions, text = assemble(families(), effects())

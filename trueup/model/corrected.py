@@ -1,9 +1,9 @@
 """Corrected: the nominal form with the numbers and effects that a diagnosis found.
 
-A rollout starts from a filter that ran over the episode's past: the same model, corrected by each observation with a constant
-gain. So lag, play, heat and hysteresis have the past that they need, and noise of the starting sample is averaged out. Where no
+A rollout starts from a filter that ran over the episode's past: the same model, corrected by each observation with a gain that
+soon is constant. So lag, play, heat and hysteresis have the past that they need, and noise of the starting sample is averaged out. Where no
 velocity is observed, an episode's first is the one expected at its first position and command.
-Source of the gain: R. E. Kalman, Journal of Basic Engineering 82 (1960), in the steady state.
+Source of the gain: R. E. Kalman, Journal of Basic Engineering 82 (1960).
 """
 
 from __future__ import annotations
@@ -34,15 +34,16 @@ Array = NDArray[np.float64]
 class Corrected(Predictor):
     """A family with effects.
 
-    `values` is the block's vector; `gain` `(3, 2)` corrects position, velocity and a disturbing acceleration by an observed position and
-    velocity; `begin` are the weights of 1, position and command in a first velocity that nobody observed.
+    `values` is the block's vector; `gain` `(beginning, 3, 2)` corrects position, velocity and a disturbing acceleration by an observed
+    position and velocity, at each of an episode's first samples and, the last, at all others; `begin` are the weights of 1, position and
+    command in a first velocity that nobody observed.
     """
 
     plant: Plant
     hypothesis: Hypothesis
     values: tuple[float, ...]
     scheme: Scheme
-    gain: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    gain: tuple[tuple[float, ...], ...] = ((0.0,) * 6,)  # a row for each sample
     begin: tuple[float, float, float] = (0.0, 0.0, 0.0)
     kind = "corrected"
 
@@ -67,7 +68,7 @@ class Corrected(Predictor):
             first[0, 1] = np.dot(self.begin, (1.0, first[0, 0], series.issued[0]))
         init = np.repeat(first[:, :, None], BLOCK, axis=2)
         family = list(families()).index(self.family.name)
-        out = roll(series, family, p, switches(self.hypothesis), init, np.array(self.gain))
+        out = roll(series, family, p, switches(self.hypothesis), init, np.array(self.gain).reshape(-1, 3, 2))
         return np.asarray(out[windows.rows][:, :, :, 1])
 
     def description(self) -> dict[str, Json]:
@@ -101,9 +102,10 @@ class Corrected(Predictor):
         if not np.isfinite(values[list(_rows(hypothesis))]).all():
             raise ValueError("a parameter of an acting effect is not finite")
         scheme = Scheme(float(given["scheme"]["alpha"]), int(given["scheme"]["parts"]))
-        gain = np.array(given["gain"], float).reshape(3, 2)
+        rows = tuple(tuple(float(x) for x in row) for row in given["gain"])
+        if {len(row) for row in rows} != {6}:
+            raise ValueError("a gain has six numbers for each sample")
         one, q, u = map(float, given["begin"])
-        rows = tuple((float(a), float(b)) for a, b in gain)
         return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, rows, (one, q, u))
 
 
