@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from trueup.canonical import Json
 from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import Choice, Verdict, decide, yardstick
+from trueup.diagnose.decide import Choice, decide, yardstick
 from trueup.diagnose.explain import bounds, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore, polished
 from trueup.diagnose.filtering import corrected
@@ -37,11 +37,6 @@ class Diagnosis:
     gap: Gap
     choice: Choice
     experiment: Experiment | None
-
-    @property
-    def verdict(self) -> Verdict:
-        """What the diagnosis ended in."""
-        return self.choice.verdict
 
 
 def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress: Progress = lambda _stage, _part: None) -> Diagnosis:
