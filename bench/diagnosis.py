@@ -27,7 +27,9 @@ from trueup.diagnose.decide import penalised, total
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.explore import explore
 from trueup.diagnose.filtering import corrected
+from trueup.diagnose.twins import twins
 from trueup.episode.role import Role
+from trueup.model.effect import effects
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.predictor import Nominal
 from trueup.model.windows import cut, starts_every
@@ -47,6 +49,9 @@ METHODS = {
     "least squares + BIC, forward": "least_squares",
     "black-box residual (MLP)": "black_box",
 }
+
+
+CANNOT_NAME = ("narmax", "black_box")
 
 
 @dataclass(frozen=True)
@@ -115,6 +120,7 @@ def house(machine: Hidden) -> dict[str, Given]:
     took = time.monotonic() - began
     candidates = [c for c in search if np.isfinite(total(c))]
     spread = max(min(map(total, candidates)), 0.5)
+    counted = [e["effect"] for e in found.document["effects"] if effects()[e["effect"]].counted]
     rules = {
         "BIC on our fits": min(candidates, key=lambda c: penalised(c, spread)),
         "lowest held-out error": min(candidates, key=lambda c: c.misfit),
@@ -122,13 +128,15 @@ def house(machine: Hidden) -> dict[str, Given]:
     }
     for name, c in rules.items():
         predictor = corrected(plant, admission, c.fit, search.adaptation[0].scheme, adaptation)
-        given[name] = Given(_named(c.hypothesis.effects), positions(predictor, machine.tests), took)
+        names = [*c.hypothesis.effects, *counted]
+        others = [[*rest.effects, twin, *counted] for rest, twin in twins(c.hypothesis)]  # no rule could part them: each is credited
+        given[name] = Given(_named(names, others), positions(predictor, machine.tests), took)
     return given
 
 
-def _named(effects) -> Answer:
-    verdict = "effect" if effects else "parameters_only"
-    return Answer({"verdict": verdict, "effects": [{"effect": e} for e in effects], "indistinguishable": []}, None, 0.0)
+def _named(names, others=()) -> Answer:
+    verdict = "effect" if names else "parameters_only"
+    return Answer({"verdict": verdict, "effects": [{"effect": e} for e in names], "indistinguishable": list(others)}, None, 0.0)
 
 
 def peers(found: list[Hidden]) -> dict[str, dict[str, Given]]:
@@ -204,6 +212,8 @@ def main() -> None:
     table = {}
     for method, answers in given.items():
         table[method] = _line(found, answers)
+        if METHODS.get(method) in CANNOT_NAME:
+            table[method][:5] = ["cannot"] * 5
         print(f"{method:<30}" + "".join(f"{x:>15}" for x in table[method]), flush=True)
     results = HERE / "results"
     results.mkdir(exist_ok=True)

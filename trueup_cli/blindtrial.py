@@ -9,7 +9,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
+from trueup.canonical import is_digest
+from trueup.errors import TrueupError
 from trueup_cli.options import DEFAULT_URL, Url, connect
 from trueup_cli.show import out as console
 from trueup_cli.show import progress
@@ -21,8 +24,12 @@ def run(
     target: str,
     *,
     out: Path,
-    trials: Annotated[int, Parameter(help="Machines to draw; each takes as long as a diagnosis")] = TRIALS,
-    secret: Annotated[str | None, Parameter(help="64 hexadecimal digits: draw again what a report has opened; CASE only")] = None,
+    trials: Annotated[
+        int, Parameter(help="Machines to draw; each takes as long as a diagnosis", validator=Number(gte=1, lte=2000))
+    ] = TRIALS,
+    secret_file: Annotated[
+        Path | None, Parameter(help="Holds 64 hexadecimal digits: draw again what a report has opened; CASE only")
+    ] = None,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Hide effects in machines like a user's, diagnose them blindly, and say how often the verdict was right.
@@ -35,8 +42,12 @@ def run(
     target: a case folder, or the name of a plant on the service
     out: folder to write to
     """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise NotEmpty(
+            f"{out} is not an empty folder", hint="Name a folder that is not there yet: labels are committed into a log of its own."
+        )
     if (Path(target) / "plant.json").is_file():
-        document = _local(Path(target), out, trials, bytes.fromhex(secret) if secret else os.urandom(32))
+        document = _local(Path(target), out, trials, _secret(secret_file))
     else:
         from trueup_cli.registry import run_job
 
@@ -49,13 +60,37 @@ def run(
     console.print(f"report: {out / 'report.html'}")
 
 
-def _local(case: Path, out: Path, trials: int, secret: bytes) -> dict[str, Any]:
+class NotEmpty(TrueupError):
+    """What is to be written would mix with what is there."""
+
+    code = "not-empty"
+
+
+class NoSecret(TrueupError):
+    """The file holds no secret of a blind trial."""
+
+    code = "no-secret"
+    hint = "It holds 64 hexadecimal digits: opening.secret of a report."
+
+
+def _secret(file: Path | None) -> bytes | None:
+    if file is None:
+        return None
+    text = file.read_text(errors="replace").strip() if file.is_file() else ""
+    if not is_digest(text):
+        raise NoSecret(f"{file} does not hold a secret")
+    return bytes.fromhex(text)
+
+
+def _local(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str, Any]:
+    from trueup.blindtrial.bench import bench_of
     from trueup.diagnose.case import read_case
     from trueup.ledger.audit import GENESIS, append
     from trueup_worker.blind_trial import conduct
 
     plant, episodes = read_case(case)
     cases = out / "cases"
+    bench_of(plant, episodes)  # what cannot be tried is refused before anything is written
     cases.mkdir(parents=True)
     after = [(0, GENESIS)]
 
@@ -73,10 +108,11 @@ def _local(case: Path, out: Path, trials: int, secret: bytes) -> dict[str, Any]:
             plant,
             episodes,
             trials,
-            secret,
+            secret or os.urandom(32),
             lambda labels: note("committed", {"commitments": labels}),
             lambda stage, share: bar(share, stage),
             keep=cases,
+            redrawn=secret is not None,
         )
     note("opened", {"labels": [{"label": r["label"], "salt": r["salt"]} for r in document["rows"]], "opening": document["opening"]})
     return document
@@ -86,5 +122,5 @@ def write(document: dict[str, Any], out: Path) -> None:
     """The report as JSON and as a page."""
     from trueup.blindtrial.page import page
 
-    (out / "report.json").write_text(json.dumps(document, indent=1) + "\n")
+    (out / "report.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
     (out / "report.html").write_text(page(document))

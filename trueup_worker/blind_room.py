@@ -1,6 +1,6 @@
 """Blind room: a process of its own that diagnoses case folders and knows nothing else.
 
-It is started with an empty environment, is told folders on its standard input, one a line, and answers each with one line of JSON. What
+It is started with an empty environment, is told folders on its standard input, and answers each with one line of JSON. What
 it diagnoses was drawn by the process that started it, whose memory alone holds the labels.
 """
 
@@ -17,6 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+NO_ANSWER = "no-answer"
 PASSED_ON = ("PATH", "HOME", "TMPDIR", "NUMBA_CACHE_DIR", "LANG")  # what a process needs to find its libraries and its cache
 
 
@@ -24,31 +25,46 @@ class Room:
     """One such process, on one core. Use it in a `with` block, or as what diagnoses in a blind trial."""
 
     def __init__(self, core: int) -> None:
+        self._core = core
+        self._process = self._started()
+
+    def _started(self) -> subprocess.Popen[str]:
         kept = {name: os.environ[name] for name in PASSED_ON if name in os.environ}
-        command = [sys.executable, "-I", "-m", "trueup_worker.blind_room", str(core)]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=kept, cwd="/", text=True)
+        command = [sys.executable, "-I", "-m", "trueup_worker.blind_room", str(self._core)]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(command, stdin=pipe, stdout=pipe, env=kept, cwd="/", text=True, start_new_session=True)
 
     def __call__(self, folder: Path) -> Mapping[str, Any]:
-        """`report` and `manifest`, or `problem`; and `seconds`."""
+        """`report` and `manifest`, or `problem`; and `seconds`. A room that ends without an answer is opened once more."""
+        answer = self._asked(folder)
+        if answer is None:
+            self._close()
+            self._process = self._started()
+            answer = self._asked(folder)
+        return answer or {"problem": f"{NO_ANSWER}: the diagnosing process ended with code {self._process.wait()}", "seconds": 0.0}
+
+    def _asked(self, folder: Path) -> Mapping[str, Any] | None:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with suppress(BrokenPipeError):  # it has ended, and its answer is empty
-            self._process.stdin.write(f"{folder}\n")
+            self._process.stdin.write(json.dumps(str(folder.resolve())) + "\n")
             self._process.stdin.flush()
-        line = self._process.stdout.readline()
-        if not line:
-            return {"problem": f"the diagnosing process ended with code {self._process.wait()}", "seconds": 0.0}
-        found: dict[str, Any] = json.loads(line)
+        try:
+            found: dict[str, Any] = json.loads(self._process.stdout.readline())
+        except json.JSONDecodeError:
+            return None
         return found
+
+    def _close(self) -> None:
+        self._process.kill()
+        with suppress(BrokenPipeError), self._process:  # closes what leads to it, and waits
+            pass
 
     def __enter__(self) -> Room:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if kind is not None:
-            self._process.kill()
-        with suppress(BrokenPipeError), self._process:  # closes what leads to it, and waits
-            pass
+        self._close()
 
 
 def _answer(folder: Path) -> Mapping[str, Any]:
@@ -60,9 +76,11 @@ def _answer(folder: Path) -> Mapping[str, Any]:
     began = time.monotonic()
     try:
         found = diagnose(*read_case(folder))
+        manifest = pack(found.predictor, {"origin": "diagnosis"}).manifest.decode()
     except TrueupError as error:
         return {"problem": f"{error.code}: {error.message}", "seconds": time.monotonic() - began}
-    manifest = pack(found.predictor, {"origin": "diagnosis"}).manifest.decode()
+    except Exception as error:  # noqa: BLE001  (a diagnosis that breaks is a miss of that machine, and of no other)
+        return {"problem": f"failed: {type(error).__name__}: {error}", "seconds": time.monotonic() - began}
     return {"report": dict(found.document), "manifest": manifest, "seconds": time.monotonic() - began}
 
 
@@ -72,7 +90,7 @@ def main() -> None:
         os.sched_setaffinity(0, {int(sys.argv[1])})
     answers, sys.stdout = sys.stdout, sys.stderr  # whatever prints must not spoil an answer
     for line in sys.stdin:
-        answers.write(json.dumps(_answer(Path(line.strip()))) + "\n")
+        answers.write(json.dumps(_answer(Path(json.loads(line)))) + "\n")
         answers.flush()
 
 

@@ -31,8 +31,9 @@ from trueup.blindtrial.tally import Answer, answer_words, intervals, judge, tall
 from trueup.canonical import Json, digest_of_bytes
 from trueup.diagnose.measure import closed_on
 from trueup.episode.episode import Episode
+from trueup.errors import TrueupError
 from trueup.model.plant import Plant
-from trueup_worker.blind_room import Room
+from trueup_worker.blind_room import NO_ANSWER, Room
 
 SCHEMA = "trueup.blindtrial/1"
 SECRET_BYTES = 32
@@ -40,6 +41,13 @@ DRAWING = 0.2  # of the time
 
 Diagnose = Callable[[Path], Mapping[str, Any]]
 Progress = Callable[[str, float], None]
+
+
+class NoRoom(TrueupError):
+    """No process of its own could be started to diagnose in."""
+
+    code = "no-room"
+    hint = "Install trueup into the environment that runs it: the processes are started without any other path."
 
 
 @dataclass(frozen=True)
@@ -63,11 +71,13 @@ def conduct(
     progress: Progress,
     rooms: Sequence[Diagnose] | None = None,
     keep: Path | None = None,
+    redrawn: bool = False,
 ) -> dict[str, Any]:
     """The report of `count` trials after a user's plant and episodes.
 
-    `commit` is called with the commitments before the first diagnosis. `keep` is a folder for the cases, else they are removed.
-    Raises NotIdentifiable, LabelLeaked.
+    `commit` is called with the commitments before the first diagnosis. `keep` is a folder for the cases, else they are removed;
+    `redrawn` says that the secret was known before.
+    Raises NotIdentifiable, LabelLeaked, NoRoom.
     """
     with tempfile.TemporaryDirectory(prefix="blind-") as temporary:
         sealed = []
@@ -78,7 +88,9 @@ def conduct(
         answers = []
         for answer in _answered([s.folder for s in sealed], rooms):
             answers.append(answer)
-            progress(f"diagnosing, {len(answers)} of {count}", DRAWING + (1.0 - DRAWING) * len(answers) / count)
+            progress("diagnosing", DRAWING + (1.0 - DRAWING) * len(answers) / count)
+    if all(str(a.get("problem", "")).startswith(NO_ANSWER) for a in answers):
+        raise NoRoom("no diagnosing process ever answered: " + str(answers[0]["problem"]))
     found = [Answer(a.get("report"), a.get("problem"), float(a["seconds"])) for a in answers]
     rows = [_row(i, plant, *parts) for i, parts in enumerate(zip(sealed, answers, found, strict=True))]
     bench = bench_of(plant, episodes)
@@ -96,7 +108,7 @@ def conduct(
             "feedback": asdict(bench.feedback) if bench.feedback else None,
             "left_out": list(left_out(plant)),
         },
-        "opening": {"secret": secret.hex()},
+        "opening": {"secret": secret.hex(), "redrawn": redrawn},
         "version": trueup.__version__,
     }
 
@@ -114,6 +126,8 @@ def _drawn(plant: Plant, episodes: Sequence[Episode], count: int, secret: bytes,
         folder.mkdir(parents=True)
         for name, data in files.items():
             (folder / name).write_bytes(data)
+            os.utime(folder / name, (0, 0))  # how long a machine took to draw is nobody's business
+        os.utime(folder, (0, 0))
         yield Sealed(folder, label, salt, commitment(label, salt), tests(plant, trial), trial.sigma)
 
 

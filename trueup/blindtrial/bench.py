@@ -39,6 +39,8 @@ def bench_of(plant: Plant, episodes: Sequence[Episode]) -> Bench:
 
     Raises NotIdentifiable where there is no adaptation or validation episode, or the plant's family is not one of the simulator's.
     """
+    if not dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True))["b"]:
+        raise NotIdentifiable("the nominal command gain b is 0: no command moves this plant", hint="Give the plant a nominal b.")
     if plant.family not in KINDS:
         raise NotIdentifiable(f"the second simulator knows no family {plant.family!r}", hint=f"It knows {', '.join(sorted(KINDS))}.")
     kept = [e for e in sorted(episodes, key=lambda e: e.digest) if e.role in (Role.ADAPTATION, Role.VALIDATION)]
@@ -62,6 +64,7 @@ def bench_of(plant: Plant, episodes: Sequence[Episode]) -> Bench:
         noise=float(np.nanmax(admission.noise / admission.motion)),
         feedback=feedback,
         reach=1.0,
+        bounds=(float(plant.limits[0][0]), float(plant.limits[1][0])),
         recorded=[_plan(plant, e, period, feedback) for e in kept],
         sigma=(float(np.nan_to_num(admission.noise[0])), float(np.nan_to_num(admission.noise[1]))),
     )

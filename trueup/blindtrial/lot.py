@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from trueup.blindtrial.bench import nominal
 from trueup.canonical import Json
+from trueup.diagnose.twins import TWINS
+from trueup.model.effect import effects
 from trueup.model.plant import Plant
 from trueup.simulate.machine import BEYOND
 from trueup.simulate.trial import CATALOGUE, Bench, Trial, draw
@@ -40,30 +42,38 @@ def left_out(plant: Plant) -> tuple[str, ...]:
         found += ["sensor_bias"]  # nothing says where zero is
     if len(plant.state_columns) == 1:
         found += ["sensor_scale", "clock_skew"]  # other numbers of the form give the same positions
+        found += ["sensor_drift"] if "sensor_bias" in found else []  # a constant force gives the same
     return tuple(found)
 
 
 def draw_lots(plant: Plant, count: int, rng: np.random.Generator) -> list[Lot]:
     """So many lots in the proportions of PARTS, in random order; single effects come in turn, so that each is met as often."""
     known = [name for name in CATALOGUE if name not in left_out(plant)]
+    fitted = [name for name in known if name != "dropped_frames"]  # a frame is lost or is not: no loss is faint
     beyond = [name for name in BEYOND if name not in ON_A_SPRING or "k" in plant.dynamics.parameter_names]
-    kinds = [kind for kind, part in PARTS.items() for _ in range(round(part * count))]
+    kinds = ["none", *(kind for kind, part in PARTS.items() for _ in range(round(part * count) - (kind == "none")))]  # one bait at least
     kinds = (kinds + ["single"] * count)[:count]
-    turns = {kind: _turns(known if kind != "outside" else beyond, rng) for kind in PARTS}
+    turns = {kind: _turns({"outside": beyond, "faint": fitted}.get(kind, known), rng) for kind in PARTS}
     lots = []
     for kind in kinds:
         moved = bool(rng.random() >= AS_NOMINAL)
         if kind == "none":
             lots.append(Lot(kind, (), moved, next(turns[kind])))
         elif kind == "pair":
-            names = next(turns[kind]), next(turns[kind])
-            lots.append(Lot(kind, names if names[0] != names[1] else (names[0], known[known.index(names[0]) - 1]), moved, None))
+            first = next(turns[kind])
+            lots.append(Lot(kind, (first, next(n for n in turns[kind] if _apart(first, n))), moved, None))
         else:
             lots.append(Lot(kind, (next(turns[kind]),), moved, None))
     return [lots[i] for i in rng.permutation(len(lots))]
 
 
-def _turns(names: Sequence[str], rng: np.random.Generator):  # type: ignore[no-untyped-def]  # noqa: ANN202
+def _apart(one: str, other: str) -> bool:
+    """Whether two effects are two: neither the same, nor of one law, nor twins."""
+    laws = {effects()[n].same_as or n for n in (one, other)}
+    return len(laws) == 2 and frozenset((one, other)) not in TWINS  # noqa: PLR2004
+
+
+def _turns(names: Sequence[str], rng: np.random.Generator) -> Iterator[str]:
     """The names in random order, again and again."""
     while True:
         yield from (names[i] for i in rng.permutation(len(names)))

@@ -101,7 +101,8 @@ def _kinds(d: Mapping[str, Any]) -> str:
     head = (
         "<tr><th>hidden<th class=n>machines<th class=n>exactly named<th class=n>among the answers<th class=n>mean further alternatives</tr>"
     )
-    return f"<table>{head}{''.join(rows)}</table><p class=pale>“At least”: with 95 % confidence.</p>"
+    refused = f" {d['refused']} diagnoses were refused or failed, and count as wrong." if d["refused"] else ""
+    return f"<table>{head}{''.join(rows)}</table><p class=pale>“At least”: with 95 % confidence.{refused}</p>"
 
 
 def _trust(d: Mapping[str, Any]) -> str:
@@ -130,7 +131,7 @@ def _coverage(d: Mapping[str, Any]) -> str:
     closed = d["closed"]
     text = ""
     if closed:
-        text = f"<p>Of the gap on recordings kept for measuring, the median correction closes {closed['median']:.1%}, the worst tenth {closed['worst_tenth']:.1%}"
+        text = f"<p>Of the gap on recordings kept for measuring ({closed['n']} machines with one or two effects; commands of the validation episodes, backwards), the median correction closes {closed['median']:.1%}, the worst tenth {closed['worst_tenth']:.1%}"
         text += (
             f"; the reports were off by {closed['reported_off_p90']:.3f} or less in nine of ten.</p>"
             if closed["reported_off_p90"]
@@ -162,10 +163,11 @@ def _blind(d: Mapping[str, Any]) -> str:
         else "under the recorded commands and a weak feedback to the recorded motion"
     )
     out = f" Left out, as the nominal form takes them up on these channels: {', '.join(b['left_out'])}." if b["left_out"] else ""
+    again = " The secret was given, not drawn: this repeats a trial that was opened before." if d["opening"]["redrawn"] else ""
     return (
         f"<p>Machines were simulated at {b['fine_step_s'] * 1e3:.3g} ms by a program that shares no line with the one that fits, with other laws of friction, "
         f"hysteresis and stops, {feedback}, and logged every {b['period_s'] * 1e3:.3g} ms with the noise of the user's log.{_plain(out)}</p>"
         "<p>Each label was committed by its salted SHA-256 before the first diagnosis. The diagnoses ran in processes that were told a folder of recordings and "
-        f"nothing else. {leak['baits']} machines without an effect carried the label of one as a bait: {leak['taken']} taken.</p>"
+        f"nothing else. {leak['baits']} machines without an effect carried the label of one as a bait: {leak['taken']} taken.{again}</p>"
         f"<p class=pale>Opened: secret <code>{d['opening']['secret']}</code>. trueup {escape(d['version'])}</p>"
     )

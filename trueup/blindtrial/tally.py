@@ -21,6 +21,8 @@ from trueup.canonical import Json
 from trueup.diagnose.twins import TWINS
 from trueup.model.effect import effects
 
+BY_CHANCE = 0.0025  # that an honest diagnosis names an effect where there is none, and it is the bait
+IMPROBABLE = 0.02
 ONE_SIDED = 1.645  # standard errors
 # Numbers that both simulators mean alike, where that is not an effect's first alone: the laws behind the others differ on purpose,
 # and what is counted has no interval worth the name.
@@ -73,7 +75,7 @@ def judge(label: Mapping[str, Any], answer: Answer) -> dict[str, Json]:
         claimed = answer.verdict == "effect"
         exact = claimed and (named == truth or (truth in others and (named ^ truth) in TWINS))
         in_set = claimed and (exact or truth in others)
-    taken = bool(label["bait"]) and label["bait"] in named
+    taken = bool(label["bait"]) and named >= _folded([label["bait"]])
     excess = {o for o in others - {truth} if (o ^ named) not in TWINS}
     return {"exact": exact, "in_set": in_set, "alternatives": len(excess), "bait_taken": taken}
 
@@ -124,6 +126,7 @@ def tally(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> dict[
     checks = [x for r in rows for x in r["intervals"]]
     bounds = [b for r, a in zip(rows, answers, strict=True) if (b := bound(r["label"], a)) is not None]
     baits = [r for r in rows if r["label"]["bait"]]
+    taken = sum(r["bait_taken"] for r in baits)
     return {
         "kinds": kinds,
         "confusion": _confusion(rows),
@@ -134,9 +137,16 @@ def tally(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> dict[
             "bounds": _rate(bounds),
         },
         "closed": _closed(rows),
-        "leak": {"baits": len(baits), "taken": sum(r["bait_taken"] for r in baits), "void": any(r["bait_taken"] for r in baits)},
+        "refused": sum(a.report is None for a in answers),
+        "leak": {"baits": len(baits), "taken": taken, "void": _improbable(taken, len(baits))},
         "seconds": {"median": float(np.median([a.seconds for a in answers])), "max": float(max(a.seconds for a in answers))},
     }
+
+
+def _improbable(taken: int, baits: int) -> bool | None:
+    """Whether so many baits cannot have been answered by chance; None where there were none."""
+    chance = sum(math.comb(baits, k) * BY_CHANCE**k * (1.0 - BY_CHANCE) ** (baits - k) for k in range(taken, baits + 1))
+    return bool(taken and chance < IMPROBABLE) if baits else None
 
 
 def _confusion(rows: Sequence[Mapping[str, Any]]) -> list[Json]:

@@ -33,7 +33,6 @@ COARSE = 2.0  # decades between the first sizes that are tried
 FINEST = 0.4
 BEGINNING = 24  # samples until the steady gain is used
 UNCERTAIN = 2.0  # standard errors
-RAN_AWAY = 1e12
 
 
 def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Scheme, episodes: Sequence[Episode]) -> Corrected:
@@ -66,9 +65,8 @@ def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Schem
 
 
 def _errors(model: Corrected, admission: Admission, episodes: Sequence[Episode], horizon_s: float) -> Array:
-    """Mean squared normalised error of each window of a horizon, `(windows,)`; what ran away is huge."""
-    found = np.concatenate([squared_errors(model, e, horizon_s, admission.motion) for e in episodes])
-    return np.where(np.isfinite(found), found, RAN_AWAY)
+    """Mean squared normalised error of each window of a horizon, `(windows,)`."""
+    return np.concatenate([squared_errors(model, e, horizon_s, admission.motion) for e in episodes])
 
 
 def _as_well(worse: Array) -> bool:

@@ -25,7 +25,7 @@ from trueup.model.windows import Windows, cut, starts_every
 
 Array = NDArray[np.float64]
 RESAMPLES = 400
-RAN_AWAY = -1e6  # what is said of a prediction that did
+RAN_AWAY = 1e6  # standard deviations: no error is larger
 AT_THE_FLOOR = 1.1  # times the floor's power: an error below that is not told from it
 
 
@@ -88,6 +88,7 @@ def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion
     windows = _windows(plant, episode, horizon_s)
     with np.errstate(over="ignore", invalid="ignore"):
         missed = (plant.observe(predictor.rollout(windows)) - episode.observations[windows.rows]) / motion[plant.state_columns]
+        missed = np.clip(np.nan_to_num(missed, nan=RAN_AWAY, posinf=RAN_AWAY, neginf=RAN_AWAY), -RAN_AWAY, RAN_AWAY)
         counted = windows.inside & (np.arange(windows.inside.shape[1]) > 0)
         squares = np.where(counted[:, :, None] & np.isfinite(episode.observations[windows.rows]), missed**2, 0.0)
         return np.asarray(squares.sum(axis=1) / np.maximum(counted.sum(axis=1), 1)[:, None])
@@ -125,7 +126,7 @@ def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -
         for p in (Nominal(plant), corrected)
     )
     floor = float(np.mean((np.nan_to_num(sigma) / motion)[plant.state_columns] ** 2))
-    return max(_closed(before, after, floor), RAN_AWAY) if before > AT_THE_FLOOR * floor else None
+    return _closed(before, after, floor) if before > AT_THE_FLOOR * floor else None
 
 
 def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:

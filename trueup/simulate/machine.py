@@ -69,7 +69,10 @@ SIZE = sum(len(v) for v in SLOTS.values())
 
 @dataclass(frozen=True)
 class Machine:
-    """A joint: its kind, its true k, c, b (per unit mass), its command limit, and what else is wrong with it."""
+    """A joint: its kind, its true k, c, b (per unit mass), its command limit, and what else is wrong with it.
+
+    `bounds` are the command's limits where they are not +-limit.
+    """
 
     kind: str
     k: float
@@ -77,6 +80,7 @@ class Machine:
     b: float
     limit: float
     imperfections: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    bounds: tuple[float, float] | None = None
 
     def vector(self) -> tuple[Array, NDArray[np.bool_]]:
         """The imperfections' numbers, and which there are."""
@@ -117,10 +121,11 @@ def run(
     total = len(planned)
     noise = rng.normal(size=(total, 2)) * np.array(sigma)
     lost = rng.random(total)
+    low, high = machine.bounds or (-machine.limit, machine.limit)
     gains = (feedback.kp, feedback.kd) if feedback else (0.0, 0.0)
     issued, observed = _run(
-        KINDS[machine.kind], machine.k, machine.c, machine.b, machine.limit, numbers, present, np.ascontiguousarray(planned), timestep_s,
-        parts,
+        KINDS[machine.kind], machine.k, machine.c, machine.b, low, high, machine.limit, numbers, present, np.ascontiguousarray(planned),
+        timestep_s, parts,
         noise, lost, start[0], start[1], warm_up, feedback is not None, gains[0], gains[1],
     )  # fmt: skip
     kept = slice(warm_up, total)
@@ -128,7 +133,7 @@ def run(
 
 
 @njit(cache=True)
-def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, warm_up, closed, kp, kd):  # type: ignore[no-untyped-def]
+def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, lost, q, v, warm_up, closed, kp, kd):  # type: ignore[no-untyped-def]
     total = len(planned)
     period = dt * (1.0 + n[S_SKEW])
     h = period / parts
@@ -158,7 +163,7 @@ def _run(kind, k, c, b, limit, n, has, planned, dt, parts, noise, lost, q, v, wa
             seen_q, seen_v = observed[i - 1, 0], observed[i - 1, 1]
         observed[i, 0], observed[i, 1] = seen_q, seen_v
         u = kp * (planned[i] - seen_q) - kd * seen_v if closed else planned[i]
-        issued[i] = min(max(u, -limit), limit)
+        issued[i] = min(max(u, low), high)
         for part in range(parts):
             j = i * parts + part
             fine_u[j] = issued[i]

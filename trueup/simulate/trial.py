@@ -14,6 +14,7 @@ from trueup.simulate.machine import BEYOND, SLOTS, Feedback, Machine, Run, run
 Array = NDArray[np.float64]
 CATALOGUE = tuple(name for name in SLOTS if name not in BEYOND)
 ROUNDS = 18  # of bisection for a magnitude
+CLOSE = 0.1  # of what is wanted: close enough for a lot
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Bench:
     feedback: Feedback | None
     reach: float  # what a planned value of 1 stands for: a command, or a reference position
     recorded: Sequence[Plan] = ()
+    bounds: tuple[float, float] | None = None  # of the command, where they are not +-limit
     sigma: tuple[float, float] | None = None  # of position and velocity, instead of `noise`
 
     @property
@@ -99,7 +101,7 @@ def draw(
     within `spread`.
     """
     moved = rng.uniform(*spread, 3) if shifted else np.ones(3)
-    machine = Machine(bench.kind, bench.k * moved[0], bench.c * moved[1], bench.b * moved[2], bench.limit)
+    machine = Machine(bench.kind, bench.k * moved[0], bench.c * moved[1], bench.b * moved[2], bench.limit, bounds=bench.bounds)
     plan = bench.recorded or [Plan("", _plan(bench, shape, rng), (0.0, 0.0)) for shape in SHAPES]
     size = _sizes(bench, machine, plan)
     total = 0.0
@@ -119,12 +121,12 @@ def draw(
 
 
 def _plans(bench: Bench, size: Mapping[str, float], rng: np.random.Generator) -> Iterator[Plan]:
-    """What is recorded: drawn series from rest about the middle, or the recorded ones, and those of validation once more as a test."""
+    """What is recorded: drawn series from rest about the middle, or the recorded ones, and as a test those of validation backwards."""
     if bench.recorded:
         yield from bench.recorded
         for p in bench.recorded:
             if p.role == "validation":
-                yield Plan("test", p.series, p.start)
+                yield Plan("test", np.ascontiguousarray(p.series[::-1]), (float(p.series[-1]), 0.0) if bench.feedback else p.start)
         return
     for i, role in zip((0, 1, 2, 3, 0, 2, 0, 1, 2, 3), ["adaptation"] * 4 + ["validation"] * 2 + ["test"] * 4, strict=True):
         series = _plan(bench, SHAPES[i], rng)
@@ -213,18 +215,20 @@ def _as_large_as(
 ) -> tuple[Machine, float]:
     """The machine with one imperfection more, its magnitude bisected until it moves the position by `wanted` of its motion."""
     without = np.concatenate([r.observed for r in _record(bench, machine, plan)])
-    low, high, best, reached = 0.0, 1.0, machine, 0.0
+    low, high, best, reached = 0.0, 1.0, machine, 0.0  # the largest that is not too large
     for _ in range(ROUNDS):
         size = 0.5 * (low + high)
         values = {key: at * (1.0 - size) if falls else at + by * size for key, (at, by, falls) in shape.items()}
-        best = replace(machine, imperfections={**machine.imperfections, name: values})
-        with_it = np.concatenate([r.observed for r in _record(bench, best, plan)])
+        tried = replace(machine, imperfections={**machine.imperfections, name: values})
+        with_it = np.concatenate([r.observed for r in _record(bench, tried, plan)])
         with np.errstate(over="ignore", invalid="ignore"):  # a machine that runs away is too much
-            reached = float(np.sqrt(np.mean((with_it[:, 0] - without[:, 0]) ** 2)) / without[:, 0].std())
-        if not np.isfinite(reached) or reached > wanted:
+            gap = float(np.sqrt(np.mean((with_it[:, 0] - without[:, 0]) ** 2)) / without[:, 0].std())
+        if not np.isfinite(gap) or gap > (1.0 + CLOSE) * wanted:
             high = size
         else:
-            low = size
-        if abs(reached / wanted - 1.0) < 0.1:  # noqa: PLR2004  (a tenth is close enough for a lot)
-            break
+            low, best, reached = size, tried, gap
+            if gap > (1.0 - CLOSE) * wanted:
+                break
+    if best is machine:  # none was small enough: the smallest
+        best, reached = tried, gap
     return best, reached

@@ -14,7 +14,7 @@ from trueup.blindtrial.bench import bench_of
 from trueup.blindtrial.lot import draw_lots, left_out
 from trueup.blindtrial.page import page
 from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted, commitment, require_as_committed, require_silent, salt_of
-from trueup.blindtrial.tally import Answer, bound, judge, lower
+from trueup.blindtrial.tally import Answer, _improbable, bound, judge, lower
 from trueup.diagnose.case import read_case
 from trueup.errors import NotIdentifiable
 from trueup_worker import blind_trial
@@ -148,11 +148,38 @@ def test_a_room_knows_nothing_of_its_makers_environment(monkeypatch):
     assert answer["problem"].startswith("bad-plant")
 
 
-def test_a_room_that_dies_is_a_refusal():
+def test_a_room_that_dies_is_opened_once_more(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     with Room(min(os.sched_getaffinity(0))) as room:
         room._process.kill()
         room._process.wait()
-        assert "ended with code" in room(Path("/nowhere"))["problem"]
+        answer = room(Path("some where"))
+        assert answer["problem"].startswith("bad-plant")
+        assert str(tmp_path) in answer["problem"]  # a relative folder is found from anywhere
+
+
+def test_rooms_that_never_answer_end_the_trial():
+    with pytest.raises(blind_trial.NoRoom, match="code 1"):
+        blind_trial.conduct(
+            *users(), 2, SECRET, lambda _: None, lambda *_: None, [lambda _: {"problem": "no-answer: ended with code 1", "seconds": 0.0}]
+        )
+
+
+def test_a_diagnosis_that_breaks_is_a_miss_of_its_machine_alone():
+    document = blind_trial.conduct(
+        *users(), 3, SECRET, lambda _: None, lambda *_: None, [lambda _: {"problem": "failed: KeyError: 3", "seconds": 0.1}]
+    )
+    assert document["refused"] == 3
+    assert not any(r["exact"] for r in document["rows"])
+    assert document["leak"]["void"] is False
+
+
+def test_a_bait_taken_once_in_many_may_be_chance():
+    assert _improbable(1, 6) is True
+    assert _improbable(1, 200) is False
+    assert _improbable(4, 200) is True
+    assert _improbable(0, 6) is False
+    assert _improbable(0, 0) is None
 
 
 def test_lots_come_in_their_proportions_and_every_effect_in_turn():
@@ -169,6 +196,7 @@ def test_lots_come_in_their_proportions_and_every_effect_in_turn():
 def test_what_a_plant_cannot_show_is_left_out():
     assert left_out(recorded("B2", [], 1, shifted=False)[0]) == ("sensor_bias",)
     assert left_out(recorded("A1", [], 1, shifted=False, velocity=False)[0]) == ("sensor_scale", "clock_skew")
+    assert "sensor_drift" in left_out(recorded("B2", [], 1, shifted=False, velocity=False)[0])
 
 
 def test_the_bench_takes_after_the_log():
