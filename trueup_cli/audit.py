@@ -64,6 +64,7 @@ def _verify(client: Client) -> None:
     with progress("holding what is served against the log") as bar:
         for count, entry in enumerate(entries, 1):
             _hold(client, entry)
+            _hold_labels(entry, entries)
             bar(count / len(entries), entry["kind"])
         for plant in {e["plant"] for e in entries if e["plant"]}:
             _hold_moves(client, plant, [e for e in entries if e["plant"] == plant])
@@ -73,6 +74,22 @@ def _verify(client: Client) -> None:
 def _disagree(what: str) -> NoReturn:
     err.print(f"[bold red]disagrees[/] {escape(what)}", soft_wrap=True)
     sys.exit(EXIT_DISAGREES)
+
+
+def _hold_labels(finished: dict[str, Any], entries: list[dict[str, Any]]) -> None:
+    """Are the labels that a blind trial opened among those that were committed for it before?"""
+    from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
+
+    if finished["kind"] != "job:finished" or "report" not in (result := finished["facts"]["result"]) or "opening" not in result["report"]:
+        return
+    mine = [e for e in entries if e["subject"] == finished["subject"] and e["sequence"] < finished["sequence"]]
+    for entry in (e for e in mine if e["kind"] == "blindtrial:committed"):
+        try:
+            require_as_committed(result["report"], entry["facts"]["commitments"])
+        except NotAsCommitted:
+            continue  # its worker was killed before it opened them; another drew and committed anew
+        return
+    _disagree(f"entry {finished['sequence']} opens labels that nobody committed")
 
 
 def _hold(client: Client, entry: dict[str, Any]) -> None:

@@ -14,8 +14,8 @@ from cyclopts.validators import Number
 from trueup.canonical import is_digest
 from trueup.errors import TrueupError
 from trueup_cli.options import DEFAULT_URL, Url, connect
+from trueup_cli.show import moment, progress
 from trueup_cli.show import out as console
-from trueup_cli.show import progress
 
 TRIALS = 60
 
@@ -23,13 +23,14 @@ TRIALS = 60
 def run(
     target: str,
     *,
-    out: Path,
+    out: Path | None = None,
     trials: Annotated[
         int, Parameter(help="Machines to draw; each takes as long as a diagnosis", validator=Number(gte=1, lte=2000))
     ] = TRIALS,
     secret_file: Annotated[
         Path | None, Parameter(help="Holds 64 hexadecimal digits: draw again what a report has opened; CASE only")
     ] = None,
+    verify: Annotated[bool, Parameter(negative=(), help="TARGET is a trial's folder: hold its report against its log")] = False,
     url: Url = DEFAULT_URL,
 ) -> None:
     """Hide effects in machines like a user's, diagnose them blindly, and say how often the verdict was right.
@@ -40,8 +41,12 @@ def run(
     Parameters
     ----------
     target: a case folder, or the name of a plant on the service
-    out: folder to write to
+    out: folder to write to; blindtrial-TARGET if none is given
     """
+    if verify:
+        _verify(Path(target))
+        return
+    out = out or Path(f"blindtrial-{Path(target).resolve().name}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise NotEmpty(
             f"{out} is not an empty folder", hint="Name a folder that is not there yet: labels are committed into a log of its own."
@@ -58,6 +63,25 @@ def run(
 
     console.print(sentence(document))
     console.print(f"report: {out / 'report.html'}")
+
+
+def _verify(trial: Path) -> None:
+    """Raises BrokenChain, NotAsCommitted."""
+    from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
+    from trueup.ledger.audit import AuditEntry
+    from trueup.ledger.audit import verify as verify_chain
+
+    report, log = trial / "report.json", trial / "audit.jsonl"
+    if not (report.is_file() and log.is_file()):
+        raise NotAsCommitted(
+            f"{trial} holds no report.json with an audit.jsonl", hint="Name the folder that a trial of a case was written to."
+        )
+    entries = [AuditEntry(**json.loads(line)) for line in log.read_text().splitlines()]
+    verify_chain(entries)
+    document = json.loads(report.read_text())
+    committed = entries[0].facts.get("commitments", []) if entries else []
+    require_as_committed(document, list(committed))  # type: ignore[arg-type]
+    console.print(f"{len(document['rows'])} labels are those committed at {moment(entries[0].at)}, before the first diagnosis.")
 
 
 class NotEmpty(TrueupError):

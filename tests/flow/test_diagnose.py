@@ -73,3 +73,23 @@ def test_its_model_predicts_an_episode_that_it_never_saw(case):
 def test_a_folder_without_a_plant_says_what_a_case_is(tmp_path):
     done = run("diagnose", tmp_path, "--out", tmp_path / "out", code=1)
     assert "plant.json" in done.stderr
+
+
+def test_a_blind_trial_of_a_case_can_be_held_against_its_log(case, tmp_path):
+    folder, *_ = case
+    out = tmp_path / "trial"
+    assert "effects withheld" in run("blindtrial", folder, "--out", out, "--trials", 3).stdout
+    assert sorted(p.name for p in out.iterdir()) == ["audit.jsonl", "cases", "report.html", "report.json"]
+    assert "3 labels are those committed" in run("blindtrial", out, "--verify").stdout
+    assert "not-empty" in run("blindtrial", folder, "--out", out, code=1).stderr
+    report = json.loads((out / "report.json").read_text())
+    (tmp_path / "secret").write_text(report["opening"]["secret"])
+    run("blindtrial", folder, "--out", tmp_path / "again", "--trials", 3, "--secret-file", tmp_path / "secret")
+    again = json.loads((tmp_path / "again" / "report.json").read_text())
+    assert [r["commitment"] for r in again["rows"]] == [r["commitment"] for r in report["rows"]]
+    assert again["opening"]["redrawn"]
+    report["rows"][0]["label"]["effects"] = {"cogging": {"amplitude": 1.0}}
+    (out / "report.json").write_text(json.dumps(report))
+    assert "not-as-committed" in run("blindtrial", out, "--verify", code=1).stderr
+    (tmp_path / "secret").write_text("no secret")
+    assert "no-secret" in run("blindtrial", folder, "--out", tmp_path / "third", "--secret-file", tmp_path / "secret", code=1).stderr

@@ -12,16 +12,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from trueup.diagnose.twins import twins
-from trueup.fit.rollout_fit import Fitter, RolloutFit, in_parallel
-from trueup.fit.rollout_fit import Start as FitStart
-from trueup.model.block import BLOCK, layout, memories, nulls
+from trueup.fit.rollout_fit import Fitter, RolloutFit, Start, in_parallel
+from trueup.model.block import BLOCK, layout, memories, nulls, rows_of
 from trueup.model.effect import Effect, effects
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.series import Series, roll
 
 RACE = 6  # iterations that each start of a fit is given before the best go on
 SETTLE = 16  # iterations of the best
-Start = tuple[Sequence[float], Sequence[float]]  # of the family's parameters, of the effect's
+Begin = tuple[Sequence[float], Sequence[float]]  # of the family's parameters, of the effect's
 RACED = 3  # starts that are tried; twice as many of an effect with many
 FAR = 25  # starts are neighbours within so many-th of all
 MANY = 50
@@ -62,7 +61,7 @@ class Search:
     adaptation: Sequence[Series]
     validation: Sequence[Series]
     short: Sequence[Series]
-    pitches: Sequence[Start] = ()
+    pitches: Sequence[Begin] = ()
     found: dict[Hypothesis, Candidate] = field(default_factory=dict)
 
     def base(self, parameters: Sequence[float]) -> Candidate:
@@ -121,7 +120,7 @@ class Search:
 
     def _pruned(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
         """The fit without each number that it may do without, where the log does not ask for it."""
-        rows = dict(zip((n.name for n in kind.params), layout()[kind.name], strict=True))
+        rows = rows_of(kind.name)
         for name in kind.optional:
             values = best.values.copy()
             values[rows[name]] = nulls()[rows[name]]
@@ -146,7 +145,7 @@ class Search:
 
     def _zoomed(self, best: RolloutFit, effect: str, parameter: str) -> RolloutFit:
         """The best of ever finer grids around one number, along which the error has corners."""
-        row = dict(zip((n.name for n in effects()[effect].params), layout()[effect], strict=True))[parameter]
+        row = rows_of(effect)[parameter]
         for width in ZOOMS:
             centre = best.values[row]
             for point in ZOOM_POINTS:
@@ -212,7 +211,7 @@ class Search:
         tried = []
         for offset in offsets:
             memory = {(e, state): offset * self.fitter.scales.of(scale) for e, state, scale in states}
-            starts = {s.digest: FitStart(s.begin, memory) for s in self.validation}
+            starts = {s.digest: Start(s.begin, memory) for s in self.validation}
             tried.append(self.fitter.fit(self.validation, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True))
         if len(tried) == 1:
             return tried[0]

@@ -28,6 +28,12 @@ def layout() -> dict[str, tuple[int, ...]]:
 
 
 @cache
+def rows_of(effect: str) -> dict[str, int]:
+    """Rows of an effect's parameters, by name."""
+    return {number.name: row for number, row in zip(effects()[effect].params, layout()[effect], strict=True)}
+
+
+@cache
 def memories() -> dict[tuple[str, str], int]:
     """Of each state of each effect the row that says how far from its usual value it began; behind all parameters."""
     states = [(e.name, state) for e in effects().values() for state in e.states]

@@ -26,7 +26,7 @@ import numpy as np
 from numba import njit
 from numba.extending import register_jitable
 
-from trueup.model.block import BLOCK, layout, memories
+from trueup.model.block import BLOCK, memories, rows_of
 from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
 
@@ -192,7 +192,7 @@ def _loop(index: int, effect: type[Effect]) -> list[str]:
     within = effect.port in (Port.FORCE, Port.FRICTION, Port.OBSERVATION)
     arrays = {"q": "qe", "v": "ve"} if within else {}
     scalars = {"u_scale", "period", "implicit"}
-    rows = dict(zip((n.name for n in effect.params), layout()[effect.name], strict=True))
+    rows = rows_of(effect.name)
 
     def value(name: str) -> str:
         if name in rows:

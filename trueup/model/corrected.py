@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.model.block import BLOCK, layout, nulls
+from trueup.model.block import BLOCK, layout, nulls, rows_of
 from trueup.model.dynamics import CompiledFamily
 from trueup.model.effect import Effect, Port, effects
 from trueup.model.family import Family, families
@@ -73,8 +73,7 @@ class Corrected(Predictor):
 
     def description(self) -> dict[str, Json]:
         found: list[Json] = [
-            {"effect": e, "parameters": {n.name: self.values[r] for n, r in zip(effects()[e].params, layout()[e], strict=True)}}
-            for e in self.hypothesis.effects
+            {"effect": e, "parameters": {name: self.values[row] for name, row in rows_of(e).items()}} for e in self.hypothesis.effects
         ]
         names = self.plant.dynamics.parameter_names
         return {
@@ -95,9 +94,8 @@ class Corrected(Predictor):
         for i, name in enumerate(plant.dynamics.parameter_names):
             values[i] = float(given["parameters"][name])
         for entry in given["effects"]:
-            kind = effects()[entry["effect"]]
-            for number, row in zip(kind.params, layout()[kind.name], strict=True):
-                values[row] = float(entry["parameters"][number.name])
+            for name, row in rows_of(entry["effect"]).items():
+                values[row] = float(entry["parameters"][name])
         hypothesis = Hypothesis(tuple(entry["effect"] for entry in given["effects"]))
         if not np.isfinite(values[list(_rows(hypothesis))]).all():
             raise ValueError("a parameter of an acting effect is not finite")
@@ -153,7 +151,7 @@ def _act(model: Corrected, acting: list[type[Effect]], port: Port, signals: dict
 
 
 def _value(model: Corrected, effect: type[Effect], name: str, signals: Mapping[str, Any]) -> Any:
-    rows = dict(zip((n.name for n in effect.params), layout()[effect.name], strict=True))
+    rows = rows_of(effect.name)
     if name in rows:
         return model.values[rows[name]]
     if name in effect.states:
