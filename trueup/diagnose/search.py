@@ -162,9 +162,20 @@ class Search:
             self.adaptation, candidate.hypothesis, candidate.fit.values, candidate.fit.starts, iterations=25, tolerance=1e-6
         )
         for name in candidate.hypothesis.effects:
+            fit = self._turned(fit, effects()[name])
             for parameter in effects()[name].threshold[:1]:
                 fit = self._zoomed(fit, name, parameter)
         return self.keep(fit) if fit.cost < candidate.fit.cost else candidate
+
+    def _turned(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
+        """The better of the fit and of those that begin at the other end of a number between 0 and 1: laws of two shapes have a valley each."""
+        for number in (n for n in kind.params if n.name in kind.optional and (n.low, n.high) == (0.0, 1.0)):
+            values = best.values.copy()
+            row = rows_of(kind.name)[number.name]
+            values[row] = 0.0 if values[row] > 0.5 else 1.0  # noqa: PLR2004  (the end that is further)
+            tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=SETTLE, tolerance=1e-4)
+            best = tried if tried.cost < best.cost else best
+        return best
 
     def fitted(self, hypothesis: Hypothesis, larger: Candidate) -> Candidate:
         """A part of a composition, fitted if it was not yet."""
