@@ -168,7 +168,7 @@ class Search:
         return self.keep(fit) if fit.cost < candidate.fit.cost else candidate
 
     def _turned(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
-        """The better of the fit and of those that begin at the other end of a number between 0 and 1: laws of two shapes have a valley each."""
+        """The best of the fit and of those from the other end of a number between 0 and 1: laws of two shapes have a valley each."""
         for number in (n for n in kind.params if n.name in kind.optional and (n.low, n.high) == (0.0, 1.0)):
             values = best.values.copy()
             row = rows_of(kind.name)[number.name]
