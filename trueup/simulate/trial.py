@@ -30,7 +30,7 @@ class Plan:
 class Bench:
     """How trials of one plant are made: its numbers, rates, noise and excitation.
 
-    With `recorded` plans every machine is given those; without, each trial draws its own, after a second that is not logged.
+    With `recorded` plans every machine is given those; without, each trial draws its own. A second before each log is not logged.
     """
 
     kind: str
@@ -51,7 +51,11 @@ class Bench:
     @property
     def warm_up(self) -> int:
         """Samples before the log begins."""
-        return 0 if self.recorded else round(1.0 / self.timestep_s)
+        return min([round(1.0 / self.timestep_s), *(len(p.series) - 1 for p in self.recorded)])
+
+    def led_in(self, series: Array) -> Array:
+        """A series with its warm-up: a recorded one is led in by its own beginning backwards, so that its machine is under way."""
+        return np.concatenate([series[self.warm_up : 0 : -1], series]) if self.recorded else series
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,7 @@ def draw(
     if "sensor_quantization" in names:
         sigma = (sigma[0] * 0.3, sigma[1] * 0.3)
     runs = [
-        (p.role, run(machine, p.series, bench.timestep_s, bench.parts, sigma, rng, p.start, bench.warm_up, bench.feedback))
+        (p.role, run(machine, bench.led_in(p.series), bench.timestep_s, bench.parts, sigma, rng, p.start, bench.warm_up, bench.feedback))
         for p in _plans(bench, size, rng)
     ]
     return Trial(bench, machine, shifted, total, sigma, runs)
@@ -139,7 +143,10 @@ def _plan(bench: Bench, shape: str, rng: np.random.Generator) -> Array:
 
 def _record(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> list[Run]:
     quiet = np.random.default_rng(0)
-    return [run(machine, p.series, bench.timestep_s, bench.parts, (0.0, 0.0), quiet, p.start, bench.warm_up, bench.feedback) for p in plan]
+    return [
+        run(machine, bench.led_in(p.series), bench.timestep_s, bench.parts, (0.0, 0.0), quiet, p.start, bench.warm_up, bench.feedback)
+        for p in plan
+    ]
 
 
 def _sizes(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> dict[str, float]:
