@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from trueup.episode.episode import Episode
 from trueup.model.predictor import Nominal, Predictor
+from trueup.model.state import is_observed
 from trueup.model.windows import cut, starts_every
 
 if TYPE_CHECKING:
@@ -141,7 +142,8 @@ def _traces(found: Diagnosis) -> str:
         missed = [(name, p[:, column] - episode.observations[:, column], colour) for name, p, colour in paths[1:]]
         drawn.append(_plot(episode.t_s, missed, f"error of {channel.name}", SMALL))
     key = " ".join(f"<span style='color:{colour}'>━ {name}</span>" for name, _, colour in paths)
-    return f"<p>{key} <span class=pale>· rollouts start anew every {found.plant.horizon_s:g} s</span></p>{''.join(drawn)}"
+    blind = "" if is_observed(found.plant, episode) else ", the first without a velocity, as none is observed"
+    return f"<p>{key} <span class=pale>· rollouts start anew every {found.plant.horizon_s:g} s{blind}</span></p>{''.join(drawn)}"
 
 
 def _predicted(model: Predictor, episode: Episode, horizon_s: float) -> Array:
