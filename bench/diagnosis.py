@@ -129,7 +129,9 @@ def house(machine: Hidden) -> dict[str, Given]:
     for name, c in rules.items():
         predictor = corrected(plant, admission, c.fit, search.adaptation[0].scheme, adaptation)
         names = [*c.hypothesis.effects, *counted]
-        others = [[*rest.effects, twin, *counted] for rest, twin in twins(c.hypothesis)]  # no rule could part them: each is credited
+        others = [
+            [*c.hypothesis.without(e).effects, twin, *counted] for e, twin in twins(c.hypothesis)
+        ]  # no rule could part them: each is credited
         given[name] = Given(_named(names, others), positions(predictor, machine.tests), took)
     return given
 

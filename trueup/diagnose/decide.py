@@ -18,6 +18,7 @@ from enum import StrEnum
 import numpy as np
 
 from trueup.diagnose.search import Candidate
+from trueup.diagnose.twins import TWINS
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.effect import effects
@@ -25,6 +26,7 @@ from trueup.model.effect import effects
 LOG_LIKELIHOOD = 9.0  # units of log-likelihood that separate two candidates
 CERTAIN = 3.0  # times that, for windows that do not agree
 AGREEMENT = 3.0  # of the evidence in windows for a difference to that against it
+NEXT_TO = 1.02  # times the misfit: so near are twins, but for where their fits stopped
 FLOOR = 0.5  # the least misfit: the noise is known to a few per cent, so none is far below 1
 FINISHED = 0.2  # of what was left: a composition that leaves no more than that explains it
 NOISE_POWER = 0.06  # of the noise's power: the least that an effect must remove
@@ -145,6 +147,8 @@ def _told_apart(rival: Candidate, winner: Candidate, by: Yardstick) -> bool:
     """Whether the windows of all episodes are certain that a rival of the same size is worse, numbers of parameters accounted for."""
     if by.alike:
         return rival.misfit > (1.0 + by.alike) * winner.misfit
+    if frozenset(rival.hypothesis.effects) ^ frozenset(winner.hypothesis.effects) in TWINS and total(rival) < NEXT_TO * total(winner):
+        return False
     worse = np.concatenate([rival.fit.costs - winner.fit.costs, rival.check.costs - winner.check.costs])
     spread = max(total(winner), FLOOR)
     priced = penalised(rival, spread) - penalised(winner, spread)

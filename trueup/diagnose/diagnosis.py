@@ -24,6 +24,7 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
 
 Progress = Callable[[str, float], None]
+TWICE = 2  # a twin that turns out better shows its own twin a better place
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,9 @@ def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress:
     search = explore(plant, admission, adaptation, validation, progress)
     nominal = search.nominal(plant.parameters)
     choice = decide(list(search), nominal, yardstick(episodes))
+    for _ in range(TWICE):
+        search.mirror(choice.winner)
+        choice = decide(list(search), nominal, yardstick(episodes))
     progress("measuring on held-out episodes", 0.0)
     base = search.found[Hypothesis()]
     best, scheme = polished(plant, admission, search, choice.winner, adaptation, validation)

@@ -28,7 +28,6 @@ HOPELESS = 0.25  # of the gap left by the best of a size: no effect more makes a
 ENOUGH_SAMPLES = 6000  # in all adaptation episodes; more than twice as many are thinned where they are close together
 FINE = 0.02  # of the time in which the joint crosses its travel: a step that still integrates well
 FINER = 4  # steps for one of the search
-MIRRORED = 2  # of the best are fitted with twins in place of their effects
 FAR_BEHIND = 4.0  # times the best misfit
 
 
@@ -93,8 +92,6 @@ def _explore(
         generation = search.extend(parents, searchable(), partial(progress, f"{size} effects"), most=GROWN)
     for c in _refined(search, generation)[:2]:
         search.shrink(c)
-    for c in sorted(search, key=total)[:MIRRORED]:
-        search.mirror(c)
     return search
 
 

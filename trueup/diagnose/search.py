@@ -6,7 +6,7 @@ alone; compositions are compared on validation episodes, where nothing but the w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -202,15 +202,24 @@ class Search:
         return better
 
     def mirror(self, candidate: Candidate) -> None:
-        """The same with each effect replaced by its twin, fitted until nothing moves, where not known yet."""
-        for rest, twin in twins(candidate.hypothesis):
-            if twin in searchable() and rest | twin not in self.found:
-                for found in self.extend([self.fitted(rest, candidate)], [twin]):
-                    self.refine(found)
+        """The same with each effect replaced by its twin, from the same place, fitted until nothing moves; kept where that is better."""
+        for effect, twin in twins(candidate.hypothesis):
+            if twin not in searchable():
+                continue
+            rest, mirrored = _off(candidate.fit.values, effect), candidate.hypothesis.without(effect) | twin
+            begins = [self.fitter.with_effect(rest, twin, start) for start in effects()[twin].starts]
+            tried = [self.fitter.fit(self.adaptation, mirrored, b, candidate.fit.starts, iterations=SETTLE, tolerance=1e-3) for b in begins]
+            fit = min(tried, key=lambda f: f.cost)
+            known = self.found.get(fit.hypothesis)
+            if known is None or fit.cost < known.fit.cost:
+                self.keep(self.refine(self.keep(fit)).fit, candidate.check.starts)
 
-    def keep(self, fit: RolloutFit) -> Candidate:
-        """A fit as a candidate, with the starts of validation windows estimated."""
-        self.found[fit.hypothesis] = Candidate(fit, self._checked(fit))
+    def keep(self, fit: RolloutFit, starts: Mapping[str, Start] | None = None) -> Candidate:
+        """A fit as a candidate, with the starts of validation windows estimated, from given ones too."""
+        checks = [self._checked(fit)]
+        if starts is not None:
+            checks.append(self.fitter.fit(self.validation, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True))
+        self.found[fit.hypothesis] = Candidate(fit, min(checks, key=lambda f: f.cost))
         return self.found[fit.hypothesis]
 
     def _checked(self, fit: RolloutFit) -> RolloutFit:

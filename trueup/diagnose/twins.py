@@ -22,9 +22,9 @@ TWINS: Mapping[frozenset[str], str] = {
 }
 
 
-def twins(of: Hypothesis) -> Iterator[tuple[Hypothesis, str]]:
-    """What is left of a composition without an effect that has a twin, and the twin."""
+def twins(of: Hypothesis) -> Iterator[tuple[str, str]]:
+    """Each effect of a composition that has a twin outside it, and the twin."""
     for pair in TWINS:
         inside, outside = pair & set(of.effects), pair - set(of.effects)
         if len(inside) == len(outside) == 1:
-            yield of.without(min(inside)), min(outside)
+            yield min(inside), min(outside)
