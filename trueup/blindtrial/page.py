@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any
 
-from trueup.diagnose.page import STYLE
+from trueup.diagnose.page import section, whole
 
 CELL, LEFT, TOP = 22, 210, 190
 MATRIX = """
@@ -43,21 +43,14 @@ def page(document: Mapping[str, Any]) -> str:
     d = document
     parts = [
         f"<header><p class=pale>Blind trial of {escape(d['plant'])}</p><h1>{escape(sentence(d))}</h1></header>",
-        _section("Taken for", _matrix(d)),
-        _section("How often right", _kinds(d)),
-        _section("How far an answer may be trusted here", _trust(d)),
-        _section("What the intervals cover, what the correction closes", _coverage(d)),
-        _section("Every trial", _rows(d)),
-        _section("How it was kept blind", _blind(d)),
+        section("Taken for", _matrix(d)),
+        section("How often right", _kinds(d)),
+        section("How far an answer may be trusted here", _trust(d)),
+        section("What the intervals cover, what the correction closes", _coverage(d)),
+        section("Every trial", _rows(d)),
+        section("How it was kept blind", _blind(d)),
     ]
-    head = f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>Blind trial of {escape(d['plant'])}</title>"
-    return (
-        f"<!doctype html><html lang=en><head>{head}<style>{STYLE}{MATRIX}</style></head><body><main>{''.join(parts)}</main></body></html>\n"
-    )
-
-
-def _section(title: str, body: str) -> str:
-    return f"<section><h2>{escape(title)}</h2>{body}</section>"
+    return whole(f"Blind trial of {d['plant']}", parts, MATRIX)
 
 
 def _matrix(d: Mapping[str, Any]) -> str:

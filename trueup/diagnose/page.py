@@ -86,20 +86,28 @@ def page(found: Diagnosis) -> str:
     d: Mapping[str, Any] = found.document
     parts = [
         f"<header><p class=pale>Diagnosis of {escape(found.plant.name)}</p><h1>{escape(sentence(d))}</h1></header>",
-        _section("How far", _figures(d)),
-        _section("Measured against predicted, on a held-out episode", _traces(found)),
-        _section("Where", _where(d)),
-        _section("Which", _effects(d) + _hypotheses(d)),
-        _section("Parameters", _parameters(d)),
-        f"<div class=cols>{_section('What the data speak against', _excluded(d))}{_section('What they could not show', _unexcited(d))}</div>",
-        _section("What next", _next(d)),
-        _section("What this rests on", _evidence(d)),
+        section("How far", _figures(d)),
+        section("Measured against predicted, on a held-out episode", _traces(found)),
+        section("Where", _where(d)),
+        section("Which", _effects(d) + _hypotheses(d)),
+        section("Parameters", _parameters(d)),
+        f"<div class=cols>{section('What the data speak against', _excluded(d))}{section('What they could not show', _unexcited(d))}</div>",
+        section("What next", _next(d)),
+        section("What this rests on", _evidence(d)),
     ]
-    head = f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>Diagnosis of {escape(found.plant.name)}</title>"
-    return f"<!doctype html><html lang=en><head>{head}<style>{STYLE}</style></head><body><main>{''.join(parts)}</main></body></html>\n"
+    return whole(f"Diagnosis of {found.plant.name}", parts)
 
 
-def _section(title: str, body: str) -> str:
+def whole(title: str, parts: Sequence[str], style: str = "") -> str:
+    """A page that needs nothing else."""
+    head = f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{escape(title)}</title>"
+    return (
+        f"<!doctype html><html lang=en><head>{head}<style>{STYLE}{style}</style></head><body><main>{''.join(parts)}</main></body></html>\n"
+    )
+
+
+def section(title: str, body: str) -> str:
+    """One card of a page."""
     return f"<section><h2>{escape(title)}</h2>{body}</section>"
 
 
