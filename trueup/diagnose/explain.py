@@ -19,6 +19,8 @@ from trueup.model.plant import Plant
 Array = NDArray[np.float64]
 TWO_SIDED = 1.96  # standard errors of a 95 % interval
 LINEAR = 1.5  # times a start: up to there what was computed at the start is believed
+RIDGE = 1e-12  # of a determined direction's information
+WIDEST = 1e7  # steps of a finite difference: an interval so wide says that nothing is known
 HELD = 0.005  # of the frames: fewer make no gap worth a name
 RULED_OUT = 0.5  # of a limit's whole effect
 
@@ -72,11 +74,12 @@ def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], fl
         return {}
     size = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
     scaled = fit.information / size[:, None] / size
-    variance = np.maximum(np.diag(np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)), 0.0) / size**2
+    with np.errstate(over="ignore"):  # what is not determined is wide
+        variance = np.abs(np.diag(np.linalg.inv(scaled + RIDGE * np.eye(len(size))))) / size**2
     moved = fit.values[fit.free.rows] - coarse.values[fit.free.rows]
     grid = np.array([RESOLUTION * (e != "" and effects()[e].zoomed == n) for e, n in fit.free.names]) * fit.values[fit.free.rows]
     width = np.sqrt(TWO_SIDED**2 * variance * max(fit.misfit, 1.0) + moved**2 + grid**2)
-    return {name: float(w) for name, w in zip(fit.free.names, width, strict=True)}
+    return {name: float(w) for name, w in zip(fit.free.names, np.minimum(width, WIDEST * fit.free.step), strict=True)}
 
 
 def estimates(fit: RolloutFit, coarse: RolloutFit, fitter: Fitter, plant: Plant, share: Mapping[str, float]) -> list[Json]:
@@ -87,6 +90,8 @@ def estimates(fit: RolloutFit, coarse: RolloutFit, fitter: Fitter, plant: Plant,
         kind = effects()[name]
         values: dict[str, Json] = {}
         for number in kind.params:
+            if (name, number.name) not in widths:
+                continue  # the log did not ask for it
             value = fit.parameters(name)[number.name]
             low, high = _inside(value, widths[name, number.name], number, fitter)
             values[number.name] = {"value": value, "unit": unit(number.scale, plant), "ci95": [low, high]}

@@ -115,7 +115,7 @@ def polished(
         search.short,
     )
     fit = last.fitter.fit(last.adaptation, best.hypothesis, best.fit.values, iterations=25, tolerance=1e-7, hold_starts=physical)
-    return last.keep(fit), finer
+    return last.keep(fit if physical else last.pruned(fit)), finer
 
 
 def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]:

@@ -109,26 +109,29 @@ class Search:
         """
         kind, hypothesis = effects()[name], parent.hypothesis | name
         begins = self._begins(parent, kind, expected)
-        raced = [self.fitter.fit(self.short, hypothesis, begin, iterations=RACE, tolerance=1e-2) for begin in begins]
+        fit, still = self.fitter.fit, _still(begins[0], [kind])
+        raced = [fit(self.short, hypothesis, begin, iterations=RACE, tolerance=1e-2, fixed=still) for begin in begins]
         raced.sort(key=lambda f: f.cost)
-        near = [self.fitter.fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3) for f in raced[:KEPT]]
+        near = [fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3, fixed=still) for f in raced[:KEPT]]
         apart = [f for i, f in enumerate(near) if not any(_same(f, g) for g in near[:i])]
-        settled = [self.fitter.fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3) for f in apart]
+        settled = [fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3, fixed=still) for f in apart]
         best = min(settled, key=lambda f: f.cost)
-        best = self._pruned(best, kind)
+        if still:
+            free = fit(self.adaptation, hypothesis, best.values, best.starts, iterations=SETTLE, tolerance=1e-3)
+            best = free if _asks(best, free) else best
+        best = self._pruned(best, [kind])
         return self._zoomed(best, kind.name, kind.zoomed) if kind.zoomed and best.cost < parent.cost else best
 
-    def _pruned(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
-        """The fit without each number that it may do without, where the log does not ask for it."""
-        rows = rows_of(kind.name)
-        for name in kind.optional:
-            values = best.values.copy()
-            values[rows[name]] = nulls()[rows[name]]
-            fixed = [(kind.name, name)]
-            plain = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=RACE, tolerance=1e-3, fixed=fixed)
-            if plain.cost < best.cost + ASKED_FOR * max(best.misfit, 1.0):
-                best = self.fitter.fit(self.adaptation, best.hypothesis, plain.values, plain.starts, iterations=1)
-                best = best if best.cost <= plain.cost else plain
+    def _pruned(self, best: RolloutFit, kinds: Sequence[type[Effect]]) -> RolloutFit:
+        """The fit with each number at its null that it may do without, where the log does not ask for it; those are free no more."""
+        fixed = _still(best.values, kinds)
+        for kind, name in ((k, name) for k in kinds for name in k.optional if (k.name, name) not in fixed):
+            values, row = best.values.copy(), rows_of(kind.name)[name]
+            values[row] = nulls()[row]
+            without = [*fixed, (kind.name, name)]
+            plain = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=RACE, tolerance=1e-3, fixed=without)
+            if not _asks(plain, best):
+                best, fixed = plain, without
         return best
 
     def _begins(self, parent: RolloutFit, kind: type[Effect], expected: np.ndarray) -> list[np.ndarray]:
@@ -145,27 +148,32 @@ class Search:
 
     def _zoomed(self, best: RolloutFit, effect: str, parameter: str) -> RolloutFit:
         """The best of ever finer grids around one number, along which the error has corners."""
-        row = rows_of(effect)[parameter]
+        row, still = rows_of(effect)[parameter], _still(best.values, [effects()[name] for name in best.hypothesis.effects])
         for width in ZOOMS:
             centre = best.values[row]
             for point in ZOOM_POINTS:
                 values = best.values.copy()
                 values[row] = centre * (1.0 + width * point)
-                tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=2, fixed=[(effect, parameter)])
+                fixed = [*still, (effect, parameter)]
+                tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=2, fixed=fixed)
                 best = tried if tried.cost < best.cost else best
-        free = self.fitter.fit(self.adaptation, best.hypothesis, best.values, best.starts, iterations=4)
+        free = self.fitter.fit(self.adaptation, best.hypothesis, best.values, best.starts, iterations=4, fixed=still)
         return free if free.cost <= best.cost else best
 
     def refine(self, candidate: Candidate) -> Candidate:
         """The same fitted until nothing moves."""
-        fit = self.fitter.fit(
-            self.adaptation, candidate.hypothesis, candidate.fit.values, candidate.fit.starts, iterations=25, tolerance=1e-6
-        )
+        kinds, at = [effects()[name] for name in candidate.hypothesis.effects], candidate.fit
+        still = _still(at.values, kinds)
+        fit = self.fitter.fit(self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=1e-6, fixed=still)
         for name in candidate.hypothesis.effects:
             fit = self._turned(fit, effects()[name])
             for parameter in effects()[name].threshold[:1]:
                 fit = self._zoomed(fit, name, parameter)
-        return self.keep(fit) if fit.cost < candidate.fit.cost else candidate
+        return self.keep(self.pruned(min(fit, candidate.fit, key=lambda f: f.cost)))
+
+    def pruned(self, fit: RolloutFit) -> RolloutFit:
+        """A fit without the numbers that its log does not ask for."""
+        return self._pruned(fit, [effects()[name] for name in fit.hypothesis.effects])
 
     def _turned(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
         """The best of the fit and of those from the other end of a number between 0 and 1: laws of two shapes have a valley each."""
@@ -173,7 +181,8 @@ class Search:
             values = best.values.copy()
             row = rows_of(kind.name)[number.name]
             values[row] = 0.0 if values[row] > 0.5 else 1.0  # noqa: PLR2004  (the end that is further)
-            tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=SETTLE, tolerance=1e-4)
+            still = [x for x in _still(best.values, [kind]) if x != (kind.name, number.name)]
+            tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=SETTLE, tolerance=1e-4, fixed=still)
             best = tried if tried.cost < best.cost else best
         return best
 
@@ -260,6 +269,16 @@ def _apart(expected: np.ndarray) -> list[int]:
         if all(abs(int(i) - j) > max(1, len(expected) // FAR) for j in chosen):
             chosen.append(int(i))
     return chosen[: RACED if len(expected) < MANY else 2 * RACED]
+
+
+def _still(values: np.ndarray, kinds: Sequence[type[Effect]]) -> list[tuple[str, str]]:
+    """The numbers that stay at their null unless the log asks for them, and are there."""
+    return [(k.name, name) for k in kinds for name in k.optional if values[rows_of(k.name)[name]] == nulls()[rows_of(k.name)[name]]]
+
+
+def _asks(without: RolloutFit, best: RolloutFit) -> bool:
+    """Whether a number is worth its while."""
+    return without.cost > best.cost + ASKED_FOR * max(best.misfit, 1.0)
 
 
 def _same(one: RolloutFit, other: RolloutFit) -> bool:

@@ -17,7 +17,7 @@ class Hysteresis(Effect):
     category = "structure"
     params = (
         Number("level", Scale.ACCELERATION),
-        Number("distance", Scale.POSITION, 1.0, 0.02, 2.0),
+        Number("distance", Scale.POSITION, 1.0, 0.02, 1.0),
         Number("shape", Scale.ONE, 0.5, 0.0, 1.0),
         Number("sharpness", Scale.ONE, 0.5, 0.0, 1.0),
     )
