@@ -236,11 +236,13 @@ class Fitter:
         """What a linear model expects of each start of an effect on a parent's rollouts.
 
         What the effect does to them is scaled by one factor, and everything that the parent leaves free adapts to it. One lane for
-        each start.
+        each start. Where the parent's own parameters leave no lane, nothing can be said.
         """
         free = self.free(parent.hypothesis)
         starts = effects()[effect].starts
         room = MOST_FREE - len(free.rows)
+        if room <= 0:
+            return Screening(np.full(len(starts), parent.cost), np.zeros(len(starts)), np.full(len(starts), np.inf))
         parts = [self._screened(data, parent, effect, free, starts[i : i + room]) for i in range(0, len(starts), room)]
         cost, factor, error = np.concatenate(parts, axis=1)
         return Screening(cost, factor, error)

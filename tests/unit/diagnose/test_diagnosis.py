@@ -1,13 +1,19 @@
 """What a diagnosis says of machines whose faults are known, made by the second simulator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.support.simulated import recorded
+from trueup.diagnose.admission import admit
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.page import page, sentence
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
+from trueup.fit.rollout_fit import MOST_FREE, Fitter
+from trueup.model.hypothesis import Hypothesis
+from trueup.model.series import refined, series
 
 
 def named(found):
@@ -169,3 +175,16 @@ def test_the_noise_is_told_from_the_signal():
     plant, episodes, trial = recorded("B1", ["coulomb_friction"], 18)
     found = diagnose(plant, episodes)
     assert np.allclose([found.document["evidence"]["noise"][n] for n in ("q", "v")], trial.sigma, rtol=0.1)
+
+
+def test_a_composition_that_fills_every_lane_has_no_bounds_beside_it():
+    plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)
+    admission = admit(plant, [e for e in episodes if e.role == "adaptation"])
+    fitter = Fitter(plant.family, admission.scales, admission.sigma)
+    full = Hypothesis(("stribeck_friction", "hysteresis", "hard_stop"))
+    assert len(fitter.free(full).rows) > MOST_FREE
+    data = [series(plant, episodes[0], refined(plant), 2.0)]
+    parent = fitter.fit(data, Hypothesis(), fitter.begin(plant.parameters), iterations=1)
+    screened = fitter.screen(data, replace(parent, hypothesis=full), "cogging")
+    assert np.isinf(screened.error).all()
+    assert (screened.cost == parent.cost).all()
