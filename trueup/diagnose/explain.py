@@ -18,6 +18,7 @@ from trueup.model.plant import Plant
 
 Array = NDArray[np.float64]
 TWO_SIDED = 1.96  # standard errors of a 95 % interval
+BOUNDING = 3.0  # standard errors of a bound: what the linear model neglects is among them
 LINEAR = 1.5  # times a start: up to there what was computed at the start is believed
 RIDGE = 1e-12  # of a determined direction's information
 WIDEST = 1e7  # steps of a finite difference: an interval so wide says that nothing is known
@@ -158,7 +159,7 @@ def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound]
 def _bound(search: Search, winner: Candidate, name: str, plant: Plant) -> Bound:
     kind, fitter = effects()[name], search.fitter
     screened = fitter.screen(search.adaptation, winner.fit, name)
-    error = TWO_SIDED * screened.error * np.sqrt(max(winner.fit.misfit, 1.0))
+    error = BOUNDING * screened.error * np.sqrt(max(winner.fit.misfit, 1.0))
     number = kind.params[0]
     starts = np.array([max(abs(s[0]), abs(s[1]) if kind.periodic else 0.0) for s in kind.starts]) * fitter.scales.of(number.scale)
     measure = unit(number.scale, plant)
@@ -169,11 +170,16 @@ def _bound(search: Search, winner: Candidate, name: str, plant: Plant) -> Bound:
         value = float(starts[order][last - 1]) if last else None
         return Bound(name, number.name, value, True, measure, "" if last else _blind(kind))
     limits = (np.abs(screened.factor) + error) * starts
-    sound = np.flatnonzero(limits <= LINEAR * starts)
-    if not len(sound):
+    if kind.zoomed:  # small ones do not grow in proportion: what would have been seen whole bounds
+        limits = np.where(limits < starts, starts, np.inf)
+    shapes: dict[tuple[float, ...], float] = {}
+    for s, limit, start in zip(kind.starts, limits, starts, strict=True):
+        shape = s if kind.periodic else s[1:]
+        shapes[shape] = min(shapes.get(shape, np.inf), limit if limit <= LINEAR * start else np.inf)
+    sound = [limit for limit in shapes.values() if np.isfinite(limit)]  # of the shapes that would have shown
+    if not sound:
         return Bound(name, number.name, None, False, measure, _blind(kind))
-    value = float(limits[sound].max() if kind.periodic else limits[sound].min())
-    return Bound(name, number.name, value, False, measure, "")
+    return Bound(name, number.name, float(max(sound)), False, measure, "")
 
 
 def _blind(kind: type[Effect]) -> str:
