@@ -173,7 +173,7 @@ def _write(file: Path, m: Hidden) -> None:
             arrays |= {f"{role}{i}t": e.t_s, f"{role}{i}u": plant.applied(e.commands)[:, 0], f"{role}{i}y": e.observations}
     about |= {
         "family": plant.family,
-        "parameters": dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True)),
+        "parameters": dict(plant.nominal),
         "dt": m.tests[0].period_s,
         "window": round(HORIZON_S / m.tests[0].period_s),
         "hidden": len(m.label["effects"]),

@@ -76,9 +76,12 @@ def _verify(trial: Path) -> None:
         raise NotAsCommitted(
             f"{trial} holds no report.json with an audit.jsonl", hint="Name the folder that a trial of a case was written to."
         )
-    entries = [AuditEntry(**json.loads(line)) for line in log.read_text().splitlines()]
+    try:
+        entries = [AuditEntry(**json.loads(line)) for line in log.read_text().splitlines()]
+        document = json.loads(report.read_text())
+    except (ValueError, TypeError) as error:
+        raise NotAsCommitted(f"{trial} holds a report or a log that was damaged: {error}") from error
     verify_chain(entries)
-    document = json.loads(report.read_text())
     committed = entries[0].facts.get("commitments", []) if entries else []
     require_as_committed(document, list(committed))  # type: ignore[arg-type]
     console.print(f"{len(document['rows'])} labels are those committed at {moment(entries[0].at)}, before the first diagnosis.")
@@ -107,15 +110,11 @@ def _secret(file: Path | None) -> bytes | None:
 
 
 def _local(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str, Any]:
-    from trueup.blindtrial.bench import bench_of
     from trueup.diagnose.case import read_case
     from trueup.ledger.audit import GENESIS, append
     from trueup_worker.blind_trial import conduct
 
     plant, episodes = read_case(case)
-    cases = out / "cases"
-    bench_of(plant, episodes)  # what cannot be tried is refused before anything is written
-    cases.mkdir(parents=True)
     after = [(0, GENESIS)]
 
     def note(kind: str, facts: dict[str, Any]) -> None:
@@ -132,11 +131,10 @@ def _local(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str
             plant,
             episodes,
             trials,
-            secret or os.urandom(32),
+            secret,
             lambda labels: note("committed", {"commitments": labels}),
             lambda stage, share: bar(share, stage),
-            keep=cases,
-            redrawn=secret is not None,
+            keep=out / "cases",
         )
     note("opened", {"labels": [{"label": r["label"], "salt": r["salt"]} for r in document["rows"]], "opening": document["opening"]})
     return document

@@ -33,6 +33,7 @@ from trueup.diagnose.measure import closed_on
 from trueup.episode.episode import Episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
+from trueup.simulate.trial import Bench
 from trueup_worker.blind_room import NO_ANSWER, Room
 
 SCHEMA = "trueup.blindtrial/1"
@@ -66,22 +67,22 @@ def conduct(
     plant: Plant,
     episodes: Sequence[Episode],
     count: int,
-    secret: bytes,
+    secret: bytes | None,
     commit: Callable[[list[str]], None],
     progress: Progress,
     rooms: Sequence[Diagnose] | None = None,
     keep: Path | None = None,
-    redrawn: bool = False,
 ) -> dict[str, Any]:
     """The report of `count` trials after a user's plant and episodes.
 
-    `commit` is called with the commitments before the first diagnosis. `keep` is a folder for the cases, else they are removed;
-    `redrawn` says that the secret was known before.
+    A `secret` draws an opened trial again; without one it is drawn too. `commit` is called with the commitments before the first diagnosis.
+    `keep` is a folder for the cases, made when the first is written; without one they are removed.
     Raises NotIdentifiable, LabelLeaked, NoRoom.
     """
+    bench, hidden = bench_of(plant, episodes), secret or os.urandom(SECRET_BYTES)
     with tempfile.TemporaryDirectory(prefix="blind-") as temporary:
         sealed = []
-        for trial in _drawn(plant, episodes, count, secret, keep or Path(temporary)):
+        for trial in _drawn(plant, bench, conditions_of(episodes), count, hidden, keep or Path(temporary)):
             sealed.append(trial)
             progress("drawing machines and recording them", DRAWING * len(sealed) / count)
         commit([s.commitment for s in sealed])
@@ -93,7 +94,6 @@ def conduct(
         raise NoRoom("no diagnosing process ever answered: " + str(answers[0]["problem"]))
     found = [Answer(a.get("report"), a.get("problem"), float(a["seconds"])) for a in answers]
     rows = [_row(i, plant, *parts) for i, parts in enumerate(zip(sealed, answers, found, strict=True))]
-    bench = bench_of(plant, episodes)
     return {
         "schema": SCHEMA,
         "plant": plant.name,
@@ -108,15 +108,14 @@ def conduct(
             "feedback": asdict(bench.feedback) if bench.feedback else None,
             "left_out": list(left_out(plant)),
         },
-        "opening": {"secret": secret.hex(), "redrawn": redrawn},
+        "opening": {"secret": hidden.hex(), "redrawn": secret is not None},
         "version": trueup.__version__,
     }
 
 
-def _drawn(plant: Plant, episodes: Sequence[Episode], count: int, secret: bytes, where: Path) -> Iterator[Sealed]:
+def _drawn(plant: Plant, bench: Bench, conditions: Mapping[str, str], count: int, secret: bytes, where: Path) -> Iterator[Sealed]:
     rng = np.random.default_rng(int.from_bytes(bytes.fromhex(digest_of_bytes(secret + b"/lots"))))
-    bench, conditions = bench_of(plant, episodes), conditions_of(episodes)
-    own: Json = [dict(plant.document), conditions]
+    own: Json = [dict(plant.document), dict(conditions)]
     for i, lot in enumerate(draw_lots(plant, count, rng)):
         trial = machine_of(plant, bench, lot, rng)
         label, salt = label_of(plant, lot, trial), salt_of(secret, i)

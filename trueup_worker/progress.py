@@ -30,7 +30,9 @@ class Progress:
         self._written = 0.0
 
     def stage(self, name: str, begin: float, end: float) -> Progress:
-        """From now on the job is in this stage, which takes it from one share to another."""
+        """From now on the job is in this stage, which takes it from one share to another; told again, nothing changes."""
+        if (name, begin, end) == (self._stage, self._begin, self._end):
+            return self
         self._stage, self._begin, self._end, self._written = name, begin, end, 0.0
         self(0.0)
         return self

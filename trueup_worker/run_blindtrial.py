@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from datetime import UTC, datetime
 from typing import Any
 
@@ -12,7 +11,7 @@ from trueup_service.actions.stamp import time_text
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.store import Writer
 from trueup_service.wiring import Parts
-from trueup_worker.blind_trial import SECRET_BYTES, conduct
+from trueup_worker.blind_trial import conduct
 from trueup_worker.inputs import read_episodes, read_plant
 from trueup_worker.progress import Progress
 
@@ -24,7 +23,6 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     plant = read_plant(parts, job)
     episodes = read_episodes(parts, job, plant, (Role.ADAPTATION, Role.VALIDATION), progress.stage("reading episodes", 0.0, READING))
     request: dict[str, Any] = dict(job.request)
-    stages: list[str] = []
 
     def commit(commitments: list[str]) -> None:
         with parts.database.write() as connection:
@@ -37,13 +35,8 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
                 facts={"commitments": commitments},
             )
 
-    def told(stage: str, share: float) -> None:
-        if [stage] != stages:
-            stages[:] = [stage]
-            progress.stage(stage, READING, 1.0)
-        progress(share)
-
-    return {"report": conduct(plant, episodes, int(request["trials"]), os.urandom(SECRET_BYTES), commit, told)}
+    trials = int(request["trials"])
+    return {"report": conduct(plant, episodes, trials, None, commit, lambda stage, part: progress.stage(stage, READING, 1.0)(part))}
 
 
 def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: object) -> None:

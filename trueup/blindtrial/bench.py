@@ -39,7 +39,7 @@ def bench_of(plant: Plant, episodes: Sequence[Episode]) -> Bench:
 
     Raises NotIdentifiable where there is no adaptation or validation episode, or the plant's family is not one of the simulator's.
     """
-    if not dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True))["b"]:
+    if not plant.nominal["b"]:
         raise NotIdentifiable("the nominal command gain b is 0: no command moves this plant", hint="Give the plant a nominal b.")
     if plant.family not in KINDS:
         raise NotIdentifiable(f"the second simulator knows no family {plant.family!r}", hint=f"It knows {', '.join(sorted(KINDS))}.")
@@ -72,8 +72,7 @@ def bench_of(plant: Plant, episodes: Sequence[Episode]) -> Bench:
 
 def nominal(plant: Plant, bench: Bench) -> Bench:
     """The same bench with the plant's nominal numbers."""
-    numbers = dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True))
-    return replace(bench, k=numbers.get("k", 0.0), c=numbers["c"], b=numbers["b"])
+    return replace(bench, k=plant.nominal.get("k", 0.0), c=plant.nominal["c"], b=plant.nominal["b"])
 
 
 def _numbers(plant: Plant, admission: Admission, episodes: Sequence[Episode]) -> dict[str, float]:
@@ -82,7 +81,7 @@ def _numbers(plant: Plant, admission: Admission, episodes: Sequence[Episode]) ->
     data = [series(plant, e, refined(plant), min(WINDOW_S, float(e.t_s[-1]))) for e in episodes]
     fitted = fitter.fit(data, Hypothesis(), fitter.begin(plant.parameters), iterations=25).parameters()
     near = {}
-    for name, value in zip(plant.dynamics.parameter_names, plant.parameters, strict=True):
+    for name, value in plant.nominal.items():
         ratio = fitted[name] / value if value else 0.0
         near[name] = fitted[name] if 1.0 / PLAUSIBLE < ratio < PLAUSIBLE else value
     return near

@@ -77,7 +77,7 @@ def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
         raise NotIdentifiable(
             "the joint never moves, or no command was ever given", hint="Record episodes with a command that moves the joint."
         )
-    gain = abs(dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True)).get("b", 1.0))
+    gain = abs(plant.nominal.get("b", 1.0))
     limit = float(np.abs(issued).max())
     return Admission(
         noise, sigma, motion, lattice, float(np.mean(np.concatenate(repeats))), Scales(sizes[0], sizes[1], gain * sizes[2], limit)

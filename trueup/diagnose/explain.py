@@ -133,7 +133,7 @@ def parameter_table(plant: Plant, fit: RolloutFit, coarse: RolloutFit) -> dict[s
     widths, values = half_widths(fit, coarse), fit.parameters()
     return {
         name: {"nominal": nominal, "value": values[name], "ci95": [values[name] - widths["", name], values[name] + widths["", name]]}
-        for name, nominal in zip(plant.dynamics.parameter_names, plant.parameters, strict=True)
+        for name, nominal in plant.nominal.items()
     }
 
 

@@ -58,6 +58,11 @@ class Plant:
         return digest_of(self.document)
 
     @cached_property
+    def nominal(self) -> Mapping[str, float]:
+        """The nominal parameters by name."""
+        return dict(zip(self.dynamics.parameter_names, self.parameters, strict=True))
+
+    @cached_property
     def limits(self) -> tuple[Array, Array]:
         """Lower and upper limit of each command, `(commands,)` each."""
         bounds = np.array([c.limits for c in self.layout.commands], float)

@@ -77,7 +77,8 @@ def test_a_label_changed_after_its_commitment_is_found(conducted):
 def test_the_secret_draws_the_same_trials_again(conducted, tmp_path):
     document, committed, _ = conducted
     plant, episodes = users()
-    again = list(blind_trial._drawn(plant, episodes, COUNT, bytes.fromhex(document["opening"]["secret"]), tmp_path))
+    bench, conditions = bench_of(plant, episodes), blind_trial.conditions_of(episodes)
+    again = list(blind_trial._drawn(plant, bench, conditions, COUNT, bytes.fromhex(document["opening"]["secret"]), tmp_path))
     assert [s.commitment for s in again] == committed
     assert salt_of(SECRET, 0) != salt_of(SECRET, 1)
 
