@@ -17,6 +17,7 @@ from trueup.model.effect import Effect, Number, Port, Scale, effects
 from trueup.model.family import Family, Param, families
 from trueup.model.hypothesis import Hypothesis, Scales, switches
 from trueup.model.kinds import KINDS
+from trueup.model.known import Known
 from trueup.model.predictor import Identified, Nominal
 from trueup.model.series import Scheme
 
@@ -46,7 +47,7 @@ def _corrected():
         tuple(map(float, values)),
         Scheme(0.5, 2),
         ((0.5, 0.0, 0.2, 0.6, 0.0, 0.0), (0.2, 0.0, 0.1, 0.3, 0.0, 0.5)),
-        (0.1, 0.2, 0.3),
+        Known(np.array([[0.1, 0.2, 0.3], [0.4, -0.5, 0.6], [-0.7, 0.8, 0.9]]), 2),
     )
 
 

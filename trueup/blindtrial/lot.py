@@ -41,7 +41,7 @@ def left_out(plant: Plant) -> tuple[str, ...]:
     if "k" not in plant.dynamics.parameter_names:
         found += ["sensor_bias"]  # nothing says where zero is
     if len(plant.state_columns) == 1:
-        found += ["sensor_scale", "clock_skew"]  # other numbers of the form give the same positions
+        found += ["velocity_lag", "sensor_scale", "clock_skew"]  # there is none; other numbers of the form give the same positions
         found += ["sensor_drift"] if "sensor_bias" in found else []  # a constant force gives the same
     return tuple(found)
 

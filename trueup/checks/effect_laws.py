@@ -65,8 +65,9 @@ def _usual(effect: type[Effect]) -> int:
 
 
 def _strong(effect: type[Effect], start: int) -> tuple[float, ...]:
-    """One of the effect's own starts; those that are made to be weak are made visible."""
-    chosen = list(effect.starts[start])
+    """One of the effect's own starts, all its numbers asked for; those that are made to be weak are made visible."""
+    asked = dict(zip(effect.optional, effect.tries[0], strict=True)) if effect.tries else {}
+    chosen = [asked.get(n.name, x) for n, x in zip(effect.params, effect.starts[start], strict=True)]
     if effect.periodic:
         chosen[:2] = [0.1, 0.05]
     return tuple(chosen)

@@ -55,7 +55,7 @@ class Yardstick:
 
 
 SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 0.015, 3, 0.0)  # the laws' forms and the integration differ by about a thousandth
-PHYSICAL = Yardstick(0.02, 0.02, 2e-3, 0.15, 0.6, 2, 0.25)  # no textbook law holds on a machine to better than some per cent
+PHYSICAL = Yardstick(0.01, 0.01, 2e-3, 0.15, 0.6, 2, 0.25)  # no textbook law holds on a machine to better than some per cent
 
 
 def yardstick(episodes: Sequence[Episode]) -> Yardstick:

@@ -11,12 +11,14 @@ import numpy as np
 from trueup.diagnose.admission import NUMERICAL, Admission
 from trueup.diagnose.decide import PHYSICAL, enough, total, yardstick
 from trueup.diagnose.periodicity import pitches
-from trueup.diagnose.search import Candidate, Search, searchable
+from trueup.diagnose.search import Candidate, Search, searchable, still
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import Fitter, in_parallel
+from trueup.model.effect import effects
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
-from trueup.model.series import DECLARED, Scheme, refined, series
+from trueup.model.series import DECLARED, Scheme, Series, refined, series
+from trueup.model.state import smoothed_states
 
 Progress = Callable[[str, float], None]
 PARENTS = 4  # of the best compositions grow by one more effect
@@ -100,7 +102,7 @@ def polished(
 ) -> tuple[Candidate, Scheme]:
     """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates.
 
-    On a machine the windows start where a prediction would: what no law explains must not hide in their starts.
+    On a machine the windows start where the log says: what no law explains must not hide in their starts.
     """
     scheme = search.adaptation[0].scheme
     physical = yardstick(adaptation) is PHYSICAL
@@ -110,12 +112,21 @@ def polished(
     length = window_s(plant, [*adaptation, *validation])
     last = Search(
         search.fitter,
-        [series(plant, e, finer, length) for e in adaptation],
+        [_begun(plant, e, series(plant, e, finer, length), best) for e in adaptation],
         [series(plant, e, finer, length) for e in validation],
         search.short,
     )
-    fit = last.fitter.fit(last.adaptation, best.hypothesis, best.fit.values, iterations=25, tolerance=1e-7, hold_starts=physical)
+    fit = last.fitter.fit(
+        last.adaptation, best.hypothesis, best.fit.values, iterations=25, tolerance=1e-7, hold_starts=physical, fixed=still(best.fit)
+    )
     return last.keep(fit if physical else last.pruned(fit)), finer
+
+
+def _begun(plant: Plant, episode: Episode, s: Series, best: Candidate) -> Series:
+    """A series whose windows start from what the log does not hide behind an effect of the composition."""
+    signals = {effects()[name].hides for name in best.hypothesis.effects}
+    hidden = [column for column, signal in enumerate(("q", "v")) if signal in signals]
+    return replace(s, begin=smoothed_states(plant, episode, hidden)[np.flatnonzero(s.resets >= 0)])
 
 
 def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]:

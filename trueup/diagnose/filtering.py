@@ -21,7 +21,9 @@ from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, in_parallel
 from trueup.model.block import layout
 from trueup.model.corrected import Corrected
+from trueup.model.effect import effects
 from trueup.model.hypothesis import Hypothesis
+from trueup.model.known import known
 from trueup.model.plant import Plant
 from trueup.model.series import Scheme
 from trueup.model.state import smoothed_states
@@ -41,8 +43,10 @@ def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Schem
     if admission.coarse.any():
         hypothesis = Hypothesis((*hypothesis.effects, "sensor_quantization"))
         values[list(layout()["sensor_quantization"])] = np.where(admission.coarse, admission.lattice, 0.0)
-    begin, unknown = _first_velocity(plant, episodes)
-    model = Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, begin=begin)
+    model, unknown = Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme), admission.scales.velocity
+    if not admission.observed.all():
+        moments, unknown = known([_moments(plant, e) for e in episodes])
+        model = replace(model, known=moments)
     period = episodes[0].period_s
 
     def tried(kind: tuple[float, bool]) -> tuple[Array, Corrected]:
@@ -74,14 +78,11 @@ def _as_well(worse: Array) -> bool:
     return bool(worse.mean() <= UNCERTAIN * worse.std() / np.sqrt(len(worse)))
 
 
-def _first_velocity(plant: Plant, episodes: Sequence[Episode]) -> tuple[tuple[float, float, float], float]:
-    """Weights of 1, position and command in the velocity that goes with them, by least squares over all samples, and what they miss."""
-    states = np.concatenate([smoothed_states(plant, e) for e in episodes])
-    u = np.concatenate([plant.applied(e.commands)[:, 0] for e in episodes])
-    sound = np.isfinite(states).all(axis=1) & np.isfinite(u)
-    terms, speed = np.column_stack([np.ones(len(u)), states[:, 0], u])[sound], states[sound, 1]
-    one, q, drive = (float(x) for x in np.linalg.lstsq(terms, speed, rcond=None)[0])
-    return (one, q, drive), float(np.std(speed - terms @ np.array([one, q, drive])))
+def _moments(plant: Plant, episode: Episode) -> Array:
+    """Position, command and velocity at each sample that has all three, `(samples, 3)`."""
+    q, v = smoothed_states(plant, episode).T
+    moments = np.column_stack([q, plant.applied(episode.commands)[:, 0], v])
+    return np.asarray(moments[np.isfinite(moments).all(axis=1)])
 
 
 def _gain(
@@ -91,7 +92,9 @@ def _gain(
     sample, or one that wanders and is estimated. `unknown` is the standard deviation of a first velocity that nobody observed.
     """
     names = plant.dynamics.parameter_names
-    h, seen, sizes = period_s, admission.observed, admission.scales
+    h, sizes = period_s, admission.scales
+    hidden = {effects()[name].hides for name in model.hypothesis.effects}
+    seen = admission.observed & np.array([signal not in hidden for signal in ("q", "v")])
     unit = np.array([sizes.position, sizes.velocity, sizes.acceleration])  # keeps the equation well scaled
     a = np.eye(3)
     a[:2, :2] = plant.dynamics.transition(np.array(model.values[: len(names)]), h)

@@ -109,18 +109,29 @@ class Search:
         """
         kind, hypothesis = effects()[name], parent.hypothesis | name
         begins = self._begins(parent, kind, expected)
-        fit, still = self.fitter.fit, _still(begins[0], [kind])
-        raced = [fit(self.short, hypothesis, begin, iterations=RACE, tolerance=1e-2, fixed=still) for begin in begins]
+        fit, resting = self.fitter.fit, _still(begins[0], [kind])
+        raced = [fit(self.short, hypothesis, begin, iterations=RACE, tolerance=1e-2, fixed=resting) for begin in begins]
         raced.sort(key=lambda f: f.cost)
-        near = [fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3, fixed=still) for f in raced[:KEPT]]
+        near = [fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3, fixed=resting) for f in raced[:KEPT]]
         apart = [f for i, f in enumerate(near) if not any(_same(f, g) for g in near[:i])]
-        settled = [fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3, fixed=still) for f in apart]
+        settled = [fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3, fixed=resting) for f in apart]
         best = min(settled, key=lambda f: f.cost)
-        if still:
-            free = fit(self.adaptation, hypothesis, best.values, best.starts, iterations=SETTLE, tolerance=1e-3)
+        if resting:
+            asked = [fit(self.adaptation, hypothesis, v, best.starts, iterations=SETTLE, tolerance=1e-3) for v in self._asked(best, kind)]
+            free = min(asked, key=lambda f: f.cost)
             best = free if _asks(best, free) else best
         best = self._pruned(best, [kind])
         return self._zoomed(best, kind.name, kind.zoomed) if kind.zoomed and best.cost < parent.cost else best
+
+    def _asked(self, best: RolloutFit, kind: type[Effect]) -> list[np.ndarray]:
+        """Parameter vectors from which the numbers that stayed at their null are tried."""
+        rows = rows_of(kind.name)
+        begins = []
+        for values in kind.tries:
+            given = dict(zip(kind.optional, values, strict=True))
+            start = [given.get(n.name, best.values[rows[n.name]] / self.fitter.scales.of(n.scale)) for n in kind.params]
+            begins.append(self.fitter.with_effect(best.values, kind.name, start))
+        return begins or [best.values]
 
     def _pruned(self, best: RolloutFit, kinds: Sequence[type[Effect]]) -> RolloutFit:
         """The fit with each number at its null that it may do without, where the log does not ask for it; those are free no more."""
@@ -148,23 +159,22 @@ class Search:
 
     def _zoomed(self, best: RolloutFit, effect: str, parameter: str) -> RolloutFit:
         """The best of ever finer grids around one number, along which the error has corners."""
-        row, still = rows_of(effect)[parameter], _still(best.values, [effects()[name] for name in best.hypothesis.effects])
+        row, resting = rows_of(effect)[parameter], still(best)
         for width in ZOOMS:
             centre = best.values[row]
             for point in ZOOM_POINTS:
                 values = best.values.copy()
                 values[row] = centre * (1.0 + width * point)
-                fixed = [*still, (effect, parameter)]
+                fixed = [*resting, (effect, parameter)]
                 tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=2, fixed=fixed)
                 best = tried if tried.cost < best.cost else best
-        free = self.fitter.fit(self.adaptation, best.hypothesis, best.values, best.starts, iterations=4, fixed=still)
+        free = self.fitter.fit(self.adaptation, best.hypothesis, best.values, best.starts, iterations=4, fixed=resting)
         return free if free.cost <= best.cost else best
 
     def refine(self, candidate: Candidate) -> Candidate:
         """The same fitted until nothing moves."""
-        kinds, at = [effects()[name] for name in candidate.hypothesis.effects], candidate.fit
-        still = _still(at.values, kinds)
-        fit = self.fitter.fit(self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=1e-6, fixed=still)
+        at = candidate.fit
+        fit = self.fitter.fit(self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=1e-6, fixed=still(at))
         for name in candidate.hypothesis.effects:
             fit = self._turned(fit, effects()[name])
             for parameter in effects()[name].threshold[:1]:
@@ -181,8 +191,8 @@ class Search:
             values = best.values.copy()
             row = rows_of(kind.name)[number.name]
             values[row] = 0.0 if values[row] > 0.5 else 1.0  # noqa: PLR2004  (the end that is further)
-            still = [x for x in _still(best.values, [kind]) if x != (kind.name, number.name)]
-            tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=SETTLE, tolerance=1e-4, fixed=still)
+            rest = [x for x in _still(best.values, [kind]) if x != (kind.name, number.name)]
+            tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=SETTLE, tolerance=1e-4, fixed=rest)
             best = tried if tried.cost < best.cost else best
         return best
 
@@ -233,13 +243,12 @@ class Search:
 
     def _checked(self, fit: RolloutFit) -> RolloutFit:
         """The starts of validation windows; what hidden states began with is tried at several places, episode by episode."""
-        states = [
-            (e, state, scale) for e in fit.hypothesis.effects for state, scale in zip(effects()[e].states, effects()[e].memory, strict=True)
-        ]
-        offsets = PASTS if any(effects()[e].threshold for e, _, _ in states) else PASTS[:1]
+        states = [key for key in memories() if key[0] in fit.hypothesis.effects]
+        scales = [effects()[e].memory[effects()[e].states.index(state)] for e, state in states]
+        offsets = PASTS if any(effects()[e].threshold for e, _ in states) else PASTS[:1]
         tried = []
         for offset in offsets:
-            memory = {(e, state): offset * self.fitter.scales.of(scale) for e, state, scale in states}
+            memory = {key: offset * self.fitter.scales.of(scale) for key, scale in zip(states, scales, strict=True)}
             starts = {s.digest: Start(s.begin, memory) for s in self.validation}
             tried.append(self.fitter.fit(self.validation, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True))
         if len(tried) == 1:
@@ -269,6 +278,11 @@ def _apart(expected: np.ndarray) -> list[int]:
         if all(abs(int(i) - j) > max(1, len(expected) // FAR) for j in chosen):
             chosen.append(int(i))
     return chosen[: RACED if len(expected) < MANY else 2 * RACED]
+
+
+def still(fit: RolloutFit) -> list[tuple[str, str]]:
+    """The numbers of a fit that its log does not ask for."""
+    return _still(fit.values, [effects()[name] for name in fit.hypothesis.effects])
 
 
 def _still(values: np.ndarray, kinds: Sequence[type[Effect]]) -> list[tuple[str, str]]:

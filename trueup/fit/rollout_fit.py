@@ -180,7 +180,7 @@ class Fitter:
         """The same with one effect begun at a start given in units of its scales."""
         values = values.copy()
         for row, number, x in zip(layout()[effect], effects()[effect].params, start, strict=True):
-            values[row] = np.clip(x, number.low, number.high) * self.scales.of(number.scale)
+            values[row] = number.null if np.isnan(x) else np.clip(x, number.low, number.high) * self.scales.of(number.scale)
         return values
 
     def fit(
@@ -275,7 +275,7 @@ class Fitter:
 
     def _memories(self, hypothesis: Hypothesis, free: int) -> tuple[tuple[str, str], ...]:
         """The hidden states whose past is estimated, as far as lanes are left."""
-        keys = [(name, state) for name in hypothesis.effects for state in effects()[name].states]
+        keys = [key for key in memories() if key[0] in hypothesis.effects]
         return tuple(keys[: max(0, MOST_FREE - free)])
 
     def _evaluate(

@@ -36,7 +36,7 @@ def rows_of(effect: str) -> dict[str, int]:
 @cache
 def memories() -> dict[tuple[str, str], int]:
     """Of each state of each effect the row that says how far from its usual value it began; behind all parameters."""
-    states = [(e.name, state) for e in effects().values() for state in e.states]
+    states = [(e.name, s) for e in effects().values() for s, begins in zip(e.states, e.begins, strict=True) if begins != "first"]
     first = max(max(rows) for rows in layout().values()) + 1
     return {key: first + i for i, key in enumerate(states)}
 

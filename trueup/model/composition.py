@@ -62,6 +62,7 @@ def make(digest, functions, njit):
             elif resets[i] >= 0:
                 for lane in range(W):
                     q[lane], v[lane] = init[resets[i], 0, lane], init[resets[i], 1, lane]
+            since = t_s[i] - t_s[i - 1] if i > 0 else 0.0
             for lane in range(W):
                 t[lane] = t_s[i]
                 qe[lane], ve[lane] = q[lane], v[lane]
@@ -150,6 +151,8 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
         for state, begins in zip(effect.states, effect.begins, strict=True):
             ports["states"].append(f"{state}_{index} = np.zeros(W)")
             ports["follow_states"].append(f"{state}_{index}[lane] = {state}_{index}[0]")
+            if begins == "first":
+                continue
             from_ = "" if begins == "zero" else f"{begins}[lane] + "
             ports["begin"] += ["for lane in range(W):", f"    {state}_{index}[lane] = {from_}p[{memories()[effect.name, state]}, lane]"]
     asking = [f"on[{i}]" for i, e in enumerate(known_effects.values()) if APART.intersection(e.arguments())]
@@ -191,7 +194,7 @@ def _loop(index: int, effect: type[Effect]) -> list[str]:
     """One effect's loop over the lanes."""
     within = effect.port in (Port.FORCE, Port.FRICTION, Port.OBSERVATION)
     arrays = {"q": "qe", "v": "ve"} if within else {}
-    scalars = {"u_scale", "period", "implicit"}
+    scalars = {"u_scale", "period", "since", "implicit"}
     rows = rows_of(effect.name)
 
     def value(name: str) -> str:

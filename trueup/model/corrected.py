@@ -2,7 +2,7 @@
 
 A rollout starts from a filter that ran over the episode's past: the same model, corrected by each observation with a gain that
 soon is constant. So lag, play, heat and hysteresis have the past that they need, and noise of the starting sample is averaged out. Where no
-velocity is observed, an episode's first is the one expected at its first position and command.
+velocity is observed, an episode's first is the one known from like positions and commands.
 Source of the gain: R. E. Kalman, Journal of Basic Engineering 82 (1960).
 """
 
@@ -21,6 +21,7 @@ from trueup.model.dynamics import CompiledFamily
 from trueup.model.effect import Effect, Port, effects
 from trueup.model.family import Family, families
 from trueup.model.hypothesis import Hypothesis, switches
+from trueup.model.known import Known
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 from trueup.model.series import Scheme, roll, whole
@@ -35,8 +36,8 @@ class Corrected(Predictor):
     """A family with effects.
 
     `values` is the block's vector; `gain` `(beginning, 3, 2)` corrects position, velocity and a disturbing acceleration by an observed
-    position and velocity, at each of an episode's first samples and, the last, at all others; `begin` are the weights of 1, position and
-    command in a first velocity that nobody observed.
+    position and velocity, at each of an episode's first samples and, the last, at all others; `known` moments tell a first velocity
+    that nobody observed.
     """
 
     plant: Plant
@@ -44,7 +45,7 @@ class Corrected(Predictor):
     values: tuple[float, ...]
     scheme: Scheme
     gain: tuple[tuple[float, ...], ...] = ((0.0,) * 6,)  # a row for each sample
-    begin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    known: Known | None = None
     kind = "corrected"
 
     @property
@@ -65,7 +66,7 @@ class Corrected(Predictor):
         p = np.repeat(np.array(self.values)[:, None], BLOCK, axis=1)
         first = np.nan_to_num(past_states(self.plant, windows.episode)[:1])
         if 1 not in self.plant.state_columns:
-            first[0, 1] = np.dot(self.begin, (1.0, first[0, 0], series.issued[0]))
+            first[0, 1] = self.known.velocity(first[0, 0], series.issued[0]) if self.known else 0.0
         init = np.repeat(first[:, :, None], BLOCK, axis=2)
         family = list(families()).index(self.family.name)
         out = roll(series, family, p, switches(self.hypothesis), init, np.array(self.gain).reshape(-1, 3, 2))
@@ -81,11 +82,11 @@ class Corrected(Predictor):
             "effects": found,
             "scheme": {"alpha": self.scheme.alpha, "parts": self.scheme.parts},
             "gain": [list(row) for row in self.gain],
-            "begin": list(self.begin),
+            "nearest": self.known.nearest if self.known else None,
         }
 
     def arrays(self) -> dict[str, Array]:
-        return {}
+        return {"known": self.known.moments} if self.known else {}
 
     @staticmethod
     def restore(plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]) -> Corrected:
@@ -103,8 +104,8 @@ class Corrected(Predictor):
         rows = tuple(tuple(float(x) for x in row) for row in given["gain"])
         if {len(row) for row in rows} != {6}:
             raise ValueError("a gain has six numbers for each sample")
-        one, q, u = map(float, given["begin"])
-        return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, rows, (one, q, u))
+        known = None if given["nearest"] is None else Known(arrays["known"], int(given["nearest"]))
+        return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, rows, known)
 
 
 def _family(plant: Plant) -> type[Family]:

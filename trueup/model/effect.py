@@ -3,7 +3,8 @@
 A file in `effects/` holds one; they are found by themselves. What `apply` takes is told by the names of its arguments:
 
     signals      `u` command, `q` position, `v` velocity, `t` time since the episode began [s], `h` step [s], `lag_s` transport delay [s],
-                 `period` of the samples [s], `u_scale` the command's declared limit, `implicit` 1 where a step takes its end's values,
+                 `period` of the samples [s], `since` the last one [s], 0 at the first, `u_scale` the command's declared limit,
+                 `implicit` 1 where a step takes its end's values,
                  `passive` and `drive` the nominal acceleration without and by the command, `spring` the passive one at rest
     states       the names in `states`: what the effect remembers of the episode's past
     parameters   the names in `params`
@@ -26,6 +27,7 @@ from functools import cache
 from typing import Any, ClassVar
 
 INFINITY = float("inf")
+NULL = float("nan")  # in a start: the number begins at its null
 
 
 class Port(StrEnum):
@@ -88,7 +90,8 @@ class Effect(ABC):
     one between whose corners the error is flat: ever finer grids find it.
     `counted` ones are found in the samples themselves, `periodic` ones by a scan along the travel; one that is the `same_as` another on
     every log is fitted as that one, and told as an alternative to it.
-    What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`.
+    What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`. Where the log `hides` a
+    signal behind the effect, a filter learns that one from the others.
     """
 
     name: ClassVar[str]
@@ -97,16 +100,18 @@ class Effect(ABC):
     order: ClassVar[int] = 0
     params: ClassVar[tuple[Number, ...]]
     states: ClassVar[tuple[str, ...]] = ()
-    begins: ClassVar[tuple[str, ...]] = ()  # of each state: "zero", or the signal that it starts from
+    begins: ClassVar[tuple[str, ...]] = ()  # of each state: "zero", the signal that it starts from, or "first": what it was does not matter
     memory: ClassVar[tuple[Scale, ...]] = ()
     starts: ClassVar[tuple[tuple[float, ...], ...]]
     threshold: ClassVar[tuple[str, ...]] = ()
     zoomed: ClassVar[str] = ""
     optional: ClassVar[tuple[str, ...]] = ()  # numbers that stay at their null unless the log asks for them
+    tries: ClassVar[tuple[tuple[float, ...], ...]] = ()  # values from which those are tried, as in `starts`; without, from their nulls
     contains: ClassVar[str] = ""  # the effect that this one is where some of its parameters vanish
     counted: ClassVar[bool] = False
     periodic: ClassVar[bool] = False  # its first two numbers are a sine's and a cosine's, its third the pitch
     same_as: ClassVar[str] = ""
+    hides: ClassVar[str] = ""
     falls: ClassVar[bool] = False  # whether the effect grows as its first parameter falls, as a limit's does
 
     @staticmethod

@@ -47,6 +47,7 @@ SLOTS: Mapping[str, tuple[str, ...]] = {
     "sensor_scale": ("error",),
     "sensor_quantization": ("step", "velocity_step"),
     "sensor_drift": ("rate",),
+    "velocity_lag": ("time_constant",),
     "clock_skew": ("skew",),
     "dropped_frames": ("fraction",),
     # beyond the catalogue: what a diagnosis must refuse to name
@@ -63,7 +64,7 @@ BEYOND = tuple(list(SLOTS)[-8:])
 FIRST = dict(zip(SLOTS, np.cumsum([0] + [len(v) for v in SLOTS.values()])[:-1], strict=True))
 SIZE = sum(len(v) for v in SLOTS.values())
 (S_COULOMB, S_STRIBECK, S_DRAG, S_CUBIC, S_FORCE, S_HYST, S_STOP, S_COG, S_ELASTIC, S_LOAD, S_VASYM, S_DEAD, S_PLAY, S_LAG, S_DELAY, S_SAT,
- S_RATE, S_HEAT, S_ASYM, S_CQUANT, S_SDELAY, S_BIAS, S_SCALE, S_SQUANT, S_DRIFT, S_SKEW, S_DROP, S_KMOD, S_VDP, S_PDAMP, S_QGAIN,
+ S_RATE, S_HEAT, S_ASYM, S_CQUANT, S_SDELAY, S_BIAS, S_SCALE, S_SQUANT, S_DRIFT, S_VLAG, S_SKEW, S_DROP, S_KMOD, S_VDP, S_PDAMP, S_QGAIN,
  S_MODE, S_VISCO, S_ASTIFF, S_GROW) = (int(FIRST[name]) for name in SLOTS)  # fmt: skip
 
 
@@ -145,7 +146,7 @@ def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, los
     fine_u = np.zeros(total * parts + 1)
     play = lag = rate = wind = heat = 0.0
     twist, twist_speed, mode, mode_speed, creep = 0.0, 0.0, 0.0, 0.0, 0.0
-    fine_q[0], fine_v[0] = q, v
+    fine_q[0], fine_v[0], slow = q, v, v
     for i in range(total):
         # what the sensors say
         past = max(0, i * parts - wait_y)
@@ -257,5 +258,6 @@ def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, los
                     speed = 0.0
             q = x + (h * speed if parts == 1 else 0.5 * h * speed)
             gained, v = speed - v, speed
-            fine_q[j + 1], fine_v[j + 1] = q, v
+            slow = slow + (v - 0.5 * gained - slow) * (1.0 - np.exp(-h / n[S_VLAG])) if has[S_VLAG] else v
+            fine_q[j + 1], fine_v[j + 1] = q, slow
     return issued, observed

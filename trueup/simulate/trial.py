@@ -101,8 +101,8 @@ def draw(
 ) -> Trial:
     """A machine of a bench with the named imperfections, each as large as a gap drawn within `gaps`, recorded by the bench's plans.
 
-    The gap is the change of position that an imperfection causes, relative to the motion. Parameters that are shifted move by factors
-    within `spread`.
+    The gap is the change of position that an imperfection causes, relative to the motion; of the velocity where it changes that alone.
+    Parameters that are shifted move by factors within `spread`.
     """
     moved = rng.uniform(*spread, 3) if shifted else np.ones(3)
     machine = Machine(bench.kind, bench.k * moved[0], bench.c * moved[1], bench.b * moved[2], bench.limit, bounds=bench.bounds)
@@ -205,6 +205,7 @@ def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Gener
         "sensor_drift": {"rate": grows(q / 8.0 * sign)},
         "clock_skew": {"skew": grows(sign)},
         "dropped_frames": {"fraction": fixed(rng.uniform(0.05, 0.3))},
+        "velocity_lag": {"time_constant": grows(t)},
         "k_modulated": {"depth": grows(1.0), "rate": fixed(rng.uniform(0.7, 2.5))},
         "van_der_pol": {"strength": grows(a / v), "width": fixed(q)},
         "position_damping": {"coefficient": grows(a / v / q)},
@@ -223,13 +224,14 @@ def _as_large_as(
     """The machine with one imperfection more, its magnitude bisected until it moves the position by `wanted` of its motion."""
     without = np.concatenate([r.observed for r in _record(bench, machine, plan)])
     low, high, best, reached = 0.0, 1.0, machine, 0.0  # the largest that is not too large
+    of = 1 if name == "velocity_lag" else 0
     for _ in range(ROUNDS):
         size = 0.5 * (low + high)
         values = {key: at * (1.0 - size) if falls else at + by * size for key, (at, by, falls) in shape.items()}
         tried = replace(machine, imperfections={**machine.imperfections, name: values})
         with_it = np.concatenate([r.observed for r in _record(bench, tried, plan)])
         with np.errstate(over="ignore", invalid="ignore"):  # a machine that runs away is too much
-            gap = float(np.sqrt(np.mean((with_it[:, 0] - without[:, 0]) ** 2)) / without[:, 0].std())
+            gap = float(np.sqrt(np.mean((with_it[:, of] - without[:, of]) ** 2)) / without[:, of].std())
         if not np.isfinite(gap) or gap > (1.0 + CLOSE) * wanted:
             high = size
         else:

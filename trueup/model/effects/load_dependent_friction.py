@@ -1,22 +1,28 @@
 """Load-dependent friction: a gear rubs the more, the more force it transmits."""
 
-from trueup.model.effect import Effect, Number, Port, Scale
+from trueup.model.effect import NULL, Effect, Number, Port, Scale
 
 
 class LoadDependentFriction(Effect):
-    """Dry friction in proportion to the transmitted force: half the difference of drive and spring or gravity.
+    """Dry friction in proportion to the transmitted force, half the difference of drive and spring or gravity; more of it near rest.
 
-    Equation: |friction| <= coefficient |drive - spring| / 2
-    Source: M. Duclusaud et al., Extended Friction Models for the Physics Simulation of Servo Actuators, ICRA 2025, model M3.
+    Equation: |friction| <= (coefficient + extra / (1 + (v / speed)^2)) |drive - spring| / 2
+    Source: M. Duclusaud et al., Extended Friction Models for the Physics Simulation of Servo Actuators, ICRA 2025, models M3 and M5.
     Blind: an episode in which the load stays the same.
     """
 
     name = "load_dependent_friction"
     port = Port.FRICTION
     category = "structure"
-    params = (Number("coefficient", Scale.ONE, 0.0, 0.0, 4.0),)
-    starts = ((0.1,), (0.4,))
+    params = (
+        Number("coefficient", Scale.ONE, 0.0, 0.0, 4.0),
+        Number("extra", Scale.ONE, 0.0, 0.0, 4.0),
+        Number("speed", Scale.VELOCITY, 1.0, 0.005, 1.0),
+    )
+    optional = ("extra", "speed")
+    tries = ((0.1, 0.05), (0.1, 0.2))
+    starts = ((0.1, NULL, NULL), (0.4, NULL, NULL))
 
     @staticmethod
-    def apply(drive, spring, coefficient):  # type: ignore[no-untyped-def]
-        return 0.5 * coefficient * abs(drive - spring)
+    def apply(drive, spring, v, coefficient, extra, speed):  # type: ignore[no-untyped-def]
+        return 0.5 * abs(drive - spring) * (coefficient + extra / (1.0 + (v / speed) * (v / speed)))
