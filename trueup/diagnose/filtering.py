@@ -10,7 +10,7 @@ International Journal of Control 28 (1978).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,40 +88,73 @@ def _moments(plant: Plant, episode: Episode) -> Array:
 def _gain(
     plant: Plant, admission: Admission, model: Corrected, size: float, period_s: float, unknown: float, *, wanders: bool
 ) -> tuple[tuple[float, ...], ...]:
-    """The gains of the first samples and the steady one, `(3, 2)` each in a row, for a disturbance of a size: a force random from sample to
+    """The gains of the first samples and the steady one, `(4, 2)` each in a row, for a disturbance of a size: a force random from sample to
     sample, or one that wanders and is estimated. `unknown` is the standard deviation of a first velocity that nobody observed.
     """
     names = plant.dynamics.parameter_names
-    h, sizes = period_s, admission.scales
-    hidden = {effects()[name].hides for name in model.hypothesis.effects}
-    seen = admission.observed & np.array([signal not in hidden for signal in ("q", "v")])
-    unit = np.array([sizes.position, sizes.velocity, sizes.acceleration])  # keeps the equation well scaled
-    a = np.eye(3)
+    h, seen, sizes = period_s, admission.observed, admission.scales
+    hides = _hidden(model, h)
+    unit = np.array([sizes.position, sizes.velocity, sizes.acceleration, sizes.velocity])  # keeps the equation well scaled
+    a, disturbed = np.eye(4), np.eye(4)[:, :3]
     a[:2, :2] = plant.dynamics.transition(np.array(model.values[: len(names)]), h)
     a[:2, 2] = h * h / 2.0, h
+    a[3] = hides.after * a[1] + np.array([0.0, hides.before, 0.0, hides.kept])
+    disturbed[3] = hides.after * disturbed[1]
     power = (sizes.acceleration * size) ** 2
     drive = np.zeros((3, 3))
     if wanders:
         drive[2, 2] = power * h
     else:
         drive[:2, :2] = np.array([[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]]) * power
-    kept = slice(0, 3 if wanders else 2)
+    drive = disturbed @ drive @ disturbed.T
+    used = np.array([True, True, wanders, hides.kept > 0.0])
     noise = np.diag(np.maximum(admission.noise[seen], 1e-6 * admission.motion[seen]) ** 2)
-    a, drive = (a * unit / unit[:, None])[kept, kept], (drive / unit / unit[:, None] + 1e-16 * np.eye(3))[kept, kept]
-    c = (np.eye(3)[:2][seen] * unit)[:, kept]
+    shows = np.eye(4)[:2]
+    shows[1, 3] = 1.0
+    n, scaled = int(used.sum()), unit[used]
+    a = a[np.ix_(used, used)] * scaled / scaled[:, None]
+    drive = drive[np.ix_(used, used)] / scaled / scaled[:, None] + 1e-16 * np.eye(n)
+    c = (shows[seen] * unit)[:, used]
     steady = _steady(a, c.T @ np.linalg.solve(noise, c), drive)
     p = steady.copy()
     p[:2] = p[:, :2] = 0.0
     p[[0, 1], [0, 1]] = np.where(seen, np.nan_to_num(admission.noise), unknown)[:2] ** 2 / unit[:2] ** 2
-    gains = [np.zeros((len(a), len(c)))]  # the first sample is all that is known, and is taken as it is
+    if used[3]:  # the first velocity is what the log shows, off by what hides it
+        off = (hides.memory_s * sizes.acceleration / sizes.velocity) ** 2
+        p[-1] = p[:, -1] = 0.0
+        p[np.ix_([1, -1], [1, -1])] += off * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    gains = [np.zeros((n, len(c)))]  # the first sample is all that is known, and is taken as it is
     for _ in range(BEGINNING):
         p = a @ p @ a.T + drive
         gains.append(p @ c.T @ np.linalg.inv(c @ p @ c.T + noise))
         p = p - gains[-1] @ c @ p
     gains.append(steady @ c.T @ np.linalg.inv(c @ steady @ c.T + noise))
-    rows = np.zeros((len(gains), 3, 2))
-    rows[:, kept, seen] = unit[kept, None] * np.stack(gains)
-    return tuple(tuple(float(x) for x in row) for row in rows.reshape(-1, 6))
+    rows = np.zeros((len(gains), 4, 2))
+    rows[:, np.flatnonzero(used)[:, None], np.flatnonzero(seen)] = scaled[:, None] * np.stack(gains)
+    return tuple(tuple(float(x) for x in row) for row in rows.reshape(-1, 8))
+
+
+@dataclass(frozen=True, slots=True)
+class _Hidden:
+    """How what hides a velocity goes on over one sample: the part that is `kept`, and what it takes of the velocity `after` and `before`.
+
+    `memory_s` [s] is the time over which it forgets.
+    """
+
+    kept: float = 0.0
+    after: float = 0.0
+    before: float = 0.0
+    memory_s: float = 0.0
+
+
+def _hidden(model: Corrected, h: float) -> _Hidden:
+    """The same of a model's effects; none where the log shows the velocity."""
+    for name in model.hypothesis.effects:
+        if effects()[name].hides:
+            values = [model.values[row] for row in layout()[name]]
+            kept, after, before = (float(effects()[name].apply(0.0, v, h, z, b, *values)[2]) for z, v, b in np.eye(3))
+            return _Hidden(kept, after, before, h / max(1.0 - kept, h))
+    return _Hidden()
 
 
 def _steady(a: Array, information: Array, drive: Array) -> Array:

@@ -7,8 +7,8 @@ its own effects cost, and nothing is compiled for it.
 
     each episode runs from its first sample to its last; hidden states (lag, play, heat, hysteresis) run through
     at the start of a window, position and velocity are set; the rest keeps its past
-    where lanes follow lane 0, lane 0 is corrected by each observation, in position, velocity and a force that disturbs it, and the others
-    start each window from its whole state
+    where lanes follow lane 0, lane 0 is corrected by each observation, in position, velocity, a force that disturbs it and what hides its
+    velocity, and the others start each window from its whole state
 
 Two schemes of integration: the declared one (semi-implicit Euler, alpha 0), and its symmetric form (alpha 1/2), in which
 position drifts, velocity is kicked and position drifts, of second order. Source: E. Hairer, C. Lubich, G. Wanner, Geometric
@@ -30,6 +30,7 @@ from trueup.model.block import BLOCK, memories, rows_of
 from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
 
+STATE = ("q", "v")
 APART = frozenset({"passive", "drive", "spring"})  # parts of the nominal acceleration
 
 HEAD = """
@@ -79,6 +80,7 @@ def make(digest, functions, njit):
                             q[0] += gain[now, 0, c] * missed
                             v[0] += gain[now, 1, c] * missed
                             push += gain[now, 2, c] * missed
+                            {hidden}
                 if resets[i] >= 0:
                     for lane in range(1, W):
                         q[lane], v[lane] = q[0], v[0]
@@ -130,7 +132,7 @@ def kernel() -> Callable[..., None]:
     """The compiled rollout of one block over one episode.
 
     p `(parameters, BLOCK)`; on `(effects,)`; t_s, h_s, steps, issued, integral (of the command, up to each sample), resets (the window
-    that starts at a sample, or -1) `(samples,)`; init `(windows, 2, BLOCK)`; gain `(beginning, 3, channels)`; observed `(samples,
+    that starts at a sample, or -1) `(samples,)`; init `(windows, 2, BLOCK)`; gain `(beginning, 4, channels)`; observed `(samples,
     channels)`;
     writes out `(samples, 2, BLOCK)`.
     """
@@ -145,9 +147,14 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
     """The functions to compile, and the text of the kernel that calls them."""
     functions = [f.acceleration for f in known_families.values()] + [e.apply for e in known_effects.values()]
     names = [f"family_{i}" for i in range(len(known_families))] + [f"effect_{i}" for i in range(len(known_effects))]
-    ports: dict[str, list[str]] = {part: [] for part in (*Port, "delays", "states", "begin", "follow_states")}
+    ports: dict[str, list[str]] = {part: [] for part in (*Port, "delays", "states", "begin", "follow_states", "hidden")}
     for index, effect in enumerate(known_effects.values()):
         ports["delays" if effect.delays() else str(effect.port)] += _loop(index, effect)
+        if effect.hides:
+            seen, before = (f"{state}_{index}[0]" for state in effect.states)
+            row = STATE.index(effect.hides)
+            ports["hidden"] += [f"if on[{index}]:"]
+            ports["hidden"] += [f"    {of} += gain[now, {at}, c] * missed" for of, at in ((seen, 3), (before, row))]
         for state, begins in zip(effect.states, effect.begins, strict=True):
             ports["states"].append(f"{state}_{index} = np.zeros(W)")
             ports["follow_states"].append(f"{state}_{index}[lane] = {state}_{index}[0]")

@@ -35,16 +35,16 @@ Array = NDArray[np.float64]
 class Corrected(Predictor):
     """A family with effects.
 
-    `values` is the block's vector; `gain` `(beginning, 3, 2)` corrects position, velocity and a disturbing acceleration by an observed
-    position and velocity, at each of an episode's first samples and, the last, at all others; `known` moments tell a first velocity
-    that nobody observed.
+    `values` is the block's vector; `gain` `(beginning, 4, 2)` corrects position, velocity, a disturbing acceleration and what hides the
+    velocity by an observed position and velocity, at each of an episode's first samples and, the last, at all others; `known` moments
+    tell a first velocity that nobody observed.
     """
 
     plant: Plant
     hypothesis: Hypothesis
     values: tuple[float, ...]
     scheme: Scheme
-    gain: tuple[tuple[float, ...], ...] = ((0.0,) * 6,)  # a row for each sample
+    gain: tuple[tuple[float, ...], ...] = ((0.0,) * 8,)  # a row for each sample
     known: Known | None = None
     kind = "corrected"
 
@@ -69,7 +69,7 @@ class Corrected(Predictor):
             first[0, 1] = self.known.velocity(first[0, 0], series.issued[0]) if self.known else 0.0
         init = np.repeat(first[:, :, None], BLOCK, axis=2)
         family = list(families()).index(self.family.name)
-        out = roll(series, family, p, switches(self.hypothesis), init, np.array(self.gain).reshape(-1, 3, 2))
+        out = roll(series, family, p, switches(self.hypothesis), init, np.array(self.gain).reshape(-1, 4, 2))
         return np.asarray(out[windows.rows][:, :, :, 1])
 
     def description(self) -> dict[str, Json]:
@@ -102,8 +102,8 @@ class Corrected(Predictor):
             raise ValueError("a parameter of an acting effect is not finite")
         scheme = Scheme(float(given["scheme"]["alpha"]), int(given["scheme"]["parts"]))
         rows = tuple(tuple(float(x) for x in row) for row in given["gain"])
-        if {len(row) for row in rows} != {6}:
-            raise ValueError("a gain has six numbers for each sample")
+        if {len(row) for row in rows} != {8}:
+            raise ValueError("a gain has eight numbers for each sample")
         known = None if given["nearest"] is None else Known(arrays["known"], int(given["nearest"]))
         return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, rows, known)
 

@@ -90,8 +90,8 @@ class Effect(ABC):
     one between whose corners the error is flat: ever finer grids find it.
     `counted` ones are found in the samples themselves, `periodic` ones by a scan along the travel; one that is the `same_as` another on
     every log is fitted as that one, and told as an alternative to it.
-    What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`. Where the log `hides` a
-    signal behind the effect, a filter learns that one from the others.
+    What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`. Where the effect `hides` a
+    signal, the log shows it with the first state added, and the second is the signal of the sample before.
     """
 
     name: ClassVar[str]

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 DISTINCT = 0.9  # of the samples have a value of their own where noise is finer than no lattice
 FINE_S = 0.0125  # there the error of a 1 Hz motion is 3e-4
 AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one after another
-NO_GAIN = np.zeros((1, 3, 2))
+NO_GAIN = np.zeros((1, 4, 2))
 
 
 @dataclass(frozen=True, slots=True)
