@@ -257,7 +257,7 @@ class Fitter:
             p[:, lane] = self.with_effect(parent.values, effect, begin)
             inverse[lane] = 1.0
         inverse[n + k + 1 : n + k + 3] = 1.0 / self.start_steps
-        parts = self._grams(data, parent.hypothesis | effect, p, inverse, parent.starts, n + k)
+        parts = self._grams(data, parent.hypothesis | effect, p, inverse, parent.starts, n + k, {})
         parts = {key: np.where(np.abs(g) < RAN_AWAY, g, 0.0) for key, g in parts.items()}
         normal, gradient = _Gram(parts, {key: np.zeros(0) for key in parts}, np.zeros(0), n + k).reduced(1e-9)
         found = np.array([[parent.cost] * k, [0.0] * k, [np.inf] * k])
@@ -285,11 +285,9 @@ class Fitter:
         n, m = len(free.rows), len(states)
         p, inverse = self._lanes(values, free)
         scales = np.array([self.scales.of(effects()[e].memory[effects()[e].states.index(state)]) for e, state in states])
-        for lane, (key, scale) in enumerate(zip(states, scales, strict=True), start=n + 1):
-            p[memories()[key], lane] += MEMORY_STEP * scale
-            inverse[lane] = 1.0 / (MEMORY_STEP * scale)
+        pasts = {key: (lane, MEMORY_STEP * scale) for lane, (key, scale) in enumerate(zip(states, scales, strict=True), start=n + 1)}
         inverse[n + m + 1 : n + m + 3] = 0.0 if hold_starts else 1.0 / self.start_steps
-        parts = self._grams(data, hypothesis, p, inverse, starts, n + m)
+        parts = self._grams(data, hypothesis, p, inverse, starts, n + m, pasts)
         began = {s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in states]) for s in data}
         return _Gram(parts, began, scales, n)
 
@@ -305,16 +303,24 @@ class Fitter:
         return p, inverse
 
     def _grams(
-        self, data: Sequence[Series], hypothesis: Hypothesis, p: Array, inverse: Array, starts: Mapping[str, Start], before: int
-    ) -> dict[str, Array]:
-        """Outer products by episode; the lanes behind `before` ones hold the derivatives by the start."""
-        on = switches(hypothesis)
+        self, data: Sequence[Series], hypothesis: Hypothesis, p: Array, inverse: Array, starts: Mapping[str, Start], before: int,
+        pasts: Mapping[tuple[str, str], tuple[int, float]],
+    ) -> dict[str, Array]:  # fmt: skip
+        """Outer products by episode; the lanes behind `before` ones hold the derivatives by the start.
+
+        `pasts` are the lanes and steps of hidden states' derivatives: inwards, for beyond its end a play has none.
+        """
+        on, inverse = switches(hypothesis), inverse.copy()
         parts = {}
         for s in data:
             start = starts[s.digest]
             block = p.copy()
             for key, value in start.memory.items():
                 block[memories()[key]] += value
+            for key, (lane, size) in pasts.items():
+                inwards = -size if start.memory.get(key, 0.0) > 0.0 else size
+                block[memories()[key], lane] += inwards
+                inverse[lane] = 1.0 / inwards
             init = np.repeat(start.windows[:, :, None], BLOCK, axis=2)
             init[:, 0, before + 1] += self.start_steps[0]
             init[:, 1, before + 2] += self.start_steps[1]
@@ -362,8 +368,9 @@ class _Gram:
         if m:
             weight = self.scales**-2
             at = np.arange(n + 1, n + m + 1)
+            felt = total[:, at, at] > weight  # a past that the episode does not show, as beyond a play's end, stays where it is
             total[:, at, at] = (total[:, at, at] + weight) * (1.0 + damping)
-            pull = weight * np.array(list(self.began.values()))
+            pull = np.where(felt, weight * np.array(list(self.began.values())), 0.0)
             total[:, 0, at] -= pull
             total[:, at, 0] -= pull
         solve = np.linalg.inv(total[:, n + 1 :, n + 1 :])

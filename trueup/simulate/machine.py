@@ -42,6 +42,7 @@ SLOTS: Mapping[str, tuple[str, ...]] = {
     "thermal_derating": ("loss", "time_constant"),
     "gain_asymmetry": ("asymmetry",),
     "command_quantization": ("step",),
+    "quadratic_gain": ("odd", "even"),
     "sensor_delay": ("delay",),
     "sensor_bias": ("bias",),
     "sensor_scale": ("error",),
@@ -54,7 +55,7 @@ SLOTS: Mapping[str, tuple[str, ...]] = {
     "k_modulated": ("depth", "rate"),
     "van_der_pol": ("strength", "width"),
     "position_damping": ("coefficient",),
-    "quadratic_gain": ("coefficient",),
+    "torque_speed": ("loss",),
     "hidden_mode": ("stiffness", "damping", "share"),
     "viscoelastic": ("stiffness", "time_constant"),
     "asymmetric_stiffness": ("change",),
@@ -63,9 +64,9 @@ SLOTS: Mapping[str, tuple[str, ...]] = {
 BEYOND = tuple(list(SLOTS)[-8:])
 FIRST = dict(zip(SLOTS, np.cumsum([0] + [len(v) for v in SLOTS.values()])[:-1], strict=True))
 SIZE = sum(len(v) for v in SLOTS.values())
-(S_COULOMB, S_STRIBECK, S_DRAG, S_CUBIC, S_FORCE, S_HYST, S_STOP, S_COG, S_ELASTIC, S_LOAD, S_VASYM, S_DEAD, S_PLAY, S_LAG, S_DELAY, S_SAT,
- S_RATE, S_HEAT, S_ASYM, S_CQUANT, S_SDELAY, S_BIAS, S_SCALE, S_SQUANT, S_DRIFT, S_VLAG, S_SKEW, S_DROP, S_KMOD, S_VDP, S_PDAMP, S_QGAIN,
- S_MODE, S_VISCO, S_ASTIFF, S_GROW) = (int(FIRST[name]) for name in SLOTS)  # fmt: skip
+(S_COULOMB, S_STRIBECK, S_DRAG, S_CUBIC, S_FORCE, S_HYST, S_STOP, S_COG, S_ELASTIC, S_LOAD, S_VASYM, S_DEAD, S_PLAY, S_LAG, S_DELAY,
+ S_SAT, S_RATE, S_HEAT, S_ASYM, S_CQUANT, S_QGAIN, S_SDELAY, S_BIAS, S_SCALE, S_SQUANT, S_DRIFT, S_VLAG, S_SKEW, S_DROP, S_KMOD, S_VDP,
+ S_PDAMP, S_SPEED, S_MODE, S_VISCO, S_ASTIFF, S_GROW) = (int(FIRST[name]) for name in SLOTS)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -199,7 +200,7 @@ def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, los
                 heat += h * ((u / limit) ** 2 - heat) / n[S_HEAT + 1]
                 u = u * max(0.05, 1.0 - n[S_HEAT] * heat)
             if has[S_QGAIN]:
-                u = u + n[S_QGAIN] * u * u / limit
+                u = u * (1.0 + (n[S_QGAIN] * abs(u) + n[S_QGAIN + 1] * u) / limit)
             # forces on the joint at rest of its friction
             x = q if parts == 1 else q + 0.5 * h * v
             w = v if parts == 1 else v + 0.5 * gained
@@ -209,7 +210,7 @@ def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, los
             if has[S_ASTIFF]:
                 stiffness = k * (1.0 + n[S_ASTIFF]) if x > 0.0 else k * (1.0 - n[S_ASTIFF])
             spring = 0.0 if kind == 0 else (-stiffness * x if kind == 1 else -stiffness * np.sin(x))
-            drive = b * u
+            drive = b * u * (1.0 - n[S_SPEED] * abs(w))
             damping = c + n[S_VASYM] if w > 0.0 else c - n[S_VASYM]
             force = spring + n[S_FORCE] - n[S_DRAG] * w * abs(w) - n[S_CUBIC] * x**3
             if has[S_COG]:

@@ -163,6 +163,7 @@ def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Gener
     """Of each number: its value at magnitude 0 and its growth with magnitude, or (value, 0) where it does not grow."""
     a, q, v, u, t = s["acceleration"], s["position"], s["velocity"], s["command"], s["time"]
     sign = float(rng.choice([-1.0, 1.0]))
+    odd = float(name == "quadratic_gain" and rng.random() < 0.5)  # noqa: PLR2004
 
     def grows(by: float, at: float = 0.0) -> tuple[float, float, bool]:
         return (at, by, False)
@@ -198,6 +199,7 @@ def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Gener
         "thermal_derating": {"loss": grows(1.0), "time_constant": fixed(rng.uniform(1.5, 6.0))},
         "gain_asymmetry": {"asymmetry": grows(sign)},
         "command_quantization": {"step": grows(u)},
+        "quadratic_gain": {"odd": grows(0.7 * sign * odd), "even": grows(0.7 * sign * (1.0 - odd))},
         "sensor_delay": {"delay": grows(t)},
         "sensor_bias": {"bias": grows(q * sign)},
         "sensor_scale": {"error": grows(sign)},
@@ -209,7 +211,7 @@ def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Gener
         "k_modulated": {"depth": grows(1.0), "rate": fixed(rng.uniform(0.7, 2.5))},
         "van_der_pol": {"strength": grows(a / v), "width": fixed(q)},
         "position_damping": {"coefficient": grows(a / v / q)},
-        "quadratic_gain": {"coefficient": grows(sign)},
+        "torque_speed": {"loss": grows(0.3 / v)},
         "hidden_mode": {"stiffness": grows(a / q), "damping": fixed(0.02 * a / v), "share": fixed(rng.uniform(0.1, 0.4))},
         "viscoelastic": {"stiffness": grows(a / q), "time_constant": fixed(t * rng.uniform(0.5, 2.0))},
         "asymmetric_stiffness": {"change": grows(sign)},

@@ -1,0 +1,25 @@
+"""Quadratic gain: the drive's gain changes with the size of the command."""
+
+import numpy as np
+
+from trueup.model.effect import Effect, Number, Port, Scale
+
+
+class QuadraticGain(Effect):
+    """A static drive of second order: one part bends both signs of the command alike, as a supply that sags, one bends them apart.
+
+    Equation: u' = u + (odd u |u| + even u^2) / scale, the scale being the command's limit
+    Source: L. Ljung, System Identification (1999), section 5.2, the Hammerstein model.
+    Blind: commands of one size.
+    """
+
+    name = "quadratic_gain"
+    port = Port.COMMAND
+    order = 10
+    category = "saturation"
+    params = (Number("odd", Scale.ONE, 0.0, -0.9, 2.0), Number("even", Scale.ONE, 0.0, -0.9, 0.9))
+    starts = ((0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1))
+
+    @staticmethod
+    def apply(u, u_scale, odd, even):  # type: ignore[no-untyped-def]
+        return u + (odd * np.abs(u) + even * u) * u / u_scale
