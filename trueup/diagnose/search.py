@@ -7,7 +7,7 @@ alone; compositions are compared on validation episodes, where nothing but the w
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -238,8 +238,14 @@ class Search:
         checks = [self._checked(fit)]
         if starts is not None:
             checks.append(self.fitter.fit(self.validation, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True))
-        self.found[fit.hypothesis] = Candidate(fit, min(checks, key=lambda f: f.cost))
+        best = min(checks, key=lambda f: f.cost)
+        self.found[fit.hypothesis] = Candidate(fit, best if self._resolved(fit) else replace(best, cost=np.inf))
         return self.found[fit.hypothesis]
+
+    def _resolved(self, fit: RolloutFit) -> bool:
+        """Whether no effect of a fit is so small that it stands for the integration."""
+        period_s = max(s.period_s for s in self.adaptation)
+        return all(fit.values[layout()[name][0]] >= effects()[name].least_periods * period_s for name in fit.hypothesis.effects)
 
     def _checked(self, fit: RolloutFit) -> RolloutFit:
         """The starts of validation windows; what hidden states began with is tried at several places, episode by episode."""

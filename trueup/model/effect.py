@@ -112,6 +112,7 @@ class Effect(ABC):
     periodic: ClassVar[bool] = False  # its first two numbers are a sine's and a cosine's, its third the pitch
     same_as: ClassVar[str] = ""
     hides: ClassVar[str] = ""
+    least_periods: ClassVar[float] = 0.0  # of the samples: a smaller first number is what integration does, and no effect
     falls: ClassVar[bool] = False  # whether the effect grows as its first parameter falls, as a limit's does
 
     @staticmethod

@@ -108,7 +108,8 @@ def position_and_velocity(plant: Plant, episode: Episode) -> Array:
 
 def unobserved(scheme: Scheme, t_s: Array, command: Array, u_scale: float, period_s: float) -> Series:
     """A command at `t_s` [s] that nobody recorded an answer to, from rest, in one window."""
-    n = len(t_s)
+    n, t_s = len(t_s), t_s.copy()
+    t_s.flags.writeable = False  # as an episode's: the kernel is compiled for one kind of array
     steps, resets = np.full(n, scheme.parts), np.full(n, -1)
     steps[-1], resets[0] = 0, 0
     zeros = np.zeros((n, 2))

@@ -26,6 +26,7 @@ class VelocityLag(Effect):
     memory = (Scale.VELOCITY, Scale.VELOCITY)
     starts = tuple((0.01 * 1.8**i,) for i in range(8))
     hides = "v"
+    least_periods = 1.0
 
     @staticmethod
     def apply(q, v, since, behind, before, time_constant):  # type: ignore[no-untyped-def]
