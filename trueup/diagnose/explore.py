@@ -13,7 +13,7 @@ from trueup.diagnose.decide import PHYSICAL, enough, total, yardstick
 from trueup.diagnose.periodicity import pitches
 from trueup.diagnose.search import Candidate, Search, searchable, still
 from trueup.episode.episode import Episode
-from trueup.fit.rollout_fit import Fitter, in_parallel
+from trueup.fit.rollout_fit import Fitter, Start, in_parallel
 from trueup.model.effect import effects
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
@@ -116,8 +116,16 @@ def polished(
         [series(plant, e, finer, length) for e in validation],
         search.short,
     )
+    starts = {s.digest: Start(s.begin, best.fit.starts[s.digest].memory) for s in last.adaptation}
     fit = last.fitter.fit(
-        last.adaptation, best.hypothesis, best.fit.values, iterations=25, tolerance=1e-7, hold_starts=physical, fixed=still(best.fit)
+        last.adaptation,
+        best.hypothesis,
+        best.fit.values,
+        starts,
+        iterations=25,
+        tolerance=1e-7,
+        hold_starts=physical,
+        fixed=still(best.fit),
     )
     return last.keep(fit if physical else last.pruned(fit)), finer
 
@@ -132,7 +140,8 @@ def _begun(plant: Plant, episode: Episode, s: Series, best: Candidate) -> Series
 def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]:
     """The best of a generation, fitted until nothing moves, the best first; those far behind are left as they are."""
     near = [c for c in generation[:REFINED] if total(c) < FAR_BEHIND * max(total(generation[0]), 1.0)]
-    return sorted([*in_parallel(search.refine, near), *(c for c in generation[:REFINED] if c not in near)], key=total)
+    refined = [*in_parallel(search.refine, near), *(c for c in generation[:REFINED] if c not in near)]
+    return sorted((c for c in refined if c.resolved), key=total)
 
 
 def thinning(admission: Admission, episodes: Sequence[Episode]) -> int:

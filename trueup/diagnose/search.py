@@ -7,7 +7,7 @@ alone; compositions are compared on validation episodes, where nothing but the w
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,7 +22,7 @@ RACE = 6  # iterations that each start of a fit is given before the best go on
 SETTLE = 16  # iterations of the best
 Begin = tuple[Sequence[float], Sequence[float]]  # of the family's parameters, of the effect's
 RACED = 3  # starts that are tried; twice as many of an effect with many
-FAR = 25  # starts are neighbours within so many-th of all
+FAR = 50  # starts are neighbours within so many-th of all
 MANY = 50
 KEPT = 2  # starts that go on
 SAME_PLACE, SAME_COST = 0.02, 1e-3  # of a value, of a cost: nearer fits are one
@@ -30,17 +30,18 @@ ZOOMS = (0.04, 0.013, 0.004)  # of a value: grids around the best, ever finer
 ZOOM_POINTS = (-1.0, -0.66, -0.33, 0.33, 0.66, 1.0)
 RESOLUTION = ZOOMS[-1] * ZOOM_POINTS[3]  # of a value that was zoomed in on
 ASKED_FOR = 18.0  # squared standard errors that a number must be worth
-PASTS = (0.0, 0.5, -0.5)  # of a memory's scale, where its effect has corners
+PASTS = (0.0, *(sign * x for x in (0.03, 0.07, 0.12, 0.18, 0.25, 0.35, 0.5) for sign in (1.0, -1.0)))  # of a memory's scale
 NEARLY = 4.0  # times the misfit: a part of a composition that does about as well
 CHECK = 10  # iterations for the starts of validation windows
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A fitted composition, and how it does on validation episodes."""
+    """A fitted composition, and how it does on validation episodes; not `resolved` is one with an effect as small as integration's own."""
 
     fit: RolloutFit
     check: RolloutFit
+    resolved: bool = True
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -88,7 +89,7 @@ class Search:
         for fit in in_parallel(lambda job: self.grow(job[0].fit, job[1], job[2]), list(jobs.values())):
             done.append(self.keep(fit))
             progress(len(done) / len(jobs))
-        return sorted(done, key=lambda c: c.misfit)
+        return sorted((c for c in done if c.resolved), key=lambda c: c.misfit)
 
     def _promising(self, parent: Candidate, names: Sequence[str], most: int) -> list[tuple[str, np.ndarray]]:
         """The effects to try, with the cost that a linear model expects of each of their starts, the most promising first.
@@ -174,6 +175,9 @@ class Search:
     def refine(self, candidate: Candidate) -> Candidate:
         """The same fitted until nothing moves."""
         at = candidate.fit
+        if _has_corners(at.hypothesis):
+            begun = self._begun(self.adaptation, at, {digest: start.windows for digest, start in at.starts.items()})
+            at = begun if begun.cost < at.cost else at
         fit = self.fitter.fit(self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=1e-6, fixed=still(at))
         for name in candidate.hypothesis.effects:
             fit = self._turned(fit, effects()[name])
@@ -226,7 +230,10 @@ class Search:
             if twin not in searchable():
                 continue
             rest, mirrored = _off(candidate.fit.values, effect), candidate.hypothesis.without(effect) | twin
-            begins = [self.fitter.with_effect(rest, twin, start) for start in effects()[twin].starts]
+            ours, its = (effects()[name].params[0].scale for name in (effect, twin))
+            same = candidate.fit.values[layout()[effect][0]] / self.fitter.scales.of(ours)
+            starts = [*effects()[twin].starts, *([(same,)] if ours is its else [])]
+            begins = [self.fitter.with_effect(rest, twin, start) for start in starts]
             tried = [self.fitter.fit(self.adaptation, mirrored, b, candidate.fit.starts, iterations=SETTLE, tolerance=1e-3) for b in begins]
             fit = min(tried, key=lambda f: f.cost)
             known = self.found.get(fit.hypothesis)
@@ -238,8 +245,7 @@ class Search:
         checks = [self._checked(fit)]
         if starts is not None:
             checks.append(self.fitter.fit(self.validation, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True))
-        best = min(checks, key=lambda f: f.cost)
-        self.found[fit.hypothesis] = Candidate(fit, best if self._resolved(fit) else replace(best, cost=np.inf))
+        self.found[fit.hypothesis] = Candidate(fit, min(checks, key=lambda f: f.cost), self._resolved(fit))
         return self.found[fit.hypothesis]
 
     def _resolved(self, fit: RolloutFit) -> bool:
@@ -248,24 +254,33 @@ class Search:
         return all(fit.values[layout()[name][0]] >= effects()[name].least_periods * period_s for name in fit.hypothesis.effects)
 
     def _checked(self, fit: RolloutFit) -> RolloutFit:
-        """The starts of validation windows; what hidden states began with is tried at several places, episode by episode."""
-        states = [key for key in memories() if key[0] in fit.hypothesis.effects]
-        scales = [effects()[e].memory[effects()[e].states.index(state)] for e, state in states]
-        offsets = PASTS if any(effects()[e].threshold for e, _ in states) else PASTS[:1]
-        tried = []
-        for offset in offsets:
-            memory = {key: offset * self.fitter.scales.of(scale) for key, scale in zip(states, scales, strict=True)}
-            starts = {s.digest: Start(s.begin, memory) for s in self.validation}
-            tried.append(self.fitter.fit(self.validation, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True))
-        if len(tried) == 1:
-            return tried[0]
-        best = {}
-        for s in self.validation:
-            best[s.digest] = min(tried, key=lambda f: f.by_episode[s.digest]).starts[s.digest]
-        return self.fitter.fit(self.validation, fit.hypothesis, fit.values, best, iterations=2, only_starts=True)
+        """The starts of validation windows."""
+        return self._begun(self.validation, fit, {s.digest: s.begin for s in self.validation})
+
+    def _begun(self, data: Sequence[Series], fit: RolloutFit, windows: Mapping[str, np.ndarray]) -> RolloutFit:
+        """A fit with its starts estimated alone; what a hidden state with corners began with is sought at many places in each episode."""
+        starts = {digest: Start(begin, {}) for digest, begin in windows.items()}
+        for key in (key for key in memories() if key[0] in fit.hypothesis.effects and effects()[key[0]].threshold):
+            starts = {s.digest: self._scanned(s, fit, starts[s.digest], key) for s in data}
+        return self.fitter.fit(data, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True)
+
+    def _scanned(self, s: Series, fit: RolloutFit, start: Start, key: tuple[str, str]) -> Start:
+        """A start with the best of many pasts of one hidden state, one in each lane, from windows that know of none of them."""
+        kind = effects()[key[0]]
+        offsets = np.array(PASTS) * self.fitter.scales.of(kind.memory[kind.states.index(key[1])])
+        p = np.repeat(fit.values[:, None], BLOCK, axis=1)
+        for other, value in start.memory.items():
+            p[memories()[other]] += value
+        p[memories()[key], : len(offsets)] += offsets
+        out = roll(s, self.fitter.family, p, switches(fit.hypothesis), np.repeat(s.begin[:, :, None], BLOCK, axis=2))
+        counted = s.usable & (s.window_of >= 0)[:, None]
+        with np.errstate(over="ignore", invalid="ignore"):
+            missed = np.where(counted[:, :, None], (s.observed[:, :, None] - out) / self.fitter.sigma[:, None], 0.0)
+            costs = np.nan_to_num(np.square(missed).sum(axis=(0, 1)), nan=np.inf)[: len(offsets)]
+        return Start(start.windows, {**start.memory, key: float(offsets[int(np.argmin(costs))])})
 
     def __iter__(self) -> Iterator[Candidate]:
-        return iter(sorted(self.found.values(), key=lambda c: c.misfit))
+        return iter(sorted((c for c in self.found.values() if c.resolved), key=lambda c: c.misfit))
 
 
 def trajectory(fitter: Fitter, fit: RolloutFit, s: Series) -> np.ndarray:
@@ -289,6 +304,11 @@ def _apart(expected: np.ndarray) -> list[int]:
 def still(fit: RolloutFit) -> list[tuple[str, str]]:
     """The numbers of a fit that its log does not ask for."""
     return _still(fit.values, [effects()[name] for name in fit.hypothesis.effects])
+
+
+def _has_corners(hypothesis: Hypothesis) -> bool:
+    """Whether an effect with a hidden state has corners, so that what the state began with is not found by descent."""
+    return any(effects()[name].threshold and effects()[name].states for name in hypothesis.effects)
 
 
 def _still(values: np.ndarray, kinds: Sequence[type[Effect]]) -> list[tuple[str, str]]:

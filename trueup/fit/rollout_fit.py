@@ -270,6 +270,10 @@ class Fitter:
             inverse_part = np.linalg.inv(normal[np.ix_(columns, columns)] / size[:, None] / size + 1e-9 * np.eye(n + 1))
             by = inverse_part @ (gradient[columns] / size)
             gained = float(by @ (gradient[columns] / size)) if by[-1] > 0.0 else 0.0
+            if effects()[effect].zoomed:  # it does not grow in proportion: as it is, or not at all
+                rest, pulled = columns[:-1], gradient[columns[:-1]] - normal[columns[:-1], n + i]
+                adapted = float(pulled @ np.linalg.lstsq(normal[np.ix_(rest, rest)], pulled, rcond=None)[0])
+                gained = 2.0 * gradient[n + i] - normal[n + i, n + i] + adapted
             found[:, i] = parent.cost - gained, by[-1] / size[-1], np.sqrt(inverse_part[-1, -1]) / size[-1]
         return found
 

@@ -6,7 +6,7 @@ effect is a loop of its own over the lanes, in vector registers, entered only wh
 its own effects cost, and nothing is compiled for it.
 
     each episode runs from its first sample to its last; hidden states (lag, play, heat, hysteresis) run through
-    at the start of a window, position and velocity are set; the rest keeps its past
+    at the start of a window, position and velocity are set, which is no motion; the rest keeps its past
     where lanes follow lane 0, lane 0 is corrected by each observation, in position, velocity, a force that disturbs it and what hides its
     velocity, and the others start each window from its whole state
 
@@ -61,6 +61,7 @@ def make(digest, functions, njit):
                     q[lane], v[lane] = q[0], v[0]
                     {follow_states}
             elif resets[i] >= 0:
+                {jump}
                 for lane in range(W):
                     q[lane], v[lane] = init[resets[i], 0, lane], init[resets[i], 1, lane]
             since = t_s[i] - t_s[i - 1] if i > 0 else 0.0
@@ -147,14 +148,16 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
     """The functions to compile, and the text of the kernel that calls them."""
     functions = [f.acceleration for f in known_families.values()] + [e.apply for e in known_effects.values()]
     names = [f"family_{i}" for i in range(len(known_families))] + [f"effect_{i}" for i in range(len(known_effects))]
-    ports: dict[str, list[str]] = {part: [] for part in (*Port, "delays", "states", "begin", "follow_states", "hidden")}
+    ports: dict[str, list[str]] = {part: [] for part in (*Port, "delays", "states", "begin", "follow_states", "hidden", "jump")}
     for index, effect in enumerate(known_effects.values()):
         ports["delays" if effect.delays() else str(effect.port)] += _loop(index, effect)
         if effect.hides:
-            seen, before = (f"{state}_{index}[0]" for state in effect.states)
+            seen, before = (f"{state}_{index}" for state in effect.states)
             row = STATE.index(effect.hides)
             ports["hidden"] += [f"if on[{index}]:"]
-            ports["hidden"] += [f"    {of} += gain[now, {at}, c] * missed" for of, at in ((seen, 3), (before, row))]
+            ports["hidden"] += [f"    {of}[0] += gain[now, {at}, c] * missed" for of, at in ((seen, 3), (before, row))]
+            ports["jump"] += [f"if on[{index}]:", "    for lane in range(W):"]
+            ports["jump"] += [f"        {before}[lane] += init[resets[i], {row}, lane] - {effect.hides}[lane]"]
         for state, begins in zip(effect.states, effect.begins, strict=True):
             ports["states"].append(f"{state}_{index} = np.zeros(W)")
             ports["follow_states"].append(f"{state}_{index}[lane] = {state}_{index}[0]")

@@ -18,7 +18,7 @@ class CommandQuantization(Effect):
     order = 1
     category = "structure"
     params = (Number("step", Scale.COMMAND, 0.0, 0.0, 1.0),)
-    starts = tuple((4.0 / (4 + i),) for i in range(100))
+    starts = tuple((0.97**i,) for i in range(110))
     zoomed = "step"
     threshold = ("step",)
 
