@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from trueup.diagnose.admission import NUMERICAL, Admission
-from trueup.diagnose.decide import PHYSICAL, enough, total, yardstick
+from trueup.diagnose.decide import PHYSICAL, Yardstick, enough, total, yardstick
 from trueup.diagnose.periodicity import pitches
 from trueup.diagnose.search import Candidate, Search, searchable, still
 from trueup.episode.episode import Episode
@@ -30,6 +30,8 @@ HOPELESS = 0.25  # of the gap left by the best of a size: no effect more makes a
 ENOUGH_SAMPLES = 6000  # in all adaptation episodes; more than twice as many are thinned where they are close together
 FINE = 0.02  # of the time in which the joint crosses its travel: a step that still integrates well
 FINER = 4  # steps for one of the search
+PAIR = 2
+SWAPPED = 5  # effects that each effect of the best may give way to
 FAR_BEHIND = 4.0  # times the best misfit
 
 
@@ -85,14 +87,16 @@ def _explore(
     generation = search.extend([base], searchable(), partial(progress, "one effect"))
     for size in range(2, by.most_effects + 1):
         leaders = _refined(search, generation)
-        if size > 2:  # noqa: PLR2004  (one effect less than two is what the others began from)
+        if size > PAIR:  # one effect less than two is what the others began from
+            leaders = _swapped(search, leaders, base, by)
             list(in_parallel(search.shrink, leaders[:2]))
         best = min(c.misfit for c in search)
-        if any(enough(c, base, by) for c in search) or (size > 2 and best - 1.0 > HOPELESS * (base.misfit - 1.0)):  # noqa: PLR2004
+        if any(enough(c, base, by) for c in search) or (size > PAIR and best - 1.0 > HOPELESS * (base.misfit - 1.0)):
             break
-        parents = leaders[: PARENTS if size == 2 else 2]  # noqa: PLR2004
+        parents = leaders[: PARENTS if size == PAIR else 2]
         generation = search.extend(parents, searchable(), partial(progress, f"{size} effects"), most=GROWN)
-    for c in _refined(search, generation)[:2]:
+    leaders = _refined(search, generation)
+    for c in (_swapped(search, leaders, base, by) if len(leaders[0].hypothesis.effects) == PAIR else leaders)[:2]:
         search.shrink(c)
     return search
 
@@ -142,6 +146,14 @@ def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]
     near = [c for c in generation[:REFINED] if total(c) < FAR_BEHIND * max(total(generation[0]), 1.0)]
     refined = [*in_parallel(search.refine, near), *(c for c in generation[:REFINED] if c not in near)]
     return sorted((c for c in refined if c.resolved), key=total)
+
+
+def _swapped(search: Search, leaders: list[Candidate], base: Candidate, by: Yardstick) -> list[Candidate]:
+    """The best, with those in which one of its effects gave way to another: one effect alone may look like what two together are not."""
+    if any(enough(c, base, by) for c in leaders):
+        return leaders
+    parts = [search.fitted(leaders[0].hypothesis.without(name), leaders[0]) for name in leaders[0].hypothesis.effects]
+    return sorted([*leaders, *_refined(search, search.extend(parts, searchable(), most=SWAPPED))], key=total)
 
 
 def thinning(admission: Admission, episodes: Sequence[Episode]) -> int:

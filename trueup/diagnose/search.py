@@ -251,7 +251,7 @@ class Search:
     def _resolved(self, fit: RolloutFit) -> bool:
         """Whether no effect of a fit is so small that it stands for the integration."""
         period_s = max(s.period_s for s in self.adaptation)
-        return all(fit.values[layout()[name][0]] >= effects()[name].least_periods * period_s for name in fit.hypothesis.effects)
+        return all(abs(fit.values[layout()[name][0]]) >= effects()[name].least_periods * period_s for name in fit.hypothesis.effects)
 
     def _checked(self, fit: RolloutFit) -> RolloutFit:
         """The starts of validation windows."""
