@@ -69,16 +69,20 @@ def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], fl
     """Half of each 95 % interval, by (effect or "", parameter); scaled by what the fit leaves unexplained.
 
     How far an estimate moves between coarse and fine steps of integration is added in quadrature, for a machine has no step; and so is
-    the grid on which a number was found between whose corners the error is flat.
+    the grid on which a number was found between whose corners the error is flat, with what the others give way to it.
     """
     if not len(fit.free.rows):
         return {}
-    size = np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
-    scaled = fit.information / size[:, None] / size
+    rest = np.array([e == "" or effects()[e].zoomed != n for e, n in fit.free.names])
+    information = fit.information[np.ix_(rest, rest)]
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    inverse = np.linalg.inv(information / size[:, None] / size + RIDGE * np.eye(len(size))) / size[:, None]
+    grid = np.where(rest, 0.0, RESOLUTION * fit.values[fit.free.rows])
+    grid[rest] = inverse @ (fit.information[np.ix_(rest, ~rest)] @ grid[~rest] / size)
+    variance = np.zeros(len(rest))
     with np.errstate(over="ignore"):  # what is not determined is wide
-        variance = np.abs(np.diag(np.linalg.inv(scaled + RIDGE * np.eye(len(size))))) / size**2
+        variance[rest] = np.abs(np.diag(inverse)) / size
     moved = fit.values[fit.free.rows] - coarse.values[fit.free.rows]
-    grid = np.array([RESOLUTION * (e != "" and effects()[e].zoomed == n) for e, n in fit.free.names]) * fit.values[fit.free.rows]
     width = np.sqrt(TWO_SIDED**2 * variance * max(fit.misfit, 1.0) + moved**2 + grid**2)
     return {name: float(w) for name, w in zip(fit.free.names, np.minimum(width, WIDEST * fit.free.step), strict=True)}
 

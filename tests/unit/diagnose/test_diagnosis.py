@@ -9,11 +9,14 @@ from tests.support.simulated import recorded
 from trueup.diagnose.admission import admit
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.page import page, sentence
+from trueup.diagnose.search import Search
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.fit.rollout_fit import MOST_FREE, Fitter
+from trueup.model.block import rows_of
 from trueup.model.hypothesis import Hypothesis
-from trueup.model.series import refined, series
+from trueup.model.known import Known, known
+from trueup.model.series import DECLARED, refined, series
 
 
 def named(found):
@@ -188,3 +191,78 @@ def test_a_composition_that_fills_every_lane_has_no_bounds_beside_it():
     screened = fitter.screen(data, replace(parent, hypothesis=full), "cogging")
     assert np.isinf(screened.error).all()
     assert (screened.cost == parent.cost).all()
+
+
+def test_a_velocity_that_is_logged_late_is_told_and_costs_no_friction():
+    plant, episodes, trial = recorded("B1", ["velocity_lag", "coulomb_friction"], 24)
+    found = diagnose(plant, episodes)
+    assert sorted(named(found)) == ["coulomb_friction", "velocity_lag"]
+    for entry in found.document["effects"]:
+        assert all(truth_in(entry, name, value) for name, value in trial.machine.imperfections[entry["effect"]].items())
+
+
+def test_a_fall_of_the_drive_with_its_size_has_a_sign():
+    plant, episodes, trial = recorded("A1", ["quadratic_gain"], 25)
+    found = diagnose(plant, episodes)
+    assert named(found) == ["quadratic_gain"]
+    truth = trial.machine.imperfections["quadratic_gain"]
+    assert all(truth_in(found.document["effects"][0], name, truth[name]) for name in truth)
+
+
+def test_a_play_that_began_anywhere_is_found():
+    plant, episodes, trial = recorded("B2", ["backlash", "deadband"], 26)
+    found = diagnose(plant, episodes)
+    assert sorted(named(found)) == ["backlash", "deadband"]
+    entries = {e["effect"]: e for e in found.document["effects"]}
+    assert truth_in(entries["backlash"], "gap", trial.machine.imperfections["backlash"]["gap"])
+    assert truth_in(entries["deadband"], "width", trial.machine.imperfections["deadband"]["width"])
+
+
+def test_a_coarse_command_is_found_between_its_corners():
+    plant, episodes, trial = recorded("A1", ["command_quantization"], 7003)
+    found = diagnose(plant, episodes)
+    assert named(found) == ["command_quantization"]
+    assert truth_in(found.document["effects"][0], "step", trial.machine.imperfections["command_quantization"]["step"])
+
+
+@pytest.mark.parametrize("effect", ["constant_force", "gain_asymmetry"])
+@pytest.mark.parametrize("seed", [31, 32, 33])
+def test_either_sign_of_an_effect_is_named(effect, seed):
+    plant, episodes, _ = recorded("B1", [effect], seed)
+    assert named(diagnose(plant, episodes)) == [effect]
+
+
+def test_a_lag_below_one_sample_is_no_effect():
+    plant, episodes, _ = recorded("A0", [], 5)
+    admission = admit(plant, episodes)
+    fitter = Fitter(plant.family, admission.scales, admission.sigma)
+    data = [series(plant, e, DECLARED, 2.0) for e in episodes]
+    search = Search(fitter, data, data, data)
+    values = fitter.begin(plant.parameters)
+    for periods, resolved in ((0.5, False), (3.0, True)):
+        values[rows_of("velocity_lag")["time_constant"]] = periods * episodes[0].period_s
+        fit = fitter.fit(data, Hypothesis(("velocity_lag",)), values, iterations=0)
+        assert search.keep(fit).resolved is resolved
+        assert any(c.hypothesis.effects for c in search) is resolved
+
+
+def test_a_first_velocity_is_known_from_like_moments():
+    t = np.linspace(0.0, 8.0 * np.pi, 4000)
+    loop = np.column_stack([np.sin(t), np.cos(t) + 2.0 * np.cos(3.0 * t), np.cos(t)])
+    moments, missed = known([loop[:2000], loop[2000:]])
+    assert moments.nearest > 0
+    assert missed < 0.1
+    assert moments.velocity(np.sin(1.0), np.cos(1.0) + 2.0 * np.cos(3.0)) == pytest.approx(np.cos(1.0), abs=0.02)
+    rng = np.random.default_rng(1)
+    cloud = rng.normal(size=(2000, 3))
+    cloud[:, 2] += 0.5 * cloud[:, 0] - 0.2 * cloud[:, 1]
+    line, missed = known([cloud[:1000], cloud[1000:]])
+    assert line.nearest == 0
+    assert missed == pytest.approx(1.0, abs=0.1)
+    assert line.velocity(2.0, 1.0) == pytest.approx(0.8, abs=0.1)
+
+
+@pytest.mark.parametrize("moments", [np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan), np.zeros(3)])
+def test_moments_that_are_none_are_refused(moments):
+    with pytest.raises(ValueError, match="position, command and velocity"):
+        Known(moments, 1)
