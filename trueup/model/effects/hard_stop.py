@@ -24,10 +24,10 @@ class HardStop(Effect):
         Number("centre", Scale.POSITION, 0.0, -0.6, 0.6),
         Number("rebound", Scale.ONE, 1.0, 0.0, 1.0),
     )
-    optional = ("centre", "rebound")
+    optional = ("centre",)
     falls = True
     starts = tuple(
-        (limit, stiffness, 1.0, 0.0, 1.0)
+        (limit, stiffness, 1.0, 0.0, 0.5)
         for limit in (0.99, 0.97, 0.94, 0.9, 0.85, 0.78, 0.7, 0.6, 0.5, 0.4)
         for stiffness in (30.0, 300.0)
     )
