@@ -96,7 +96,7 @@ class Search:
 
         On short windows: there it reaches further, for no error has grown yet.
         """
-        wanted = [(n, parent.hypothesis | n) for n in names if n not in parent.hypothesis.effects]
+        wanted = [(n, parent.hypothesis | n) for n in names if not _has_already(parent.hypothesis, n)]
         rest = [n for n, h in wanted if h not in self.found and self.fitter.has_room(h)]
         near = self.fitter.fit(self.short, parent.hypothesis, parent.fit.values, iterations=2, only_starts=True)
         expected = list(in_parallel(lambda name: self.fitter.screen(self.short, near, name).cost, rest))
@@ -304,6 +304,12 @@ def _apart(expected: np.ndarray) -> list[int]:
 def still(fit: RolloutFit) -> list[tuple[str, str]]:
     """The numbers of a fit that its log does not ask for."""
     return _still(fit.values, [effects()[name] for name in fit.hypothesis.effects])
+
+
+def _has_already(hypothesis: Hypothesis, name: str) -> bool:
+    """Whether an effect, or one that contains it or that it contains, acts."""
+    acting = set(hypothesis.effects)
+    return name in acting or effects()[name].contains in acting or any(effects()[other].contains == name for other in acting)
 
 
 def _has_corners(hypothesis: Hypothesis) -> bool:
