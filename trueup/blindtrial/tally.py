@@ -29,6 +29,7 @@ ONE_SIDED = 1.645  # standard errors
 ALIKE: Mapping[str, tuple[str, ...]] = {
     "thermal_derating": ("time_constant",),
     "cogging": ("pitch",),
+    "quadratic_gain": ("odd", "even"),
     "elastic_transmission": (),
     "sensor_quantization": (),
     "dropped_frames": (),
@@ -108,6 +109,8 @@ def bound(label: Mapping[str, Any], answer: Answer) -> bool | None:
     for entry in answer.report["excluded"]:
         if entry["effect"] in _folded([name]) and entry["parameter"] in numbers:
             size = abs(numbers[entry["parameter"]])
+            if not size:
+                return None  # the other of its numbers is hidden
             return bool(size <= entry["below"]) if "below" in entry else bool(size >= entry["above"])
     return None
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
-from trueup.diagnose.search import RESOLUTION, Candidate, Search, searchable
+from trueup.diagnose.search import RESOLUTION, Candidate, Search, has_already, searchable
 from trueup.fit.rollout_fit import Fitter, RolloutFit, in_parallel
 from trueup.model.effect import Effect, Number, Scale, effects
 from trueup.model.plant import Plant
@@ -68,8 +68,8 @@ def unit(scale: Scale, plant: Plant) -> str:
 def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], float]:
     """Half of each 95 % interval, by (effect or "", parameter); scaled by what the fit leaves unexplained.
 
-    How far an estimate moves between coarse and fine steps of integration is added in quadrature, for a machine has no step; and so is
-    the grid on which a number was found between whose corners the error is flat, with what the others give way to it.
+    How far an estimate moves between coarse and fine steps of integration is added in quadrature, for a machine has no step. A number
+    between whose corners the error is flat has the width of the grid on which it was found, and the others what gives way to that.
     """
     if not len(fit.free.rows):
         return {}
@@ -155,7 +155,7 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 
 def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
     """Of each effect that the winner has not: a bound, or why there is none. Two lists."""
-    names = [n for n in searchable() if n not in winner.hypothesis.effects and effects()[n].contains not in winner.hypothesis.effects]
+    names = [n for n in searchable() if not has_already(winner.hypothesis, n)]
     found = list(in_parallel(lambda name: _bound(search, winner, name, plant), names))
     return [b for b in found if b.value is not None], [b for b in found if b.value is None]
 
@@ -177,7 +177,7 @@ def _bound(search: Search, winner: Candidate, name: str, plant: Plant) -> Bound:
     if kind.zoomed:  # small ones do not grow in proportion: what would have been seen whole bounds
         limits = np.where(limits < starts, starts, np.inf)
     shapes: dict[tuple[float, ...], float] = {}
-    for s, limit, start in zip(kind.starts, limits, starts, strict=True):
+    for s, limit, start in ((s, limit, start) for s, limit, start in zip(kind.starts, limits, starts, strict=True) if start > 0.0):
         shape = s if kind.periodic else s[1:]
         shapes[shape] = min(shapes.get(shape, np.inf), limit if limit <= LINEAR * start else np.inf)
     sound = [limit for limit in shapes.values() if np.isfinite(limit)]  # of the shapes that would have shown

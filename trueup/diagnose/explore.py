@@ -95,9 +95,10 @@ def _explore(
             break
         parents = leaders[: PARENTS if size == PAIR else 2]
         generation = search.extend(parents, searchable(), partial(progress, f"{size} effects"), most=GROWN)
-    leaders = _refined(search, generation)
-    for c in (_swapped(search, leaders, base, by) if len(leaders[0].hypothesis.effects) == PAIR else leaders)[:2]:
-        search.shrink(c)
+    else:
+        leaders = _refined(search, generation)
+        for c in (_swapped(search, leaders, base, by) if by.most_effects == PAIR else leaders)[:2]:
+            search.shrink(c)
     return search
 
 
@@ -150,7 +151,7 @@ def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]
 
 def _swapped(search: Search, leaders: list[Candidate], base: Candidate, by: Yardstick) -> list[Candidate]:
     """The best, with those in which one of its effects gave way to another: one effect alone may look like what two together are not."""
-    if any(enough(c, base, by) for c in leaders):
+    if not leaders or any(enough(c, base, by) for c in leaders):
         return leaders
     parts = [search.fitted(leaders[0].hypothesis.without(name), leaders[0]) for name in leaders[0].hypothesis.effects]
     return sorted([*leaders, *_refined(search, search.extend(parts, searchable(), most=SWAPPED))], key=total)

@@ -96,7 +96,7 @@ class Search:
 
         On short windows: there it reaches further, for no error has grown yet.
         """
-        wanted = [(n, parent.hypothesis | n) for n in names if not _has_already(parent.hypothesis, n)]
+        wanted = [(n, parent.hypothesis | n) for n in names if not has_already(parent.hypothesis, n)]
         rest = [n for n, h in wanted if h not in self.found and self.fitter.has_room(h)]
         near = self.fitter.fit(self.short, parent.hypothesis, parent.fit.values, iterations=2, only_starts=True)
         expected = list(in_parallel(lambda name: self.fitter.screen(self.short, near, name).cost, rest))
@@ -137,10 +137,13 @@ class Search:
     def _pruned(self, best: RolloutFit, kinds: Sequence[type[Effect]]) -> RolloutFit:
         """The fit with each number at its null that it may do without, where the log does not ask for it; those are free no more."""
         fixed = _still(best.values, kinds)
-        for kind, name in ((k, name) for k in kinds for name in k.optional if (k.name, name) not in fixed):
-            values, row = best.values.copy(), rows_of(kind.name)[name]
-            values[row] = nulls()[row]
-            without = [*fixed, (kind.name, name)]
+        alone = [(k, (name,)) for k in kinds for name in k.optional if not k.tries]
+        for kind, names in [*alone, *((k, k.optional) for k in kinds if k.tries)]:  # numbers that are tried together go together
+            if all((kind.name, name) in fixed for name in names):
+                continue
+            values, rows = best.values.copy(), [rows_of(kind.name)[name] for name in names]
+            values[rows] = nulls()[rows]
+            without = [*fixed, *((kind.name, name) for name in names if (kind.name, name) not in fixed)]
             plain = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=RACE, tolerance=1e-3, fixed=without)
             if not _asks(plain, best):
                 best, fixed = plain, without
@@ -306,7 +309,7 @@ def still(fit: RolloutFit) -> list[tuple[str, str]]:
     return _still(fit.values, [effects()[name] for name in fit.hypothesis.effects])
 
 
-def _has_already(hypothesis: Hypothesis, name: str) -> bool:
+def has_already(hypothesis: Hypothesis, name: str) -> bool:
     """Whether an effect, or one that contains it or that it contains, acts."""
     acting = set(hypothesis.effects)
     return name in acting or effects()[name].contains in acting or any(effects()[other].contains == name for other in acting)

@@ -85,6 +85,7 @@ def make(digest, functions, njit):
                 if resets[i] >= 0:
                     for lane in range(1, W):
                         q[lane], v[lane] = q[0], v[0]
+                        {follow_states}
             for lane in range(W):
                 out[i, 0, lane] = qe[lane]
                 out[i, 1, lane] = ve[lane]

@@ -24,7 +24,7 @@ from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.known import Known
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
-from trueup.model.series import Scheme, roll, whole
+from trueup.model.series import Scheme, position_and_velocity, roll, whole
 from trueup.model.state import past_states
 from trueup.model.windows import Windows
 
@@ -65,8 +65,8 @@ class Corrected(Predictor):
         series = whole(self.plant, windows.episode, self.scheme, windows.first)
         p = np.repeat(np.array(self.values)[:, None], BLOCK, axis=1)
         first = np.nan_to_num(past_states(self.plant, windows.episode)[:1])
-        if 1 not in self.plant.state_columns:
-            first[0, 1] = self.known.velocity(first[0, 0], series.issued[0]) if self.known else 0.0
+        if self.known and not np.isfinite(position_and_velocity(self.plant, windows.episode)[0, 1]):
+            first[0, 1] = self.known.velocity(first[0, 0], series.issued[0])
         init = np.repeat(first[:, :, None], BLOCK, axis=2)
         family = list(families()).index(self.family.name)
         out = roll(series, family, p, switches(self.hypothesis), init, np.array(self.gain).reshape(-1, 4, 2))

@@ -36,7 +36,8 @@ class Known:
 
     @cached_property
     def _sizes(self) -> Array:
-        return np.asarray(np.maximum(np.std(self.moments[:, :2], axis=0), np.finfo(float).tiny))
+        spread = np.std(self.moments[:, :2], axis=0)
+        return np.asarray(np.where(spread > 0.0, spread, 1.0))
 
     @cached_property
     def _line(self) -> Array:
@@ -61,7 +62,8 @@ def known(episodes: Sequence[Array]) -> tuple[Known, float]:
 
     One episode is foretold from its own other half.
     """
-    parts = list(episodes) if len(episodes) > 1 else np.array_split(episodes[0], 2)
+    parts = [e for e in episodes if len(e)]
+    parts = parts if len(parts) > 1 else np.array_split(np.concatenate(episodes), 2)
     missed = {nearest: _missed(parts, nearest) for nearest in NEAREST}
     nearest = min(missed, key=lambda n: missed[n])
     return Known(_thinned(np.concatenate(parts), MOST), nearest), missed[nearest]
