@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 import time
+from base64 import b64encode
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -35,7 +36,7 @@ class Room:
         return subprocess.Popen(command, stdin=pipe, stdout=pipe, env=kept, cwd="/", text=True, start_new_session=True)
 
     def __call__(self, folder: Path) -> Mapping[str, Any]:
-        """`report` and `manifest`, or `problem`; and `seconds`. A room that ends without an answer is opened once more."""
+        """`report`, `manifest` and `arrays` (base64), or `problem`; and `seconds`. A room that ends unanswered is opened once more."""
         answer = self._asked(folder)
         if answer is None:
             self._close()
@@ -76,12 +77,13 @@ def _answer(folder: Path) -> Mapping[str, Any]:
     began = time.monotonic()
     try:
         found = diagnose(*read_case(folder))
-        manifest = pack(found.predictor, {"origin": "diagnosis"}).manifest.decode()
+        model = pack(found.predictor, {"origin": "diagnosis"})
     except TrueupError as error:
         return {"problem": f"{error.code}: {error.message}", "seconds": time.monotonic() - began}
     except Exception as error:  # noqa: BLE001  (a diagnosis that breaks is a miss of that machine, and of no other)
         return {"problem": f"failed: {type(error).__name__}: {error}", "seconds": time.monotonic() - began}
-    return {"report": dict(found.document), "manifest": manifest, "seconds": time.monotonic() - began}
+    packed = {"manifest": model.manifest.decode(), "arrays": b64encode(model.arrays).decode()}
+    return {"report": dict(found.document), **packed, "seconds": time.monotonic() - began}
 
 
 def main() -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from base64 import b64decode
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -156,7 +157,8 @@ def _cores() -> list[int]:
 def _row(index: int, plant: Plant, sealed: Sealed, answer: Mapping[str, Any], found: Answer) -> dict[str, Json]:
     closed = None
     if "manifest" in answer:
-        closed = closed_on(unpack(Artifact(answer["manifest"].encode(), b"")), sealed.tests, np.array(sealed.sigma))
+        model = Artifact(answer["manifest"].encode(), b64decode(answer["arrays"]))
+        closed = closed_on(unpack(model), sealed.tests, np.array(sealed.sigma))
     return {
         "index": index,
         "label": sealed.label,

@@ -16,13 +16,14 @@ from trueup_service.registry.store import Writer
 from trueup_service.wiring import Parts
 from trueup_worker.code_identity import code_identity
 from trueup_worker.inputs import read_episodes, read_plant, sources
+from trueup_worker.outputs import keep_arrays
 from trueup_worker.progress import Progress
 
 READING = 0.1  # of the job's time
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Diagnose, and give the manifest and the report. Repeating it gives the same bytes."""
+    """Diagnose, keep the arrays, and give the manifest and the report. Repeating it gives the same bytes."""
     plant = read_plant(parts, job)
     roles = Role.ADAPTATION, Role.VALIDATION
     episodes = read_episodes(parts, job, plant, roles, progress.stage("reading episodes", 0.0, READING))
@@ -38,7 +39,8 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         "parent": job.request["parent"],
         "report": {"sha256": digest_of(dict(found.document)), "verdict": found.document["verdict"], "sentence": sentence(found.document)},
     }
-    return {"manifest": pack(found.predictor, provenance).manifest.decode(), "report": dict(found.document)}
+    artifact = pack(found.predictor, provenance)
+    return {"manifest": artifact.manifest.decode(), "arrays": keep_arrays(parts, artifact), "report": dict(found.document)}
 
 
 def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:

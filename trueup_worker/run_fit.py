@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from typing import Any
 
 from trueup.artifact.artifact import Artifact, pack
@@ -21,6 +20,7 @@ from trueup_service.registry.store import Writer
 from trueup_service.wiring import Parts
 from trueup_worker.code_identity import code_identity
 from trueup_worker.inputs import read_episodes, read_plant, sources
+from trueup_worker.outputs import keep_arrays
 from trueup_worker.progress import Progress
 
 SEED = 0  # both methods are deterministic; the field stands so that every provenance has it
@@ -33,8 +33,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     predictor, report = _fit(plant, episodes, job.request, progress.stage("fitting", 0.5, 0.95))
     progress.stage("packing", 0.95, 1.0)
     artifact = pack(predictor, _provenance(job, episodes, report))
-    arrays = _keep(parts, artifact.arrays) if artifact.arrays else None
-    return {"manifest": artifact.manifest.decode(), "arrays": arrays, "report": report}
+    return {"manifest": artifact.manifest.decode(), "arrays": keep_arrays(parts, artifact), "report": report}
 
 
 def _fit(plant: Plant, episodes: list[Episode], request: dict[str, Any], progress: Progress) -> tuple[Predictor, dict[str, Json]]:
@@ -57,16 +56,6 @@ def _provenance(job: JobRecord, episodes: list[Episode], report: dict[str, Json]
         "parent": job.request["parent"],
         "report": report,
     }
-
-
-def _keep(parts: Parts, arrays: bytes) -> str:
-    digest, path = digest_of_bytes(arrays), parts.spool / uuid.uuid4().hex
-    path.write_bytes(arrays)
-    try:
-        parts.blobs.put(digest, path)
-    finally:
-        path.unlink(missing_ok=True)
-    return digest
 
 
 def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:

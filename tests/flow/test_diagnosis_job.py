@@ -15,7 +15,7 @@ from trueup.episode.writer import write_episode
 @pytest.fixture(scope="module")
 def done(service, tmp_path_factory):
     folder = tmp_path_factory.mktemp("job")
-    plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21)
+    plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21, velocity=False)  # its model has arrays: moments of a known velocity
     (folder / "plant.json").write_text(json.dumps(dict(plant.document)))
     for i, e in enumerate(episodes):
         stamps = T0_NS + 10**10 * i + np.rint(e.t_s * 1e9).astype(np.int64)
@@ -37,10 +37,12 @@ def test_the_service_gives_the_commands_report(done):
     assert ours == report
 
 
-def test_its_model_goes_through_the_gate(service, done):
+def test_its_model_is_kept_with_its_arrays_and_judged(service, done):
     _, job, _ = done
     decision = json.loads(command(service, "gate", "simulated", job["result"]["artifact"], "--json").stdout)
-    assert decision["accepted"]
+    verdict = decision["document"]["verdicts"][0]
+    assert (verdict["rule"], verdict["passed"]) == ("rollout_improves", True)
+    assert verdict["value"] < 0.2 * verdict["threshold"]
 
 
 def test_a_blind_trial_is_committed_before_it_is_diagnosed_and_opened_at_its_end(service, done, tmp_path):
