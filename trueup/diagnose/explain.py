@@ -177,9 +177,10 @@ def _bound(search: Search, winner: Candidate, name: str, plant: Plant) -> Bound:
     if kind.zoomed:  # small ones do not grow in proportion: what would have been seen whole bounds
         limits = np.where(limits < starts, starts, np.inf)
     shapes: dict[tuple[float, ...], float] = {}
-    for s, limit, start in ((s, limit, start) for s, limit, start in zip(kind.starts, limits, starts, strict=True) if start > 0.0):
-        shape = s if kind.periodic else s[1:]
-        shapes[shape] = min(shapes.get(shape, np.inf), limit if limit <= LINEAR * start else np.inf)
+    for s, limit, start in zip(kind.starts, limits, starts, strict=True):
+        if start > 0.0:  # the others have none of the number that is bounded
+            shape = s if kind.periodic else s[1:]
+            shapes[shape] = min(shapes.get(shape, np.inf), limit if limit <= LINEAR * start else np.inf)
     sound = [limit for limit in shapes.values() if np.isfinite(limit)]  # of the shapes that would have shown
     if not sound:
         return Bound(name, number.name, None, False, measure, _blind(kind))

@@ -117,7 +117,7 @@ def polished(
     length = window_s(plant, [*adaptation, *validation])
     last = Search(
         search.fitter,
-        [_begun(plant, e, series(plant, e, finer, length), best) for e in adaptation],
+        [_started(plant, e, series(plant, e, finer, length), best) for e in adaptation],
         [series(plant, e, finer, length) for e in validation],
         search.short,
     )
@@ -135,11 +135,10 @@ def polished(
     return last.keep(fit if physical else last.pruned(fit)), finer
 
 
-def _begun(plant: Plant, episode: Episode, s: Series, best: Candidate) -> Series:
-    """A series whose windows start from what the log does not hide behind an effect of the composition."""
-    signals = {effects()[name].hides for name in best.hypothesis.effects}
-    hidden = [column for column, signal in enumerate(("q", "v")) if signal in signals]
-    return replace(s, begin=smoothed_states(plant, episode, hidden)[np.flatnonzero(s.resets >= 0)])
+def _started(plant: Plant, episode: Episode, s: Series, best: Candidate) -> Series:
+    """A series whose windows start from positions alone where an effect of the composition hides the velocity."""
+    hidden = any(effects()[name].hides_velocity for name in best.hypothesis.effects)
+    return replace(s, begin=smoothed_states(plant, episode, from_positions=True)[np.flatnonzero(s.resets >= 0)]) if hidden else s
 
 
 def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]:

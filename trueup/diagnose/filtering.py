@@ -150,7 +150,7 @@ class _Hidden:
 def _hidden(model: Corrected, h: float) -> _Hidden:
     """The same of a model's effects; none where the log shows the velocity."""
     for name in model.hypothesis.effects:
-        if effects()[name].hides:
+        if effects()[name].hides_velocity:
             values = [model.values[row] for row in layout()[name]]
             kept, after, before = (float(effects()[name].apply(0.0, v, h, z, b, *values)[2]) for z, v, b in np.eye(3))
             return _Hidden(kept, after, before, h / max(1.0 - kept, h))

@@ -178,7 +178,7 @@ class Search:
     def refine(self, candidate: Candidate) -> Candidate:
         """The same fitted until nothing moves."""
         at = candidate.fit
-        if _has_corners(at.hypothesis):
+        if _corners(at.hypothesis):
             begun = self._begun(self.adaptation, at, {digest: start.windows for digest, start in at.starts.items()})
             at = begun if begun.cost < at.cost else at
         fit = self.fitter.fit(self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=1e-6, fixed=still(at))
@@ -263,7 +263,7 @@ class Search:
     def _begun(self, data: Sequence[Series], fit: RolloutFit, windows: Mapping[str, np.ndarray]) -> RolloutFit:
         """A fit with its starts estimated alone; what a hidden state with corners began with is sought at many places in each episode."""
         starts = {digest: Start(begin, {}) for digest, begin in windows.items()}
-        for key in (key for key in memories() if key[0] in fit.hypothesis.effects and effects()[key[0]].threshold):
+        for key in _corners(fit.hypothesis):
             starts = {s.digest: self._scanned(s, fit, starts[s.digest], key) for s in data}
         return self.fitter.fit(data, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True)
 
@@ -315,9 +315,9 @@ def has_already(hypothesis: Hypothesis, name: str) -> bool:
     return name in acting or effects()[name].contains in acting or any(effects()[other].contains == name for other in acting)
 
 
-def _has_corners(hypothesis: Hypothesis) -> bool:
-    """Whether an effect with a hidden state has corners, so that what the state began with is not found by descent."""
-    return any(effects()[name].threshold and effects()[name].states for name in hypothesis.effects)
+def _corners(hypothesis: Hypothesis) -> list[tuple[str, str]]:
+    """The hidden states of effects with corners, so that what they began with is not found by descent."""
+    return [key for key in memories() if key[0] in hypothesis.effects and effects()[key[0]].threshold]
 
 
 def _still(values: np.ndarray, kinds: Sequence[type[Effect]]) -> list[tuple[str, str]]:

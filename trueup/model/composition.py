@@ -30,7 +30,6 @@ from trueup.model.block import BLOCK, memories, rows_of
 from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
 
-STATE = ("q", "v")
 APART = frozenset({"passive", "drive", "spring"})  # parts of the nominal acceleration
 
 HEAD = """
@@ -152,13 +151,12 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
     ports: dict[str, list[str]] = {part: [] for part in (*Port, "delays", "states", "begin", "follow_states", "hidden", "jump")}
     for index, effect in enumerate(known_effects.values()):
         ports["delays" if effect.delays() else str(effect.port)] += _loop(index, effect)
-        if effect.hides:
+        if effect.hides_velocity:
             seen, before = (f"{state}_{index}" for state in effect.states)
-            row = STATE.index(effect.hides)
             ports["hidden"] += [f"if on[{index}]:"]
-            ports["hidden"] += [f"    {of}[0] += gain[now, {at}, c] * missed" for of, at in ((seen, 3), (before, row))]
+            ports["hidden"] += [f"    {of}[0] += gain[now, {at}, c] * missed" for of, at in ((seen, 3), (before, 1))]
             ports["jump"] += [f"if on[{index}]:", "    for lane in range(W):"]
-            ports["jump"] += [f"        {before}[lane] += init[resets[i], {row}, lane] - {effect.hides}[lane]"]
+            ports["jump"] += [f"        {before}[lane] += init[resets[i], 1, lane] - v[lane]"]
         for state, begins in zip(effect.states, effect.begins, strict=True):
             ports["states"].append(f"{state}_{index} = np.zeros(W)")
             ports["follow_states"].append(f"{state}_{index}[lane] = {state}_{index}[0]")

@@ -90,8 +90,8 @@ class Effect(ABC):
     one between whose corners the error is flat: ever finer grids find it.
     `counted` ones are found in the samples themselves, `periodic` ones by a scan along the travel; one that is the `same_as` another on
     every log is fitted as that one, and told as an alternative to it.
-    What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`. Where the effect `hides` a
-    signal, the log shows it with the first state added, and the second is the signal of the sample before.
+    What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`. Where the effect
+    `hides_velocity`, the log shows the velocity with the first state added, and the second is the velocity of the sample before.
     """
 
     name: ClassVar[str]
@@ -111,7 +111,7 @@ class Effect(ABC):
     counted: ClassVar[bool] = False
     periodic: ClassVar[bool] = False  # its first two numbers are a sine's and a cosine's, its third the pitch
     same_as: ClassVar[str] = ""
-    hides: ClassVar[str] = ""
+    hides_velocity: ClassVar[bool] = False
     least_periods: ClassVar[float] = 0.0  # of the samples: a smaller first number is what integration does, and no effect
     falls: ClassVar[bool] = False  # whether the effect grows as its first parameter falls, as a limit's does
 

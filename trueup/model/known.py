@@ -20,7 +20,7 @@ NEAREST = (0, 1, 4, 16)  # how many of them are asked
 ASKED = 128  # of an episode's moments, to see how well the others' answer
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Known:
     """Moments `(moments, 3)` of position, command and velocity.
 

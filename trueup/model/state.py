@@ -7,8 +7,6 @@ Source: A. Savitzky, M. J. E. Golay, Analytical Chemistry 36 (1964), for the loc
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,15 +22,15 @@ LEAST_SAMPLES = 5  # a parabola through noise needs more than its three points
 
 def past_states(plant: Plant, episode: Episode) -> Array:
     """State at each sample from this and earlier samples, `(samples, 2 x joints)`."""
-    return _states(plant, episode, 0, ())
+    return _states(plant, episode, 0, from_positions=False)
 
 
-def smoothed_states(plant: Plant, episode: Episode, hidden: Collection[int] = ()) -> Array:
+def smoothed_states(plant: Plant, episode: Episode, *, from_positions: bool = False) -> Array:
     """State at each sample from samples on both sides, `(samples, 2 x joints)`; for fits, never for predictions.
 
-    Columns that are `hidden` are taken as nobody's observation.
+    With `from_positions` logged velocities are left aside.
     """
-    return _states(plant, episode, _span(episode) // 2, hidden)
+    return _states(plant, episode, _span(episode) // 2, from_positions)
 
 
 def known_from(plant: Plant, episode: Episode) -> int:
@@ -55,13 +53,12 @@ def _period_s(t_s: Array) -> float:
     return float(np.quantile(np.diff(t_s), 0.9))
 
 
-def _states(plant: Plant, episode: Episode, ahead: int, hidden: Collection[int]) -> Array:
+def _states(plant: Plant, episode: Episode, ahead: int, from_positions: bool) -> Array:
     states = np.full((len(episode.t_s), 2 * plant.dynamics.joints), np.nan)
     states[:, plant.state_columns] = episode.observations
-    states[:, list(hidden)] = np.nan
     for joint in range(plant.dynamics.joints):
         column = plant.dynamics.joints + joint
-        if np.isnan(states[:, column]).any():
+        if from_positions or np.isnan(states[:, column]).any():
             states[:, column] = _slopes(episode.t_s, states[:, joint], _span(episode), ahead)
     return states
 

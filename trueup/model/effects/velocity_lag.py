@@ -25,7 +25,7 @@ class VelocityLag(Effect):
     begins = ("zero", "first")
     memory = (Scale.VELOCITY, Scale.VELOCITY)
     starts = tuple((0.01 * 1.8**i,) for i in range(8))
-    hides = "v"
+    hides_velocity = True
     least_periods = 1.0
 
     @staticmethod
