@@ -18,10 +18,11 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 class Service:
-    """A server and workers on one storage."""
+    """A server and workers on one storage, with `settings` by their name, as in `long_poll_limit_s=1`."""
 
-    def __init__(self, storage: Storage) -> None:
+    def __init__(self, storage: Storage, **settings: object) -> None:
         self.storage = storage
+        self._settings = {f"TRUEUP_{name.upper()}": str(value) for name, value in settings.items()}
         with socket.create_server(("127.0.0.1", 0)) as free:
             self.port = free.getsockname()[1]
         self._children: list[subprocess.Popen] = []
@@ -54,7 +55,8 @@ class Service:
         self._children.clear()
 
     def _start(self, *arguments: str) -> subprocess.Popen:
-        environment = {**os.environ, **self.storage.environment, "TRUEUP_LOG_LEVEL": "WARNING", "PYTHONWARNINGS": "default"}
+        quiet = {"TRUEUP_LOG_LEVEL": "WARNING", "PYTHONWARNINGS": "default"}
+        environment = {**os.environ, **self.storage.environment, **quiet, **self._settings}
         child = subprocess.Popen([sys.executable, "-m", "trueup_cli.main", *arguments], env=environment, cwd=ROOT)
         self._children.append(child)
         return child
