@@ -63,8 +63,8 @@ docs: $(RUN) ## write the pages that are made from the code
 	@$(BIN)/python docs/make_effects.py
 
 lock: $(BIN)/uv ## pin the dependencies anew
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header pyproject.toml -o requirements.txt
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --group dev -c requirements.txt pyproject.toml -o requirements-dev.txt
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --extra mujoco pyproject.toml -o requirements.txt
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --group dev --extra mujoco -c requirements.txt pyproject.toml -o requirements-dev.txt
 
 clean: ## remove the environment and everything that was made
 	@rm -rf $(VENV) .trueup build

@@ -6,6 +6,7 @@
     │   ├── TooLarge             a declared limit on size is exceeded
     │   └── NotAnEpisode         sound MCAP, but not what an episode must hold
     ├── BadPlant                 plant.json breaks a rule, at a field
+    ├── NotInstalled             an optional part of the installation is needed
     ├── BadArtifact              a manifest, an array or a digest does not hold
     ├── BadGate                  a gate that cannot judge
     ├── RoleRefused              data used for what its role forbids
@@ -69,6 +70,13 @@ class BadPlant(TrueupError):
 
     code = "bad-plant"
     hint = "Correct the field named in `field`; docs/plant.md lists every field."
+
+
+class NotInstalled(TrueupError):
+    """An optional part of the installation is needed."""
+
+    code = "not-installed"
+    hint = "Install it with `pip install 'trueup[mujoco]'`; `trueup doctor` says what is there."
 
 
 class BadArtifact(TrueupError):

@@ -47,7 +47,9 @@ def write(found: Diagnosis, episodes: list[Episode], out: Path) -> None:
     if found.experiment is not None and found.experiment.command is not None:
         with (out / COMMAND_FILE).open("w", newline="") as file:
             writer = csv.writer(file)
-            writer.writerow(["t", found.plant.layout.commands[0].name])
-            writer.writerows([repr(float(t)), repr(float(u))] for t, u in zip(found.experiment.t_s, found.experiment.command, strict=True))
+            driven = [found.plant.joint_of(c) for c in found.plant.layout.commands]
+            writer.writerow(["t", *(c.name for c in found.plant.layout.commands)])
+            rows = zip(found.experiment.t_s, found.experiment.command[:, driven], strict=True)
+            writer.writerows([repr(float(t)), *(repr(float(u)) for u in row)] for t, row in rows)
     (out / "report.json").write_text(json.dumps(found.document, indent=1) + "\n")
     (out / "report.html").write_text(page(found))

@@ -33,6 +33,7 @@ _COMMANDS = {
     "predict": ("predict:predict", "Roll a model out over an episode."),
     "audit": ("audit:audit", "Print or verify the audit log."),
     "replay": ("audit:replay", "Recompute a decision and say whether it agrees."),
+    "doctor": ("doctor:doctor", "Say what this installation has, and what is missing for what."),
     "chapter": ("chapter:chapter", "Reproduce the chapter's figures beside the published digits."),
     "demo": ("demo:demo", "Run the main job on a real recording."),
 }

@@ -15,13 +15,16 @@ app = App(name="plant", help="Register and look at plants.")
 
 @app.command
 def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Register the plant that a plant.json describes, or a case folder's.
+    """Register the plant that a plant.json describes, or a case folder's; an MJCF that it names is read from beside it.
 
     Parameters
     ----------
     file: plant.json, or a folder that holds one
     """
-    found = connect(url).register_plant(json.loads((file / "plant.json" if file.is_dir() else file).read_text()))
+    from trueup.model.mjcf import resolved
+
+    description = file / "plant.json" if file.is_dir() else file
+    found = connect(url).register_plant(resolved(json.loads(description.read_text()), description.parent))
     as_json(found) if as_json_ else out.print(f"plant [bold]{found['name']}[/] is registered as {found['digest'][:12]}")
 
 
@@ -37,6 +40,6 @@ def list_(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     found = list(connect(url).plants())
     as_json(found) if as_json_ else table(
         "Plants",
-        ["name", "family", "registered", "by"],
-        [(p["name"], p["document"]["nominal"]["family"], p["created_at"], p["created_by"]) for p in found],
+        ["name", "model", "registered", "by"],
+        [(p["name"], p["document"]["nominal"].get("family", "mjcf"), p["created_at"], p["created_by"]) for p in found],
     )

@@ -10,7 +10,6 @@ from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.fit.identify import identify
 from trueup.fit.residual import RIDGE, fit_residual
-from trueup.model.features import POLYNOMIAL
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 from trueup_service.actions.add_artifact import add_artifact
@@ -40,9 +39,7 @@ def _fit(plant: Plant, episodes: list[Episode], request: dict[str, Any], progres
     if request["method"] == "identify":
         identified, found = identify(plant, episodes, progress)
         return identified, {"method": "identify", **found.document()}
-    residual, missed = fit_residual(
-        plant, episodes, tuple(request.get("features") or POLYNOMIAL), request.get("penalty") or RIDGE, progress
-    )
+    residual, missed = fit_residual(plant, episodes, tuple(request.get("features") or ()), request.get("penalty") or RIDGE, progress)
     return residual, {"method": "residual", **missed.document()}
 
 

@@ -18,7 +18,7 @@ from trueup.diagnose.explore import WINDOW_S
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
-from trueup.fit.rollout_fit import Fitter
+from trueup.fit.rollout_fit import Directions, Fitter
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.series import refined, series
@@ -39,10 +39,10 @@ def bench_of(plant: Plant, episodes: Sequence[Episode]) -> Bench:
 
     Raises NotIdentifiable where there is no adaptation or validation episode, or the plant's family is not one of the simulator's.
     """
-    if not plant.nominal["b"]:
-        raise NotIdentifiable("the nominal command gain b is 0: no command moves this plant", hint="Give the plant a nominal b.")
     if plant.family not in KINDS:
         raise NotIdentifiable(f"the second simulator knows no family {plant.family!r}", hint=f"It knows {', '.join(sorted(KINDS))}.")
+    if not plant.nominal["b"]:
+        raise NotIdentifiable("the nominal command gain b is 0: no command moves this plant", hint="Give the plant a nominal b.")
     kept = [e for e in sorted(episodes, key=lambda e: e.digest) if e.role in (Role.ADAPTATION, Role.VALIDATION)]
     for role in (Role.ADAPTATION, Role.VALIDATION):
         if not any(e.role is role for e in kept):
@@ -77,7 +77,7 @@ def nominal(plant: Plant, bench: Bench) -> Bench:
 
 def _numbers(plant: Plant, admission: Admission, episodes: Sequence[Episode]) -> dict[str, float]:
     """The family's numbers that fit the episodes, or the nominal one where that is not plausible."""
-    fitter = Fitter(plant.family, admission.scales, admission.sigma)
+    fitter = Fitter(plant.form, Directions.of_family(plant.dynamics.parameter_names), admission.scales, admission.sigma)
     data = [series(plant, e, refined(plant), min(WINDOW_S, float(e.t_s[-1]))) for e in episodes]
     fitted = fitter.fit(data, Hypothesis(), fitter.begin(plant.parameters), iterations=25).parameters()
     near = {}
@@ -91,7 +91,7 @@ def _feedback(plant: Plant, admission: Admission, numbers: dict[str, float], epi
     closed = any(e.conditions.get("loop", "").startswith("closed") for e in episodes)
     if "k" in plant.dynamics.parameter_names and not closed:
         return None
-    rate = STIFFER * admission.scales.velocity / admission.scales.position
+    rate = STIFFER * admission.scales[0].velocity / admission.scales[0].position
     return Feedback(rate**2 / numbers["b"], max(0.0, (2.0 * DAMPED * rate - numbers["c"]) / numbers["b"]))
 
 

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from trueup.checks.law import require
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
-from trueup.fit.rollout_fit import Fitter
-from trueup.model.block import BLOCK, layout, nulls
+from trueup.fit.rollout_fit import Directions, Fitter
+from trueup.model.block import BLOCK
 from trueup.model.corrected import Corrected
 from trueup.model.effect import Effect, Port
-from trueup.model.family import families
 from trueup.model.hypothesis import Hypothesis, Scales, switches
 from trueup.model.plant import Plant
 from trueup.model.series import DECLARED, Scheme, Series, roll, whole
@@ -55,7 +54,7 @@ def _commands(seed: int = 0) -> Array:
 
 
 def _values(effect: type[Effect], start: int) -> Array:
-    fitter = Fitter("oscillator", SCALES, np.ones(2))
+    fitter = Fitter(PLANT.form, Directions.of_family(PLANT.dynamics.parameter_names), [SCALES], np.ones(2))
     return fitter.with_effect(fitter.begin(PLANT.parameters), effect.name, _strong(effect, start))
 
 
@@ -78,12 +77,12 @@ def _rolled(values: Array, effect: type[Effect] | None, scheme: Scheme, commands
     init = np.repeat(np.array([[start[0]], [start[1]]])[None], BLOCK, axis=2)
     on = switches(Hypothesis((effect.name,) if effect else ()))
     p = np.repeat(values[:, None], BLOCK, axis=1)
-    return np.asarray(roll(s, list(families()).index("oscillator"), p, on, init)[:, :, 0])
+    return np.asarray(roll(s, PLANT.form, p, on, init)[:, :, 0])
 
 
 def vanishes_at_its_null(effect: type[Effect]) -> None:
     """With its parameters at their nulls an effect changes no bit, under either scheme."""
-    values = nulls().copy()
+    values = PLANT.block.nulls.copy()
     values[: len(PLANT.parameters)] = PLANT.parameters
     for scheme in (DECLARED, SYMMETRIC):
         same = np.array_equal(_rolled(values, effect, scheme, _commands()), _rolled(values, None, scheme, _commands()))
@@ -92,7 +91,7 @@ def vanishes_at_its_null(effect: type[Effect]) -> None:
 
 def every_parameter_matters(effect: type[Effect]) -> None:
     """From some start on, changing any one parameter changes what is observed."""
-    for row, number in zip(layout()[effect.name], effect.params, strict=True):
+    for row, number in zip(PLANT.block.rows(effect.name), effect.params, strict=True):
         seen = 0.0
         for start in range(len(effect.starts)):
             values = _values(effect, start)
@@ -134,12 +133,12 @@ def looks_only_back(effect: type[Effect]) -> None:
 def its_value_is_found_again(effect: type[Effect]) -> None:
     """A fit that begins a fifth off finds the value with which a log was made, from the noise-free log alone."""
     values = _values(effect, _usual(effect))
-    number, row = effect.params[0], layout()[effect.name][0]
+    number, row = effect.params[0], PLANT.block.rows(effect.name)[0]
     log = _rolled(values, effect, SYMMETRIC, _commands())
     if effect.counted:
         return  # found as the lattice of the values, not by a fit
     s: Series = whole(PLANT, _episode(_commands(), log), SYMMETRIC, np.array([0]))
-    fitter = Fitter("oscillator", SCALES, np.array([1e-3, 1e-3]))
+    fitter = Fitter(PLANT.form, Directions.of_family(PLANT.dynamics.parameter_names), [SCALES], np.array([1e-3, 1e-3]))
     begin = values.copy()
     begin[row] = begin[row] * (1.02 if number.name in effect.threshold else 1.2) + 1e-3 * SCALES.of(number.scale)
     others = [(effect.name, n.name) for n in effect.params[1:]]

@@ -12,7 +12,7 @@ from trueup.episode.episode import Episode
 from trueup.errors import NotIdentifiable
 from trueup.model.hypothesis import Scales
 from trueup.model.plant import Plant
-from trueup.model.series import held, position_and_velocity
+from trueup.model.series import held_frames, positions_and_velocities
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
@@ -31,21 +31,22 @@ ROUNDING = np.sqrt(12.0)
 class Admission:
     """Sizes of one set of episodes.
 
-    `noise`, `sigma` and `motion` `(2,)`: standard deviation of the noise, of what fits count as noise, and of the motion, of position
-    and velocity, nan where not observed.
-    `lattice` `(2,)`: steps on which their values lie, 0 where on none. `held` is the fraction of repeated frames.
+    `noise`, `sigma` and `motion` `(2 x joints,)`: standard deviation of the noise, of what fits count as noise, and of the motion, of
+    positions and velocities, nan where not observed.
+    `lattice` `(2 x joints,)`: steps on which their values lie, 0 where on none. `held` `(joints,)` is the fraction of repeated frames,
+    `scales` the joints' own sizes.
     """
 
     noise: Array
     sigma: Array
     motion: Array
     lattice: Array
-    held: float
-    scales: Scales
+    held: Array
+    scales: tuple[Scales, ...]
 
     @property
     def observed(self) -> NDArray[np.bool_]:
-        """Which of position and velocity there are."""
+        """Which of positions and velocities there are."""
         return np.isfinite(self.sigma)
 
     @property
@@ -53,35 +54,54 @@ class Admission:
         """Which of them are quantized enough to make a gap."""
         return np.asarray(self.lattice / ROUNDING > COARSE * np.nan_to_num(self.motion, nan=np.inf))
 
+    def of_joint(self, joint: int) -> NDArray[np.int64]:
+        """Where a joint's position and velocity stand."""
+        return np.array([joint, len(self.scales) + joint])
+
+    def lattices(self, joint: int) -> tuple[Array, NDArray[np.bool_]]:
+        """Steps of a joint's position and velocity, and whether they make a gap."""
+        at = self.of_joint(joint)
+        return self.lattice[at], self.coarse[at]
+
 
 def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
     """Look at adaptation episodes. Raises NotIdentifiable where nothing moves or no command was given."""
     if not episodes:
         raise NotIdentifiable("there is no adaptation episode to fit", hint="Give episodes the role adaptation, and others validation.")
-    noise, sigma, motion, lattice = np.full(2, np.nan), np.full(2, np.nan), np.full(2, np.nan), np.zeros(2)
-    repeats = [held(position_and_velocity(plant, e)) for e in episodes]
+    joints = len(plant.joints)
+    noise, sigma, motion = (np.full(2 * joints, np.nan) for _ in range(3))
+    lattice = np.zeros(2 * joints)
+    repeats = [held_frames(positions_and_velocities(plant, e)) for e in episodes]
     for channel, column in enumerate(plant.state_columns):
-        tracks = [e.observations[:, channel][~r] for e, r in zip(episodes, repeats, strict=True)]
+        tracks = [e.observations[:, channel][~r[:, column]] for e, r in zip(episodes, repeats, strict=True)]
         tracks = [x[np.isfinite(x)] for x in tracks if np.isfinite(x).sum() > 2 * DIFFERENCE]
         if tracks:
             lattice[column] = _lattice(np.concatenate(tracks))
             motion[column] = float(np.std(np.concatenate([x - x.mean() for x in tracks])))
-            whole = [(e.observations[:, channel], r) for e, r in zip(episodes, repeats, strict=True)]
+            whole = [(e.observations[:, channel], r[:, column]) for e, r in zip(episodes, repeats, strict=True)]
             noise[column] = max(_noise(whole), lattice[column] / ROUNDING)
             sigma[column] = max(noise[column], NUMERICAL * motion[column])
     states = np.concatenate([smoothed_states(plant, e) for e in episodes])
-    states = states[np.isfinite(states).all(axis=1)]
-    issued = np.concatenate([plant.applied(e.commands)[:, 0] for e in episodes])
-    sizes = float(np.abs(states[:, 0]).max()), float(np.std(states[:, 1])), float(np.sqrt(np.mean(issued**2)))
-    if min(sizes) <= 0.0:
+    issued = np.concatenate([plant.applied(e.commands) for e in episodes])
+    held = np.mean(np.concatenate(repeats)[:, :joints], axis=0)
+    return Admission(noise, sigma, motion, lattice, held, tuple(_sizes(plant, j, states, issued) for j in range(joints)))
+
+
+def _sizes(plant: Plant, joint: int, states: Array, issued: Array) -> Scales:
+    """A joint's own sizes. Raises NotIdentifiable where it does not move, or nothing drives it and no link beyond it could."""
+    q, v = states[:, joint], states[:, len(plant.joints) + joint]
+    known = np.isfinite(q) & np.isfinite(v)
+    driven = plant.dynamics.drive(plant.parameters, joint, q[known], issued[known, joint])
+    position, velocity, force = float(np.abs(q[known]).max()), float(np.std(v[known])), float(np.sqrt(np.mean(driven**2)))
+    if plant.command_columns[joint] < 0:
+        force = velocity**2 / position  # what its own motion needs
+    if min(position, velocity, force) <= 0.0:
         raise NotIdentifiable(
-            "the joint never moves, or no command was ever given", hint="Record episodes with a command that moves the joint."
+            "the joint never moves, or no command was ever given",
+            hint="Record episodes with a command that moves the joint.",
+            joint=plant.joint_name(joint),
         )
-    gain = abs(plant.nominal.get("b", 1.0))
-    limit = float(np.abs(issued).max())
-    return Admission(
-        noise, sigma, motion, lattice, float(np.mean(np.concatenate(repeats))), Scales(sizes[0], sizes[1], gain * sizes[2], limit)
-    )
+    return Scales(position, velocity, force, float(np.abs(issued[:, joint]).max()) or 1.0)
 
 
 def _noise(tracks: Sequence[tuple[Array, NDArray[np.bool_]]]) -> float:

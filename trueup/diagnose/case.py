@@ -9,6 +9,7 @@ import orjson
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode_stream
 from trueup.errors import BadPlant, NotAnEpisode
+from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
 
 
@@ -21,7 +22,7 @@ def read_case(folder: Path) -> tuple[Plant, list[Episode]]:
         document = orjson.loads(description.read_bytes())
     except orjson.JSONDecodeError as error:
         raise BadPlant(f"{description} is not JSON: {error}", field="plant.json") from error
-    plant = Plant.from_document(document)
+    plant = Plant.from_document(resolved(document, folder))
     files = sorted(folder.glob("*.mcap"))
     if not files:
         raise NotAnEpisode(f"{folder} holds no *.mcap episode", rule="samples")

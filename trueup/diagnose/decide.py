@@ -12,16 +12,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from trueup.diagnose.search import Candidate
-from trueup.diagnose.twins import TWINS
+from trueup.diagnose.twins import are_twins
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
-from trueup.model.effect import effects
+from trueup.model.block import kind
 
 LOG_LIKELIHOOD = 9.0  # units of log-likelihood that separate two candidates
 CERTAIN = 3.0  # times that, for windows that do not agree
@@ -41,7 +41,8 @@ class Yardstick:
     rest; `overall` the least part of the nominal model's gap; `unexplained` the part of the gap beyond which no law is the answer, and
     `unexplained_by_more` the same of several, for each of their numbers: many numbers take up much;
     `most_effects` how many are looked for; `alike` the part
-    of the best misfit on validation episodes within which two compositions of one size are alike. Where that is not 0, what remains is no
+    of the best misfit on validation episodes within which two compositions of one size are alike; `indifferent` the part of the refitted
+    gap by which integration alone may make one of two better. Where `alike` is not 0, what remains is no
     white noise, samples are no independent witnesses, and only validation episodes rank.
     """
 
@@ -52,15 +53,20 @@ class Yardstick:
     unexplained_by_more: float
     most_effects: int
     alike: float
+    indifferent: float
 
 
-SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 0.015, 3, 0.0)  # the laws' forms and the integration differ by about a thousandth
-PHYSICAL = Yardstick(0.01, 0.01, 2e-3, 0.15, 0.6, 2, 0.25)  # no textbook law holds on a machine to better than some per cent
+SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 0.015, 3, 0.0, 0.0)  # the laws' forms and the integration differ by about a thousandth
+ROBOT = replace(SIMULATED, finishing=3e-3, indifferent=4e-4)  # a step of several joints knows an effect's force only when it is over
+PHYSICAL = Yardstick(0.01, 0.01, 2e-3, 0.15, 0.6, 2, 0.25, 0.0)  # no textbook law holds on a machine to better than some per cent
 
 
 def yardstick(episodes: Sequence[Episode]) -> Yardstick:
-    """By the stage that the episodes declare: a machine is measured by another yardstick than a simulator."""
-    return PHYSICAL if any(e.conditions.get("stage") in ("physical", "HIL") for e in episodes) else SIMULATED
+    """By the stage that the episodes declare: a machine is measured by another yardstick than a simulator, and a robot by another than a
+    joint."""
+    if any(e.conditions.get("stage") in ("physical", "HIL") for e in episodes):
+        return PHYSICAL
+    return ROBOT if any(len({c.joint for c in e.layout.observations}) > 1 for e in episodes) else SIMULATED
 
 
 class Verdict(StrEnum):
@@ -90,7 +96,7 @@ def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick =
     for c in sorted(sound, key=lambda c: c.misfit if by.alike else penalised(c, spread)):
         by_size.setdefault(complexity(c), []).append(c)
     base = by_size[0][0]
-    gap = max(base.misfit - 1.0, nominal.misfit - 1.0, 0.0)
+    gap = max(base.misfit - 1.0, nominal.misfit - 1.0 if np.isfinite(nominal.misfit) else 0.0, 0.0)
     winner = base
     for _, group in sorted(by_size.items())[1:]:
         if _earns(group[0], winner, base, gap, by):
@@ -103,16 +109,16 @@ def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick =
     if winner.misfit > ADEQUATE and left > bearable:
         return Choice(Verdict.UNKNOWN, winner, (), left)
     if size:
-        rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner, by))
+        rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner, base, by))
         return Choice(Verdict.EFFECT, winner, rivals, left)
     moved = nominal.misfit - base.misfit > NOISE_POWER * max(base.misfit, FLOOR)
-    better = moved and _certain(nominal.costs - base.check.costs, base.misfit)
+    better = moved and _certain(np.nan_to_num(nominal.costs - base.check.costs, nan=0.0), base.misfit)
     return Choice(Verdict.PARAMETERS_ONLY if better else Verdict.NO_GAP, winner, (), left)
 
 
 def complexity(c: Candidate) -> float:
     """Number of effects; one that contains another is half an effect more."""
-    return sum(1.5 if effects()[name].contains else 1.0 for name in c.hypothesis.effects)
+    return sum(1.5 if kind(t).contains else 1.0 for t in c.hypothesis.effects)
 
 
 def total(c: Candidate) -> float:
@@ -143,11 +149,13 @@ def _earns(larger: Candidate, smaller: Candidate, base: Candidate, gap: float, b
     return removed > material and _certain(smaller.check.costs - larger.check.costs, larger.misfit)
 
 
-def _told_apart(rival: Candidate, winner: Candidate, by: Yardstick) -> bool:
+def _told_apart(rival: Candidate, winner: Candidate, base: Candidate, by: Yardstick) -> bool:
     """Whether the windows of all episodes are certain that a rival of the same size is worse, numbers of parameters accounted for."""
     if by.alike:
         return rival.misfit > (1.0 + by.alike) * winner.misfit
-    if frozenset(rival.hypothesis.effects) ^ frozenset(winner.hypothesis.effects) in TWINS and total(rival) < NEXT_TO * total(winner):
+    if are_twins(rival.hypothesis, winner.hypothesis) and total(rival) < NEXT_TO * total(winner):
+        return False
+    if by.indifferent and total(rival) - total(winner) < by.indifferent * (total(base) - total(winner)):
         return False
     worse = np.concatenate([rival.fit.costs - winner.fit.costs, rival.check.costs - winner.check.costs])
     spread = max(total(winner), FLOOR)

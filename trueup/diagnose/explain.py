@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
-from trueup.diagnose.search import RESOLUTION, Candidate, Search, has_already, searchable
-from trueup.fit.rollout_fit import Fitter, RolloutFit, in_parallel
+from trueup.diagnose.search import RESOLUTION, Candidate, Search, has_already
+from trueup.episode.layout import Field
+from trueup.fit.rollout_fit import Directions, Fitter, RolloutFit, in_parallel
+from trueup.model.block import joint, kind
+from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Effect, Number, Scale, effects
 from trueup.model.plant import Plant
+from trueup.model.tree import SLIDE
 
 Array = NDArray[np.float64]
 TWO_SIDED = 1.96  # standard errors of a 95 % interval
@@ -24,6 +28,7 @@ RIDGE = 1e-12  # of a determined direction's information
 WIDEST = 1e7  # steps of a finite difference: an interval so wide says that nothing is known
 HELD = 0.005  # of the frames: fewer make no gap worth a name
 RULED_OUT = 0.5  # of a limit's whole effect
+FORCES = (Scale.ACCELERATION, Scale.DRAG, Scale.CUBIC, Scale.STIFFNESS, Scale.DAMPING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +36,7 @@ class Bound:
     """What the data say of one effect that was not found: how large it may be, or why they cannot tell."""
 
     effect: str
+    joint: str | None
     parameter: str
     value: float | None
     falls: bool
@@ -39,30 +45,40 @@ class Bound:
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
+        named: dict[str, Json] = {"effect": self.effect, **({"joint": self.joint} if self.joint else {})}
         if self.value is None:
-            return {"effect": self.effect, "why": self.why}
+            return {**named, "why": self.why}
         side = "above" if self.falls else "below"
-        return {"effect": self.effect, "parameter": self.parameter, side: self.value, "unit": self.unit, "confidence": 0.95}
+        return {**named, "parameter": self.parameter, side: self.value, "unit": self.unit, "confidence": 0.95}
 
 
-def unit(scale: Scale, plant: Plant) -> str:
-    """A scale in the plant's declared units."""
-    q = next((c.unit for c in plant.layout.observations), "") or "1"
-    u = plant.layout.commands[0].unit or "1"
+def unit(scale: Scale, plant: Plant, joint: int = 0) -> str:
+    """A scale in the declared units of a joint: a family's forces are accelerations, a tree's are what its actuators give."""
+    q = next((c.unit for c in plant.layout.observations if plant.joint_of(c) == joint and c.field is Field.POSITION), "")
+    command = int(plant.command_columns[joint])
+    u = (plant.layout.commands[command].unit if command >= 0 else "") or "1"
+    if isinstance(plant.dynamics, CompiledTree):
+        slides = bool(plant.dynamics.tree.constants[joint, SLIDE])
+        q, force = q or ("m" if slides else "rad"), "N" if slides else "N·m"
+        forces = [force, f"{force} s^2/{q}^2", f"{force}/{q}^3", f"{force}/{q}", f"{force} s/{q}"]
+    else:
+        q = q or "1"
+        forces = [f"{q}/s^2", f"1/{q}", f"1/({q}^2 s^2)", "1/s^2", "1/s"]
     return {
-        Scale.ACCELERATION: f"{q}/s^2",
+        **dict(zip(FORCES, forces, strict=True)),
         Scale.VELOCITY: f"{q}/s",
         Scale.POSITION: q,
         Scale.COMMAND: u,
         Scale.RATE: f"{u}/s",
         Scale.TIME: "s",
         Scale.ONE: "1",
-        Scale.DRAG: f"1/{q}",
-        Scale.CUBIC: f"1/({q}^2 s^2)",
         Scale.DRIFT: f"{q}/s",
-        Scale.STIFFNESS: "1/s^2",
-        Scale.DAMPING: "1/s",
     }[scale]
+
+
+def in_units(scale: Scale, plant: Plant, joint: int) -> float:
+    """How many of the declared units one of the fit's own is."""
+    return float(plant.form.sizes[joint]) if scale in FORCES else 1.0
 
 
 def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], float]:
@@ -73,16 +89,17 @@ def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], fl
     """
     if not len(fit.free.rows):
         return {}
-    rest = np.array([e == "" or effects()[e].zoomed != n for e, n in fit.free.names])
+    rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
     information = fit.information[np.ix_(rest, rest)]
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     inverse = np.linalg.inv(information / size[:, None] / size + RIDGE * np.eye(len(size))) / size[:, None]
-    grid = np.where(rest, 0.0, RESOLUTION * fit.values[fit.free.rows])
+    at = fit.free.at(fit.values)
+    grid = np.where(rest, 0.0, RESOLUTION * at)
     grid[rest] = inverse @ (fit.information[np.ix_(rest, ~rest)] @ grid[~rest] / size)
     variance = np.zeros(len(rest))
     with np.errstate(over="ignore"):  # what is not determined is wide
         variance[rest] = np.abs(np.diag(inverse)) / size
-    moved = fit.values[fit.free.rows] - coarse.values[fit.free.rows]
+    moved = at - fit.free.at(coarse.values)
     width = np.sqrt(TWO_SIDED**2 * variance * max(fit.misfit, 1.0) + moved**2 + grid**2)
     return {name: float(w) for name, w in zip(fit.free.names, np.minimum(width, WIDEST * fit.free.step), strict=True)}
 
@@ -91,53 +108,66 @@ def estimates(fit: RolloutFit, coarse: RolloutFit, fitter: Fitter, plant: Plant,
     """A fit's effects with estimates, units, intervals and shares; `coarse` is the same on the search's steps."""
     widths = half_widths(fit, coarse)
     found: list[Json] = []
-    for name in fit.hypothesis.effects:
-        kind = effects()[name]
+    for term in fit.hypothesis.effects:
         values: dict[str, Json] = {}
-        for number in kind.params:
-            if (name, number.name) not in widths:
+        for number in kind(term).params:
+            if (term, number.name) not in widths:
                 continue  # the log did not ask for it
-            value = fit.parameters(name)[number.name]
-            low, high = _inside(value, widths[name, number.name], number, fitter)
-            values[number.name] = {"value": value, "unit": unit(number.scale, plant), "ci95": [low, high]}
-        found.append(_entry(kind, values, share.get(name, 0.0), plant))
+            value, factor = fit.parameters(term)[number.name], in_units(number.scale, plant, joint(term))
+            low, high = _inside(value, widths[term, number.name], number, fitter.unit(term, number.scale))
+            measure = unit(number.scale, plant, joint(term))
+            values[number.name] = {"value": factor * value, "unit": measure, "ci95": [factor * low, factor * high]}
+        found.append(_entry(kind(term), values, share.get(term, 0.0), plant, joint(term)))
     return found
 
 
 def counted(admission: Admission, plant: Plant, samples: int) -> list[Json]:
     """Effects that are counted in the samples themselves: held frames and coarse lattices."""
     found: list[Json] = []
-    if admission.held > HELD:
-        error = TWO_SIDED * float(np.sqrt(admission.held * (1.0 - admission.held) / samples))
-        value: Json = {"value": admission.held, "unit": "1", "ci95": [max(admission.held - error, 0.0), admission.held + error]}
-        found.append(_entry(effects()["dropped_frames"], {"fraction": value}, 0.0, plant))
-    if admission.coarse.any():
-        steps: dict[str, Json] = {
-            n.name: {"value": float(step), "unit": unit(n.scale, plant), "ci95": [float(step), float(step)]}
-            for n, step, coarse in zip(effects()["sensor_quantization"].params, admission.lattice, admission.coarse, strict=True)
-            if coarse
-        }
-        found.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant))
+    for at in range(len(plant.joints)):
+        part = float(admission.held[at])
+        if part > HELD:
+            error = TWO_SIDED * float(np.sqrt(part * (1.0 - part) / samples))
+            value: Json = {"value": part, "unit": "1", "ci95": [max(part - error, 0.0), part + error]}
+            found.append(_entry(effects()["dropped_frames"], {"fraction": value}, 0.0, plant, at))
+        steps: dict[str, Json] = {}
+        for n, step, coarse in zip(effects()["sensor_quantization"].params, *admission.lattices(at), strict=True):
+            if coarse:
+                steps[n.name] = {"value": float(step), "unit": unit(n.scale, plant, at), "ci95": [float(step), float(step)]}
+        if steps:
+            found.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant, at))
     return found
 
 
-def _entry(kind: type[Effect], values: dict[str, Json], share: float, plant: Plant) -> dict[str, Json]:
-    joint = plant.layout.observations[0].joint or "joint"
-    port = kind.port.reported
-    return {"effect": kind.name, "port": port, "channel": joint, "category": kind.category, "estimate": values, "share": share}
+def _entry(effect: type[Effect], values: dict[str, Json], share: float, plant: Plant, at: int) -> dict[str, Json]:
+    name = plant.joint_name(at)
+    entry: dict[str, Json] = {"effect": effect.name, "port": effect.port.reported, "channel": name, "category": effect.category}
+    if len(plant.joints) > 1:
+        entry["joint"] = name
+    return {**entry, "estimate": values, "share": share}
 
 
-def _inside(value: float, width: float, number: Number, fitter: Fitter) -> tuple[float, float]:
-    scale = fitter.scales.of(number.scale)
+def _inside(value: float, width: float, number: Number, scale: float) -> tuple[float, float]:
     return max(value - width, number.low * scale), min(value + width, number.high * scale)
 
 
-def parameter_table(plant: Plant, fit: RolloutFit, coarse: RolloutFit) -> dict[str, Json]:
-    """Nominal and fitted parameters with 95 % intervals."""
-    widths, values = half_widths(fit, coarse), fit.parameters()
+def parameter_table(plant: Plant, directions: Directions, fit: RolloutFit, coarse: RolloutFit) -> dict[str, Json]:
+    """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine one by one."""
+    widths = half_widths(fit, coarse)
+    wide = np.array([widths["", name] for name in directions.names])
+    if not directions.sized:
+        width, named = wide, np.ones(len(wide), np.bool_)
+    else:
+        count = len(directions.names)
+        spread = np.linalg.pinv(fit.information)[:count, :count] * max(fit.misfit, 1.0)
+        numbers = len(plant.parameters)
+        moved = fit.values[:numbers] - coarse.values[:numbers]
+        width = np.sqrt(np.maximum(np.einsum("ai,ab,bi->i", directions.along, spread, directions.along), 0.0) * TWO_SIDED**2 + moved**2)
+        named = directions.determined
     return {
-        name: {"nominal": nominal, "value": values[name], "ci95": [values[name] - widths["", name], values[name] + widths["", name]]}
-        for name, nominal in plant.nominal.items()
+        name: {"nominal": nominal, "value": float(value), "ci95": [float(value - w), float(value + w)]}
+        for (name, nominal), value, w, determined in zip(plant.nominal.items(), fit.values, width, named, strict=False)
+        if determined
     }
 
 
@@ -155,39 +185,41 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 
 def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
     """Of each effect that the winner has not: a bound, or why there is none. Two lists."""
-    names = [n for n in searchable() if not has_already(winner.hypothesis, n)]
-    found = list(in_parallel(lambda name: _bound(search, winner, name, plant), names))
+    terms = [t for t in search.terms if not has_already(winner.hypothesis, t)]
+    found = list(in_parallel(lambda term: _bound(search, winner, term, plant), terms))
     return [b for b in found if b.value is not None], [b for b in found if b.value is None]
 
 
-def _bound(search: Search, winner: Candidate, name: str, plant: Plant) -> Bound:
-    kind, fitter = effects()[name], search.fitter
-    screened = fitter.screen(search.adaptation, winner.fit, name)
+def _bound(search: Search, winner: Candidate, term: str, plant: Plant) -> Bound:
+    effect, fitter, at = kind(term), search.fitter, joint(term)
+    name, where = effect.name, plant.joint_name(at) if len(plant.joints) > 1 else None
+    screened = fitter.screen(search.adaptation, winner.fit, term)
     error = BOUNDING * screened.error * np.sqrt(max(winner.fit.misfit, 1.0))
-    number = kind.params[0]
-    starts = np.array([max(abs(s[0]), abs(s[1]) if kind.periodic else 0.0) for s in kind.starts]) * fitter.scales.of(number.scale)
-    measure = unit(number.scale, plant)
-    if kind.falls:
+    number = effect.params[0]
+    factor = in_units(number.scale, plant, at)
+    starts = np.array([max(abs(s[0]), abs(s[1]) if effect.periodic else 0.0) for s in effect.starts]) * fitter.unit(term, number.scale)
+    measure = unit(number.scale, plant, at)
+    if effect.falls:
         ruled_out = screened.factor + error < RULED_OUT
         order = np.argsort(starts)  # the strongest first
         last = int(np.argmin(np.append(ruled_out[order], False)))
-        value = float(starts[order][last - 1]) if last else None
-        return Bound(name, number.name, value, True, measure, "" if last else _blind(kind))
+        value = float(starts[order][last - 1]) * factor if last else None
+        return Bound(name, where, number.name, value, True, measure, "" if last else _blind(effect))
     limits = (np.abs(screened.factor) + error) * starts
-    if kind.zoomed:  # small ones do not grow in proportion: what would have been seen whole bounds
+    if effect.zoomed:  # small ones do not grow in proportion: what would have been seen whole bounds
         limits = np.where(limits < starts, starts, np.inf)
     shapes: dict[tuple[float, ...], float] = {}
-    for s, limit, start in zip(kind.starts, limits, starts, strict=True):
+    for s, limit, start in zip(effect.starts, limits, starts, strict=True):
         if start > 0.0:  # the others have none of the number that is bounded
-            shape = s if kind.periodic else s[1:]
+            shape = s if effect.periodic else s[1:]
             shapes[shape] = min(shapes.get(shape, np.inf), limit if limit <= LINEAR * start else np.inf)
     sound = [limit for limit in shapes.values() if np.isfinite(limit)]  # of the shapes that would have shown
     if not sound:
-        return Bound(name, number.name, None, False, measure, _blind(kind))
-    return Bound(name, number.name, float(max(sound)), False, measure, "")
+        return Bound(name, where, number.name, None, False, measure, _blind(effect))
+    return Bound(name, where, number.name, float(max(sound)) * factor, False, measure, "")
 
 
-def _blind(kind: type[Effect]) -> str:
+def _blind(effect: type[Effect]) -> str:
     """The effect's own word on the data that cannot show it."""
-    text = (kind.__doc__ or "").split("Blind:")[-1]
+    text = (effect.__doc__ or "").split("Blind:")[-1]
     return " ".join(text.split())

@@ -19,10 +19,9 @@ from trueup.diagnose.admission import Admission
 from trueup.diagnose.measure import squared_errors
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, in_parallel
-from trueup.model.block import layout
+from trueup.model.block import joint as joint_of
+from trueup.model.block import kind, term
 from trueup.model.corrected import Corrected
-from trueup.model.effect import effects
-from trueup.model.hypothesis import Hypothesis
 from trueup.model.known import known
 from trueup.model.plant import Plant
 from trueup.model.series import Scheme
@@ -40,11 +39,14 @@ UNCERTAIN = 2.0  # standard errors
 def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Scheme, episodes: Sequence[Episode]) -> Corrected:
     """The predictor of a fit, with the gain that predicts the given adaptation episodes best."""
     hypothesis, values = fit.hypothesis, fit.values.copy()
-    if admission.coarse.any():
-        hypothesis = Hypothesis((*hypothesis.effects, "sensor_quantization"))
-        values[list(layout()["sensor_quantization"])] = np.where(admission.coarse, admission.lattice, 0.0)
-    model, unknown = Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme), admission.scales.velocity
-    if not admission.observed.all():
+    for at in range(len(plant.joints)):
+        lattice, coarse = admission.lattices(at)
+        if coarse.any():
+            shown = term("sensor_quantization", at)
+            hypothesis = hypothesis | shown
+            values[list(plant.block.rows(shown))] = np.where(coarse, lattice, 0.0)
+    model, unknown = Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme), None
+    if not admission.observed.all() and len(plant.joints) == 1:
         moments, unknown = known([_moments(plant, e) for e in episodes])
         model = replace(model, known=moments)
     period = episodes[0].period_s
@@ -86,17 +88,29 @@ def _moments(plant: Plant, episode: Episode) -> Array:
 
 
 def _gain(
-    plant: Plant, admission: Admission, model: Corrected, size: float, period_s: float, unknown: float, *, wanders: bool
+    plant: Plant, admission: Admission, model: Corrected, size: float, period_s: float, unknown: float | None, *, wanders: bool
 ) -> tuple[tuple[float, ...], ...]:
-    """The gains of the first samples and the steady one, `(4, 2)` each in a row, for a disturbance of a size: a force random from sample to
-    sample, or one that wanders and is estimated. `unknown` is the standard deviation of a first velocity that nobody observed.
+    """The gains of the first samples and the steady one, `(4, 2)` of each joint in a row, for a disturbance of a size: a force random from
+    sample to sample, or one that wanders and is estimated. `unknown` is the standard deviation of a first velocity that nobody observed.
     """
-    names = plant.dynamics.parameter_names
-    h, seen, sizes = period_s, admission.observed, admission.scales
-    hides = _hidden(model, h)
+    moves = plant.dynamics.transition(np.array(model.values[: len(plant.parameters)]), period_s)
+    of_joints = [
+        _joint_gain(admission, j, moves[np.ix_(at, at)], _hidden(model, j, period_s), size, period_s, unknown, wanders=wanders)
+        for j, at in ((j, admission.of_joint(j)) for j in range(len(plant.joints)))
+    ]
+    return tuple(tuple(float(x) for x in row) for row in np.concatenate(of_joints, axis=1))
+
+
+def _joint_gain(
+    admission: Admission, joint: int, moves: Array, hides: _Hidden, size: float, period_s: float, unknown: float | None, *, wanders: bool
+) -> Array:
+    """One joint's gains, `(beginning, 8)`, as if the others' motion were known; `moves` is its own part of the linearised update."""
+    at, sizes, h = admission.of_joint(joint), admission.scales[joint], period_s
+    seen, deviation = admission.observed[at], np.nan_to_num(admission.noise[at])
+    first = sizes.velocity if unknown is None else unknown
     unit = np.array([sizes.position, sizes.velocity, sizes.acceleration, sizes.velocity])  # keeps the equation well scaled
     a, disturbed = np.eye(4), np.eye(4)[:, :3]
-    a[:2, :2] = plant.dynamics.transition(np.array(model.values[: len(names)]), h)
+    a[:2, :2] = moves
     a[:2, 2] = h * h / 2.0, h
     a[3] = hides.after * a[1] + np.array([0.0, hides.before, 0.0, hides.kept])
     disturbed[3] = hides.after * disturbed[1]
@@ -108,7 +122,7 @@ def _gain(
         drive[:2, :2] = np.array([[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]]) * power
     drive = disturbed @ drive @ disturbed.T
     used = np.array([True, True, wanders, hides.kept > 0.0])
-    noise = np.diag(np.maximum(admission.noise[seen], 1e-6 * admission.motion[seen]) ** 2)
+    noise = np.diag(np.maximum(deviation, 1e-6 * admission.motion[at])[seen] ** 2)
     shows = np.eye(4)[:2]
     shows[1, 3] = 1.0
     n, scaled = int(used.sum()), unit[used]
@@ -118,7 +132,7 @@ def _gain(
     steady = _steady(a, c.T @ np.linalg.solve(noise, c), drive)
     p = steady.copy()
     p[:2] = p[:, :2] = 0.0
-    p[[0, 1], [0, 1]] = np.where(seen, np.nan_to_num(admission.noise), unknown)[:2] ** 2 / unit[:2] ** 2
+    p[[0, 1], [0, 1]] = np.where(seen, deviation, first) ** 2 / unit[:2] ** 2
     if used[3]:  # the first velocity is what the log shows, off by what hides it
         off = (hides.memory_s * sizes.acceleration / sizes.velocity) ** 2
         p[-1] = p[:, -1] = 0.0
@@ -131,7 +145,7 @@ def _gain(
     gains.append(steady @ c.T @ np.linalg.inv(c @ steady @ c.T + noise))
     rows = np.zeros((len(gains), 4, 2))
     rows[:, np.flatnonzero(used)[:, None], np.flatnonzero(seen)] = scaled[:, None] * np.stack(gains)
-    return tuple(tuple(float(x) for x in row) for row in rows.reshape(-1, 8))
+    return rows.reshape(-1, 8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +161,12 @@ class _Hidden:
     memory_s: float = 0.0
 
 
-def _hidden(model: Corrected, h: float) -> _Hidden:
-    """The same of a model's effects; none where the log shows the velocity."""
-    for name in model.hypothesis.effects:
-        if effects()[name].hides_velocity:
-            values = [model.values[row] for row in layout()[name]]
-            kept, after, before = (float(effects()[name].apply(0.0, v, h, z, b, *values)[2]) for z, v, b in np.eye(3))
+def _hidden(model: Corrected, at: int, h: float) -> _Hidden:
+    """The same of a model's effects at a joint; none where the log shows the velocity."""
+    for acting in model.hypothesis.effects:
+        if kind(acting).hides_velocity and joint_of(acting) == at:
+            values = [model.values[row] for row in model.plant.block.rows(acting)]
+            kept, after, before = (float(kind(acting).apply(0.0, v, h, z, b, *values)[2]) for z, v, b in np.eye(3))
             return _Hidden(kept, after, before, h / max(1.0 - kept, h))
     return _Hidden()
 

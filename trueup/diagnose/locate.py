@@ -16,6 +16,7 @@ from trueup.canonical import Json
 from trueup.diagnose.search import Candidate, Search, trajectory
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, Start
+from trueup.model.block import kind
 from trueup.model.effect import effects
 from trueup.model.plant import Plant
 from trueup.model.series import whole
@@ -30,12 +31,15 @@ EDGES_HZ = (0.3, 1.0, 3.0)  # between bands
 
 @dataclass(frozen=True, slots=True)
 class Strides:
-    """What the nominal form misses over short strides: residual acceleration, and where each stride was, `(strides,)` each.
+    """What the nominal form misses over short strides: residual force, and where each stride was, `(strides, joints)` each.
 
-    `motion` is the acceleration itself, `episode` counts episodes, `stride_s` is one stride's length in each.
+    Forces are in units of each joint's own inertia, so a single joint's are accelerations. What a joint's force does to the others is
+    taken out by the mass matrix: `travelled` is the residual acceleration before that. `motion` is the acceleration itself; `turned`
+    whether a joint did, `t` of the episode, `episode` and `stride_s` `(strides,)` each.
     """
 
     residual: Array
+    travelled: Array
     motion: Array
     q: Array
     v: Array
@@ -52,17 +56,33 @@ def locate(
 ) -> dict[str, Json]:
     """Shares of the residual by channel, by port, by region and by band of frequency."""
     strides = strides_of(plant, search, base, [*adaptation, *validation])
-    return {
+    force, moved = _by_joint(strides)
+    worst = int(np.argmax(force))
+    found: dict[str, Json] = {
         "channels": _channels(plant, search, nominal),
         "ports": _ports(search, base),
-        "regions": _regions(strides),
-        "bands": _bands(strides),
+        "regions": _regions(strides, worst),
+        "bands": _bands(strides, worst),
     }
+    if len(plant.joints) > 1:
+        named = [plant.joint_name(j) for j in range(len(plant.joints))]
+        shares = zip(named, force / max(force.sum(), 1e-300), moved / max(moved.sum(), 1e-300), np.sqrt(force), strict=True)
+        found["joints"] = [{"joint": n, "force": float(f), "acceleration": float(a), "of_motion": float(m)} for n, f, a, m in shares]
+        found["regions_of"] = plant.joint_name(worst)
+    return found
+
+
+def _by_joint(s: Strides) -> tuple[Array, Array]:
+    """Mean square residual force of each joint, in units of the force of its own motion, and the same of the residual acceleration, of
+    which a part only travelled there through the coupling.
+    """
+    size = np.sqrt(np.nanmean(s.motion**2, axis=0))
+    return np.nanmean((s.residual / size) ** 2, axis=0), np.nanmean((s.travelled / size) ** 2, axis=0)
 
 
 def _channels(plant: Plant, search: Search, nominal: RolloutFit) -> list[Json]:
     names = {int(column): c.name for column, c in zip(plant.state_columns, plant.layout.observations, strict=True)}
-    squares = np.zeros(2)
+    squares = np.zeros(2 * len(plant.joints))
     for s in search.validation:
         missed = (s.observed - trajectory(search.fitter, nominal, s)) / search.fitter.sigma
         squares += np.where(s.usable, missed**2, 0.0).sum(axis=0)
@@ -75,7 +95,7 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
     best: dict[str, tuple[float, str]] = {}
     for c in search:
         if len(c.hypothesis.effects) == 1:
-            name = c.hypothesis.effects[0]
+            name = kind(c.hypothesis.effects[0]).name
             part = 1.0 - (c.misfit - 1.0) / max(base.misfit - 1.0, 1e-9)
             best[effects()[name].port.reported] = max(
                 best.get(effects()[name].port.reported, (0.0, "")), (float(np.clip(part, 0.0, 1.0)), name)
@@ -85,7 +105,7 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
 
 def strides_of(plant: Plant, search: Search, base: Candidate, episodes: Sequence[Episode]) -> Strides:
     """The refitted nominal form's misses over strides of STRIDE_S."""
-    parts = []
+    parts, joints = [], len(plant.joints)
     for count, e in enumerate(episodes):
         every = max(LEAST, round(STRIDE_S / e.period_s))
         first = np.arange(0, len(e.t_s) - every, every)
@@ -93,44 +113,46 @@ def strides_of(plant: Plant, search: Search, base: Candidate, episodes: Sequence
         states = smoothed_states(plant, e)
         fit = replace(base.fit, starts={s.digest: Start(states[first], {})})
         path = trajectory(search.fitter, fit, s)
-        end = first + every - 1
-        span = e.t_s[end] - e.t_s[first]
-        missed, motion = (states[end, 1] - path[end, 1]) / span, (states[end, 1] - states[first, 1]) / span
-        middle = first + every // 2
-        u = plant.applied(e.commands)[:, 0]
-        use = np.concatenate([[0.0], np.cumsum(u[:-1] ** 2 * np.diff(e.t_s))]) / np.maximum(e.t_s, e.period_s)
-        turned = states[first, 1] * states[end, 1] < 0.0
-        numbered = np.full(len(first), count)
+        end, middle = first + every - 1, first + every // 2
+        span = (e.t_s[end] - e.t_s[first])[:, None]
+        missed = (states[end, joints:] - path[end, joints:]) / span
+        motion = (states[end, joints:] - states[first, joints:]) / span
+        inertia = plant.dynamics.inertia(base.fit.values[: len(plant.parameters)], states[middle, :joints])
+        u = plant.applied(e.commands)
+        use = np.concatenate([np.zeros((1, joints)), np.cumsum(u[:-1] ** 2 * np.diff(e.t_s)[:, None], axis=0)])
         parts.append(
             (
+                np.einsum("sij,sj->si", inertia, missed),
                 missed,
-                motion,
-                states[middle, 0],
-                states[middle, 1],
+                np.einsum("sij,sj->si", inertia, motion),
+                states[middle, :joints],
+                states[middle, joints:],
                 u[middle],
                 e.t_s[middle] / e.t_s[-1],
-                use[middle],
-                turned,
-                numbered,
-                span,
+                (use / np.maximum(e.t_s, e.period_s)[:, None])[middle],
+                states[first, joints:] * states[end, joints:] < 0.0,
+                np.full(len(first), count),
+                span[:, 0],
             )
         )
     return Strides(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def _regions(s: Strides) -> list[Json]:
-    energy = s.residual**2
+def _regions(s: Strides, j: int) -> list[Json]:
+    """Where one joint's residual force lies."""
+    energy = s.residual[:, j] ** 2
     fine = np.isfinite(energy)
+    q, v, u, use = s.q[:, j], s.v[:, j], s.u[:, j], s.use[:, j]
     regions = {
-        "near zero speed": np.abs(s.v) < SLOW * np.quantile(np.abs(s.v), 0.99),
-        "at reversals": s.turned,
-        "beyond 80 % of the largest command": np.abs(s.u) > LARGE * np.abs(s.u).max(),
-        "small commands": np.abs(s.u) < SLOW * 2.0 * np.abs(s.u).max(),
-        "upper end of travel": s.q > LARGE * s.q.max(),
-        "lower end of travel": s.q < LARGE * s.q.min(),
-        "fast motion": np.abs(s.v) > LARGE * np.quantile(np.abs(s.v), 0.99),
+        "near zero speed": np.abs(v) < SLOW * np.quantile(np.abs(v), 0.99),
+        "at reversals": s.turned[:, j],
+        "beyond 80 % of the largest command": np.abs(u) > LARGE * np.abs(u).max(),
+        "small commands": np.abs(u) < SLOW * 2.0 * np.abs(u).max(),
+        "upper end of travel": q > LARGE * q.max(),
+        "lower end of travel": q < LARGE * q.min(),
+        "fast motion": np.abs(v) > LARGE * np.quantile(np.abs(v), 0.99),
         "late in the episode": s.t > LATE,
-        "after heavy use": s.use > np.quantile(s.use, 0.75),
+        "after heavy use": use > np.quantile(use, 0.75),
     }
     whole_ = max(float(energy[fine].sum()), 1e-300)
     found: list[tuple[float, Json]] = []
@@ -141,13 +163,13 @@ def _regions(s: Strides) -> list[Json]:
     return [entry for _, entry in sorted(found, key=lambda pair: -pair[0])]
 
 
-def _bands(s: Strides) -> list[Json]:
+def _bands(s: Strides, j: int) -> list[Json]:
     """The residual's energy in each band of frequency, beside the motion's own; what the strides cannot resolve is left out."""
     edges = [0.0, *EDGES_HZ, np.inf]
     energy = np.zeros((2, len(edges) - 1))
     for count in np.unique(s.episode):
         rows = s.episode == count
-        series = np.nan_to_num(np.stack([s.residual[rows], s.motion[rows]]))
+        series = np.nan_to_num(np.stack([s.residual[rows, j], s.motion[rows, j]]))
         n = series.shape[1]
         rate = np.fft.rfftfreq(n, float(np.median(s.stride_s[rows])))
         power = np.abs(np.fft.rfft((series - series.mean(axis=1, keepdims=True)) * np.hanning(n + 2)[1:-1], axis=1)) ** 2

@@ -95,7 +95,7 @@ def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion
 
 
 def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episodes: Sequence[Episode], sigma: Array, seed: int) -> Gap:
-    """The gap on held-out episodes whose positions and velocities have noise of `sigma` `(2,)`."""
+    """The gap on held-out episodes whose positions and velocities have noise of `sigma` `(2 x joints,)`."""
     plant: Plant = corrected.plant
     rng = np.random.default_rng(seed)
     motion = _motion(plant, episodes)
@@ -130,8 +130,8 @@ def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -
 
 
 def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:
-    """Standard deviation of position and velocity over all episodes `(2,)`, 1 where not observed."""
-    motion = np.ones(2)
+    """Standard deviation of positions and velocities over all episodes `(2 x joints,)`, 1 where not observed."""
+    motion = np.ones(2 * len(plant.joints))
     motion[plant.state_columns] = [
         max(float(np.nanstd(np.concatenate([e.observations[:, i] for e in episodes]))), 1e-12) for i in range(len(plant.scales))
     ]

@@ -61,15 +61,23 @@ def sentence(document: Mapping[str, Any]) -> str:
 
 def _effect_words(entry: Mapping[str, Any]) -> str:
     name, estimate = entry["effect"].replace("_", " "), next(iter(entry["estimate"].items()), None)
-    words = f"{name} at the {entry['channel']}"
+    words = f"{name} at {entry['joint']}" if "joint" in entry else f"{name} at the {entry['channel']}"
     if estimate:
         low, high = estimate[1]["ci95"]
         words += f", {estimate[0].replace('_', ' ')} {_short(estimate[1]['value'])} ± {_short((high - low) / 2)} {_unit(estimate[1]['unit'])}".rstrip()
     return words + (f", {entry['share']:.0%} of the gap" if entry["share"] > 0.0 else "")
 
 
-def _either(others: Sequence[Sequence[str]]) -> str:
-    names = [" with ".join(n.replace("_", " ") for n in o) for o in others]
+def _named(entry: Any) -> str:
+    """An effect in words; where a report names its joint, at that joint."""
+    if isinstance(entry, str):
+        return entry.replace("_", " ")
+    name = str(entry["effect"]).replace("_", " ")
+    return f"{name} at {entry['joint']}" if entry.get("joint") else name
+
+
+def _either(others: Sequence[Sequence[Any]]) -> str:
+    names = [" with ".join(_named(n) for n in o) for o in others]
     return ", or ".join(names)
 
 
@@ -186,8 +194,14 @@ def _where(d: Mapping[str, Any]) -> str:
     ports = [(p["port"], p["share"], f"{p['share']:.1%} by {p['by'].replace('_', ' ')}") for p in where["ports"]]
     bands = [(b["band"], b["share"], f"{b['share']:.0%} of the residual, {b['of_motion']:.0%} of the motion") for b in where["bands"]]
     channels = [(c["channel"], c["share"], f"{c['share']:.0%}") for c in where["channels"]]
+    joints = [
+        (j["joint"], j["force"], f"{j['force']:.0%} of the residual force, {j['acceleration']:.0%} of the acceleration that it makes")
+        for j in where.get("joints", [])
+    ]
+    by_joint = "<p class=pale>by joint, what only travels through the coupling taken out</p>" + _bars(joints) if joints else ""
+    at = f", at {escape(where['regions_of'])}" if joints else ""
     return (
-        "<div class=cols><div><p class=pale>by region, the most telling first</p>" + _bars(regions) + "</div>"
+        f"<div class=cols><div>{by_joint}<p class=pale>by region{at}, the most telling first</p>{_bars(regions)}</div>"
         "<div><p class=pale>by port: what its best single effect takes away</p>"
         + _bars(ports)
         + "<p class=pale>by band of frequency, of the acceleration</p>"
@@ -215,7 +229,7 @@ def _effects(d: Mapping[str, Any]) -> str:
     rows = []
     for e in d["effects"]:
         for i, (name, v) in enumerate(e["estimate"].items()):
-            first = f"<b>{escape(e['effect'].replace('_', ' '))}</b>" if i == 0 else ""
+            first = f"<b>{escape(_named(e))}</b>" if i == 0 else ""
             share = f"{e['share']:.1%}" if i == 0 else ""
             low, high = v["ci95"]
             rows.append(
@@ -232,7 +246,7 @@ def _effects(d: Mapping[str, Any]) -> str:
 def _hypotheses(d: Mapping[str, Any]) -> str:
     rows = []
     for h in sorted(d["evidence"]["hypotheses"], key=lambda h: (h["misfit"] is None, h["misfit"]))[:ROWS]:
-        name = " + ".join(e.replace("_", " ") for e in h["effects"]) or f"{h['parameters']} parameters alone"
+        name = " + ".join(_named(e) for e in h["effects"]) or f"{h['parameters']} parameters alone"
         mark = " class=in" if h.get("in_set") else ""
         rows.append(f"<tr{mark}><td>{escape(name)}<td class=n>{_short(h['misfit'])}<td class=n>{_short(h['validation'])}</tr>")
     note = "Mean squared error in units of the noise's: 1 is noise alone. What the evidence cannot tell from the answer is bold as the answer is."
@@ -255,13 +269,13 @@ def _excluded(d: Mapping[str, Any]) -> str:
     for b in d["excluded"]:
         side = "below" if "below" in b else "above"
         rows.append(
-            f"<tr><td>{escape(b['effect'].replace('_', ' '))}<td>{escape(b['parameter'].replace('_', ' '))} {side} {_short(b[side])} {escape(_unit(b['unit']))}</tr>"
+            f"<tr><td>{escape(_named(b))}<td>{escape(b['parameter'].replace('_', ' '))} {side} {_short(b[side])} {escape(_unit(b['unit']))}</tr>"
         )
     return "<table>" + "".join(rows) + "</table><p class=pale>With 95 % confidence, beside the answer above.</p>"
 
 
 def _unexcited(d: Mapping[str, Any]) -> str:
-    rows = "".join(f"<tr><td>{escape(b['effect'].replace('_', ' '))}<td>{escape(b['why'])}</tr>" for b in d["not_excited"])
+    rows = "".join(f"<tr><td>{escape(_named(b))}<td>{escape(b['why'])}</tr>" for b in d["not_excited"])
     return f"<table>{rows}</table>" if rows else "<p>Nothing: every effect of the catalogue would have shown.</p>"
 
 
@@ -273,7 +287,7 @@ def _next(d: Mapping[str, Any]) -> str:
             if d["verdict"] == "effect"
             else "<p>No experiment is proposed.</p>"
         )
-    between = " from ".join(" + ".join(n.replace("_", " ") for n in s) for s in e["splits"])
+    between = " from ".join(" + ".join(_named(n) for n in s) for s in e["splits"])
     file = f"<p>Command file: <code>{escape(e['command'])}</code></p>" if e["command"] else ""
     return f"<p>To tell {escape(between)}: {escape(e['why'])}</p>{file}"
 
@@ -282,4 +296,6 @@ def _evidence(d: Mapping[str, Any]) -> str:
     v = d["evidence"]
     rows = "".join(f"<tr><td>{escape(e['role'])}<td><code>{escape(e['sha256'][:16])}</code></tr>" for e in v["episodes"])
     note = f"Validation episodes compared {v['uses_of_validation']} compositions and measured the gap; they were never fitted."
-    return f"<p>{note}</p><table>{rows}</table><p class=pale>trueup {escape(v['version'])}, seed {v['seed']}</p>"
+    if v.get("not_simulated"):
+        note += f" The model's {' and '.join(v['not_simulated'])} are not simulated: episodes during which they act are not explained."
+    return f"<p>{escape(note)}</p><table>{rows}</table><p class=pale>trueup {escape(v['version'])}, seed {v['seed']}</p>"

@@ -27,9 +27,10 @@ MOST_SPAN = 12  # samples
 
 
 def pitches(plant: Plant, admission: Admission, episodes: Sequence[Episode]) -> list[tuple[list[float], list[float]]]:
-    """Starts for a cogging fit: the family's parameters, and (sine, cosine, pitch) in units of their scales, the strongest first."""
-    assert isinstance(plant.dynamics, CompiledFamily)
-    scales = admission.scales
+    """Starts for a cogging fit of a family: its parameters, and (sine, cosine, pitch) in units of their scales, the strongest first."""
+    if not isinstance(plant.dynamics, CompiledFamily):
+        return []
+    scales = admission.scales[0]
     reach = scales.position
     rates = np.arange(1.0 / (LONGEST * reach), 1.0 / (SHORTEST * reach), 1.0 / (2.0 * reach * OVERSAMPLED))
     totals = None
@@ -57,7 +58,7 @@ def _rows(plant: Plant, admission: Admission, episode: Episode, rates: Array) ->
     states = smoothed_states(plant, episode)
     h = np.diff(episode.t_s)
     noise = admission.sigma[1] if np.isfinite(admission.sigma[1]) else admission.sigma[0] / episode.period_s
-    span = int(np.clip(np.ceil(1.5 * noise / (NOISE * admission.scales.acceleration * episode.period_s)), 2, MOST_SPAN))
+    span = int(np.clip(np.ceil(1.5 * noise / (NOISE * admission.scales[0].acceleration * episode.period_s)), 2, MOST_SPAN))
     q = 0.5 * (states[1:, 0] + states[:-1, 0])
     v = 0.5 * (states[1:, 1] + states[:-1, 1])
     u = plant.applied(episode.commands)[:-1, 0]

@@ -8,7 +8,8 @@ Source: W. G. Hunter, A. M. Reiner, Technometrics 7 (1965), on designs for discr
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -18,23 +19,25 @@ from trueup.canonical import Json
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
 from trueup.diagnose.search import Candidate, Search
-from trueup.diagnose.twins import TWINS
-from trueup.model.block import BLOCK
+from trueup.diagnose.twins import TWINS, how_to_part
+from trueup.model.block import BLOCK, joint, kind
+from trueup.model.block import term as term_at
 from trueup.model.hypothesis import switches
 from trueup.model.plant import Plant
-from trueup.model.series import Series, roll, unobserved
+from trueup.model.series import Series, integral_of, roll, unobserved
 
 Array = NDArray[np.float64]
 DURATION_S = 6.0
 DETECTABLE = 4.0  # standard errors between two predictions, over the whole experiment
 RATES_HZ = (0.15, 0.4, 1.0, 2.5)
 SIZES = (0.25, 0.5, 0.95)  # of the command's limit
+PART = 0.3  # of the largest command that was recorded of a robot's joint
 SHAPES = ("sine", "square", "ramp and hold", "chirp")
 
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """What to do next: which compositions it parts, why it should, and the command `(samples,)` at `t_s`, or None."""
+    """What to do next: which compositions it parts, why it should, and the commands `(samples, joints)` at `t_s`, or None."""
 
     splits: tuple[tuple[str, ...], ...]
     why: str
@@ -42,10 +45,10 @@ class Experiment:
     command: Array | None
     separation: float
 
-    def document(self, path: str | None) -> dict[str, Json]:
-        """The same as JSON, with the command file's path."""
+    def document(self, path: str | None, told: Callable[[str], Json] = str) -> dict[str, Json]:
+        """The same as JSON, with the command file's path; `told` says how a term is written."""
         return {
-            "splits": [list(s) for s in self.splits],
+            "splits": [[told(t) for t in s] for s in self.splits],
             "why": self.why,
             "separation": self.separation,
             "command": path if self.command is not None else None,
@@ -54,28 +57,50 @@ class Experiment:
 
 def next_experiment(plant: Plant, admission: Admission, search: Search, choice: Choice) -> Experiment | None:
     """The experiment for an answer and its nearest rival; None where there is none."""
-    t = np.asarray(np.arange(round(DURATION_S / plant.timestep_s) + 1) * plant.timestep_s, np.float64)
+    ground = _ground(plant, search)
     if not choice.rivals:
-        if "actuator_delay" in choice.winner.hypothesis.effects:
-            pair = ("actuator_delay",), ("sensor_delay",)
-            return Experiment(pair, "No command parts them: " + TWINS[frozenset(pair[0] + pair[1])] + ".", t, None, 0.0)
+        late = [term for term in choice.winner.hypothesis.effects if kind(term).name == "actuator_delay"]
+        if late and len(plant.joints) == 1:
+            pair = (late[0],), (term_at("sensor_delay", joint(late[0])),)
+            why = "No command parts them: " + TWINS[frozenset({"actuator_delay", "sensor_delay"})] + "."
+            return Experiment(pair, why, ground.t_s, None, 0.0)
         return None
     rival = choice.rivals[0]
     splits = choice.winner.hypothesis.effects, rival.hypothesis.effects
+    at = joint(min(set(splits[0]) ^ set(splits[1])))
     best, separation = None, 0.0
     for shape, rate, size in product(SHAPES, RATES_HZ, SIZES):
-        command = _command(shape, rate, t) * size * float(np.min(np.abs(plant.limits)))
-        found = _separation(plant, admission, search, choice.winner, rival, t, command)
+        command = ground.issued.copy()
+        command[:, at] += _command(shape, rate, ground.t_s) * size * _reach(plant, admission, at)
+        command[:, at] = np.clip(command[:, at], *(bound[plant.command_columns[at]] for bound in plant.limits))
+        found = _separation(plant, admission, search, choice.winner, rival, ground, command)
         if found > separation:
             best, separation = command, found
+    seconds = float(ground.t_s[-1])
     if best is None or separation < DETECTABLE:
-        differing = frozenset(splits[0]) ^ frozenset(splits[1])
-        how = TWINS.get(differing, "another sensor at the joint, or another load, is needed")
-        return Experiment(splits, f"No command within the limits parts them by {DETECTABLE:g} standard errors: {how}.", t, None, separation)
-    why = (
-        f"The two predictions differ by {separation:.0f} standard errors over {DURATION_S:g} s, after the rival's parameters have adapted."
-    )
-    return Experiment(splits, why, t, best, separation)
+        how = how_to_part(choice.winner.hypothesis, rival.hypothesis) or "another sensor at the joint, or another load, is needed"
+        why = f"No command within the limits parts them by {DETECTABLE:g} standard errors: {how}."
+        return Experiment(splits, why, ground.t_s, None, separation)
+    why = f"The two predictions differ by {separation:.0f} standard errors over {seconds:g} s, after the rival's parameters have adapted."
+    return Experiment(splits, why, ground.t_s, best, separation)
+
+
+def _ground(plant: Plant, search: Search) -> Series:
+    """What an experiment adds a wave to: rest of a single joint, the commands of a recorded episode of a robot, which would fall else."""
+    if len(plant.joints) == 1:
+        t = np.asarray(np.arange(round(DURATION_S / plant.timestep_s) + 1) * plant.timestep_s, np.float64)
+        return unobserved(search.adaptation[0].scheme, t, np.zeros((len(t), 1)), plant.command_scales, plant.timestep_s)
+    recorded = search.adaptation[0]
+    kept = slice(0, int(np.searchsorted(recorded.t_s, DURATION_S, "right")))
+    steps = recorded.steps[kept].copy()
+    steps[-1] = 0
+    s = unobserved(recorded.scheme, recorded.t_s[kept], recorded.issued[kept], recorded.u_scale, recorded.period_s)
+    return replace(s, h_s=recorded.h_s[kept].copy(), steps=steps, begin=recorded.begin[:1])
+
+
+def _reach(plant: Plant, admission: Admission, at: int) -> float:
+    """How large a wave may be: within the limits of a single joint, a part of what was recorded of a robot's."""
+    return float(np.min(np.abs(plant.limits))) if len(plant.joints) == 1 else PART * admission.scales[at].command
 
 
 def _command(shape: str, rate: float, t: Array) -> Array:
@@ -87,9 +112,11 @@ def _command(shape: str, rate: float, t: Array) -> Array:
     return np.asarray(np.clip(3.0 * wave, -1.0, 1.0) if shape == "ramp and hold" else wave)
 
 
-def _separation(plant: Plant, admission: Admission, search: Search, winner: Candidate, rival: Candidate, t: Array, command: Array) -> float:
+def _separation(
+    plant: Plant, admission: Admission, search: Search, winner: Candidate, rival: Candidate, ground: Series, command: Array
+) -> float:
     """Distance of two predictions in standard errors, what the rival's parameters and start could take up removed."""
-    s = unobserved(search.adaptation[0].scheme, t, command, float(np.max(np.abs(plant.limits))), plant.timestep_s)
+    s = replace(ground, issued=command, integral=integral_of(command, ground.t_s))
     truth, columns = _predicted(search, winner, s, jacobian=False)[0], _predicted(search, rival, s, jacobian=True)
     if not (np.isfinite(truth).all() and np.isfinite(columns).all()) or not _inside(plant, truth, columns[0]):
         return 0.0
@@ -101,17 +128,18 @@ def _separation(plant: Plant, admission: Admission, search: Search, winner: Cand
 
 
 def _predicted(search: Search, candidate: Candidate, s: Series, *, jacobian: bool) -> Array:
-    """Predictions from rest `(1 + free + 2, samples, 2)`: as fitted, then with each parameter and start moved a little."""
+    """Predictions `(1 + free + states, samples, states)`: as fitted, then with each parameter and start moved a little."""
     fitter, fit = search.fitter, candidate.fit
-    p = np.repeat(fit.values[:, None], BLOCK, axis=1)
-    init = np.zeros((1, 2, BLOCK))
-    n = len(fit.free.rows) if jacobian else 0
-    for lane, row in enumerate(fit.free.rows[:n], start=1):
-        p[row, lane] += fit.free.step[lane - 1]
-    if jacobian:
-        init[0, 0, n + 1], init[0, 1, n + 2] = fitter.start_steps
-    out = roll(s, fitter.family, p, switches(fit.hypothesis), init)
-    return np.moveaxis(out, 2, 0)[: n + 3 if jacobian else 1]
+    n, states = (len(fit.free.rows) if jacobian else 0), len(fitter.start_steps)
+    lanes = -(-(1 + n + states) // BLOCK) * BLOCK
+    p = np.repeat(fit.values[:, None], lanes, axis=1)
+    init = np.repeat(s.begin[:, :, None], lanes, axis=2)
+    for lane in range(n):
+        fit.free.nudge(p[:, lane + 1], lane, fit.free.step[lane])
+    for state in range(states if jacobian else 0):
+        init[0, state, n + 1 + state] += fitter.start_steps[state]
+    out = roll(s, fitter.form, p, switches(fit.hypothesis, fitter.joints), init)
+    return np.moveaxis(out, 2, 0)[: n + 1 + states if jacobian else 1]
 
 
 def _inside(plant: Plant, *paths: Array) -> bool:

@@ -16,6 +16,8 @@ from trueup.diagnose.probe import Experiment
 from trueup.diagnose.search import Candidate, Search
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
+from trueup.model.block import joint, kind
+from trueup.model.block import term as term_at
 from trueup.model.effect import effects
 from trueup.model.plant import Plant
 
@@ -48,53 +50,76 @@ def report(
     named = seen + (effects if verdict is Verdict.EFFECT else [])
     if named and verdict in (Verdict.NO_GAP, Verdict.PARAMETERS_ONLY):
         verdict = Verdict.EFFECT
-    extra = [str(entry["effect"]) for entry in seen if isinstance(entry, dict)]
+    extra = [_named(entry) for entry in seen if isinstance(entry, dict)]
     return {
         "schema": SCHEMA,
         "plant": plant.name,
         "verdict": str(verdict),
         "effects": list(named),
-        "indistinguishable": [[*a, *extra] for a in alternatives(choice)],
+        "indistinguishable": [[*(told(plant, t) for t in a), *extra] for a in alternatives(choice, len(plant.joints))],
         "excluded": [b.document() for b in excluded],
         "not_excited": [b.document() for b in unexcited],
         "parameters": dict(parameters),
         "where": dict(where),
         "gap": gap.document(),
-        "next_experiment": experiment.document(COMMAND_FILE) if experiment else None,
+        "next_experiment": experiment.document(COMMAND_FILE, lambda t: told(plant, t)) if experiment else None,
         "evidence": {
             "episodes": [{"sha256": e.digest, "role": str(e.role)} for e in episodes],
-            "hypotheses": _hypotheses(search, choice, nominal),
+            "hypotheses": _hypotheses(plant, search, choice, nominal),
             "noise": {c.name: float(admission.noise[i]) for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)},
             "uses_of_validation": len(search.found),
             "unexplained": choice.left,
+            **({"not_simulated": _left_out(plant)} if plant.family == "mjcf" else {}),
             "seed": seed,
             "version": trueup.__version__,
         },
     }
 
 
-def alternatives(choice: Choice) -> list[list[str]]:
+def _left_out(plant: Plant) -> Json:
+    """What the robot's model has that a rollout does not do: a log during which it acts is not explained by it."""
+    nominal = plant.document["nominal"]
+    return nominal.get("left_out", []) if isinstance(nominal, Mapping) else []
+
+
+def told(plant: Plant, term: str) -> Json:
+    """A term as a report has it: the effect's name, with its joint where there are several."""
+    return {"effect": kind(term).name, "joint": plant.joint_name(joint(term))} if len(plant.joints) > 1 else kind(term).name
+
+
+def _named(entry: Mapping[str, Json]) -> Json:
+    return {"effect": entry["effect"], "joint": entry["joint"]} if "joint" in entry else entry["effect"]
+
+
+def alternatives(choice: Choice, joints: int = 1) -> list[list[str]]:
     """Compositions that cannot be told from the answer, those of the same law among them."""
     if choice.verdict is not Verdict.EFFECT:
         return []
     named = [list(c.hypothesis.effects) for c in (choice.winner, *choice.rivals)]
-    same = [[other.name if e == other.same_as else e for e in n] for other in effects().values() for n in named if other.same_as in n]
+    if joints > 1:
+        return named[1:]
+    same = []
+    for other in effects().values():
+        for composition in named:
+            alike = [term_at(other.name, joint(t)) if kind(t).name == other.same_as else t for t in composition]
+            if alike != composition:
+                same.append(alike)
     return named[1:] + same
 
 
-def _hypotheses(search: Search, choice: Choice, nominal: RolloutFit) -> list[Json]:
+def _hypotheses(plant: Plant, search: Search, choice: Choice, nominal: RolloutFit) -> list[Json]:
     rows: list[Json] = [{"effects": [], "parameters": "nominal", "misfit": _finite(nominal.misfit), "validation": _finite(nominal.misfit)}]
     chosen = {choice.winner.hypothesis, *(r.hypothesis for r in choice.rivals)}
     ranked = sorted((c for c in search if np.isfinite(total(c))), key=total)
     base = [c for c in ranked if not c.hypothesis.effects]
     listed = {c.hypothesis: c for c in [*ranked[:LISTED], *base, *(c for c in ranked if c.hypothesis in chosen)]}
-    rows += [_row(c, in_set=c.hypothesis in chosen) for c in listed.values()]
+    rows += [_row(plant, c, in_set=c.hypothesis in chosen) for c in listed.values()]
     return rows
 
 
-def _row(c: Candidate, *, in_set: bool) -> Json:
+def _row(plant: Plant, c: Candidate, *, in_set: bool) -> Json:
     return {
-        "effects": list(c.hypothesis.effects),
+        "effects": [told(plant, t) for t in c.hypothesis.effects],
         "parameters": "fitted",
         "misfit": _finite(total(c)),
         "validation": _finite(c.misfit),

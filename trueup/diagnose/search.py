@@ -1,6 +1,6 @@
-"""Search: which compositions of effects explain the episodes, by rollout fits that grow one effect at a time.
+"""Search: which compositions of effects explain the episodes, by rollout fits that grow one term at a time: one effect at one joint.
 
-Every effect of the catalogue is tried on the nominal form, every other on the best of those, and so on. Fits see adaptation episodes
+Every term is tried on the nominal form, every other on the best of those, and so on. Fits see adaptation episodes
 alone; compositions are compared on validation episodes, where nothing but the windows' starts is estimated.
 """
 
@@ -13,11 +13,13 @@ import numpy as np
 
 from trueup.diagnose.twins import twins
 from trueup.fit.rollout_fit import Fitter, RolloutFit, Start, in_parallel
-from trueup.model.block import BLOCK, layout, memories, nulls, rows_of
-from trueup.model.effect import Effect, effects
+from trueup.model.block import BLOCK, Memory, kind, term
+from trueup.model.block import joint as joint_of
+from trueup.model.effect import Port, effects
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.series import Series, roll
 
+GLANCE = 2  # iterations after which half of the starts are left
 RACE = 6  # iterations that each start of a fit is given before the best go on
 SETTLE = 16  # iterations of the best
 Begin = tuple[Sequence[float], Sequence[float]]  # of the family's parameters, of the effect's
@@ -32,6 +34,7 @@ RESOLUTION = 2.0 * ZOOMS[-1]  # of a value that was zoomed in on: between corner
 ASKED_FOR = 18.0  # squared standard errors that a number must be worth
 PASTS = (0.0, *(sign * x for x in (0.03, 0.07, 0.12, 0.18, 0.25, 0.35, 0.5) for sign in (1.0, -1.0)))  # of a memory's scale
 NEARLY = 4.0  # times the misfit: a part of a composition that does about as well
+RACE_SHARE = 0.5  # of the time of an extension
 CHECK = 10  # iterations for the starts of validation windows
 
 
@@ -62,7 +65,10 @@ class Search:
     adaptation: Sequence[Series]
     validation: Sequence[Series]
     short: Sequence[Series]
+    terms: Sequence[str] = ()  # what is sought
     pitches: Sequence[Begin] = ()
+    length_s: float = 0.0  # of its windows
+    declared: Sequence[float] = ()  # numbers of a robot's nominal form, from which terms begin too
     found: dict[Hypothesis, Candidate] = field(default_factory=dict)
 
     def base(self, parameters: Sequence[float]) -> Candidate:
@@ -75,20 +81,31 @@ class Search:
         return self.fitter.fit(self.validation, Hypothesis(), self.fitter.begin(parameters), iterations=CHECK, only_starts=True)
 
     def extend(
-        self, parents: Sequence[Candidate], names: Sequence[str], progress: Callable[[float], None] = lambda _: None, most: int = 0
+        self,
+        parents: Sequence[Candidate],
+        terms: Sequence[str],
+        progress: Callable[[float], None] = lambda _: None,
+        most: int = 0,
+        settled: int = 0,
     ) -> list[Candidate]:
-        """Each parent with each effect that it has not, where not fitted before; the best first.
+        """Each parent with each term that it has not, where not fitted before; the best first.
 
-        With `most`, only so many effects of each parent, those of which a linear model expects most.
+        With `most`, only so many terms of each parent, those of which a linear model expects most; with `settled`, only so many of all
+        are fitted to the end, those that did best in a race of their starts.
         """
         jobs: dict[Hypothesis, tuple[Candidate, str, np.ndarray]] = {}
         for parent in parents:
-            for name, expected in self._promising(parent, names, most):
+            for name, expected in self._promising(parent, terms, most):
                 jobs.setdefault(parent.hypothesis | name, (parent, name, expected))
-        done = []
-        for fit in in_parallel(lambda job: self.grow(job[0].fit, job[1], job[2]), list(jobs.values())):
+        raced, done = [], []
+        for found in in_parallel(lambda job: (*job[:2], self.race(job[0].fit, job[1], job[2])), list(jobs.values())):
+            raced.append(found)
+            progress(RACE_SHARE * len(raced) / len(jobs))
+        raced.sort(key=lambda found: found[2][0].cost)
+        raced = raced[: settled or None]
+        for fit in in_parallel(lambda found: self.settle(found[0].fit, found[1], found[2]), raced):
             done.append(self.keep(fit))
-            progress(len(done) / len(jobs))
+            progress(RACE_SHARE + (1.0 - RACE_SHARE) * len(done) / len(raced))
         return sorted((c for c in done if c.resolved), key=lambda c: c.misfit)
 
     def _promising(self, parent: Candidate, names: Sequence[str], most: int) -> list[tuple[str, np.ndarray]]:
@@ -103,59 +120,74 @@ class Search:
         order = np.argsort([cost.min() for cost in expected], kind="stable")
         return [(rest[i], expected[i]) for i in order[: most or None]]
 
-    def grow(self, parent: RolloutFit, name: str, expected: np.ndarray) -> RolloutFit:
-        """The best fit of a composition with one effect more: starts race, the best settle, a value between corners is zoomed in on.
+    def suspected(self, parent: Candidate, others: int) -> list[str]:
+        """Every term at the joint where a linear model expects most of one, and as many of the other joints' as are asked for."""
+        order = [name for name, _ in self._promising(parent, self.terms, 0)]
+        joint = joint_of(order[0])
+        return [t for t in order if joint_of(t) == joint] + [t for t in order if joint_of(t) != joint][:others]
 
-        `expected` is the cost that a linear model expects of each of the effect's starts.
+    def race(self, parent: RolloutFit, name: str, expected: np.ndarray) -> list[RolloutFit]:
+        """Short fits of a composition with one term more from several starts, the best first.
+
+        `expected` is the cost that a linear model expects of each of the term's starts.
         """
-        kind, hypothesis = effects()[name], parent.hypothesis | name
-        begins = self._begins(parent, kind, expected)
-        fit, resting = self.fitter.fit, _still(begins[0], [kind])
-        raced = [fit(self.short, hypothesis, begin, iterations=RACE, tolerance=1e-2, fixed=resting) for begin in begins]
-        raced.sort(key=lambda f: f.cost)
+        begins = self._begins(parent, name, expected)
+        resting, hypothesis = self._still(begins[0], [name]), parent.hypothesis | name
+        if len(self.declared) and not parent.hypothesis.effects:  # what no number of the nominal form explains may have led them astray
+            others = [np.concatenate([self.declared, b[len(self.declared) :]]) for b in begins]
+            tried = [self.fitter.fit(self.short, hypothesis, b, iterations=GLANCE, fixed=resting) for b in [*begins, *others]]
+            begins = [f.values for f in sorted(tried, key=lambda f: f.cost)[: len(begins)]]
+        fits = [self.fitter.fit(self.short, hypothesis, b, iterations=RACE, tolerance=1e-2, fixed=resting) for b in begins]
+        return sorted(fits, key=lambda f: f.cost)
+
+    def settle(self, parent: RolloutFit, name: str, raced: Sequence[RolloutFit]) -> RolloutFit:
+        """The best fit of what did best in a race, a value between corners zoomed in on."""
+        hypothesis, fit = raced[0].hypothesis, self.fitter.fit
+        resting = self._still(raced[0].values, [name])
         near = [fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3, fixed=resting) for f in raced[:KEPT]]
         apart = [f for i, f in enumerate(near) if not any(_same(f, g) for g in near[:i])]
         settled = [fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3, fixed=resting) for f in apart]
         best = min(settled, key=lambda f: f.cost)
         if resting:
-            asked = [fit(self.adaptation, hypothesis, v, best.starts, iterations=SETTLE, tolerance=1e-3) for v in self._asked(best, kind)]
+            asked = [fit(self.adaptation, hypothesis, v, best.starts, iterations=SETTLE, tolerance=1e-3) for v in self._asked(best, name)]
             free = min(asked, key=lambda f: f.cost)
             best = free if _asks(best, free) else best
-        best = self._pruned(best, [kind])
-        return self._zoomed(best, kind.name, kind.zoomed) if kind.zoomed and best.cost < parent.cost else best
+        best = self._pruned(best, [name])
+        zoomed = kind(name).zoomed
+        return self._zoomed(best, name, zoomed) if zoomed and best.cost < parent.cost else best
 
-    def _asked(self, best: RolloutFit, kind: type[Effect]) -> list[np.ndarray]:
-        """Parameter vectors from which the numbers that stayed at their null are tried."""
-        rows = rows_of(kind.name)
+    def _asked(self, best: RolloutFit, of: str) -> list[np.ndarray]:
+        """Parameter vectors from which the numbers of a term that stayed at their null are tried."""
+        rows, effect = self.fitter.block.rows_of(of), kind(of)
         begins = []
-        for values in kind.tries:
-            given = dict(zip(kind.optional, values, strict=True))
-            start = [given.get(n.name, best.values[rows[n.name]] / self.fitter.scales.of(n.scale)) for n in kind.params]
-            begins.append(self.fitter.with_effect(best.values, kind.name, start))
+        for values in effect.tries:
+            given = dict(zip(effect.optional, values, strict=True))
+            start = [given.get(n.name, best.values[rows[n.name]] / self.fitter.unit(of, n.scale)) for n in effect.params]
+            begins.append(self.fitter.with_effect(best.values, of, start))
         return begins or [best.values]
 
-    def _pruned(self, best: RolloutFit, kinds: Sequence[type[Effect]]) -> RolloutFit:
+    def _pruned(self, best: RolloutFit, terms: Sequence[str]) -> RolloutFit:
         """The fit with each number at its null that it may do without, where the log does not ask for it; those are free no more."""
-        fixed = _still(best.values, kinds)
-        alone = [(k, (name,)) for k in kinds for name in k.optional if not k.tries]
-        for kind, names in [*alone, *((k, k.optional) for k in kinds if k.tries)]:  # numbers that are tried together go together
-            if all((kind.name, name) in fixed for name in names):
+        fixed = self._still(best.values, terms)
+        alone = [(t, (name,)) for t in terms for name in kind(t).optional if not kind(t).tries]
+        for of, names in [*alone, *((t, kind(t).optional) for t in terms if kind(t).tries)]:  # numbers that are tried together go together
+            if all((of, name) in fixed for name in names):
                 continue
-            values, rows = best.values.copy(), [rows_of(kind.name)[name] for name in names]
-            values[rows] = nulls()[rows]
-            without = [*fixed, *((kind.name, name) for name in names if (kind.name, name) not in fixed)]
+            values, rows = best.values.copy(), [self.fitter.block.rows_of(of)[name] for name in names]
+            values[rows] = self.fitter.block.nulls[rows]
+            without = [*fixed, *((of, name) for name in names if (of, name) not in fixed)]
             plain = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=RACE, tolerance=1e-3, fixed=without)
             if not _asks(plain, best):
                 best, fixed = plain, without
         return best
 
-    def _begins(self, parent: RolloutFit, kind: type[Effect], expected: np.ndarray) -> list[np.ndarray]:
+    def _begins(self, parent: RolloutFit, of: str, expected: np.ndarray) -> list[np.ndarray]:
         """Parameter vectors from which a fit begins: those of a periodicity, or the starts of which a linear model expects most."""
-        if not kind.periodic or not self.pitches:
-            return [self.fitter.with_effect(parent.values, kind.name, kind.starts[i]) for i in _apart(expected)]
+        if not kind(of).periodic or not self.pitches:
+            return [self.fitter.with_effect(parent.values, of, kind(of).starts[i]) for i in _apart(expected)]
         begins = []
         for family, start in self.pitches:
-            values = self.fitter.with_effect(parent.values, kind.name, start)
+            values = self.fitter.with_effect(parent.values, of, start)
             if not parent.hypothesis.effects:
                 values[: len(family)] = family
             begins.append(values)
@@ -163,7 +195,7 @@ class Search:
 
     def _zoomed(self, best: RolloutFit, effect: str, parameter: str) -> RolloutFit:
         """The best of ever finer grids around one number, along which the error has corners."""
-        row, resting = rows_of(effect)[parameter], still(best)
+        row, resting = self.fitter.block.rows_of(effect)[parameter], self.still(best)
         for width in ZOOMS:
             centre = best.values[row]
             for point in ZOOM_POINTS:
@@ -178,27 +210,27 @@ class Search:
     def refine(self, candidate: Candidate) -> Candidate:
         """The same fitted until nothing moves."""
         at = candidate.fit
-        if _corners(at.hypothesis):
+        if self._corners(at.hypothesis):
             begun = self._begun(self.adaptation, at, {digest: start.windows for digest, start in at.starts.items()})
             at = begun if begun.cost < at.cost else at
-        fit = self.fitter.fit(self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=1e-6, fixed=still(at))
+        fit = self.fitter.fit(self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=1e-6, fixed=self.still(at))
         for name in candidate.hypothesis.effects:
-            fit = self._turned(fit, effects()[name])
-            for parameter in effects()[name].threshold[:1]:
+            fit = self._turned(fit, name)
+            for parameter in kind(name).threshold[:1]:
                 fit = self._zoomed(fit, name, parameter)
         return self.keep(self.pruned(min(fit, candidate.fit, key=lambda f: f.cost)))
 
     def pruned(self, fit: RolloutFit) -> RolloutFit:
         """A fit without the numbers that its log does not ask for."""
-        return self._pruned(fit, [effects()[name] for name in fit.hypothesis.effects])
+        return self._pruned(fit, fit.hypothesis.effects)
 
-    def _turned(self, best: RolloutFit, kind: type[Effect]) -> RolloutFit:
+    def _turned(self, best: RolloutFit, of: str) -> RolloutFit:
         """The best of the fit and of those from the other end of a number between 0 and 1: laws of two shapes have a valley each."""
-        for number in (n for n in kind.params if n.name in kind.optional and (n.low, n.high) == (0.0, 1.0)):
+        for number in (n for n in kind(of).params if n.name in kind(of).optional and (n.low, n.high) == (0.0, 1.0)):
             values = best.values.copy()
-            row = rows_of(kind.name)[number.name]
+            row = self.fitter.block.rows_of(of)[number.name]
             values[row] = 0.0 if values[row] > 0.5 else 1.0  # noqa: PLR2004  (the end that is further)
-            rest = [x for x in _still(best.values, [kind]) if x != (kind.name, number.name)]
+            rest = [x for x in self._still(best.values, [of]) if x != (of, number.name)]
             tried = self.fitter.fit(self.adaptation, best.hypothesis, values, best.starts, iterations=SETTLE, tolerance=1e-4, fixed=rest)
             best = tried if tried.cost < best.cost else best
         return best
@@ -208,7 +240,7 @@ class Search:
         if hypothesis not in self.found:
             values = larger.fit.values
             for name in set(larger.hypothesis.effects) - set(hypothesis.effects):
-                values = _off(values, name)
+                values = self._off(values, name)
             self.keep(self.fitter.fit(self.adaptation, hypothesis, values, larger.fit.starts, iterations=SETTLE))
         return self.found[hypothesis]
 
@@ -218,7 +250,7 @@ class Search:
         for name in candidate.hypothesis.effects:
             smaller = candidate.hypothesis.without(name)
             fit = self.fitter.fit(
-                self.adaptation, smaller, _off(candidate.fit.values, name), candidate.fit.starts, iterations=SETTLE, tolerance=1e-3
+                self.adaptation, smaller, self._off(candidate.fit.values, name), candidate.fit.starts, iterations=SETTLE, tolerance=1e-3
             )
             if smaller not in self.found or fit.cost < self.found[smaller].fit.cost:
                 better.append(self.keep(fit))
@@ -230,12 +262,12 @@ class Search:
     def mirror(self, candidate: Candidate) -> None:
         """The same with each effect replaced by its twin, from the same place, fitted until nothing moves; kept where that is better."""
         for effect, twin in twins(candidate.hypothesis):
-            if twin not in searchable():
+            if twin not in self.terms:
                 continue
-            rest, mirrored = _off(candidate.fit.values, effect), candidate.hypothesis.without(effect) | twin
-            ours, its = (effects()[name].params[0].scale for name in (effect, twin))
-            same = candidate.fit.values[layout()[effect][0]] / self.fitter.scales.of(ours)
-            starts = [*effects()[twin].starts, *([(same,)] if ours is its else [])]
+            rest, mirrored = self._off(candidate.fit.values, effect), candidate.hypothesis.without(effect) | twin
+            ours, its = (kind(name).params[0].scale for name in (effect, twin))
+            same = candidate.fit.values[self.fitter.block.rows(effect)[0]] / self.fitter.unit(effect, ours)
+            starts = [*kind(twin).starts, *([(same,)] if ours is its else [])]
             begins = [self.fitter.with_effect(rest, twin, start) for start in starts]
             tried = [self.fitter.fit(self.adaptation, mirrored, b, candidate.fit.starts, iterations=SETTLE, tolerance=1e-3) for b in begins]
             fit = min(tried, key=lambda f: f.cost)
@@ -254,7 +286,7 @@ class Search:
     def _resolved(self, fit: RolloutFit) -> bool:
         """Whether no effect of a fit is so small that it stands for the integration."""
         period_s = max(s.period_s for s in self.adaptation)
-        return all(abs(fit.values[layout()[name][0]]) >= effects()[name].least_periods * period_s for name in fit.hypothesis.effects)
+        return all(abs(fit.values[self.fitter.block.rows(t)[0]]) >= kind(t).least_periods * period_s for t in fit.hypothesis.effects)
 
     def _checked(self, fit: RolloutFit) -> RolloutFit:
         """The starts of validation windows."""
@@ -263,36 +295,55 @@ class Search:
     def _begun(self, data: Sequence[Series], fit: RolloutFit, windows: Mapping[str, np.ndarray]) -> RolloutFit:
         """A fit with its starts estimated alone; what a hidden state with corners began with is sought at many places in each episode."""
         starts = {digest: Start(begin, {}) for digest, begin in windows.items()}
-        for key in _corners(fit.hypothesis):
+        for key in self._corners(fit.hypothesis):
             starts = {s.digest: self._scanned(s, fit, starts[s.digest], key) for s in data}
         return self.fitter.fit(data, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True)
 
-    def _scanned(self, s: Series, fit: RolloutFit, start: Start, key: tuple[str, str]) -> Start:
+    def _scanned(self, s: Series, fit: RolloutFit, start: Start, key: Memory) -> Start:
         """A start with the best of many pasts of one hidden state, one in each lane, from windows that know of none of them."""
-        kind = effects()[key[0]]
-        offsets = np.array(PASTS) * self.fitter.scales.of(kind.memory[kind.states.index(key[1])])
+        effect, memories = kind(key[0]), self.fitter.block.memories
+        offsets = np.array(PASTS) * self.fitter.unit(key[0], effect.memory[effect.states.index(key[1])])
         p = np.repeat(fit.values[:, None], BLOCK, axis=1)
         for other, value in start.memory.items():
-            p[memories()[other]] += value
-        p[memories()[key], : len(offsets)] += offsets
-        out = roll(s, self.fitter.family, p, switches(fit.hypothesis), np.repeat(s.begin[:, :, None], BLOCK, axis=2))
+            p[memories[other]] += value
+        p[memories[key], : len(offsets)] += offsets
+        out = roll(s, self.fitter.form, p, switches(fit.hypothesis, self.fitter.joints), np.repeat(s.begin[:, :, None], BLOCK, axis=2))
         counted = s.usable & (s.window_of >= 0)[:, None]
         with np.errstate(over="ignore", invalid="ignore"):
             missed = np.where(counted[:, :, None], (s.observed[:, :, None] - out) / self.fitter.sigma[:, None], 0.0)
             costs = np.nan_to_num(np.square(missed).sum(axis=(0, 1)), nan=np.inf)[: len(offsets)]
         return Start(start.windows, {**start.memory, key: float(offsets[int(np.argmin(costs))])})
 
+    def still(self, fit: RolloutFit) -> list[tuple[str, str]]:
+        """The numbers of a fit that its log does not ask for."""
+        return self._still(fit.values, fit.hypothesis.effects)
+
+    def _still(self, values: np.ndarray, terms: Sequence[str]) -> list[tuple[str, str]]:
+        """The numbers that stay at their null unless the log asks for them, and are there."""
+        nulls, block = self.fitter.block.nulls, self.fitter.block
+        return [(t, name) for t in terms for name in kind(t).optional if values[block.rows_of(t)[name]] == nulls[block.rows_of(t)[name]]]
+
+    def _corners(self, hypothesis: Hypothesis) -> list[Memory]:
+        """The hidden states of effects with corners, so that what they began with is not found by descent."""
+        return [key for key in self.fitter.block.memories if key[0] in hypothesis.effects and kind(key[0]).threshold]
+
+    def _off(self, values: np.ndarray, of: str) -> np.ndarray:
+        values = values.copy()
+        rows = list(self.fitter.block.rows(of))
+        values[rows] = self.fitter.block.nulls[rows]
+        return values
+
     def __iter__(self) -> Iterator[Candidate]:
         return iter(sorted((c for c in self.found.values() if c.resolved), key=lambda c: c.misfit))
 
 
 def trajectory(fitter: Fitter, fit: RolloutFit, s: Series) -> np.ndarray:
-    """What a fit says was observed, `(samples, 2)`, from the starts that were estimated for it."""
+    """What a fit says was observed, `(samples, 2 x joints)`, from the starts that were estimated for it."""
     p = np.repeat(fit.values[:, None], BLOCK, axis=1)
     for key, value in fit.starts[s.digest].memory.items():
-        p[memories()[key]] += value
+        p[fitter.block.memories[key]] += value
     init = np.repeat(fit.starts[s.digest].windows[:, :, None], BLOCK, axis=2)
-    return np.asarray(roll(s, fitter.family, p, switches(fit.hypothesis), init)[:, :, 0])
+    return np.asarray(roll(s, fitter.form, p, switches(fit.hypothesis, fitter.joints), init)[:, :, 0])
 
 
 def _apart(expected: np.ndarray) -> list[int]:
@@ -304,25 +355,10 @@ def _apart(expected: np.ndarray) -> list[int]:
     return chosen[: RACED if len(expected) < MANY else 2 * RACED]
 
 
-def still(fit: RolloutFit) -> list[tuple[str, str]]:
-    """The numbers of a fit that its log does not ask for."""
-    return _still(fit.values, [effects()[name] for name in fit.hypothesis.effects])
-
-
-def has_already(hypothesis: Hypothesis, name: str) -> bool:
-    """Whether an effect, or one that contains it or that it contains, acts."""
-    acting = set(hypothesis.effects)
-    return name in acting or effects()[name].contains in acting or any(effects()[other].contains == name for other in acting)
-
-
-def _corners(hypothesis: Hypothesis) -> list[tuple[str, str]]:
-    """The hidden states of effects with corners, so that what they began with is not found by descent."""
-    return [key for key in memories() if key[0] in hypothesis.effects and effects()[key[0]].threshold]
-
-
-def _still(values: np.ndarray, kinds: Sequence[type[Effect]]) -> list[tuple[str, str]]:
-    """The numbers that stay at their null unless the log asks for them, and are there."""
-    return [(k.name, name) for k in kinds for name in k.optional if values[rows_of(k.name)[name]] == nulls()[rows_of(k.name)[name]]]
+def has_already(hypothesis: Hypothesis, of: str) -> bool:
+    """Whether a term, or one at its joint whose effect contains it or that it contains, acts."""
+    here = {kind(t).name for t in hypothesis.effects if joint_of(t) == joint_of(of)}
+    return kind(of).name in here or kind(of).contains in here or any(effects()[other].contains == kind(of).name for other in here)
 
 
 def _asks(without: RolloutFit, best: RolloutFit) -> bool:
@@ -332,18 +368,20 @@ def _asks(without: RolloutFit, best: RolloutFit) -> bool:
 
 def _same(one: RolloutFit, other: RolloutFit) -> bool:
     """Whether two fits of one composition ended at the same place."""
-    rows = one.free.rows
-    near = np.abs(one.values[rows] - other.values[rows]) < SAME_PLACE * (one.free.step + np.abs(one.values[rows]))
+    here, there = one.free.at(one.values), one.free.at(other.values)
+    near = np.abs(here - there) < SAME_PLACE * (one.free.step + np.abs(here))
     return bool(near.all()) and abs(one.cost - other.cost) < SAME_COST * other.cost
 
 
-def _off(values: np.ndarray, name: str) -> np.ndarray:
-    values = values.copy()
-    rows = list(layout()[name])
-    values[rows] = nulls()[rows]
-    return values
+def searchable(joints: Sequence[bool] = (True,)) -> list[str]:
+    """Terms that are found by fitting, of `joints` of which each is driven or not. What acts on a whole log acts at the first.
 
-
-def searchable() -> list[str]:
-    """Effects that are found by fitting."""
-    return [name for name, kind in effects().items() if not kind.counted and not kind.same_as]
+    Of effects that are the same on the log of one joint, both are sought on that of several.
+    """
+    found = []
+    for j, driven in enumerate(joints):
+        for name, effect in effects().items():
+            here = (driven or effect.port is not Port.COMMAND) and (j == 0 or effect.port is not Port.TIMING)
+            if here and not effect.counted and not (effect.same_as and len(joints) == 1):
+                found.append(term(name, j))
+    return found

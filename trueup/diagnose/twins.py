@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from trueup.model.block import joint, kind, term
 from trueup.model.hypothesis import Hypothesis
 
 TWINS: Mapping[frozenset[str], str] = {
@@ -25,6 +26,19 @@ TWINS: Mapping[frozenset[str], str] = {
 def twins(of: Hypothesis) -> Iterator[tuple[str, str]]:
     """Each effect of a composition that has a twin outside it, and the twin."""
     for pair in TWINS:
-        inside, outside = pair & set(of.effects), pair - set(of.effects)
-        if len(inside) == len(outside) == 1:
-            yield min(inside), min(outside)
+        for at in of.effects:
+            if kind(at).name in pair:
+                twin = term(min(pair - {kind(at).name}), joint(at))
+                if twin not in of.effects:
+                    yield at, twin
+
+
+def are_twins(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether two compositions differ in nothing but twins at one joint."""
+    differing = set(one.effects) ^ set(other.effects)
+    return len({joint(t) for t in differing}) == 1 and frozenset(kind(t).name for t in differing) in TWINS
+
+
+def how_to_part(one: Hypothesis, other: Hypothesis) -> str | None:
+    """What would tell apart two compositions that differ in twins alone."""
+    return TWINS[frozenset(kind(t).name for t in set(one.effects) ^ set(other.effects))] if are_twins(one, other) else None

@@ -9,13 +9,18 @@ import numpy as np
 
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
+from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
+from trueup.fit.base_parameters import directions, regression
 from trueup.fit.least_squares import solve
 from trueup.fit.transitions import Transitions, transitions
-from trueup.model.dynamics import CompiledFamily
+from trueup.model.dynamics import CompiledFamily, CompiledTree
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
+from trueup.model.state import smoothed_states
+from trueup.model.tree import OFFSET
 
+POSES = 50  # of an episode are looked at
 WORST_CONDITION = 1e6  # of the scaled design: beyond this half of float64's digits are gone
 
 
@@ -54,11 +59,14 @@ class Identification:
 def identify(
     plant: Plant, episodes: Sequence[Episode], progress: Callable[[float], None] = lambda _: None
 ) -> tuple[Identified, Identification]:
-    """Least squares of the velocity's change on the family's regressors, from adaptation episodes alone.
+    """Least squares of the velocity's change on the family's regressors, from adaptation episodes alone; of a robot's forces on its
+    base parameters.
 
     Equation: (v' - v) / h = sum of parameter x regressor(q, v, applied u); a velocity that is estimated enters over spans.
     Raises RoleRefused, and NotIdentifiable where the regression's rank is below the number of parameters.
     """
+    if isinstance(plant.dynamics, CompiledTree):
+        return _identify_tree(plant, [e.require(Role.ADAPTATION) for e in episodes], progress)
     data = transitions(plant, episodes)
     progress(0.5)
     design, target = _regression(plant, data)
@@ -84,3 +92,46 @@ def _regression(plant: Plant, data: Transitions) -> tuple[np.ndarray, np.ndarray
     spans = data.sums(data.h_s)
     design = data.sums(np.stack(regressors, axis=1) * data.h_s[:, None]) / spans[:, None]
     return design, data.sums(data.after[:, joints] - data.states[:, joints]) / spans
+
+
+def _identify_tree(plant: Plant, episodes: Sequence[Episode], progress: Callable[[float], None]) -> tuple[Identified, Identification]:
+    """The same of a robot: what is missing at each joint, in units of the forces there, on the combinations that the episodes show.
+
+    Equation: sum of parameter x its column = the actuators' constant forces; source: P. K. Khosla, T. Kanade, CDC 1985.
+    """
+    if not episodes:
+        raise NotIdentifiable("there is no adaptation episode to fit")
+    assert isinstance(plant.dynamics, CompiledTree)
+    ways = directions(plant, episodes)
+    progress(0.3)
+    columns, force = regression(plant, episodes)
+    if not len(ways.names):
+        raise NotIdentifiable("no motion shows any of the robot's parameters", hint="Record episodes in which every joint moves.")
+    scale = np.maximum(np.sqrt(np.mean(force**2, axis=0)), 1e-9)
+    nominal = np.array(plant.parameters)
+    missing = plant.dynamics.tree.constants[:, OFFSET] - columns @ nominal
+    design = (columns @ ways.along.T / scale[:, None]).reshape(-1, len(ways.names))
+    found = solve(design, (missing / scale).reshape(-1), len(plant.joints))
+    values = nominal + found.values @ ways.along
+    widths = np.sqrt((found.half_widths**2) @ ways.along**2)
+    progress(1.0)
+    told = [i for i in range(len(nominal)) if ways.determined[i]]
+    names = plant.dynamics.parameter_names
+    document = Identification(
+        {names[i]: float(values[i]) for i in told},
+        {names[i]: float(widths[i]) for i in told},
+        found.rank,
+        found.condition,
+        found.residual_rms,
+        len(design),
+        _sound(plant, values, episodes),
+    )
+    return Identified(plant, tuple(float(x) for x in values)), document
+
+
+def _sound(plant: Plant, values: np.ndarray, episodes: Sequence[Episode]) -> tuple[str, ...]:
+    """What speaks against a robot's parameters: an inertia that gives way, at a recorded pose."""
+    poses = np.concatenate([smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), : len(plant.joints)] for e in episodes])
+    poses = poses[np.isfinite(poses).all(axis=1)]
+    masses = plant.dynamics.inertia(values, poses) * plant.form.sizes[None, :, None]
+    return () if bool((np.linalg.eigvalsh(masses) > 0.0).all()) else ("the identified inertia is not positive at a recorded pose",)

@@ -12,7 +12,7 @@ from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.fit.least_squares import ridge
 from trueup.fit.transitions import transitions
-from trueup.model.features import CONDITIONED, POLYNOMIAL, design, known_features
+from trueup.model.features import CONDITIONED, POLYNOMIAL, design, known_features, polynomial
 from trueup.model.plant import Plant
 from trueup.model.predictor import Blind, Conditioned, LinearMap, Residual
 
@@ -37,7 +37,7 @@ class ResidualFit:
 def fit_residual(
     plant: Plant,
     episodes: Sequence[Episode],
-    features: Sequence[str] = POLYNOMIAL,
+    features: Sequence[str] = (),
     penalty: float = RIDGE,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[Residual, ResidualFit]:
@@ -46,6 +46,7 @@ def fit_residual(
     Where the velocity is observed every state has its residual. Where it is estimated, the velocity's residual is fitted over
     spans and the position's follows from the step: q' = q + h v'. Raises RoleRefused, BadArtifact for an unknown feature.
     """
+    features = features or polynomial(len(plant.joints), len(plant.layout.commands))
     known_features(features, parameters=())
     data = transitions(plant, episodes)
     progress(0.3)

@@ -1,8 +1,8 @@
-"""Rollout fits: parameters of a family and any effects by least squares of the simulation error.
+"""Rollout fits: parameters of a nominal form and any effects by least squares of the simulation error.
 
 Levenberg-Marquardt on windows of the adaptation episodes. The only noisy input of a rollout is its start, and starts are
-estimated too: two unknowns for each window, eliminated by their Schur complement, so that noise in the observed states does not
-bias the parameters. One block of lanes gives the error and all its derivatives at once.
+estimated too: two unknowns of each joint for each window, eliminated by their Schur complement, so that noise in the observed states
+does not bias the parameters. Blocks of lanes give the error and all its derivatives at once.
 Source: J. Nocedal, S. Wright, Numerical Optimization (2006), section 10.3; elimination: B. Triggs et al., Bundle Adjustment (1999), 6.
 """
 
@@ -17,15 +17,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from trueup.model.block import BLOCK, layout, memories, nulls
+from trueup.model.block import BLOCK, joint, kind
 from trueup.model.compose import cores
-from trueup.model.effect import effects
+from trueup.model.dynamics import CompiledFamily, Form
+from trueup.model.effect import Scale, effects
 from trueup.model.family import families
 from trueup.model.hypothesis import Hypothesis, Scales, switches
+from trueup.model.rigid_body import invert
 from trueup.model.series import DECLARED, Series, roll, unobserved
 
 Array = NDArray[np.float64]
-MOST_FREE = BLOCK - 3  # lanes left for parameters beside the unperturbed one and the two of the start
 STEP = 1e-4  # of a parameter's scale: a finite difference
 CORNER = 3e-3  # the same where the error has corners
 RAN_AWAY = 1e100  # of a sum of squares: no rollout that stays near its log comes there, and its own square is still finite
@@ -35,19 +36,65 @@ MEMORY_STEP = 1e-3  # of its scale
 
 
 @dataclass(frozen=True, slots=True)
+class Directions:
+    """The ways in which the numbers of a nominal form may move, `(directions, numbers)`, and what each is called.
+
+    A family's are its parameters. A tree's are combinations that its data determine: `sized` ones have the size of what they combine,
+    so that their steps need not grow with a value.
+    """
+
+    names: tuple[str, ...]
+    along: Array
+    determined: NDArray[np.bool_]  # which numbers the data show one by one, `(numbers,)`
+    sized: bool = False
+
+    @staticmethod
+    def of_family(names: Sequence[str]) -> Directions:
+        """Each parameter by itself."""
+        return Directions(tuple(names), np.eye(len(names)), np.ones(len(names), np.bool_))
+
+
+@dataclass(frozen=True, slots=True)
 class Free:
-    """The parameters that a hypothesis leaves free: rows in the block, finite-difference steps and bounds, `(free,)` each."""
+    """The numbers that a hypothesis leaves free, `(free,)` each: rows in the block, -1 for a combination; names (term or "", number);
+    finite-difference steps and bounds. `along` `(free, nominal numbers)` are the ways in which combinations move them.
+    """
 
     rows: NDArray[np.int64]
-    names: tuple[tuple[str, str], ...]  # (effect or "", parameter)
+    names: tuple[tuple[str, str], ...]
     step: Array
     low: Array
     high: Array
+    along: Array
+
+    def at(self, values: Array) -> Array:
+        """Their values, `(free,)`; those of combinations up to a constant."""
+        over = np.maximum(np.einsum("fr,fr->f", self.along, self.along), 1e-300)
+        return np.asarray(np.where(self.rows >= 0, values[self.rows], self.along @ values[: self.along.shape[1]] / over))
+
+    def moved(self, values: Array, by: Array) -> Array:
+        """The block's vector after steps `(free,)`, no further than to a bound."""
+        alone = self.rows >= 0
+        after = values.copy()
+        after[: self.along.shape[1]] += np.where(alone, 0.0, by) @ self.along
+        after[self.rows[alone]] = np.clip(values[self.rows[alone]] + by[alone], self.low[alone], self.high[alone])
+        return np.asarray(after)
+
+    def nudge(self, values: Array, which: int, by: float) -> None:
+        """Move one of them, in place and past its bounds."""
+        if self.rows[which] >= 0:
+            values[self.rows[which]] += by
+        else:
+            values[: self.along.shape[1]] += by * self.along[which]
+
+    def none(self) -> Free:
+        """Nothing free."""
+        return Free(self.rows[:0], (), self.step[:0], self.low[:0], self.high[:0], self.along[:0])
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where an episode's rollouts start: each window's position and velocity `(windows, 2)`, and the hidden states' offsets."""
+    """Where an episode's rollouts start: each window's positions and velocities `(windows, 2 x joints)`, and the hidden states' offsets."""
 
     windows: Array
     memory: Mapping[tuple[str, str], float]
@@ -85,8 +132,8 @@ class RolloutFit:
         return self.cost / self.samples
 
     def parameters(self, of: str = "") -> dict[str, float]:
-        """Fitted parameters of one effect, or of the family."""
-        return {name: float(self.values[row]) for row, (effect, name) in zip(self.free.rows, self.free.names, strict=True) if effect == of}
+        """Fitted parameters of one term, or of the nominal form."""
+        return {name: float(x) for x, (owner, name) in zip(self.free.at(self.values), self.free.names, strict=True) if owner == of}
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,85 +149,108 @@ class Screening:
 def _gram(out, observed, weight, window_of, inverse, into):  # type: ignore[no-untyped-def]
     """Sum of outer products of (error, derivatives) over each window; `into` is (windows, used, used)."""
     used = into.shape[1]
-    row = np.zeros(BLOCK)
+    row = np.zeros(used)
     for i in range(len(window_of)):
         w = window_of[i]
         if w < 0:
             continue
-        for c in range(2):
+        for c in range(observed.shape[1]):
             if weight[i, c] == 0.0:
                 continue
             base = out[i, c, 0]
-            for lane in range(BLOCK):
+            for lane in range(used):
                 row[lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
             row[0] = (observed[i, c] - base) * weight[i, c]
             for a in range(used):
-                for b in range(used):
+                for b in range(a + 1):
                     into[w, a, b] += row[a] * row[b]
+    for w in range(len(into)):
+        for a in range(used):
+            for b in range(a):
+                into[w, b, a] = into[w, a, b]
 
 
 def warm(family: str = "oscillator") -> int:
     """Compile what fits and diagnoses need into the cache; the number of effects in the kernel."""
-    one = unobserved(DECLARED, np.arange(4.0), np.zeros(4), 1.0, 1.0)
-    Fitter(family, Scales(1.0, 1.0, 1.0, 1.0), np.ones(2)).fit([one], Hypothesis(), nulls(), iterations=1)
+    dynamics = CompiledFamily(families()[family])
+    one = unobserved(DECLARED, np.arange(4.0), np.zeros((4, 1)), np.ones(1), 1.0)
+    names = Directions.of_family(dynamics.parameter_names)
+    Fitter(dynamics.form, names, [Scales(1.0, 1.0, 1.0, 1.0)], np.ones(2)).fit([one], Hypothesis(), dynamics.form.block.nulls, iterations=1)
     return len(effects())
 
 
 class Fitter:
-    """Fits hypotheses of one family to a set of series. Holds no state but what it was built with."""
+    """Fits hypotheses on one nominal form to a set of series. Holds no state but what it was built with.
 
-    def __init__(self, family: str, scales: Scales, sigma: Array) -> None:
-        self.family = list(families()).index(family)
-        self.family_type = families()[family]
-        self.scales = scales
+    `scales` are the joints' own sizes, `sigma` `(2 x joints,)` what counts as noise of each position and velocity.
+    """
+
+    def __init__(self, form: Form, directions: Directions, scales: Sequence[Scales], sigma: Array) -> None:
+        self.form = form
+        self.block = form.block
+        self.joints = form.block.joints
+        self.directions = directions
+        self.scales = tuple(scales)
         self.sigma = np.where(np.isfinite(sigma), sigma, np.inf)
-        self.first_effect = min(min(rows) for rows in layout().values())
-        self.start_steps = 1e-3 * np.array([scales.position, scales.velocity])
+        self.start_steps = 1e-3 * np.array([s.position for s in scales] + [s.velocity for s in scales])
+
+    def unit(self, of: str, scale: Scale) -> float:
+        """The value of one unit of a scale at a term's joint."""
+        return self.scales[joint(of)].of(scale)
 
     def has_room(self, hypothesis: Hypothesis) -> bool:
-        """Whether a block has a lane for every parameter of a composition."""
-        return len(self.free(hypothesis).rows) <= MOST_FREE
+        """Whether the lanes suffice for every number of a composition."""
+        return len(self.free(hypothesis).rows) <= self._room()
+
+    def _room(self) -> int:
+        """How many numbers may be free: a family's fit in one block, a tree's take as many as they need."""
+        return BLOCK - 1 - 2 * self.joints if self.form.family >= 0 else 1_000
+
+    def _lanes_for(self, numbers: int) -> int:
+        """Lanes for the unperturbed rollout, those of so many numbers, and those of the start; whole blocks."""
+        return -(-(1 + numbers + 2 * self.joints) // BLOCK) * BLOCK
 
     def free(self, hypothesis: Hypothesis, fixed: Iterable[tuple[str, str]] = ()) -> Free:
-        """What a hypothesis leaves free, the family's parameters first."""
+        """What a hypothesis leaves free, the nominal form's numbers first."""
         kept = set(fixed)
         rows: list[int] = []
         names: list[tuple[str, str]] = []
         steps: list[float] = []
         bounds: list[tuple[float, float]] = []
-        for row, name in enumerate(self._family_parameters()):
+        along: list[Array] = []
+        nothing = np.zeros(self.directions.along.shape[1])
+        for row, (name, way) in enumerate(zip(self.directions.names, self.directions.along, strict=True)):
             if ("", name) not in kept:
-                rows.append(row)
+                rows.append(-1 if self.directions.sized else row)
                 names.append(("", name))
                 steps.append(STEP)
                 bounds.append((-np.inf, np.inf))
-        for effect in hypothesis.effects:
-            kind = effects()[effect]
-            for row, number in zip(layout()[effect], kind.params, strict=True):
-                if (effect, number.name) in kept:
+                along.append(way)
+        for term in hypothesis.effects:
+            effect = kind(term)
+            for row, number in zip(self.block.rows(term), effect.params, strict=True):
+                if (term, number.name) in kept:
                     continue
-                unit = self.scales.of(number.scale)
+                unit = self.unit(term, number.scale)
                 rows.append(row)
-                names.append((effect, number.name))
-                steps.append(unit * (CORNER if number.name in kind.threshold else STEP))
+                names.append((term, number.name))
+                steps.append(unit * (CORNER if number.name in effect.threshold else STEP))
                 bounds.append((number.low * unit, number.high * unit))
-        limits = np.array(bounds).reshape(-1, 2)
-        return Free(np.array(rows, np.int64), tuple(names), np.array(steps), limits[:, 0], limits[:, 1])
-
-    def _family_parameters(self) -> tuple[str, ...]:
-        return tuple(p.name for p in self.family_type.params)
+                along.append(nothing)
+        limits, ways = np.array(bounds).reshape(-1, 2), np.array(along).reshape(len(rows), -1)
+        return Free(np.array(rows, np.int64), tuple(names), np.array(steps), limits[:, 0], limits[:, 1], ways)
 
     def begin(self, parameters: Sequence[float]) -> Array:
         """A block's parameter vector in which nothing acts."""
-        values = nulls().copy()
+        values = self.block.nulls.copy()
         values[: len(parameters)] = parameters
         return values
 
-    def with_effect(self, values: Array, effect: str, start: Sequence[float]) -> Array:
-        """The same with one effect begun at a start given in units of its scales."""
+    def with_effect(self, values: Array, term: str, start: Sequence[float]) -> Array:
+        """The same with one term begun at a start given in units of its scales."""
         values = values.copy()
-        for row, number, x in zip(layout()[effect], effects()[effect].params, start, strict=True):
-            values[row] = number.null if np.isnan(x) else np.clip(x, number.low, number.high) * self.scales.of(number.scale)
+        for row, number, x in zip(self.block.rows(term), kind(term).params, start, strict=True):
+            values[row] = number.null if np.isnan(x) else np.clip(x, number.low, number.high) * self.unit(term, number.scale)
         return values
 
     def fit(
@@ -201,10 +271,9 @@ class Fitter:
         """
         free = self.free(hypothesis, fixed)
         if only_starts:
-            free = Free(free.rows[:0], (), free.step[:0], free.low[:0], free.high[:0])
+            free = free.none()
         states = self._memories(hypothesis, len(free.rows))
-        values = values.copy()
-        values[free.rows] = np.clip(values[free.rows], free.low, free.high)
+        values = free.moved(values, np.zeros(len(free.rows)))
         given = starts or {}
         now = {s.digest: given.get(s.digest, Start(s.begin, {})) for s in data}
         best = self._evaluate(data, hypothesis, values, now, free, states, hold_starts)
@@ -214,8 +283,7 @@ class Fitter:
             if not expected > tolerance * best.cost + NEGLIGIBLE:
                 converged = True
                 break
-            tried = values.copy()
-            tried[free.rows] = np.clip(values[free.rows] + step, free.low, free.high)
+            tried = free.moved(values, step)
             there = {key: _moved(now[key], *move, states) for key, move in moves.items()}
             found = self._evaluate(data, hypothesis, tried, there, free, states, hold_starts)
             if found.cost < best.cost:
@@ -239,8 +307,8 @@ class Fitter:
         each start. Where the parent's own parameters leave no lane, nothing can be said.
         """
         free = self.free(parent.hypothesis)
-        starts = effects()[effect].starts
-        room = MOST_FREE - len(free.rows)
+        starts = kind(effect).starts
+        room = self._room() - len(free.rows)
         if room <= 0:
             return Screening(np.full(len(starts), parent.cost), np.zeros(len(starts)), np.full(len(starts), np.inf))
         parts = [self._screened(data, parent, effect, free, starts[i : i + room]) for i in range(0, len(starts), room)]
@@ -249,14 +317,13 @@ class Fitter:
 
     def _screened(self, data: Sequence[Series], parent: RolloutFit, effect: str, free: Free, begins: Sequence[Sequence[float]]) -> Array:
         n, k = len(free.rows), len(begins)
-        p, inverse = self._lanes(parent.values, free)
-        off = list(layout()[effect])
-        for lane in range(BLOCK):
-            p[off, lane] = nulls()[off]
+        p, inverse = self._lanes(parent.values, free, n + k)
+        off = list(self.block.rows(effect))
+        p[off] = self.block.nulls[off, None]
         for lane, begin in enumerate(begins, start=n + 1):
             p[:, lane] = self.with_effect(parent.values, effect, begin)
             inverse[lane] = 1.0
-        inverse[n + k + 1 : n + k + 3] = 1.0 / self.start_steps
+        inverse[n + k + 1 : n + k + 1 + 2 * self.joints] = 1.0 / self.start_steps
         parts = self._grams(data, parent.hypothesis | effect, p, inverse, parent.starts, n + k, {})
         parts = {key: np.where(np.abs(g) < RAN_AWAY, g, 0.0) for key, g in parts.items()}
         normal, gradient = _Gram(parts, {key: np.zeros(0) for key in parts}, np.zeros(0), n + k).reduced(1e-9)
@@ -270,7 +337,7 @@ class Fitter:
             inverse_part = np.linalg.inv(normal[np.ix_(columns, columns)] / size[:, None] / size + 1e-9 * np.eye(n + 1))
             by = inverse_part @ (gradient[columns] / size)
             gained = float(by @ (gradient[columns] / size)) if by[-1] > 0.0 else 0.0
-            if effects()[effect].zoomed:  # it does not grow in proportion: as it is, or not at all
+            if kind(effect).zoomed:  # it does not grow in proportion: as it is, or not at all
                 rest, pulled = columns[:-1], gradient[columns[:-1]] - normal[columns[:-1], n + i]
                 adapted = float(pulled @ np.linalg.lstsq(normal[np.ix_(rest, rest)], pulled, rcond=None)[0])
                 gained = 2.0 * gradient[n + i] - normal[n + i, n + i] + adapted
@@ -279,30 +346,34 @@ class Fitter:
 
     def _memories(self, hypothesis: Hypothesis, free: int) -> tuple[tuple[str, str], ...]:
         """The hidden states whose past is estimated, as far as lanes are left."""
-        keys = [key for key in memories() if key[0] in hypothesis.effects]
-        return tuple(keys[: max(0, MOST_FREE - free)])
+        keys = [key for key in self.block.memories if key[0] in hypothesis.effects]
+        return tuple(keys[: max(0, self._room() - free)])
 
     def _evaluate(
         self, data: Sequence[Series], hypothesis: Hypothesis, values: Array, starts: Mapping[str, Start], free: Free,
         states: tuple[tuple[str, str], ...], hold_starts: bool,
     ) -> _Gram:  # fmt: skip
         n, m = len(free.rows), len(states)
-        p, inverse = self._lanes(values, free)
-        scales = np.array([self.scales.of(effects()[e].memory[effects()[e].states.index(state)]) for e, state in states])
+        p, inverse = self._lanes(values, free, n + m)
+        scales = np.array([self.unit(t, kind(t).memory[kind(t).states.index(state)]) for t, state in states])
         pasts = {key: (lane, MEMORY_STEP * scale) for lane, (key, scale) in enumerate(zip(states, scales, strict=True), start=n + 1)}
-        inverse[n + m + 1 : n + m + 3] = 0.0 if hold_starts else 1.0 / self.start_steps
+        inverse[n + m + 1 : n + m + 1 + 2 * self.joints] = 0.0 if hold_starts else 1.0 / self.start_steps
         parts = self._grams(data, hypothesis, p, inverse, starts, n + m, pasts)
         began = {s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in states]) for s in data}
         return _Gram(parts, began, scales, n)
 
-    def _lanes(self, values: Array, free: Free) -> tuple[Array, Array]:
-        """A block with one lane for each free parameter, and the inverse of each lane's step."""
-        p = np.repeat(values[:, None], BLOCK, axis=1)
-        inverse = np.zeros(BLOCK)
+    def _lanes(self, values: Array, free: Free, numbers: int) -> tuple[Array, Array]:
+        """Lanes with one for each free number, and the inverse of each lane's step."""
+        lanes = self._lanes_for(numbers)
+        p = np.repeat(values[:, None], lanes, axis=1)
+        inverse = np.zeros(lanes)
         for lane, row in enumerate(free.rows, start=1):
-            size = free.step[lane - 1] * (max(1.0, abs(values[row])) if row < self.first_effect else 1.0)
-            size = -size if values[row] + size > free.high[lane - 1] else size
-            p[row, lane] += size
+            size = free.step[lane - 1]
+            if 0 <= row < self.block.nominal:
+                size *= max(1.0, abs(values[row]))
+            elif row >= 0:
+                size = -size if values[row] + size > free.high[lane - 1] else size
+            free.nudge(p[:, lane], lane - 1, size)
             inverse[lane] = 1.0 / size
         return p, inverse
 
@@ -314,22 +385,23 @@ class Fitter:
 
         `pasts` are the lanes and steps of hidden states' derivatives: inwards, for beyond its end a play has none.
         """
-        on, inverse = switches(hypothesis), inverse.copy()
+        on, inverse = switches(hypothesis, self.joints), inverse.copy()
         parts = {}
         for s in data:
             start = starts[s.digest]
             block = p.copy()
             for key, value in start.memory.items():
-                block[memories()[key]] += value
+                block[self.block.memories[key]] += value
             for key, (lane, size) in pasts.items():
                 inwards = -size if start.memory.get(key, 0.0) > 0.0 else size
-                block[memories()[key], lane] += inwards
+                block[self.block.memories[key], lane] += inwards
                 inverse[lane] = 1.0 / inwards
-            init = np.repeat(start.windows[:, :, None], BLOCK, axis=2)
-            init[:, 0, before + 1] += self.start_steps[0]
-            init[:, 1, before + 2] += self.start_steps[1]
-            out = roll(s, self.family, block, on, init)
-            parts[s.digest] = np.zeros((len(init), before + 3, before + 3))
+            init = np.repeat(start.windows[:, :, None], block.shape[1], axis=2)
+            for state, size in enumerate(self.start_steps):
+                init[:, state, before + 1 + state] += size
+            out = roll(s, self.form, block, on, init)
+            used = before + 1 + len(self.start_steps)
+            parts[s.digest] = np.zeros((len(init), used, used))
             _gram(out, s.observed, s.usable / self.sigma, s.window_of, inverse, parts[s.digest])
         return parts
 
@@ -343,7 +415,7 @@ def _moved(start: Start, windows: Array, memory: Array, states: tuple[tuple[str,
 
 @dataclass(frozen=True, slots=True)
 class _Gram:
-    """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows, 3 + free + memory, …)`.
+    """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows, used, used)`.
 
     Starts are eliminated window by window, then what hidden states began with episode by episode; those have a prior of one scale.
     """
@@ -366,7 +438,8 @@ class _Gram:
         sizes = [len(g) for g in self.parts.values()]
         stacked = np.concatenate(list(self.parts.values()))
         episode = np.repeat(np.arange(len(sizes)), sizes)
-        inverse, cross = np.empty((len(stacked), 2, 2)), np.empty((len(stacked), 2, n + m + 1))
+        own = stacked.shape[1] - (n + m + 1)
+        inverse, cross = np.empty((len(stacked), own, own)), np.empty((len(stacked), own, n + m + 1))
         total = np.zeros((len(sizes), n + m + 1, n + m + 1))
         _eliminate(stacked, episode, n + m + 1, damping, inverse, cross, total)
         if m:
@@ -390,7 +463,7 @@ class _Gram:
         """Steps of the parameters and of each episode's starts and memories, and the decrease that the linear model expects."""
         c, n = self._condensed(damping), self.free
         normal, gradient = c.reduced[1:, 1:], c.reduced[0, 1:]
-        at = values[free.rows]
+        at = free.at(values)
         moving = ~(((at <= free.low) & (gradient < 0.0)) | ((at >= free.high) & (gradient > 0.0)))
         step = np.zeros(n)
         if moving.any():
@@ -422,21 +495,33 @@ class _Condensed:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignore[no-untyped-def]
-    """The Schur complement of each window's two starting values, summed by episode."""
+    """The Schur complement of each window's starting values, summed by episode."""
+    own = g.shape[1] - size
+    part, solved = np.empty((own, own)), np.empty((own, size))
     for w in range(len(g)):
-        a, b, d = g[w, size, size] * (1.0 + damping), g[w, size, size + 1], g[w, size + 1, size + 1] * (1.0 + damping)
-        ridge = 1e-9 * max(a + d, 1e-3)
-        a, d = a + ridge, d + ridge
-        over = 1.0 / (a * d - b * b)
-        inverse[w, 0, 0], inverse[w, 1, 1], inverse[w, 0, 1], inverse[w, 1, 0] = d * over, a * over, -b * over, -b * over
-        for i in range(size):
-            cross[w, 0, i], cross[w, 1, i] = g[w, size, i], g[w, size + 1, i]
+        ridge = 0.0
+        for i in range(own):
+            for k in range(own):
+                part[i, k] = g[w, size + i, size + k]
+            part[i, i] *= 1.0 + damping
+            ridge += part[i, i]
+        for i in range(own):
+            part[i, i] += 1e-9 * max(ridge, 1e-3)
+        invert(part, inverse[w])
+        for i in range(own):
+            for k in range(size):
+                cross[w, i, k] = g[w, size + i, k]
+        for i in range(own):
+            for k in range(size):
+                solved[i, k] = 0.0
+                for l in range(own):  # noqa: E741
+                    solved[i, k] += inverse[w, i, l] * cross[w, l, k]
         e = episode[w]
         for i in range(size):
-            x = inverse[w, 0, 0] * cross[w, 0, i] + inverse[w, 0, 1] * cross[w, 1, i]
-            y = inverse[w, 1, 0] * cross[w, 0, i] + inverse[w, 1, 1] * cross[w, 1, i]
-            for j in range(size):
-                total[e, i, j] += g[w, i, j] - x * cross[w, 0, j] - y * cross[w, 1, j]
+            for k in range(size):
+                total[e, i, k] += g[w, i, k]
+                for l in range(own):  # noqa: E741
+                    total[e, i, k] -= cross[w, l, i] * solved[l, k]
 
 
 def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:

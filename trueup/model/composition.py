@@ -26,103 +26,214 @@ import numpy as np
 from numba import njit
 from numba.extending import register_jitable
 
-from trueup.model.block import BLOCK, memories, rows_of
+from trueup.model.block import BLOCK, height, memory_offsets, offsets
 from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
+from trueup.model.rigid_body import ROOM, bias, invert_lanes, net, pose, rub
+from trueup.model.tree import DAMPING, FRICTION, GAIN, JOINT, LINK
 
-APART = frozenset({"passive", "drive", "spring"})  # parts of the nominal acceleration
+APART = frozenset({"passive", "drive", "spring", "mobility"})  # parts of the nominal acceleration
+RIGID = {f.__name__: f for f in (bias, invert_lanes, net, pose, rub)}
+NUMBERS = {"ROOM": ROOM, "LINK": LINK, "JOINT": JOINT, "DAMPING": DAMPING, "GAIN": GAIN, "FRICTION": FRICTION}
 
 HEAD = """
 def make(digest, functions, njit):
     {unpack} = functions
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    def run(p, on, family, alpha, u_scale, period, t_s, h_s, steps, issued, integral, resets, init, follow, gain, observed, out):
+    def run(
+        p, on, first, family, tree, sizes, alpha, u_scale, period, t_s, h_s, steps, issued, integral, resets, init, follow, gain,
+        observed, out,
+    ):
         digest
-        q, v, u, a, h, t, level = np.zeros(W), np.zeros(W), np.zeros(W), np.zeros(W), np.zeros(W), np.zeros(W), np.zeros(W)
-        passive, drive, spring, lag_s = np.zeros(W), np.zeros(W), np.zeros(W), np.zeros(W)
-        past, qe, ve = np.zeros(W), np.zeros(W), np.zeros(W)
-        pointer = np.zeros(W, np.int64)
+        n = len(u_scale)
+        q, v, u, a, level = np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W))
+        passive, drive, spring = np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W))
+        lag_s, late_s = np.zeros((n, W)), np.zeros((n, W))
+        past, qe, ve, mobility = np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W)), np.ones((n, W))
+        h, t = np.zeros(W), np.zeros(W)
+        pointer = np.zeros((n, W), np.int64)
+        room, mass, moves = np.zeros((n, ROOM * W)), np.zeros((n, n * W)), np.zeros((n, n * W))
+        wide = np.zeros(n * W)
+        forces, free, held, nothing = np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W))
         {states}
         last = len(t_s) - 1
-        for lane in range(W):
-            u[lane] = issued[0]
-        {begin}
-        delayed, push = False, 0.0
+        for j in range(n):
+            for lane in range(W):
+                u[j, lane] = issued[0, j]
+        for j in range(n):
+            o = first + j * HEIGHT
+            {begin}
+        delayed, late, push = False, False, np.zeros(n)
         implicit = 1.0 - 2.0 * alpha
-        {delays}
+        for j in range(n):
+            o = first + j * HEIGHT
+            {delays}
+        for j in range(n):
+            for lane in range(W):
+                if family >= 0:  # on the log of one joint alone a late sensor is a late drive
+                    lag_s[j, lane], late_s[j, lane] = lag_s[j, lane] + late_s[j, lane], 0.0
+                late = late or late_s[j, lane] > 0.0
+        passed, behind = np.zeros((last + 1 if late else 0, 2 * n, W)), np.zeros((n, W), np.int64)
         for i in range(last + 1):
             if follow and i == 0:
-                for lane in range(W):
-                    q[lane], v[lane] = init[0, 0, lane], init[0, 1, lane]
+                for j in range(n):
+                    for lane in range(W):
+                        q[j, lane], v[j, lane] = init[0, j, lane], init[0, n + j, lane]
             elif follow and resets[i] >= 0:
-                for lane in range(1, W):
-                    q[lane], v[lane] = q[0], v[0]
-                    {follow_states}
+                for j in range(n):
+                    for lane in range(1, W):
+                        q[j, lane], v[j, lane] = q[j, 0], v[j, 0]
+                        {follow_states}
+                if late:
+                    for k in range(i):
+                        for j in range(2 * n):
+                            for lane in range(1, W):
+                                passed[k, j, lane] = passed[k, j, 0]
             elif resets[i] >= 0:
-                {jump}
-                for lane in range(W):
-                    q[lane], v[lane] = init[resets[i], 0, lane], init[resets[i], 1, lane]
+                for j in range(n):
+                    {jump}
+                    for lane in range(W):
+                        q[j, lane], v[j, lane] = init[resets[i], j, lane], init[resets[i], n + j, lane]
             since = t_s[i] - t_s[i - 1] if i > 0 else 0.0
             for lane in range(W):
                 t[lane] = t_s[i]
-                qe[lane], ve[lane] = q[lane], v[lane]
-            {observe}
+            for j in range(n):
+                o = first + j * HEIGHT
+                for lane in range(W):
+                    qe[j, lane], ve[j, lane] = q[j, lane], v[j, lane]
+                if late:
+                    for lane in range(W):
+                        passed[i, j, lane], passed[i, n + j, lane] = q[j, lane], v[j, lane]
+                        if late_s[j, lane] > 0.0:
+                            at = t_s[i] - late_s[j, lane]
+                            k = behind[j, lane]
+                            while k < i - 1 and t_s[k + 1] <= at:
+                                k += 1
+                            behind[j, lane] = k
+                            q0, v0 = passed[k, j, lane], passed[k, n + j, lane]
+                            if at <= t_s[0] or i == 0:
+                                qe[j, lane], ve[j, lane] = q0 + (at - t_s[0]) * v0, v0
+                            else:
+                                span = t_s[k + 1] - t_s[k]
+                                x, q1, v1 = (at - t_s[k]) / span, passed[k + 1, j, lane], passed[k + 1, n + j, lane]
+                                rest = (1.0 - x) * span * v0 - x * span * v1 + (1.0 - 2.0 * x) * (q0 - q1)
+                                qe[j, lane] = (1.0 - x) * q0 + x * q1 + x * (1.0 - x) * rest
+                                ve[j, lane] = (1.0 - x) * v0 + x * v1
+                {observe}
             if follow:
                 now = min(i, len(gain) - 1)
-                for c in range(gain.shape[2]):
-                    if np.isfinite(observed[i, c]):
-                        missed = observed[i, c] - (qe[0] if c == 0 else ve[0])
-                        if i == 0:  # the log's first sample is all that is known
-                            q[0] += missed if c == 0 else 0.0
-                            v[0] += missed if c == 1 else 0.0
-                        else:
-                            q[0] += gain[now, 0, c] * missed
-                            v[0] += gain[now, 1, c] * missed
-                            push += gain[now, 2, c] * missed
-                            {hidden}
-                if resets[i] >= 0:
-                    for lane in range(1, W):
-                        q[lane], v[lane] = q[0], v[0]
-                        {follow_states}
-            for lane in range(W):
-                out[i, 0, lane] = qe[lane]
-                out[i, 1, lane] = ve[lane]
+                for j in range(n):
+                    for c in range(2):
+                        if np.isfinite(observed[i, c * n + j]):
+                            missed = observed[i, c * n + j] - (qe[j, 0] if c == 0 else ve[j, 0])
+                            if i == 0:  # the log's first sample is all that is known
+                                q[j, 0] += missed if c == 0 else 0.0
+                                v[j, 0] += missed if c == 1 else 0.0
+                            else:
+                                q[j, 0] += gain[now, j, 0, c] * missed
+                                v[j, 0] += gain[now, j, 1, c] * missed
+                                push[j] += gain[now, j, 2, c] * missed
+                                {hidden}
+                    if resets[i] >= 0:
+                        for lane in range(1, W):
+                            q[j, lane], v[j, lane] = q[j, 0], v[j, 0]
+                            {follow_states}
+            for j in range(n):
+                for lane in range(W):
+                    out[i, j, lane] = qe[j, lane]
+                    out[i, n + j, lane] = ve[j, lane]
             for step in range(steps[i]):
                 for lane in range(W):
                     h[lane] = h_s[i]
-                    u[lane] = issued[i]
-                if delayed:
-                    begin, end = t_s[i] + step * h_s[i], t_s[i] + (step + 1) * h_s[i]
+                for j in range(n):
+                    o = first + j * HEIGHT
                     for lane in range(W):
-                        if lag_s[lane] <= 0.0:
-                            continue
-                        k = pointer[lane]
-                        at = begin - lag_s[lane]
-                        while k < last and t_s[k + 1] <= at:
-                            k += 1
-                        pointer[lane] = k
-                        before = integral[k] + (issued[k] if at >= t_s[0] else past[lane]) * (at - t_s[k])
-                        at = end - lag_s[lane]
-                        while k < last and t_s[k + 1] < at:
-                            k += 1
-                        u[lane] = (integral[k] + (issued[k] if at >= t_s[0] else past[lane]) * (at - t_s[k]) - before) / h_s[i]
-                {timing}
-                {command}
-                for lane in range(W):
-                    qe[lane] = q[lane] + alpha * h[lane] * v[lane]
-                    ve[lane] = v[lane]
+                        u[j, lane] = issued[i, j]
+                    if delayed:
+                        begin, end = t_s[i] + step * h_s[i], t_s[i] + (step + 1) * h_s[i]
+                        for lane in range(W):
+                            if lag_s[j, lane] <= 0.0:
+                                continue
+                            k = pointer[j, lane]
+                            at = begin - lag_s[j, lane]
+                            while k < last and t_s[k + 1] <= at:
+                                k += 1
+                            pointer[j, lane] = k
+                            before = integral[k, j] + (issued[k, j] if at >= t_s[0] else past[j, lane]) * (at - t_s[k])
+                            at = end - lag_s[j, lane]
+                            while k < last and t_s[k + 1] < at:
+                                k += 1
+                            reached = integral[k, j] + (issued[k, j] if at >= t_s[0] else past[j, lane]) * (at - t_s[k])
+                            u[j, lane] = (reached - before) / h_s[i]
+                    if j == 0:
+                        {timing}
+                    {command}
+                    for lane in range(W):
+                        qe[j, lane] = q[j, lane] + alpha * h[lane] * v[j, lane]
+                        ve[j, lane] = v[j, lane]
                 {families}
-                {force}
-                a[0] += push  # of the filter alone: what disturbs the machine for a while is not foretold
-                for lane in range(W):
-                    level[lane] = 0.0
-                {friction}
-                for lane in range(W):
-                    after = v[lane] + h[lane] * a[lane]
-                    after = np.copysign(max(abs(after) - h[lane] * level[lane], 0.0), after)
-                    v[lane] = after
-                    q[lane] = qe[lane] + (1.0 - alpha) * h[lane] * after
+                if family < 0:
+                    pose(tree, p, qe, room, mass)
+                    for j in range(n):
+                        own, damping = mass[j, j * W : (j + 1) * W], p[LINK * n + JOINT * j + DAMPING]
+                        for lane in range(W):
+                            own[lane] += (1.0 - alpha) * h[lane] * damping[lane]
+                    invert_lanes(mass, moves, wide)
+                    bias(tree, v, room, forces)
+                    net(tree, p, u, qe, v, forces)
+                    if alpha > 0.0:
+                        for j in range(n):
+                            for k in range(n):
+                                to, by, force = ve[j], moves[j, k * W : (k + 1) * W], forces[k]
+                                for lane in range(W):
+                                    to[lane] += alpha * h[lane] * by[lane] * force[lane]
+                        bias(tree, ve, room, forces)
+                        net(tree, p, u, qe, v, forces)
+                    for j in range(n):
+                        for lane in range(W):
+                            a[j, lane] = forces[j, lane] / sizes[j]
+                    if {apart}:
+                        bias(tree, nothing, room, free)
+                        net(tree, p, nothing, qe, nothing, free)
+                        for j in range(n):
+                            for lane in range(W):
+                                drive[j, lane] = p[LINK * n + JOINT * j + GAIN, lane] * u[j, lane] / sizes[j]
+                                spring[j, lane] = free[j, lane] / sizes[j]
+                                mobility[j, lane] = moves[j, j * W + lane] * sizes[j]
+                                passive[j, lane] = 0.0
+                            for k in range(n):
+                                for lane in range(W):
+                                    passive[j, lane] += moves[j, k * W + lane] * forces[k, lane]
+                            for lane in range(W):
+                                passive[j, lane] = passive[j, lane] / mobility[j, lane] - drive[j, lane]
+                for j in range(n):
+                    o = first + j * HEIGHT
+                    {force}
+                    a[j, 0] += push[j]  # of the filter alone: what disturbs the machine for a while is not foretold
+                    for lane in range(W):
+                        level[j, lane] = 0.0
+                    {friction}
+                if family >= 0:
+                    for lane in range(W):
+                        after = v[0, lane] + h[lane] * a[0, lane]
+                        after = np.copysign(max(abs(after) - h[lane] * level[0, lane], 0.0), after)
+                        v[0, lane] = after
+                        q[0, lane] = qe[0, lane] + (1.0 - alpha) * h[lane] * after
+                else:
+                    for j in range(n):
+                        for lane in range(W):
+                            held[j, lane] = h[lane] * (sizes[j] * level[j, lane] + p[LINK * n + JOINT * j + FRICTION, lane])
+                            free[j, lane] = v[j, lane]
+                        for k in range(n):
+                            to, by, force = free[j], moves[j, k * W : (k + 1) * W], a[k]
+                            for lane in range(W):
+                                to[lane] += h[lane] * by[lane] * sizes[k] * force[lane]
+                    rub(moves, held, free, forces)
+                    for j in range(n):
+                        for lane in range(W):
+                            v[j, lane] = free[j, lane]
+                            q[j, lane] = qe[j, lane] + (1.0 - alpha) * h[lane] * free[j, lane]
 
     return run
 """
@@ -132,14 +243,15 @@ def make(digest, functions, njit):
 def kernel() -> Callable[..., None]:
     """The compiled rollout of one block over one episode.
 
-    p `(parameters, BLOCK)`; on `(effects,)`; t_s, h_s, steps, issued, integral (of the command, up to each sample), resets (the window
-    that starts at a sample, or -1) `(samples,)`; init `(windows, 2, BLOCK)`; gain `(beginning, 4, channels)`; observed `(samples,
-    channels)`;
-    writes out `(samples, 2, BLOCK)`.
+    p `(rows, BLOCK)`; on `(effects, joints)`; first the row of the first joint's effects; family its number, -1 for a tree; tree
+    `(joints, TREE)`; sizes `(joints,)` the inertia against which an effect's forces are measured; u_scale `(joints,)`; t_s, h_s, steps,
+    resets (the window that starts at a sample, or -1) `(samples,)`; issued and its integral up to each sample `(samples, joints)`; init
+    `(windows, 2 x joints, BLOCK)`; gain `(beginning, joints, 4, 2)`; observed `(samples, 2 x joints)`;
+    writes out `(samples, 2 x joints, BLOCK)`.
     """
     functions, text = assemble(families(), effects())
-    digest = ",".join(source_digest(f) for f in functions)
-    scope: dict[str, Any] = {"np": np, "W": BLOCK, "__name__": __name__}
+    digest = ",".join(source_digest(f) for f in (*functions, pose))
+    scope: dict[str, Any] = {"np": np, "W": BLOCK, "HEIGHT": height(), "__name__": __name__, **NUMBERS, **RIGID}
     exec(compile(text, __file__, "exec"), scope)  # noqa: S102  (the text is this file's own; see assemble)
     return scope["make"](digest, tuple(register_jitable(f) for f in functions), njit)  # type: ignore[no-any-return]
 
@@ -153,22 +265,23 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
         ports["delays" if effect.delays() else str(effect.port)] += _loop(index, effect)
         if effect.hides_velocity:
             seen, before = (f"{state}_{index}" for state in effect.states)
-            ports["hidden"] += [f"if on[{index}]:"]
-            ports["hidden"] += [f"    {of}[0] += gain[now, {at}, c] * missed" for of, at in ((seen, 3), (before, 1))]
-            ports["jump"] += [f"if on[{index}]:", "    for lane in range(W):"]
-            ports["jump"] += [f"        {before}[lane] += init[resets[i], 1, lane] - v[lane]"]
+            ports["hidden"] += [f"if on[{index}, j]:"]
+            ports["hidden"] += [f"    {of}[j, 0] += gain[now, j, {at}, c] * missed" for of, at in ((seen, 3), (before, 1))]
+            ports["jump"] += [f"if on[{index}, j]:", "    for lane in range(W):"]
+            ports["jump"] += [f"        {before}[j, lane] += init[resets[i], n + j, lane] - v[j, lane]"]
         for state, begins in zip(effect.states, effect.begins, strict=True):
-            ports["states"].append(f"{state}_{index} = np.zeros(W)")
-            ports["follow_states"].append(f"{state}_{index}[lane] = {state}_{index}[0]")
+            ports["states"].append(f"{state}_{index} = np.zeros((n, W))")
+            ports["follow_states"].append(f"{state}_{index}[j, lane] = {state}_{index}[j, 0]")
             if begins == "first":
                 continue
-            from_ = "" if begins == "zero" else f"{begins}[lane] + "
-            ports["begin"] += ["for lane in range(W):", f"    {state}_{index}[lane] = {from_}p[{memories()[effect.name, state]}, lane]"]
-    asking = [f"on[{i}]" for i, e in enumerate(known_effects.values()) if APART.intersection(e.arguments())]
+            from_ = "" if begins == "zero" else f"{begins}[j, lane] + "
+            row = memory_offsets()[effect.name, state]
+            ports["begin"] += ["for lane in range(W):", f"    {state}_{index}[j, lane] = {from_}p[o + {row}, lane]"]
+    asking = [f"on[{i}].any()" for i, e in enumerate(known_effects.values()) if APART.intersection(e.arguments())]
     apart = " or ".join(asking) or "False"
     ports["families"] = [line for i, f in enumerate(known_families.values()) for line in _family(i, f, apart)]
     ports["observe"] = ports.pop("observation")
-    text = "\n".join(_fill(line, ports | {"unpack": [", ".join(names)]}) for line in HEAD.splitlines())
+    text = "\n".join(_fill(line, ports | {"unpack": [", ".join(names)], "apart": [apart]}) for line in HEAD.splitlines())
     return functions, text
 
 
@@ -189,34 +302,40 @@ def _family(index: int, family: type[Family], apart: str) -> list[str]:
     return [
         f"if family == {index}:",
         "    for lane in range(W):",
-        f"        ve[lane] += alpha * h[lane] * {call}(qe[lane], ve[lane], u[lane]{values})",
-        f"        a[lane] = {call}(qe[lane], ve[lane], u[lane]{values})",
+        f"        ve[0, lane] += alpha * h[lane] * {call}(qe[0, lane], ve[0, lane], u[0, lane]{values})",
+        f"        a[0, lane] = {call}(qe[0, lane], ve[0, lane], u[0, lane]{values})",
         f"    if {apart}:",
         "        for lane in range(W):",
-        f"            passive[lane] = {call}(qe[lane], ve[lane], 0.0{values})",
-        f"            spring[lane] = {call}(qe[lane], 0.0, 0.0{values})",
-        "            drive[lane] = a[lane] - passive[lane]",
+        f"            passive[0, lane] = {call}(qe[0, lane], ve[0, lane], 0.0{values})",
+        f"            spring[0, lane] = {call}(qe[0, lane], 0.0, 0.0{values})",
+        "            drive[0, lane] = a[0, lane] - passive[0, lane]",
     ]
 
 
 def _loop(index: int, effect: type[Effect]) -> list[str]:
-    """One effect's loop over the lanes."""
+    """One effect's loop over the lanes of a joint."""
     within = effect.port in (Port.FORCE, Port.FRICTION, Port.OBSERVATION)
-    arrays = {"q": "qe", "v": "ve"} if within else {}
-    scalars = {"u_scale", "period", "since", "implicit"}
-    rows = rows_of(effect.name)
+    arrays = {"q": "qe", "v": "ve", "lag_s": "late_s"} if within else {}
+    scalars = {"period", "since", "implicit"}
+    common = {"h", "t"}  # to all joints
+    rows = dict(zip((n.name for n in effect.params), offsets()[effect.name], strict=True))
+
+    def signal(name: str) -> str:
+        return f"{name}[lane]" if name in common else f"{arrays.get(name, name)}[j, lane]"
 
     def value(name: str) -> str:
         if name in rows:
-            return f"p[{rows[name]}, lane]"
+            return f"p[o + {rows[name]}, lane]"
         if name in effect.states:
-            return f"{name}_{index}[lane]"
-        return name if name in scalars else f"{arrays.get(name, name)}[lane]"
+            return f"{name}_{index}[j, lane]"
+        if name == "u_scale":
+            return "u_scale[j]"
+        return name if name in scalars else signal(name)
 
     signals = DELAYS if effect.delays() else SIGNALS[effect.port]
-    results = ", ".join([f"{arrays.get(s, s)}[lane]" for s in signals] + [f"{s}_{index}[lane]" for s in effect.states])
+    results = ", ".join([signal(s) for s in signals] + [f"{s}_{index}[j, lane]" for s in effect.states])
     call = f"effect_{index}({', '.join(value(a) for a in inspect.signature(effect.apply).parameters)})"
     sign = "+=" if effect.port is Port.FRICTION else "="
     begin = ["    delayed = True"] if effect.delays() else []
-    past = [f"        past[lane] = past_{index}[lane]"] if "past" in effect.states else []
-    return [f"if on[{index}]:", *begin, "    for lane in range(W):", f"        {results} {sign} {call}", *past]
+    past = [f"        past[j, lane] = past_{index}[j, lane]"] if "past" in effect.states and not within else []
+    return [f"if on[{index}, j]:", *begin, "    for lane in range(W):", f"        {results} {sign} {call}", *past]

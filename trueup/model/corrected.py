@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.model.block import BLOCK, layout, nulls, rows_of
+from trueup.model.block import BLOCK, joint, kind, term
 from trueup.model.dynamics import CompiledFamily
 from trueup.model.effect import Effect, Port, effects
-from trueup.model.family import Family, families
+from trueup.model.family import Family
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.known import Known
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
-from trueup.model.series import Scheme, position_and_velocity, roll, whole
+from trueup.model.series import Scheme, positions_and_velocities, roll, unobserved, whole
 from trueup.model.state import past_states
 from trueup.model.windows import Windows
 
@@ -33,48 +33,62 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Corrected(Predictor):
-    """A family with effects.
+    """A nominal form with effects.
 
-    `values` is the block's vector; `gain` `(beginning, 4, 2)` corrects position, velocity, a disturbing acceleration and what hides the
-    velocity by an observed position and velocity, at each of an episode's first samples and, the last, at all others; `known` moments
-    tell a first velocity that nobody observed.
+    `values` is the block's vector; `gain` `(beginning, joints, 4, 2)` corrects each joint's position, velocity, a disturbing acceleration
+    and what hides the velocity by its observed position and velocity, at each of an episode's first samples and, the last, at all others;
+    `known` moments tell a first velocity that nobody observed.
     """
 
     plant: Plant
     hypothesis: Hypothesis
     values: tuple[float, ...]
     scheme: Scheme
-    gain: tuple[tuple[float, ...], ...] = ((0.0,) * 8,)  # a row for each sample
+    gain: tuple[tuple[float, ...], ...] = ()  # a row for each sample, eight numbers of each joint
     known: Known | None = None
     kind = "corrected"
 
-    @property
-    def family(self) -> type[Family]:
-        """The nominal form."""
-        return _family(self.plant)
-
     def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
-        """One step of the symmetric or declared scheme in numpy, with hidden states as they begin: the kernel's reference."""
+        """One step of the symmetric or declared scheme, with hidden states as they begin; of a family in numpy, the kernel's reference."""
         span = np.broadcast_to(self.plant.timestep_s if h_s is None else h_s, len(states))
+        applied = self.plant.applied(issued)
+        if not isinstance(self.plant.dynamics, CompiledFamily):
+            rows = [self._stepped(state, u, float(h)) for state, u, h in zip(states, applied, span, strict=True)]
+            return np.stack(rows) if rows else states
         moved = states
         for _ in range(self.scheme.parts):
-            moved = _step(self, moved, self.plant.applied(issued)[:, 0], span / self.scheme.parts)
+            moved = _step(self, self.plant.dynamics.family, moved, applied[:, 0], span / self.scheme.parts)
         return moved
 
+    def _stepped(self, state: Array, applied: Array, h_s: float) -> Array:
+        """One state a step further, compiled; what delays a command has none before it to show."""
+        acting = Hypothesis(tuple(t for t in self.hypothesis.effects if not kind(t).delays() and kind(t).port is not Port.OBSERVATION))
+        s = unobserved(self.scheme, np.array([0.0, h_s]), np.stack([applied, applied]), self.plant.command_scales, h_s)
+        init = np.repeat(state[None, :, None], BLOCK, axis=2)
+        return np.asarray(roll(s, self.plant.form, self._lanes(), switches(acting, len(self.plant.joints)), init)[1, :, 0])
+
     def rollout(self, windows: Windows) -> Array:
-        series = whole(self.plant, windows.episode, self.scheme, windows.first)
-        p = np.repeat(np.array(self.values)[:, None], BLOCK, axis=1)
-        first = np.nan_to_num(past_states(self.plant, windows.episode)[:1])
-        if self.known and not np.isfinite(position_and_velocity(self.plant, windows.episode)[0, 1]):
-            first[0, 1] = self.known.velocity(first[0, 0], series.issued[0])
+        plant, joints = self.plant, len(self.plant.joints)
+        series = whole(plant, windows.episode, self.scheme, windows.first)
+        first = np.nan_to_num(past_states(plant, windows.episode)[:1])
+        if self.known and not np.isfinite(positions_and_velocities(plant, windows.episode)[0, 1]):
+            first[0, 1] = self.known.velocity(first[0, 0], series.issued[0, 0])
         init = np.repeat(first[:, :, None], BLOCK, axis=2)
-        family = list(families()).index(self.family.name)
-        out = roll(series, family, p, switches(self.hypothesis), init, np.array(self.gain).reshape(-1, 4, 2))
+        gain = np.array(self.gain or ((0.0,) * 8 * joints,)).reshape(-1, joints, 4, 2)
+        out = roll(series, plant.form, self._lanes(), switches(self.hypothesis, joints), init, gain)
         return np.asarray(out[windows.rows][:, :, :, 1])
+
+    def _lanes(self) -> Array:
+        return np.repeat(np.array(self.values)[:, None], BLOCK, axis=1)
 
     def description(self) -> dict[str, Json]:
         found: list[Json] = [
-            {"effect": e, "parameters": {name: self.values[row] for name, row in rows_of(e).items()}} for e in self.hypothesis.effects
+            {
+                "effect": kind(t).name,
+                "joint": self.plant.joint_name(joint(t)),
+                "parameters": {name: self.values[row] for name, row in self.plant.block.rows_of(t).items()},
+            }
+            for t in self.hypothesis.effects
         ]
         names = self.plant.dynamics.parameter_names
         return {
@@ -91,49 +105,43 @@ class Corrected(Predictor):
     @staticmethod
     def restore(plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]) -> Corrected:
         given: Any = description
-        values = nulls().copy()
+        values = plant.block.nulls.copy()
         for i, name in enumerate(plant.dynamics.parameter_names):
             values[i] = float(given["parameters"][name])
+        hypothesis = Hypothesis()
         for entry in given["effects"]:
-            for name, row in rows_of(entry["effect"]).items():
+            at = term(
+                entry["effect"], [plant.joint_name(j) for j in range(len(plant.joints))].index(entry.get("joint", plant.joint_name(0)))
+            )
+            hypothesis = hypothesis | at
+            for name, row in plant.block.rows_of(at).items():
                 values[row] = float(entry["parameters"][name])
-        hypothesis = Hypothesis(tuple(entry["effect"] for entry in given["effects"]))
-        if not np.isfinite(values[list(_rows(hypothesis))]).all():
+        if not np.isfinite(values[[row for t in hypothesis.effects for row in plant.block.rows(t)]]).all():
             raise ValueError("a parameter of an acting effect is not finite")
         scheme = Scheme(float(given["scheme"]["alpha"]), int(given["scheme"]["parts"]))
         rows = tuple(tuple(float(x) for x in row) for row in given["gain"])
-        if {len(row) for row in rows} != {8}:
-            raise ValueError("a gain has eight numbers for each sample")
+        if {len(row) for row in rows} - {8 * len(plant.joints)}:
+            raise ValueError("a gain has eight numbers of each joint for each sample")
         known = None if given["nearest"] is None else Known(arrays["known"], int(given["nearest"]))
         return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, rows, known)
 
 
-def _family(plant: Plant) -> type[Family]:
-    assert isinstance(plant.dynamics, CompiledFamily)
-    return plant.dynamics.family
-
-
-def _rows(hypothesis: Hypothesis) -> tuple[int, ...]:
-    return tuple(row for name in hypothesis.effects for row in layout()[name])
-
-
-def _step(model: Corrected, states: Array, u: Array, h: Array) -> Array:
+def _step(model: Corrected, family: type[Family], states: Array, u: Array, h: Array) -> Array:
     """One step, each effect's own function on arrays."""
     plant, alpha = model.plant, model.scheme.alpha
-    family = model.values[: len(plant.dynamics.parameter_names)]
-    acceleration = model.family.acceleration
+    numbers = model.values[: len(plant.dynamics.parameter_names)]
+    acceleration = family.acceleration
     zero = np.zeros(len(states))
-    scale = float(np.max(np.abs(plant.limits)))
-    signals: dict[str, Any] = {"u": u, "h": h, "t": zero, "u_scale": scale, "period": plant.timestep_s, "lag_s": zero}
-    signals["implicit"] = 1.0 - 2.0 * alpha
+    signals: dict[str, Any] = {"u": u, "h": h, "t": zero, "u_scale": plant.command_scales[0], "period": plant.timestep_s, "lag_s": zero}
+    signals["implicit"], signals["mobility"] = 1.0 - 2.0 * alpha, 1.0
     signals |= {"q": states[:, 0], "v": states[:, 1], "level": zero}
     acting = [effects()[name] for name in effects() if name in model.hypothesis.effects]
     _act(model, acting, Port.TIMING, signals)
     _act(model, acting, Port.COMMAND, signals)
     q, v, u, h = states[:, 0], states[:, 1], signals["u"], signals["h"]
     q = q + alpha * h * v
-    at = v + alpha * h * acceleration(q, v, u, *family)
-    a, passive, spring = (acceleration(q, s, c, *family) for s, c in ((at, u), (at, 0.0), (0.0, 0.0)))
+    at = v + alpha * h * acceleration(q, v, u, *numbers)
+    a, passive, spring = (acceleration(q, s, c, *numbers) for s, c in ((at, u), (at, 0.0), (0.0, 0.0)))
     signals |= {"q": q, "v": at, "a": a, "passive": passive, "drive": a - passive, "spring": spring}
     _act(model, acting, Port.FORCE, signals)
     for effect in (e for e in acting if e.port is Port.FRICTION):
@@ -152,7 +160,7 @@ def _act(model: Corrected, acting: list[type[Effect]], port: Port, signals: dict
 
 
 def _value(model: Corrected, effect: type[Effect], name: str, signals: Mapping[str, Any]) -> Any:
-    rows = rows_of(effect.name)
+    rows = model.plant.block.rows_of(effect.name)
     if name in rows:
         return model.values[rows[name]]
     if name in effect.states:

@@ -1,20 +1,58 @@
 """Dynamics: how a state moves on under an applied command.
 
-A state is positions, then velocities, `(n, 2 x joints)`; a command `(n, commands)`. `CompiledFamily` makes dynamics from
-a family of one joint. Other makers, such as a robot given as MJCF, offer the same methods and nothing above asks which.
+A state is positions, then velocities, `(n, 2 x joints)`; a command `(n, joints)`, 0 where a joint has no actuator. `CompiledFamily`
+makes dynamics from a family of one joint, `CompiledTree` from a robot's tree of joints. Nothing above asks which, and both obey the
+same laws.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.family import Family
+from trueup.model.block import BLOCK, Block
+from trueup.model.effect import effects
+from trueup.model.family import Family, families
+from trueup.model.tree import (
+    ARMATURE,
+    FRAME,
+    FRICTION,
+    GAIN,
+    GRAVITY,
+    JOINT,
+    LIMIT,
+    LINK,
+    OFFSET,
+    PARENT,
+    REST,
+    SERVO,
+    SLIDE,
+    SWEEPS,
+    TREE,
+    ZERO,
+    Tree,
+)
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """What the compiled rollout reads of a nominal model.
+
+    `block` is how its parameters lie; `family` a family's number, -1 for a tree; `tree` `(joints, TREE)`; `sizes` `(joints,)` the
+    inertia by which an effect's forces are divided, so that they are accelerations for every maker.
+    """
+
+    block: Block
+    family: int
+    tree: Array
+    sizes: Array
 
 
 class Dynamics(ABC):
@@ -22,6 +60,7 @@ class Dynamics(ABC):
 
     joints: int
     parameter_names: tuple[str, ...]
+    form: Form
 
     @abstractmethod
     def step(self, state: Array, applied: Array, parameters: Array, h_s: Array | float) -> Array:
@@ -31,14 +70,30 @@ class Dynamics(ABC):
     def rollout(self, parameters: Array, initial: Array, applied: Array, h_s: Array, steps: NDArray[np.int64]) -> Array:
         """States at every sample, compiled, for all lanes.
 
-        parameters `(vectors, parameters)`; initial `(windows, 2 x joints)`; applied `(windows, samples, commands)`; `h_s` [s] and
+        parameters `(vectors, parameters)`; initial `(windows, 2 x joints)`; applied `(windows, samples, joints)`; `h_s` [s] and
         `steps` `(windows, samples)`: between sample i and i+1 lie `steps[i]` steps of `h_s[i]`. A window stops where steps
         are 0. Returns `(vectors, windows, samples, 2 x joints)`.
         """
 
     @abstractmethod
+    def drive(self, parameters: Sequence[float], joint: int, q: Array, applied: Array) -> Array:
+        """Acceleration that a joint's actuator gives under a command at positions, `(n,)`; in a tree, with nothing else in its way."""
+
+    @abstractmethod
+    def inertia(self, parameters: Array, q: Array) -> Array:
+        """Mass matrices at positions `(n, joints)` in units of each joint's own inertia, `(n, joints, joints)`."""
+
+    @abstractmethod
+    def slippery(self, parameters: Array) -> Array:
+        """The parameters without dry friction, which has no linear part."""
+
     def transition(self, parameters: Array, h_s: float) -> Array:
-        """The unforced update linearised at rest, `(2 x joints, 2 x joints)`."""
+        """The unforced update linearised at rest at zero, `(2 x joints, 2 x joints)`."""
+        slope = 1e-6  # [rad, m] small against every joint's travel, large against rounding
+        basis, parameters = slope * np.eye(2 * self.joints, 2 * self.joints), self.slippery(parameters)
+        nothing = np.zeros((2 * self.joints, self.joints))
+        moved = self.step(basis, nothing, parameters, h_s) - self.step(np.zeros_like(basis), nothing, parameters, h_s)
+        return np.asarray(moved / slope).T
 
 
 @dataclass(frozen=True)
@@ -62,11 +117,190 @@ class CompiledFamily(Dynamics):
 
         return rollout(self.family, parameters, initial, applied[:, :, 0], h_s, steps)
 
-    def transition(self, parameters: Array, h_s: float) -> Array:
-        slope = 1e-6  # [rad, m] small against every joint's travel, large against rounding
-        basis = slope * np.eye(2)
-        moved = self.step(basis, np.zeros((2, 1)), parameters, h_s)
-        return (moved / slope).T
+    def drive(self, parameters: Sequence[float], joint: int, q: Array, applied: Array) -> Array:
+        zero = np.zeros(len(q))
+        driven, passive = (self.family.acceleration(zero, zero, u, *parameters) for u in (applied, zero))
+        return np.asarray(driven - passive)
+
+    def slippery(self, parameters: Array) -> Array:
+        return parameters
+
+    def inertia(self, parameters: Array, q: Array) -> Array:
+        return np.ones((len(q), 1, 1))
+
+    @cached_property
+    def form(self) -> Form:  # type: ignore[override]
+        number = list(families()).index(self.family.name)
+        return Form(Block.of_family(), number, np.zeros((1, TREE)), np.ones(1))
+
+
+@dataclass(frozen=True)
+class CompiledTree(Dynamics):
+    """A robot of rigid links; v' = v + h (M + h D)^-1 (forces - bias), then q' = q + h v', as MuJoCo's implicit integrator does.
+
+    Dry friction of the joints is a projection of the velocity, not a soft constraint.
+    """
+
+    tree: Tree
+
+    @property
+    def joints(self) -> int:  # type: ignore[override]
+        return len(self.tree.joints)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        return self.tree.parameter_names
+
+    @cached_property
+    def form(self) -> Form:  # type: ignore[override]
+        masses = mass_matrix(self.tree, self.tree.constants[None, :, ZERO])[0]
+        return Form(Block(len(self.tree.parameters), self.joints), -1, self.tree.constants, np.diag(masses).copy())
+
+    def drive(self, parameters: Sequence[float], joint: int, q: Array, applied: Array) -> Array:
+        first = LINK * self.joints + JOINT * joint
+        force = parameters[first + GAIN] * applied - parameters[first + SERVO] * q + self.tree.constants[joint, OFFSET]
+        return np.asarray(force / self.form.sizes[joint])
+
+    def slippery(self, parameters: Array) -> Array:
+        smooth = np.array(parameters, float)
+        smooth[LINK * self.joints + FRICTION :: JOINT] = 0.0
+        return smooth
+
+    def inertia(self, parameters: Array, q: Array) -> Array:
+        moved = replace(self.tree, parameters=tuple(float(x) for x in parameters))
+        return np.asarray(mass_matrix(moved, q) / self.form.sizes[None, :, None])
+
+    def step(self, state: Array, applied: Array, parameters: Array, h_s: Array | float) -> Array:
+        """The same in numpy: the compiled rollout's reference."""
+        joints, tree = self.joints, self.tree
+        given = np.broadcast_to(parameters.T, (len(state), len(parameters)))
+        q, v = state[:, :joints], state[:, joints:]
+        h = np.broadcast_to(h_s, len(state))[:, None]
+        inertial, at_joint = given[:, : LINK * joints], given[:, LINK * joints :].reshape(-1, joints, JOINT)
+        columns = np.stack([regressors(tree, q, 0.0 * v, 0.0 * v + axis, gravity=False) for axis in np.eye(joints)], axis=2)
+        mass = np.einsum("njkp,np->njk", columns, inertial)
+        bias = np.einsum("njp,np->nj", regressors(tree, q, v, 0.0 * v), inertial)
+        armature, damping, gain, servo, stiffness, friction = np.moveaxis(at_joint, 2, 0)
+        mass[:, range(joints), range(joints)] += armature + h * damping
+        limit = tree.constants[:, LIMIT]
+        driven = np.clip(gain * applied - servo * q + tree.constants[:, OFFSET], -limit, limit)
+        force = driven - stiffness * (q - tree.constants[:, REST]) - damping * v - bias
+        moves = np.linalg.inv(mass)
+        after = _rubbed(moves, h * friction, v + h * np.einsum("njk,nk->nj", moves, force))
+        return np.concatenate([q + h * after, after], axis=1)
+
+    def rollout(self, parameters: Array, initial: Array, applied: Array, h_s: Array, steps: NDArray[np.int64]) -> Array:
+        from trueup.model.composition import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
+
+        windows, samples, joints = applied.shape
+        runs = steps.reshape(-1)
+        t = np.concatenate([[0.0], np.cumsum((runs * h_s.reshape(-1))[:-1])])
+        t.flags.writeable = False  # as an episode's: the kernel is compiled for one kind of array
+        resets = np.full(windows * samples, -1)
+        resets[::samples] = np.arange(windows)
+        issued = np.ascontiguousarray(applied.reshape(-1, joints))
+        off, observed = np.zeros((len(effects()), joints), np.uint8), np.zeros((len(t), 2 * joints))
+        found = np.empty((len(parameters), windows, samples, 2 * joints))
+        for first in range(0, len(parameters), BLOCK):
+            some = parameters[first : first + BLOCK]
+            p = np.repeat(self.form.block.nulls[:, None], BLOCK, axis=1)
+            p[: some.shape[1]] = some[0][:, None]
+            p[: some.shape[1], : len(some)] = some.T
+            out = np.empty((len(t), 2 * joints, BLOCK))
+            kernel()(
+                p, off, self.form.block.nominal, -1, self.form.tree, self.form.sizes, 0.0, np.ones(joints), 0.0, t,
+                np.ascontiguousarray(h_s.reshape(-1)), np.ascontiguousarray(runs), issued, np.zeros_like(issued), resets,
+                np.repeat(initial[:, :, None], BLOCK, axis=2), False, np.zeros((1, joints, 4, 2)), observed, out,
+            )  # fmt: skip
+            found[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(-1, windows, samples, 2 * joints)
+        return found
+
+
+def _rubbed(moves: Array, held: Array, v: Array) -> Array:
+    """Velocities `(n, joints)` after dry friction whose impulses are no larger than `held`, each of which only ever stops its joint."""
+    v, impulse = v.copy(), np.zeros_like(v)
+    rubs = np.flatnonzero((held > 0.0).any(axis=0))
+    for _ in range(SWEEPS if len(rubs) > 1 else 1):
+        for j in rubs:
+            wanted = np.clip(impulse[:, j] - v[:, j] / moves[:, j, j], -held[:, j], held[:, j])
+            v += moves[:, :, j] * (wanted - impulse[:, j])[:, None]
+            impulse[:, j] = wanted
+    return v
+
+
+def mass_matrix(tree: Tree, q: Array) -> Array:
+    """Mass matrices at positions `(n, joints)`, armatures included, `(n, joints, joints)`."""
+    return np.stack([inverse_dynamics(tree, q, np.zeros_like(q), np.zeros_like(q) + axis, gravity=False) for axis in np.eye(q.shape[1])], 2)
+
+
+def inverse_dynamics(tree: Tree, q: Array, v: Array, a: Array, *, gravity: bool = True) -> Array:
+    """Force at each joint `(n, joints)` that links and armatures need for accelerations `a`; no damping, spring or friction."""
+    links, at_joint = np.split(np.array(tree.parameters), [LINK * q.shape[1]])
+    return np.asarray(regressors(tree, q, v, a, gravity=gravity) @ links + a * at_joint[ARMATURE::JOINT])
+
+
+def regressors(tree: Tree, q: Array, v: Array, a: Array, *, gravity: bool = True) -> Array:
+    """The factor of each inertial number in the force at each joint, `(n, joints, 10 joints)`.
+
+    Recursive Newton-Euler on arrays: the compiled rollout's reference. Source: R. Featherstone (2008), table 5.1.
+    """
+    n, joints = q.shape
+    turn, origin = np.empty((joints, n, 3, 3)), np.empty((joints, n, 3))
+    spin, gain, pull = (np.zeros((joints, n, 3)) for _ in range(3))
+    factor = np.zeros((n, joints, LINK * joints))
+    z = np.array([0.0, 0.0, 1.0])
+    for j, c in enumerate(tree.constants):
+        parent, slides, moved = int(c[PARENT]), c[SLIDE] > 0.0, q[:, j] - c[ZERO]
+        angle, along = (np.zeros(n), moved) if slides else (moved, np.zeros(n))
+        base, place = c[FRAME : FRAME + 9].reshape(3, 3).T, c[FRAME + 9 : ZERO]
+        cosine, sine, one, nil = np.cos(angle), np.sin(angle), np.ones(n), np.zeros(n)
+        about = np.stack([np.stack([cosine, -sine, nil], 1), np.stack([sine, cosine, nil], 1), np.stack([nil, nil, one], 1)], 1)
+        turn[j] = base @ about
+        origin[j] = place + along[:, None] * base[:, 2]
+        w, e, g = (
+            (spin[parent], gain[parent], pull[parent]) if parent >= 0 else (nil[:, None] * z, nil[:, None] * z, -c[GRAVITY:] * gravity)
+        )
+        at = g + np.cross(e, origin[j]) + np.cross(w, np.cross(w, origin[j]))
+        w, e, at = (np.einsum("nji,nj->ni", turn[j], np.broadcast_to(x, (n, 3))) for x in (w, e, at))
+        speed, faster = v[:, j, None] * z, a[:, j, None] * z
+        if slides:
+            spin[j], gain[j], pull[j] = w, e, at + 2.0 * np.cross(w, speed) + faster
+        else:
+            spin[j], gain[j], pull[j] = w + speed, e + np.cross(w, speed) + faster, at
+        moment = _wrench(spin[j], gain[j], pull[j])  # (n, 6, 10)
+        to = j
+        while to >= 0:
+            factor[:, to, LINK * j : LINK * (j + 1)] = moment[:, 2 if tree.constants[to, SLIDE] > 0.0 else 5]
+            force, torque = turn[to] @ moment[:, :3], turn[to] @ moment[:, 3:]
+            moment = np.concatenate([force, torque + np.cross(origin[to][:, None], np.swapaxes(force, 1, 2)).swapaxes(1, 2)], axis=1)
+            to = int(tree.constants[to, PARENT])
+    return factor
+
+
+def _wrench(w: Array, e: Array, a: Array) -> Array:
+    """Force and moment on a link by each of its ten inertial numbers, `(n, 6, 10)`."""
+    n = len(w)
+    found = np.zeros((n, 6, LINK))
+    found[:, :3, 0] = a
+    skew = _skew(e) + _skew(w) @ _skew(w)
+    found[:, :3, 1:4] = skew
+    found[:, 3:, 1:4] = -_skew(a)
+    found[:, 3:, 4:] = _dot(e) + _skew(w) @ _dot(w)
+    return found
+
+
+def _skew(x: Array) -> Array:
+    nil = np.zeros(len(x))
+    rows = [[nil, -x[:, 2], x[:, 1]], [x[:, 2], nil, -x[:, 0]], [-x[:, 1], x[:, 0], nil]]
+    return np.stack([np.stack(r, 1) for r in rows], 1)
+
+
+def _dot(x: Array) -> Array:
+    """The matrix that takes second moments (xx, yy, zz, xy, xz, yz) to the inertia times `x`, `(n, 3, 6)`."""
+    nil = np.zeros(len(x))
+    p, q, r = x.T
+    rows = [[p, nil, nil, q, r, nil], [nil, q, nil, p, nil, r], [nil, nil, r, nil, p, q]]
+    return np.stack([np.stack(r, 1) for r in rows], 1)
 
 
 def strictly_stable(dynamics: Dynamics, parameters: Array, h_s: float) -> bool:

@@ -5,7 +5,8 @@ A file in `effects/` holds one; they are found by themselves. What `apply` takes
     signals      `u` command, `q` position, `v` velocity, `t` time since the episode began [s], `h` step [s], `lag_s` transport delay [s],
                  `period` of the samples [s], `since` the last one [s], 0 at the first, `u_scale` the command's declared limit,
                  `implicit` 1 where a step takes its end's values,
-                 `passive` and `drive` the nominal acceleration without and by the command, `spring` the passive one at rest
+                 `passive` and `drive` the nominal acceleration without and by the command, `spring` the passive one at rest,
+                 `mobility` the acceleration that a unit of force brings about: 1 but in a tree, whose inertia changes with its pose
     states       the names in `states`: what the effect remembers of the episode's past
     parameters   the names in `params`
 

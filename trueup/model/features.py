@@ -1,11 +1,13 @@
 """Declared features of a linear map: products of the plant's symbols.
 
 A feature is written as factors with `*` between them: `1`, `q`, `v`, `u`, `q*v`, `q*q`, `sign(v)`, `abs(v)`, `k*q`. The symbols are
-`q`, `v` (joint 0), the issued command `u`, and the plant's parameters by name. Nothing is evaluated: an unknown factor is refused.
+`q`, `v` of the first joint, its issued command `u`, those of further joints and commands with their number, `q1`, `sign(v2)`, and the
+plant's parameters by name. Nothing is evaluated: an unknown factor is refused.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
@@ -19,25 +21,26 @@ POLYNOMIAL = ("q", "v", "u", "q*v", "q*u", "v*u", "q*q", "v*v", "u*u", "1")
 CONDITIONED = (*POLYNOMIAL, "k", "c", "b", "k*q", "c*v", "b*u")
 FRICTION = ("1", "v", "u", "sign(v)", "abs(v)")
 
-_FACTORS: Mapping[str, Callable[[Array, Array], Array]] = {
-    "1": lambda s, u: np.ones(len(s)),
-    "q": lambda s, u: s[:, 0],
-    "v": lambda s, u: s[:, s.shape[1] // 2],
-    "u": lambda s, u: u[:, 0],
-    "sign(v)": lambda s, u: np.sign(s[:, s.shape[1] // 2]),
-    "abs(v)": lambda s, u: np.abs(s[:, s.shape[1] // 2]),
-    "sin(q)": lambda s, u: np.sin(s[:, 0]),
-}
+_FACTOR = re.compile(r"(?:(sign|abs|sin)\(([qvu])(\d{0,3})\)|([qvu])(\d{0,3}))")
+_FUNCTIONS: Mapping[str, Callable[[Array], Array]] = {"sign": np.sign, "abs": np.abs, "sin": np.sin}
+_WORDS = "1, q, v, u, sign(v), abs(v), sin(q) with a joint's number behind the letter where it is not the first"
+
+
+def polynomial(joints: int, commands: int = 1) -> tuple[str, ...]:
+    """Features of a residual where none are asked for: a polynomial of one joint, of several each one's own motion and dry friction."""
+    if joints == 1:
+        return POLYNOMIAL
+    counts = {"q{}": joints, "v{}": joints, "u{}": commands, "sign(v{})": joints, "abs(v{})": joints}
+    return ("1", *(form.format(i or "") for form, count in counts.items() for i in range(count)))
 
 
 def known_features(features: Sequence[str], parameters: Sequence[str] = ("k", "c", "b")) -> None:
     """Raises BadArtifact for a factor that is neither a symbol nor a parameter."""
     for feature in features:
         for factor in feature.split("*"):
-            if factor not in _FACTORS and factor not in parameters:
+            if factor != "1" and not _FACTOR.fullmatch(factor) and factor not in parameters:
                 raise BadArtifact(
-                    f"the feature {feature!r} has an unknown factor {factor!r}",
-                    hint=f"Factors are {', '.join(_FACTORS)} and the plant's parameters.",
+                    f"the feature {feature!r} has an unknown factor {factor!r}", hint=f"Factors are {_WORDS}, and the plant's parameters."
                 )
 
 
@@ -47,6 +50,19 @@ def design(features: Sequence[str], states: Array, issued: Array, parameters: Ma
     for feature in features:
         column = np.ones(len(states))
         for factor in feature.split("*"):
-            column = column * (_FACTORS[factor](states, issued) if factor in _FACTORS else parameters[factor])
+            column = column * _values(factor, states, issued, parameters)
         columns.append(column)
     return np.stack(columns, axis=1)
+
+
+def _values(factor: str, states: Array, issued: Array, parameters: Mapping[str, float | Array]) -> Array | float:
+    """One factor's values. Raises BadArtifact where the plant has no such joint or command."""
+    known = _FACTOR.fullmatch(factor)
+    if not known:
+        return 1.0 if factor == "1" else parameters[factor]
+    function, inner, of, plain, at = known.groups()
+    joints, number = states.shape[1] // 2, int(of or at or 0)
+    table = {"q": states[:, :joints], "v": states[:, joints:], "u": issued}[inner or plain]
+    if number >= table.shape[1]:
+        raise BadArtifact(f"the feature's factor {factor!r} names number {number} of {table.shape[1]}", hint="Numbers count from 0.")
+    return _FUNCTIONS[function](table[:, number]) if function else table[:, number]

@@ -1,4 +1,4 @@
-"""Hypothesis: which effects act, and the sizes against which their parameters are measured."""
+"""Hypothesis: which effects act at which joints, and the sizes against which their parameters are measured."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.model.block import joint, kind
 from trueup.model.effect import Scale, effects
 
 
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """The plant's own sizes, against which parameters are measured."""
+    """A joint's own sizes, against which parameters are measured."""
 
     position: float
     velocity: float
@@ -40,19 +41,22 @@ class Scales:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """Which effects act; with none, the family alone."""
+    """Which terms act, in the order in which they do, the first joint's first; with none, the nominal form alone."""
 
     effects: tuple[str, ...] = ()
 
-    def __or__(self, name: str) -> Hypothesis:
+    def __or__(self, term: str) -> Hypothesis:
         order = list(effects())
-        return Hypothesis(tuple(sorted({*self.effects, name}, key=order.index)))
+        return Hypothesis(tuple(sorted({*self.effects, term}, key=lambda t: (joint(t), order.index(kind(t).name)))))
 
-    def without(self, name: str) -> Hypothesis:
-        """The same without one effect."""
-        return Hypothesis(tuple(e for e in self.effects if e != name))
+    def without(self, term: str) -> Hypothesis:
+        """The same without one term."""
+        return Hypothesis(tuple(e for e in self.effects if e != term))
 
 
-def switches(hypothesis: Hypothesis) -> NDArray[np.uint8]:
-    """Which effects act, in the kernel's order, `(effects,)`."""
-    return np.array([name in hypothesis.effects for name in effects()], np.uint8)
+def switches(hypothesis: Hypothesis, joints: int = 1) -> NDArray[np.uint8]:
+    """Which effects act at which joints, in the kernel's order, `(effects, joints)`."""
+    on, order = np.zeros((len(effects()), joints), np.uint8), list(effects())
+    for term in hypothesis.effects:
+        on[order.index(kind(term).name), joint(term)] = 1
+    return on

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from trueup.canonical import Json, digest_of
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.errors import BadPlant
-from trueup.model.dynamics import CompiledFamily, Dynamics, strictly_stable
+from trueup.model.block import Block
+from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics, Form, mass_matrix, strictly_stable
 from trueup.model.family import families
 from trueup.model.fields import Reader
+from trueup.model.tree import ZERO, Tree
 
 Array = NDArray[np.float64]
 INTEGRATOR = "semi_implicit_euler"
@@ -25,12 +27,12 @@ class Plant:
     """One machine: nominal model, channels, envelope, and how its predictions are evaluated.
 
     `document` is the JSON that it was read from; its digest is the plant's identity. `parameters` are the nominal ones in
-    the order of `dynamics.parameter_names`.
+    the order of `dynamics.parameter_names`; `joints` the names of the joints in the order of a state.
     """
 
     name: str
     dynamics: Dynamics
-    family: str
+    joints: tuple[str | None, ...]
     parameters: tuple[float, ...]
     timestep_s: float
     layout: Layout
@@ -43,19 +45,26 @@ class Plant:
         """Read plant.json. Raises BadPlant with the field that breaks a rule."""
         root = Reader.of(document)
         nominal = root.child("nominal")
-        family, parameters, timestep = _nominal(nominal)
-        dynamics = CompiledFamily(families()[family])
+        timestep = nominal.number("timestep_s", above=0.0)
+        nominal.choice("integrator", [INTEGRATOR], default=INTEGRATOR)
+        dynamics, parameters = _robot(nominal) if "mjcf" in nominal.value else _family(nominal)
         layout = _layout(root)
+        joints = _joints(layout, dynamics)
         envelope = root.child("envelope", optional=True)
         bounds = {name: envelope.interval(name) for name in envelope.value}
         horizon = root.child("evaluation").number("horizon_s", above=timestep)
         root.no_more("name", "nominal", "commands", "observations", "envelope", "evaluation", "topics")
-        return Plant(root.name("name"), dynamics, family, parameters, timestep, layout, bounds, horizon, root.value)
+        return Plant(root.name("name"), dynamics, joints, parameters, timestep, layout, bounds, horizon, root.value)
 
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the canonical document."""
         return digest_of(self.document)
+
+    @property
+    def family(self) -> str:
+        """What the nominal model is made of: a family's name, or mjcf."""
+        return self.dynamics.family.name if isinstance(self.dynamics, CompiledFamily) else "mjcf"
 
     @cached_property
     def nominal(self) -> Mapping[str, float]:
@@ -74,14 +83,47 @@ class Plant:
         return np.array([c.scale for c in self.layout.observations])
 
     @cached_property
+    def form(self) -> Form:
+        """What the compiled rollout reads of the nominal model."""
+        return self.dynamics.form
+
+    @cached_property
+    def block(self) -> Block:
+        """How the parameters of the nominal model and of effects lie."""
+        return self.dynamics.form.block
+
+    @cached_property
     def state_columns(self) -> NDArray[np.int64]:
         """For each observation the column of the state that it shows, `(observations,)`."""
-        joints = list(dict.fromkeys(c.joint for c in self.layout.observations))
-        return np.array([joints.index(c.joint) + (len(joints) if c.field is Field.VELOCITY else 0) for c in self.layout.observations])
+        n = len(self.joints)
+        return np.array([self.joint_of(c) + (n if c.field is Field.VELOCITY else 0) for c in self.layout.observations])
+
+    @cached_property
+    def command_columns(self) -> NDArray[np.int64]:
+        """For each joint its command, -1 where it has none, `(joints,)`."""
+        of = {self.joint_of(c): i for i, c in enumerate(self.layout.commands)}
+        return np.array([of.get(j, -1) for j in range(len(self.joints))])
+
+    @cached_property
+    def command_scales(self) -> Array:
+        """The largest command that each joint is declared to take, `(joints,)`; 1 where it has none."""
+        largest = np.append(np.max(np.abs(self.limits), axis=0), 1.0)
+        return np.asarray(largest[self.command_columns])
+
+    def joint_of(self, channel: Channel) -> int:
+        """Where a channel's joint stands in a state."""
+        return self.joints.index(channel.joint) if channel.joint in self.joints else 0
+
+    def joint_name(self, joint: int) -> str:
+        """What a joint is called in a report."""
+        return self.joints[joint] or "joint"
 
     def applied(self, issued: Array) -> Array:
-        """What is left of issued commands after the declared limits."""
-        return np.clip(issued, *self.limits)
+        """What the joints get of issued commands `(…, commands)` after the declared limits, `(…, joints)`."""
+        limited = np.clip(issued, *self.limits)
+        if len(self.joints) == 1:
+            return limited
+        return np.where(self.command_columns >= 0, limited[..., self.command_columns], 0.0)
 
     def update(
         self, states: Array, issued: Array, parameters: Sequence[float] | Array | None = None, h_s: Array | float | None = None
@@ -99,21 +141,69 @@ class Plant:
         return strictly_stable(self.dynamics, np.asarray(self.parameters if parameters is None else parameters, float), self.timestep_s)
 
 
-def _nominal(nominal: Reader) -> tuple[str, tuple[float, ...], float]:
-    if "mjcf" in nominal.value:
-        raise BadPlant(
-            "robots given as MJCF are not served by this version",
-            field="nominal.mjcf",
-            hint="Describe one joint by a family: " + ", ".join(families()),
-        )
-    family = nominal.choice("family", list(families()))
-    timestep = nominal.number("timestep_s", above=0.0)
-    nominal.choice("integrator", [INTEGRATOR], default=INTEGRATOR)
+def _family(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
+    family = families()[nominal.choice("family", list(families()))]
     given = nominal.child("parameters")
-    names = [p.name for p in families()[family].params]
+    names = [p.name for p in family.params]
     given.no_more(*names)
     nominal.no_more("family", "parameters", "timestep_s", "integrator")
-    return family, tuple(given.number(name) for name in names), timestep
+    return CompiledFamily(family), tuple(given.number(name) for name in names)
+
+
+def _robot(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
+    nominal.text("mjcf")
+    if "tree" not in nominal.value:
+        raise BadPlant(
+            "the model's numbers are missing: an MJCF is read where its files are",
+            field="nominal.tree",
+            hint="Hand in the case folder: `trueup plant register FOLDER` and `trueup diagnose FOLDER` read the model beside plant.json.",
+        )
+    tree = Tree.read(nominal.child("tree"))
+    nominal.text("sha256", "")
+    left_out = nominal.value.get("left_out", [])
+    if not isinstance(left_out, list) or not all(isinstance(x, str) for x in left_out):
+        raise BadPlant("nominal.left_out must be a list of words", field="nominal.left_out")
+    nominal.no_more("mjcf", "timestep_s", "integrator", "tree", "sha256", "left_out")
+    masses = mass_matrix(tree, tree.constants[None, :, ZERO])[0]
+    if not np.isfinite(masses).all() or np.linalg.eigvalsh(masses)[0] <= 0.0:
+        raise BadPlant("the model's masses move no joint: its mass matrix is not positive", field="nominal.tree")
+    return CompiledTree(tree), tree.parameters
+
+
+def _joints(layout: Layout, dynamics: Dynamics) -> tuple[str | None, ...]:
+    """The joints in the order of a state. Raises BadPlant where channels and joints do not fit."""
+    if any(c.field is Field.EFFORT for c in layout.observations):
+        raise BadPlant("an effort is no part of a state; observe positions and velocities", field="observations")
+    shown = {c.joint for c in layout.observations if c.field is Field.POSITION}
+    if not isinstance(dynamics, CompiledTree):
+        if {c.joint for c in layout.observations} != {layout.observations[0].joint} or len(layout.commands) != 1:
+            raise BadPlant(
+                "a family describes one joint with one command",
+                field="observations",
+                hint="Describe a robot of several joints by its MJCF.",
+            )
+        if not shown:
+            raise BadPlant("a plant needs an observed position", field="observations")
+        return (layout.observations[0].joint,)
+    joints: tuple[str | None, ...] = dynamics.tree.joints
+    for field, channels in (("observations", layout.observations), ("commands", layout.commands)):
+        seen: set[tuple[str | None, Field | None]] = set()
+        for c in channels:
+            if c.joint not in joints:
+                raise BadPlant(f"channel {c.name} names no joint of the model, which are {', '.join(map(str, joints))}", field=field)
+            what = (c.joint, c.field if field == "observations" else None)
+            if what in seen:
+                raise BadPlant(f"channel {c.name} is the second one of its kind for joint {c.joint}", field=field)
+            seen.add(what)
+    for c in layout.commands:
+        if not np.ptp(dynamics.drive(dynamics.tree.parameters, joints.index(c.joint), np.zeros(2), np.array([0.0, 1.0]))):
+            raise BadPlant(f"the model has no actuator at joint {c.joint}, which {c.name} commands", field="commands")
+    hidden = [str(j) for j in joints if j not in shown]
+    if hidden:
+        raise BadPlant(
+            f"nobody observes the position of {', '.join(hidden)}", field="observations", hint="Log every joint, or weld it in the model."
+        )
+    return joints
 
 
 def _layout(root: Reader) -> Layout:
@@ -124,12 +214,6 @@ def _layout(root: Reader) -> Layout:
     names = [c.name for c in commands + observations]
     if len(set(names)) < len(names):
         raise BadPlant("two channels have one name", field="observations")
-    if {c.joint for c in observations} != {observations[0].joint} or len(commands) != 1:
-        raise BadPlant(
-            "a family describes one joint with one command", field="observations", hint="Register each joint as a plant of its own."
-        )
-    if Field.POSITION not in {c.field for c in observations}:
-        raise BadPlant("a plant needs an observed position", field="observations")
     topics = root.child("topics", optional=True)
     topics.no_more("observation", "command")
     default = Layout(observations, commands)

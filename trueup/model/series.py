@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from trueup.episode.episode import Episode
 from trueup.model.block import BLOCK
+from trueup.model.dynamics import Form
 from trueup.model.plant import Plant
 from trueup.model.state import known_from, smoothed_states
 from trueup.model.windows import intervals, starts_every
@@ -21,7 +22,6 @@ Array = NDArray[np.float64]
 DISTINCT = 0.9  # of the samples have a value of their own where noise is finer than no lattice
 FINE_S = 0.0125  # there the error of a 1 Hz motion is 3e-4
 AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one after another
-NO_GAIN = np.zeros((1, 4, 2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +42,11 @@ def refined(plant: Plant) -> Scheme:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One episode for the kernel. Arrays over its samples; `observed` `(samples, 2)` are position and velocity, `usable` what counts.
+    """One episode for the kernel. Arrays over its samples; `issued` and its `integral` `(samples, joints)`; `observed` `(samples,
+    2 x joints)` are positions and velocities, `usable` what counts.
 
-    `window_of` is the window to which a sample belongs, `resets` the window that starts at it or -1; `begin` `(windows, 2)` are
-    first guesses of the windows' starting states.
+    `window_of` is the window to which a sample belongs, `resets` the window that starts at it or -1; `begin` `(windows, 2 x joints)`
+    are first guesses of the windows' starting states; `u_scale` `(joints,)` the commands' declared limits.
     """
 
     digest: str
@@ -61,7 +62,7 @@ class Series:
     resets: NDArray[np.int64]
     begin: Array
     period_s: float
-    u_scale: float
+    u_scale: Array
 
 
 def series(plant: Plant, episode: Episode, scheme: Scheme, window_s: float) -> Series:
@@ -77,10 +78,10 @@ def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int6
     """An episode with windows that start at the `first` samples `(windows,)`."""
     t = episode.t_s
     h, steps = intervals(t, plant.timestep_s)
-    observed = position_and_velocity(plant, episode)
+    observed = positions_and_velocities(plant, episode)
     resets = np.full(len(t), -1)
     resets[first] = np.arange(len(first))
-    issued = np.ascontiguousarray(plant.applied(episode.commands)[:, 0])
+    issued = np.ascontiguousarray(plant.applied(episode.commands))
     return Series(
         episode.digest,
         scheme,
@@ -88,31 +89,36 @@ def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int6
         h / scheme.parts,
         steps * scheme.parts,
         issued,
-        np.concatenate([[0.0], np.cumsum(issued[:-1] * np.diff(t))]),
+        integral_of(issued, t),
         np.nan_to_num(observed),
-        np.isfinite(observed) & ~held(observed)[:, None],
+        np.isfinite(observed) & ~held_frames(observed),
         np.cumsum(resets >= 0) - 1,
         resets,
         smoothed_states(plant, episode)[first],
         episode.period_s,
-        float(np.max(np.abs(plant.limits))),
+        plant.command_scales,
     )
 
 
-def position_and_velocity(plant: Plant, episode: Episode) -> Array:
-    """What was observed of them, nan where it was not, `(samples, 2)`."""
-    observed = np.full((len(episode.t_s), 2), np.nan)
+def integral_of(issued: Array, t_s: Array) -> Array:
+    """Integral of a held command up to each sample, `(samples, joints)`."""
+    return np.concatenate([np.zeros_like(issued[:1]), np.cumsum(issued[:-1] * np.diff(t_s)[:, None], axis=0)])
+
+
+def positions_and_velocities(plant: Plant, episode: Episode) -> Array:
+    """What was observed of them, nan where it was not, `(samples, 2 x joints)`."""
+    observed = np.full((len(episode.t_s), 2 * len(plant.joints)), np.nan)
     observed[:, plant.state_columns] = episode.observations
     return observed
 
 
-def unobserved(scheme: Scheme, t_s: Array, command: Array, u_scale: float, period_s: float) -> Series:
-    """A command at `t_s` [s] that nobody recorded an answer to, from rest, in one window."""
+def unobserved(scheme: Scheme, t_s: Array, command: Array, u_scale: Array, period_s: float) -> Series:
+    """A command `(samples, joints)` at `t_s` [s] that nobody recorded an answer to, from rest, in one window."""
     n, t_s = len(t_s), t_s.copy()
     t_s.flags.writeable = False  # as an episode's: the kernel is compiled for one kind of array
     steps, resets = np.full(n, scheme.parts), np.full(n, -1)
     steps[-1], resets[0] = 0, 0
-    zeros = np.zeros((n, 2))
+    zeros = np.zeros((n, 2 * command.shape[1]))
     return Series(
         digest="",
         scheme=scheme,
@@ -120,19 +126,26 @@ def unobserved(scheme: Scheme, t_s: Array, command: Array, u_scale: float, perio
         h_s=np.full(n, period_s / scheme.parts),
         steps=steps,
         issued=np.ascontiguousarray(command),
-        integral=np.concatenate([[0.0], np.cumsum(command[:-1] * np.diff(t_s))]),
+        integral=integral_of(command, t_s),
         observed=zeros,
         usable=zeros == 0.0,
         window_of=np.zeros(n, np.int64),
         resets=resets,
-        begin=np.zeros((1, 2)),
+        begin=np.zeros((1, zeros.shape[1])),
         period_s=period_s,
         u_scale=u_scale,
     )
 
 
+def held_frames(observed: Array) -> NDArray[np.bool_]:
+    """Which of each joint's samples were held, `(samples, 2 x joints)`."""
+    joints = observed.shape[1] // 2
+    return np.tile(np.stack([held(observed[:, [j, joints + j]]) for j in range(joints)], axis=1), 2)
+
+
 def held(observed: Array) -> NDArray[np.bool_]:
-    """Which samples repeat the one before it while the joint moves, `(samples,)`: frames that never arrived.
+    """Which samples repeat the one before it while the joint moves, `(samples,)`, of a joint's position and velocity `(samples, 2)`:
+    frames that never arrived.
 
     A sensor coarser than its noise repeats values by itself, and a joint at rest without noise does; neither is counted.
     """
@@ -148,14 +161,26 @@ def held(observed: Array) -> NDArray[np.bool_]:
     return np.asarray(np.logical_not(fresh) & (np.asarray(np.bincount(runs))[runs] < AT_REST))
 
 
-def roll(s: Series, family: int, p: Array, on: NDArray[np.uint8], init: Array, gain: Array | None = None) -> Array:
-    """Rollout of one block over one series, `(samples, 2, BLOCK)`; with a gain, lanes follow lane 0, which is a filter."""
+def roll(s: Series, form: Form, p: Array, on: NDArray[np.uint8], init: Array, gain: Array | None = None) -> Array:
+    """Rollout of blocks of lanes over one series, `(samples, 2 x joints, lanes)`; with a gain `(beginning, joints, 4, 2)`, lanes follow
+    lane 0, which is a filter.
+
+    p `(rows, lanes)` and init `(windows, 2 x joints, lanes)`, whole blocks of lanes.
+    """
     from trueup.model.composition import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
-    out = np.empty((len(s.t_s), 2, BLOCK))
+    joints, lanes = len(s.u_scale), p.shape[1]
+    out = np.empty((len(s.t_s), 2 * joints, lanes))
     observed = np.where(s.usable, s.observed, np.nan) if gain is not None else s.observed
-    kernel()(
-        p, on, family, s.scheme.alpha, s.u_scale, s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.integral, s.resets,
-        np.ascontiguousarray(init), gain is not None, NO_GAIN if gain is None else gain, observed, out,
-    )  # fmt: skip
+    followed = np.zeros((1, joints, 4, 2)) if gain is None else gain
+    for first in range(0, lanes, BLOCK):
+        some = slice(first, first + BLOCK)
+        part = out if lanes == BLOCK else np.empty((len(s.t_s), 2 * joints, BLOCK))
+        kernel()(
+            np.ascontiguousarray(p[:, some]), on, form.block.nominal, form.family, form.tree, form.sizes, s.scheme.alpha, s.u_scale,
+            s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.integral, s.resets, np.ascontiguousarray(init[:, :, some]), gain is not None,
+            followed, observed, part,
+        )  # fmt: skip
+        if part is not out:
+            out[:, :, some] = part
     return out

@@ -12,8 +12,7 @@ from trueup.diagnose.page import page, sentence
 from trueup.diagnose.search import Search
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
-from trueup.fit.rollout_fit import MOST_FREE, Fitter
-from trueup.model.block import rows_of
+from trueup.fit.rollout_fit import Directions, Fitter
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.known import Known, known
 from trueup.model.series import DECLARED, refined, series
@@ -183,9 +182,9 @@ def test_the_noise_is_told_from_the_signal():
 def test_a_composition_that_fills_every_lane_has_no_bounds_beside_it():
     plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)
     admission = admit(plant, [e for e in episodes if e.role == "adaptation"])
-    fitter = Fitter(plant.family, admission.scales, admission.sigma)
+    fitter = Fitter(plant.form, Directions.of_family(plant.dynamics.parameter_names), admission.scales, admission.sigma)
     full = Hypothesis(("stribeck_friction", "hysteresis", "hard_stop"))
-    assert len(fitter.free(full).rows) > MOST_FREE
+    assert not fitter.has_room(full)
     data = [series(plant, episodes[0], refined(plant), 2.0)]
     parent = fitter.fit(data, Hypothesis(), fitter.begin(plant.parameters), iterations=1)
     screened = fitter.screen(data, replace(parent, hypothesis=full), "cogging")
@@ -235,12 +234,12 @@ def test_either_sign_of_an_effect_is_named(effect, seed):
 def test_a_lag_below_one_sample_is_no_effect():
     plant, episodes, _ = recorded("A0", [], 5)
     admission = admit(plant, episodes)
-    fitter = Fitter(plant.family, admission.scales, admission.sigma)
+    fitter = Fitter(plant.form, Directions.of_family(plant.dynamics.parameter_names), admission.scales, admission.sigma)
     data = [series(plant, e, DECLARED, 2.0) for e in episodes]
     search = Search(fitter, data, data, data)
     values = fitter.begin(plant.parameters)
     for periods, resolved in ((0.5, False), (3.0, True)):
-        values[rows_of("velocity_lag")["time_constant"]] = periods * episodes[0].period_s
+        values[plant.block.rows_of("velocity_lag")["time_constant"]] = periods * episodes[0].period_s
         fit = fitter.fit(data, Hypothesis(("velocity_lag",)), values, iterations=0)
         assert search.keep(fit).resolved is resolved
         assert any(c.hypothesis.effects for c in search) is resolved

@@ -58,7 +58,7 @@ def test_the_same_description_has_the_same_digest_whatever_its_order():
         ("nominal/parameters/k", KeyError, "nominal.parameters.k"),
         ("nominal/parameters/k", float("nan"), "nominal.parameters.k"),
         ("nominal/parameters/mass", 1.0, "nominal.parameters.mass"),
-        ("nominal/mjcf", "arm.xml", "nominal.mjcf"),
+        ("nominal/mjcf", "arm.xml", "nominal.tree"),
         ("commands", [], "commands"),
         ("commands/0/limits", [1.0, -1.0], "commands[0].limits.upper"),
         ("commands/0/limits", [1.0], "commands[0].limits"),

@@ -29,11 +29,12 @@ class ElasticTransmission(Effect):
     starts = tuple((0.05 * 1.4**i, ratio, 0.3) for i in range(12) for ratio in (0.02, 0.1))
 
     @staticmethod
-    def apply(a, passive, drive, h, twist, rate, period, ratio, share):  # type: ignore[no-untyped-def]
+    def apply(a, passive, drive, mobility, h, twist, rate, period, ratio, share):  # type: ignore[no-untyped-def]
         w = 6.283185307179586 / np.maximum(period, 6.0 * h)
         both = share * (1.0 - share)
         force = both * w * (w * twist + 2.0 * ratio * rate)
-        rate = rate + h * ((drive - force) / share - (passive + force) / (1.0 - share))
+        load = (passive + force) / np.maximum(1.0 - share * mobility, 0.05)
+        rate = rate + h * ((drive - force) / share - mobility * load)
         twist = twist + h * rate
         soft = period > 0.0
-        return a + ((passive + force) / (1.0 - share) - (passive + drive)) * soft, twist * soft, rate * soft
+        return a + (load - (passive + drive)) * soft, twist * soft, rate * soft

@@ -1,0 +1,110 @@
+"""Base parameters: the combinations of a robot's numbers that its recorded motion shows.
+
+Where everything weighs more and every actuator is stronger by the same part, nothing moves differently: the mean gain stays as declared.
+A link's mass and moments reach the joints in fewer combinations than there are numbers, and a log shows fewer still. The force that a
+number adds at each joint, sample by sample, is its column; the singular vectors of all columns, each number measured by its own size,
+are the combinations, and those that hardly change any force are left where the nominal model has them.
+Source: M. Gautier, Journal of Robotic Systems 8 (1991), numerical base parameters; W. Khalil, E. Dombre, Modeling, Identification and
+Control of Robots (2002), section 12.5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.episode.episode import Episode
+from trueup.fit.rollout_fit import Directions
+from trueup.model.dynamics import CompiledTree, regressors
+from trueup.model.plant import Plant
+from trueup.model.state import smoothed_states
+from trueup.model.tree import ARMATURE, DAMPING, FRAME, FRICTION, GAIN, JOINT, LINK, REST, SERVO, STIFFNESS, ZERO
+
+Array = NDArray[np.float64]
+SPAN_S = 0.05  # over which an acceleration is a mean: short against the motion, long against the noise of a velocity
+MOST_ROWS = 4000
+FELT = 2e-3  # of the forces: a combination that moves them less by its own size is not shown
+ALONE = 0.999  # of a number lies in the combinations that are shown: it is determined by itself
+
+
+def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
+    """The ways in which a plant's numbers may move: a family's one by one, a tree's as combinations that the episodes show."""
+    if not isinstance(plant.dynamics, CompiledTree):
+        return Directions.of_family(plant.dynamics.parameter_names)
+    columns, force = regression(plant, episodes)
+    size = sizes(plant, force)
+    scale = np.maximum(np.sqrt(np.mean(force**2, axis=0)), 1e-9)
+    design = (columns / scale[None, :, None]).reshape(-1, columns.shape[2]) * size
+    design = design - design @ np.outer(together := _all_gains(plant, size), together)
+    _, singular, ways = np.linalg.svd(design / np.sqrt(len(columns)), full_matrices=False)
+    shown = ways[singular > FELT]
+    determined = (np.einsum("kp,kp->p", shown, shown) > ALONE) & (size > 0.0)
+    names = tuple(f"combination {i + 1}" for i in range(len(shown)))
+    return Directions(names, shown * size, determined, sized=True)
+
+
+def _all_gains(plant: Plant, size: Array) -> Array:
+    """The way in which all actuators grow alike, which with all masses no motion shows, `(parameters,)`, of length 1."""
+    first, joints = LINK * len(plant.joints), len(plant.joints)
+    way = np.zeros(len(size))
+    gains = first + JOINT * np.arange(joints) + GAIN
+    way[gains] = np.where(size[gains] > 0.0, np.sign(np.array(plant.parameters)[gains]), 0.0)
+    return np.asarray(way / max(float(np.linalg.norm(way)), 1e-300))
+
+
+def sizes(plant: Plant, force: Array) -> Array:
+    """By how much each number may be expected to be off, `(parameters,)`; 0 for those that stay as they are."""
+    assert isinstance(plant.dynamics, CompiledTree)
+    tree, joints = plant.dynamics.tree, len(plant.joints)
+    given = np.array(tree.parameters)
+    mass = float(np.mean(given[: LINK * joints].reshape(-1, LINK)[:, 0]))
+    length = float(np.mean(np.linalg.norm(tree.constants[:, FRAME + 9 : ZERO], axis=1))) or 0.1
+    link = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
+    found = np.concatenate([np.tile(link, joints), np.zeros(JOINT * joints)])
+    for j in range(joints):
+        at = given[LINK * joints + JOINT * j :][:JOINT]
+        own = plant.form.sizes[j]
+        to = found[LINK * joints + JOINT * j :]
+        to[ARMATURE] = max(at[ARMATURE], 0.1 * own)
+        to[DAMPING] = max(at[DAMPING], own)  # a joint whose speed would halve in about a second
+        to[GAIN], to[SERVO], to[STIFFNESS], to[FRICTION] = abs(at[GAIN]), abs(at[SERVO]), abs(at[STIFFNESS]), abs(at[FRICTION])
+    return found
+
+
+def regression(plant: Plant, episodes: Sequence[Episode]) -> tuple[Array, Array]:
+    """What each number adds to the force that is missing at each joint, `(rows, joints, parameters)`, and the forces `(rows, joints)`
+    that links and armatures need, at moments of recorded episodes.
+    """
+    assert isinstance(plant.dynamics, CompiledTree)
+    tree, joints = plant.dynamics.tree, len(plant.joints)
+    moments = [_moments(plant, e) for e in episodes]
+    every = -(-sum(len(m[0]) for m in moments) // MOST_ROWS)
+    q, v, a, u = (np.concatenate([m[i] for m in moments])[::every] for i in range(4))
+    inertial = regressors(tree, q, v, a)
+    at_joint = np.zeros((len(q), joints, JOINT * joints))
+    for j in range(joints):
+        columns = at_joint[:, j, JOINT * j : JOINT * (j + 1)]
+        columns[:, ARMATURE], columns[:, DAMPING] = a[:, j], v[:, j]
+        columns[:, GAIN], columns[:, SERVO] = -u[:, j], q[:, j]
+        columns[:, STIFFNESS], columns[:, FRICTION] = q[:, j] - tree.constants[j, REST], np.sign(v[:, j])
+    links, rest = np.split(np.array(tree.parameters), [LINK * joints])
+    needed = inertial @ links + a * rest[ARMATURE::JOINT]
+    return np.concatenate([inertial, at_joint], axis=2), needed
+
+
+def _moments(plant: Plant, episode: Episode) -> tuple[Array, Array, Array, Array]:
+    """Positions, velocities, mean accelerations and mean commands over spans, `(spans, joints)` each."""
+    joints = len(plant.joints)
+    states = smoothed_states(plant, episode)
+    span = max(2, round(SPAN_S / episode.period_s)) if len(episode.t_s) > 2 * round(SPAN_S / episode.period_s) + 2 else 1
+    first, last = np.arange(len(states) - span), np.arange(span, len(states))
+    h = (episode.t_s[last] - episode.t_s[first])[:, None]
+    applied = plant.applied(episode.commands)
+    issued = np.concatenate([np.zeros((1, joints)), np.cumsum(applied[:-1] * np.diff(episode.t_s)[:, None], axis=0)])
+    a = (states[last, joints:] - states[first, joints:]) / h
+    middle = states[first + span // 2]
+    q, v, u = middle[:, :joints], middle[:, joints:], (issued[last] - issued[first]) / h
+    known = np.isfinite(np.concatenate([q, v, a, u], axis=1)).all(axis=1)
+    return q[known], v[known], a[known], u[known]
