@@ -178,11 +178,20 @@ def _steady(a: Array, information: Array, drive: Array) -> Array:
     """
     onward, gathered, p = a.T, information, drive
     for _ in range(DOUBLINGS):
-        shared = np.linalg.inv(np.eye(len(a)) + gathered @ p)
-        later = p + onward.T @ p @ shared @ onward
+        root = _root(p)
+        power, axes = np.linalg.eigh(root.T @ gathered @ root)
+        known = root @ (axes / (1.0 + np.maximum(power, 0.0))) @ axes.T @ root.T  # what is left of p once it was gathered
+        shared = np.eye(len(a)) - gathered @ known
+        later = p + onward.T @ known @ onward
         gathered = gathered + onward @ shared @ gathered @ onward.T
         onward = onward @ shared @ onward
         if np.allclose(later, p, rtol=1e-12, atol=0.0):
             break
         p = later
     return p
+
+
+def _root(p: Array) -> Array:
+    """A matrix whose square is a covariance's, of which rounding may have made a little less than one."""
+    power, axes = np.linalg.eigh((p + p.T) / 2.0)
+    return np.asarray(axes * np.sqrt(np.maximum(power, 0.0)))

@@ -90,12 +90,11 @@ def tree_of(engine: Any, model: Any) -> Tree:
     data = engine.MjData(model)
     data.qpos[:] = model.qpos0
     engine.mj_forward(model, data)
-    link_of = _links(model)
-    axes = np.stack([_axes(data.xaxis[j]) for j in range(model.njnt)])  # columns x, y, z in the world
+    link_of, axes = links(model), joint_axes(data)
     inertial = np.zeros((model.njnt, LINK))
     for body in range(1, model.nbody):
         if link_of[body] >= 0:
-            inertial[link_of[body]] += _seen_from(model, data, body, axes[link_of[body]], data.xanchor[link_of[body]])
+            inertial[link_of[body]] += seen_from(model, data, body, axes[link_of[body]], data.xanchor[link_of[body]])
     weightless = bool(model.opt.disableflags & int(engine.mjtDisableBit.mjDSBL_GRAVITY))
     gravity = np.zeros(3) if weightless else np.array(model.opt.gravity)
     at_joint = np.zeros((model.njnt, JOINT))
@@ -119,13 +118,18 @@ def tree_of(engine: Any, model: Any) -> Tree:
     return Tree(tuple(names), constants, tuple(float(x) for x in [*inertial.ravel(), *at_joint.ravel()]))
 
 
-def _links(model: Any) -> list[int]:
+def links(model: Any) -> list[int]:
     """Of each body the joint that moves it, -1 where none does."""
-    links = [-1] * model.nbody
+    found = [-1] * model.nbody
     for body in range(1, model.nbody):
         count = model.body_jntnum[body]
-        links[body] = model.body_jntadr[body] + count - 1 if count else links[model.body_parentid[body]]
-    return links
+        found[body] = model.body_jntadr[body] + count - 1 if count else found[model.body_parentid[body]]
+    return found
+
+
+def joint_axes(data: Any) -> Array:
+    """Each link's axes in the world as columns, the last along its joint, `(joints, 3, 3)`."""
+    return np.stack([_axes(z) for z in data.xaxis])
 
 
 def _axes(z: Array) -> Array:
@@ -136,7 +140,7 @@ def _axes(z: Array) -> Array:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _seen_from(model: Any, data: Any, body: int, axes: Array, origin: Array) -> Array:
+def seen_from(model: Any, data: Any, body: int, axes: Array, origin: Array) -> Array:
     """A body's ten inertial numbers about an origin and along axes, both in the world."""
     mass = float(model.body_mass[body])
     turn = axes.T @ data.ximat[body].reshape(3, 3)
@@ -194,6 +198,8 @@ def _left_out(model: Any) -> list[str]:
         told.append("gravity compensation")
     if model.opt.density > 0.0 or model.opt.viscosity > 0.0:
         told.append("fluid forces")
+    if np.any(model.jnt_stiffnesspoly) or np.any(model.dof_dampingpoly):
+        told.append("springs and dampers of higher order")
     if model.neq:
         told.append("equality constraints")
     if model.ntendon:
