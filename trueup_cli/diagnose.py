@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 from pathlib import Path
 
+import trueup
 from trueup.artifact.artifact import pack
 from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.page import page, sentence
 from trueup.diagnose.report import COMMAND_FILE
 from trueup.episode.episode import Episode
+from trueup.model.mjcf_writer import write as write_corrected
 from trueup_cli.show import progress
 
 
 def run(case: Path, *, out: Path, seed: int = 0) -> None:
     """Diagnose the gap between a case's nominal model and its recordings.
 
-    Writes report.json, report.html and the corrected model to a folder.
+    Writes report.json, report.html and the corrected model to a folder; of a robot also its MJCF, corrected, and the difference as a patch.
 
     Parameters
     ----------
@@ -31,8 +34,9 @@ def run(case: Path, *, out: Path, seed: int = 0) -> None:
         plant, episodes = read_case(case)
         found = diagnose(plant, episodes, seed, lambda stage, part: bar(part, stage))
     write(found, episodes, out)
+    files = {"report": out / "report.html", "model": out / "model", **write_mjcf(found, case, out)}
     print(sentence(found.document))
-    print(f"report: {out / 'report.html'}   model: {out / 'model'}")
+    print("   ".join(f"{what}: {where}" for what, where in files.items()))
 
 
 def write(found: Diagnosis, episodes: list[Episode], out: Path) -> None:
@@ -53,3 +57,23 @@ def write(found: Diagnosis, episodes: list[Episode], out: Path) -> None:
             writer.writerows([repr(float(t)), *(repr(float(u)) for u in row)] for t, row in rows)
     (out / "report.json").write_text(json.dumps(found.document, indent=1) + "\n")
     (out / "report.html").write_text(page(found))
+
+
+def write_mjcf(found: Diagnosis, case: Path, out: Path) -> dict[str, Path]:
+    """A robot's MJCF with what was found written into it, and the difference as a patch; nothing where the model is no file."""
+    nominal = json.loads((case / "plant.json").read_bytes())["nominal"]
+    if "mjcf" not in nominal or not (case / nominal["mjcf"]).is_file():
+        return {}
+    source, report = case / nominal["mjcf"], (out / "report.json").read_bytes()
+    heading = [
+        f"{source.name} (sha256 {hashlib.sha256(source.read_bytes()).hexdigest()}), corrected by trueup {trueup.__version__}",
+        f"from the diagnosis report.json (sha256 {hashlib.sha256(report).hexdigest()}):",
+        sentence(found.document),
+    ]
+    written = write_corrected(source, found.patch, heading)
+    files = {"MJCF": out / "corrected.xml"}
+    files["MJCF"].write_text(written.text)
+    if written.difference:
+        files["patch"] = out / "corrected.patch"
+        files["patch"].write_text(written.difference)
+    return files

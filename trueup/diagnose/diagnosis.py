@@ -20,6 +20,7 @@ from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
+from trueup.model.mjcf_patch import Patch, patch
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
 
@@ -29,10 +30,14 @@ TWICE = 2  # a twin that turns out better shows its own twin a better place
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """A verdict with everything that it rests on. `document` is the report as JSON; `predictor` the corrected model."""
+    """A verdict with everything that it rests on.
+
+    `document` is the report as JSON; `predictor` the corrected model, `patch` the same as changes to a robot's MJCF.
+    """
 
     document: Mapping[str, Json]
     predictor: Corrected
+    patch: Patch
     plant: Plant
     validation: Sequence[Episode]
     gap: Gap
@@ -68,6 +73,7 @@ def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress:
     progress("what the data speak against", 0.0)
     excluded, unexcited = bounds(search, choice.winner, plant)
     experiment = next_experiment(plant, admission, search, choice)
+    changes = patch(predictor)
     document = report(
         plant=plant,
         admission=admission,
@@ -76,6 +82,7 @@ def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress:
         nominal=nominal,
         gap=gap,
         effects=estimates(best.fit, choice.winner.fit, search.fitter, plant, shares(search, choice, nominal)),
+        patch=changes,
         parameters=parameter_table(plant, search.fitter.directions, best.fit, choice.winner.fit),
         excluded=excluded,
         unexcited=unexcited,
@@ -85,4 +92,4 @@ def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress:
         seed=seed,
     )
     progress("done", 1.0)
-    return Diagnosis(document, predictor, plant, validation, gap, choice, experiment)
+    return Diagnosis(document, predictor, changes, plant, validation, gap, choice, experiment)

@@ -99,6 +99,7 @@ def page(found: Diagnosis) -> str:
         section("Where", _where(d)),
         section("Which", _effects(d) + _hypotheses(d)),
         section("Parameters", _parameters(d)),
+        *([section("The corrected model as MJCF", _mjcf(d["mjcf"]))] if "mjcf" in d else []),
         f"<div class=cols>{section('What the data speak against', _excluded(d))}{section('What they could not show', _unexcited(d))}</div>",
         section("What next", _next(d)),
         section("What this rests on", _evidence(d)),
@@ -142,6 +143,7 @@ def _figures(d: Mapping[str, Any]) -> str:
 
 
 def _traces(found: Diagnosis) -> str:
+    plant = found.plant
     episode = max(found.validation, key=lambda e: float(np.nanstd(e.observations[:, 0])))
     models = [
         ("measured", None, "var(--ink)"),
@@ -152,7 +154,10 @@ def _traces(found: Diagnosis) -> str:
         (name, episode.observations if m is None else _predicted(m, episode, found.plant.horizon_s), colour) for name, m, colour in models
     ]
     drawn = []
-    for column, channel in enumerate(found.plant.layout.observations):
+    told = {e.get("joint") for e in found.document["effects"]} or {found.document["where"].get("regions_of")}  # type: ignore[union-attr]
+    for column, channel in enumerate(plant.layout.observations):
+        if len(plant.joints) > 1 and plant.joint_name(plant.joint_of(channel)) not in told:
+            continue
         lines = [(name, p[:, column], colour) for name, p, colour in paths]
         drawn.append(_plot(episode.t_s, lines, f"{channel.name} [{channel.unit or '1'}]", PLOT))
         missed = [(name, p[:, column] - episode.observations[:, column], colour) for name, p, colour in paths[1:]]
@@ -262,6 +267,29 @@ def _parameters(d: Mapping[str, Any]) -> str:
         for name, p in d["parameters"].items()
     ]
     return "<table><tr><th>parameter<th class=n>nominal<th class=n>fitted<th class=n>95 %</tr>" + "".join(rows) + "</table>"
+
+
+def _mjcf(patch: Mapping[str, Any]) -> str:
+    rows = "".join(
+        f"<tr><td>{escape(c['joint'])}<td>{escape(c['element'])}<td><code>{_broken(c['attribute'], c['corrected'])}</code>"
+        f"<td class=n>{_listed(c['nominal'])}<td class=n>{_listed(c['corrected'])}</tr>"
+        for c in patch["changes"]
+    )
+    head = "<tr><th>joint<th>element<th>attribute<th class=n>nominal<th class=n>corrected</tr>"
+    left = "".join(
+        f"<tr><td>{escape(_named(x).strip() if x['effect'] else 'masses')}<td>{escape(x['instead'])}</tr>" for x in patch["not_expressed"]
+    )
+    beyond = f"<h2 style='margin-top:18px'>What MJCF has no element for</h2><table>{left}</table>" if left else ""
+    return (f"<table>{head}{rows}</table>" if rows else "<p>Nothing changes.</p>") + beyond
+
+
+def _broken(attribute: str, values: Any) -> str:
+    """An attribute's name, or those of a list of values, a line each."""
+    return "<br>".join(map(escape, attribute.split())) if isinstance(values, list) and " " in attribute else escape(attribute)
+
+
+def _listed(x: Any) -> str:
+    return "<br>".join(_short(v) for v in x) if isinstance(x, list) else _short(x)
 
 
 def _excluded(d: Mapping[str, Any]) -> str:

@@ -19,6 +19,7 @@ from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import joint, kind
 from trueup.model.block import term as term_at
 from trueup.model.effect import effects
+from trueup.model.mjcf_patch import Patch
 from trueup.model.plant import Plant
 
 SCHEMA = "trueup.diagnosis/1"
@@ -35,6 +36,7 @@ def report(
     nominal: RolloutFit,
     gap: Gap,
     effects: list[Json],
+    patch: Patch,
     parameters: Mapping[str, Json],
     excluded: Sequence[Bound],
     unexcited: Sequence[Bound],
@@ -60,6 +62,7 @@ def report(
         "excluded": [b.document() for b in excluded],
         "not_excited": [b.document() for b in unexcited],
         "parameters": dict(parameters),
+        **({"mjcf": patch.document()} if plant.family == "mjcf" else {}),
         "where": dict(where),
         "gap": gap.document(),
         "next_experiment": experiment.document(COMMAND_FILE, lambda t: told(plant, t)) if experiment else None,

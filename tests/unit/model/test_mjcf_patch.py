@@ -1,0 +1,229 @@
+"""A corrected robot as MJCF: MuJoCo then moves as the corrected model does, and what it cannot express is said."""
+
+import subprocess
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.support.robots import ARM, EVERYTHING, URDF
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
+from trueup.model.block import term
+from trueup.model.corrected import Corrected
+from trueup.model.dynamics import CompiledTree, inverse_dynamics
+from trueup.model.effect import Port, effects
+from trueup.model.feasible import feasible
+from trueup.model.hypothesis import Hypothesis
+from trueup.model.mjcf import compile_file, resolved
+from trueup.model.mjcf_patch import INSTEAD, patch
+from trueup.model.mjcf_writer import tags, write
+from trueup.model.plant import Plant
+from trueup.model.series import Scheme
+from trueup.model.tree import LINK
+from trueup.model.windows import cut
+
+SAMPLES = 250
+EXPRESSED = 0.05  # of what a correction changes: the rest is half a step of a filter
+NATIVE = {
+    "coulomb_friction": {"level": 0.4},
+    "quadratic_drag": {"coefficient": 3.0},
+    "cubic_stiffness": {"coefficient": 8.0},
+    "constant_force": {"level": 2.0},
+    "saturation": {"limit": 1.0},
+    "actuator_lag": {"time_constant": 0.05},
+    "actuator_delay": {"delay": 0.016},
+}
+
+
+def plant_of(folder, text, driven, name="robot.xml", period_s=0.002):
+    (folder / name).write_text(text)
+    joints = compile_file(folder / name).tree.joints
+    fields = (("q", "position", "rad"), ("v", "velocity", "rad/s"))
+    document = {
+        "name": "robot",
+        "nominal": {"mjcf": name, "timestep_s": period_s},
+        "commands": [{"name": f"u_{j}", "joint": j, "unit": "N·m", "limits": [-30.0, 30.0]} for j in driven],
+        "observations": [{"name": f"{s}_{j}", "joint": j, "field": f, "unit": u} for s, f, u in fields for j in joints],
+        "evaluation": {"horizon_s": 0.4},
+    }
+    return Plant.from_document(resolved(document, folder))
+
+
+def corrected(plant, effects_at=(), numbers=None):
+    """A model with effects `(name, joint, numbers)` and other parameters."""
+    values = plant.block.nulls.copy()
+    values[: len(plant.parameters)] = plant.parameters if numbers is None else numbers
+    hypothesis = Hypothesis()
+    for name, joint, given in effects_at:
+        hypothesis = hypothesis | term(name, joint)
+        for key, row in plant.block.rows_of(term(name, joint)).items():
+            values[row] = given.get(key, values[row])
+    return Corrected(plant, hypothesis, tuple(values), Scheme(0.0, 1))
+
+
+def driven_episode(plant):
+    t = np.arange(SAMPLES) * plant.timestep_s
+    n = len(plant.joints)
+    issued = np.stack([2.0 * np.sin(2 * np.pi * (2.0 + i) * t) for i in range(len(plant.layout.commands))], axis=1)
+    seen = np.zeros((SAMPLES, 2 * n))
+    return Episode(t, issued, seen, plant.layout, Role.TEST, {}, 0, "driven")
+
+
+def rolled(model):
+    """Positions by the corrected model."""
+    episode = driven_episode(model.plant)
+    windows = cut(model.plant, episode, np.array([0]))
+    return model.rollout(windows)[0, :, : len(model.plant.joints)]
+
+
+def simulated(folder, text, plant):
+    """Positions by MuJoCo."""
+    spec = mujoco.MjSpec.from_string(text)
+    spec.modelfiledir = str(folder)
+    model = spec.compile()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.timestep = plant.timestep_s
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    order = [model.actuator(i).trnid[0] for i in range(model.nu)]
+    columns = {plant.joints[j]: int(c) for j, c in enumerate(plant.command_columns)}
+    issued, seen = driven_episode(plant).commands, []
+    for i in range(SAMPLES):
+        seen.append(data.qpos.copy())
+        data.ctrl[:] = [issued[i, columns[model.joint(j).name]] for j in order]
+        mujoco.mj_step(model, data)
+    return np.array(seen)
+
+
+def agreed(folder, plant, name, model):
+    """How far MuJoCo's motion under the written file is from the corrected model's, as a part of what the correction changes."""
+    written = write(folder / name, patch(model), ["a heading"])
+    found, wanted, nominal = simulated(folder, written.text, plant), rolled(model), rolled(corrected(plant))
+    return float(np.linalg.norm(found - wanted) / np.linalg.norm(nominal - wanted)), written
+
+
+@pytest.mark.parametrize("effect", sorted(NATIVE))
+def test_mujoco_moves_as_the_corrected_model_does(tmp_path, effect):
+    plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"], period_s=0.002)
+    model = corrected(plant, [(effect, 1, NATIVE[effect])])
+    off, written = agreed(tmp_path, plant, "robot.xml", model)
+    assert off < EXPRESSED
+    assert written.left == ()
+
+
+def test_every_number_of_every_kind_of_joint_goes_into_the_file(tmp_path):
+    """Branches, slides, welded bodies, servos, several joints of one body; masses, armatures, dampings, springs, gains."""
+    plant = plant_of(tmp_path, EVERYTHING, ["a", "b", "c"])
+    rng, joints = np.random.default_rng(3), len(plant.joints)
+    numbers = np.array(plant.parameters)
+    numbers[LINK * joints :] *= rng.uniform(0.8, 1.2, len(numbers) - LINK * joints)
+    for j in range(joints):
+        numbers[LINK * j : LINK * (j + 1)] *= rng.uniform(0.9, 1.1)
+    off, written = agreed(tmp_path, plant, "robot.xml", corrected(plant, numbers=numbers))
+    assert off < 1e-5
+    assert written.left == ()
+
+
+def test_links_that_cannot_exist_become_the_nearest_that_move_alike(tmp_path):
+    plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
+    assert isinstance(plant.dynamics, CompiledTree)
+    numbers = np.array(plant.parameters)
+    numbers[0] = -0.3  # the first link turns about a fixed axis: its mass moves nothing
+    numbers[LINK + 4] = -0.1
+    model = corrected(plant, numbers=numbers)
+    made, off = feasible(type(plant.dynamics.tree)(plant.joints, plant.dynamics.tree.constants, tuple(numbers)))
+    assert off < 1e-6
+    assert made.parameters[0] > 0.0
+    q, v, a = np.random.default_rng(0).normal(size=(3, 20, 2))
+    np.testing.assert_allclose(
+        inverse_dynamics(made, q, v, a), inverse_dynamics(type(made)(made.joints, made.constants, tuple(numbers)), q, v, a), atol=1e-5
+    )
+    written = write(tmp_path / "robot.xml", patch(model), [])
+    mujoco.MjModel.from_xml_string(written.text)
+    assert written.left == ()
+
+
+def test_masses_that_no_bodies_have_are_said(tmp_path):
+    plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
+    numbers = np.array(plant.parameters)
+    numbers[LINK : 2 * LINK] *= -0.5
+    written = write(tmp_path / "robot.xml", patch(corrected(plant, numbers=numbers)), [])
+    mujoco.MjModel.from_xml_string(written.text)
+    assert any("no bodies have the masses" in x.instead for x in written.left)
+
+
+def test_what_mjcf_cannot_express_says_what_to_write_instead(tmp_path):
+    plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
+    for name, effect in effects().items():
+        made = patch(corrected(plant, [(name, 0, {n.name: n.low if n.low > 0 else 0.1 for n in effect.params})]))
+        whole = name in NATIVE or name == "sensor_delay"
+        assert bool(made.left) != whole, name
+        assert all(x.joint == "shoulder" and x.instead == INSTEAD[name] for x in made.left)
+        assert made.changes or made.left
+
+
+def test_an_undriven_joint_has_no_actuator_to_push_with(tmp_path):
+    plant = plant_of(tmp_path, ARM.replace('<motor joint="elbow"/>', ""), ["shoulder"])
+    made = patch(corrected(plant, [("constant_force", 1, {"level": 1.0})]))
+    assert [x.effect for x in made.left] == ["constant_force"]
+    assert made.changes == ()
+
+
+def test_the_difference_is_the_correction_and_nothing_else(tmp_path):
+    text = ARM.replace("<body name", "\n  <!-- kept -->\n  <body name").replace("<actuator>", "\n<actuator>\n")
+    plant = plant_of(tmp_path, text, ["shoulder", "elbow"])
+    written = write(tmp_path / "robot.xml", patch(corrected(plant, [("coulomb_friction", 0, {"level": 0.5})])), ["from here"])
+    lines = [x for x in written.difference.splitlines() if x[0] in "+-" and x[:3] not in ("+++", "---")]
+    assert len(lines) == 2 + 3  # a joint's line before and after; a comment of three
+    assert "kept" in written.text
+    assert tags(written.text)[0].name == "mujoco"
+    (tmp_path / "corrected.patch").write_text(written.difference)
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
+    subprocess.run(["git", "apply", "corrected.patch"], cwd=tmp_path, check=True)
+    assert (tmp_path / "robot.xml").read_text() == written.text
+
+
+def test_a_late_sensor_is_a_sensor_with_a_delay(tmp_path):
+    plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
+    written = write(tmp_path / "robot.xml", patch(corrected(plant, [("sensor_delay", 1, {"delay": 0.012})])), [])
+    model = mujoco.MjModel.from_xml_string(written.text)
+    data = mujoco.MjData(model)
+    data.qvel[:] = 1.0
+    past = []
+    for _ in range(20):
+        mujoco.mj_step(model, data)
+        past.append(data.qpos[1])
+    late = round(0.012 / model.opt.timestep)
+    mujoco.mj_forward(model, data)
+    assert data.sensordata[0] == pytest.approx(past[-1 - late], abs=2e-3)
+
+
+def test_a_stop_is_a_spring_with_room(tmp_path):
+    plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
+    stop = {"limit": 0.4, "stiffness": 900.0, "damping": 0.0, "centre": 0.05, "rebound": 1.0}
+    off, written = agreed(tmp_path, plant, "robot.xml", corrected(plant, [("hard_stop", 0, stop)]))
+    assert off < EXPRESSED
+    assert [x.effect for x in written.left] == ["hard_stop"]
+
+
+@pytest.mark.parametrize("made", ["urdf", "included"])
+def test_a_model_of_several_files_is_written_whole(tmp_path, made):
+    if made == "urdf":
+        name, text, joints = "robot.urdf", URDF, ["first", "second"]
+    else:
+        name, joints = "robot.xml", ["shoulder", "elbow"]
+        (tmp_path / "bodies.xml").write_text(f"<mujoco>{ARM[ARM.index('<worldbody>') : ARM.index('<actuator>')]}</mujoco>")
+        text = f'<mujoco model="arm"><include file="bodies.xml"/>{ARM[ARM.index("<actuator>") :]}'
+    plant = plant_of(tmp_path, text, joints, name=name)
+    written = write(Path(tmp_path / name), patch(corrected(plant, [("coulomb_friction", 0, {"level": 0.5})])), ["from here"])
+    assert written.difference == ""
+    model = mujoco.MjModel.from_xml_string(written.text)
+    assert isinstance(plant.dynamics, CompiledTree)
+    assert model.dof_frictionloss[0] == pytest.approx(0.5 * plant.dynamics.form.sizes[0])
+
+
+def test_ports_that_have_no_element_are_all_described():
+    assert set(INSTEAD) | set(NATIVE) | {"sensor_delay"} == set(effects())
+    assert all(effect.port in Port for effect in effects().values())

@@ -1,0 +1,173 @@
+"""MJCF patch: what of a corrected robot MuJoCo's own elements express, and what they cannot.
+
+It is made of numbers alone, so that a service that has neither MuJoCo nor the file can tell it; `trueup.model.mjcf_writer` writes it into
+the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trueup.canonical import Json
+from trueup.model.block import joint, kind
+from trueup.model.corrected import Corrected
+from trueup.model.dynamics import CompiledTree
+from trueup.model.feasible import feasible
+from trueup.model.tree import AT_JOINT, INERTIAL, JOINT, LINK, OFFSET, REST, Tree
+
+SAME = 1e-9  # of a number's size: not a change
+EXACT = 1e-5  # of the forces: links that move the same way
+ELEMENTS = dict(zip(AT_JOINT, ("joint", "joint", "actuator", "actuator", "joint", "joint"), strict=True))
+PARTLY = ("hard_stop", "stribeck_friction")
+INSTEAD = {
+    "asymmetric_viscous_friction": "subtract difference |v| from qfrc_applied of the joint",
+    "backlash": "give the actuator a joint of its own before the link, with a range as wide as the play",
+    "clock_skew": "stamp the log with the machine's clock; (1 + skew) timestep simulates it as it is",
+    "cogging": "add sine sin(2 pi q / pitch) + cosine cos(2 pi q / pitch) to qfrc_applied of the joint",
+    "command_quantization": "round ctrl to multiples of the step before each step",
+    "constant_force": "add the level to qfrc_applied of the joint",
+    "cubic_stiffness": "subtract coefficient q^3 from qfrc_applied of the joint",
+    "deadband": "set ctrl to sign(u) max(|u| - width, 0) before each step",
+    "dropped_frames": "hold the sensor's last value in what reads it",
+    "elastic_transmission": "give the motor a joint and an inertia of its own, joined to the link's by a tendon with stiffness and damping",
+    "gain_asymmetry": "set ctrl to u + asymmetry |u| before each step",
+    "hard_stop": "the tendon's spring is the stop's; add damping v to qfrc_applied against the motion while it is pressed",
+    "hysteresis": "integrate the hidden state beside mj_step and subtract its force from qfrc_applied of the joint",
+    "load_dependent_friction": "set dof_frictionloss from the transmitted force before each step",
+    "quadratic_gain": "set ctrl to u + (odd u |u| + even u^2) / limit before each step",
+    "rate_limit": "let ctrl change by no more than rate x timestep from step to step",
+    "sensor_bias": "add the bias to the sensor's reading",
+    "sensor_drift": "add rate x time to the sensor's reading",
+    "sensor_quantization": "round the sensor's reading to multiples of the step",
+    "sensor_scale": "multiply the sensor's reading by 1 + error",
+    "stribeck_friction": "frictionloss holds the level; add what comes on top near rest to dof_frictionloss before each step",
+    "thermal_derating": "multiply actuator_gainprm by 1 - loss x heat as the heat builds up",
+    "velocity_lag": "filter the velocity sensor's reading",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One attribute of a joint, its actuator, its link, or its sensor, as numbers in MuJoCo's units."""
+
+    joint: str
+    element: str
+    attribute: str
+    nominal: Json
+    corrected: Json
+
+    def document(self) -> dict[str, Json]:
+        """The same as JSON."""
+        return {
+            "joint": self.joint,
+            "element": self.element,
+            "attribute": self.attribute,
+            "nominal": self.nominal,
+            "corrected": self.corrected,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """What MJCF has no element for: an effect at a joint or "" for a number, and what a person can write instead."""
+
+    effect: str
+    joint: str
+    instead: str
+
+    def document(self) -> dict[str, Json]:
+        """The same as JSON."""
+        return {"effect": self.effect, "joint": self.joint, "instead": self.instead}
+
+
+@dataclass(frozen=True, slots=True)
+class Patch:
+    """Changes to a model's file, and what it cannot express."""
+
+    changes: tuple[Change, ...]
+    left: tuple[Left, ...]
+
+    def document(self) -> dict[str, Json]:
+        """The same as JSON."""
+        return {"changes": [c.document() for c in self.changes], "not_expressed": [x.document() for x in self.left]}
+
+    def of(self, joint: str, element: str) -> dict[str, Json]:
+        """The corrected attributes of one element, by name."""
+        return {c.attribute: c.corrected for c in self.changes if (c.joint, c.element) == (joint, element)}
+
+
+def patch(model: Corrected) -> Patch:
+    """What a corrected robot differs in from its nominal MJCF. Of a plant that is none, nothing."""
+    dynamics = model.plant.dynamics
+    if not isinstance(dynamics, CompiledTree):
+        return Patch((), ())
+    given, count = dynamics.tree, len(dynamics.tree.parameters)
+    links = slice(0, LINK * len(given.joints))
+    fitted = replace(given, parameters=model.values[:count])
+    changes, left = [], []
+    if not np.allclose(fitted.parameters[links], given.parameters[links], rtol=SAME, atol=0.0):
+        fitted, off = feasible(fitted)
+        if off > EXACT:
+            why = f"no bodies have the masses that were fitted; those written are the nearest, their forces off by {100.0 * off:.2g} %"
+            left.append(Left("", "", why))
+    nominal, corrected = _numbers(given), _numbers(fitted)
+    for term in model.hypothesis.effects:
+        effect, at = kind(term).name, given.joints[joint(term)]
+        values = {name: model.values[row] for name, row in model.plant.block.rows_of(term).items()}
+        if not _native(effect, values, float(dynamics.form.sizes[joint(term)]), given, joint(term), corrected):
+            left.append(Left(effect, at, INSTEAD.get(effect, "no element of MJCF does this")))
+    for key, value in corrected.items():
+        before = nominal.get(key)
+        if before is None or not np.allclose(np.array(value), np.array(before), rtol=SAME, atol=1e-12):
+            changes.append(Change(*key, before, value))
+    return Patch(tuple(changes), tuple(left))
+
+
+Numbers = dict[tuple[str, str, str], Json]  # by joint, element, attribute
+
+
+def _numbers(tree: Tree) -> Numbers:
+    """A robot's numbers as MJCF has them."""
+    links = np.array(tree.parameters[: LINK * len(tree.joints)]).reshape(-1, LINK)
+    rows = np.array(tree.parameters[links.size :]).reshape(-1, JOINT)
+    found: Numbers = {}
+    for name, link, row, constants in zip(tree.joints, links, rows, tree.constants, strict=True):
+        found |= {(name, ELEMENTS[n], n): float(x) for n, x in zip(AT_JOINT, row, strict=True)}
+        found[name, "actuator", "offset"] = float(constants[OFFSET])
+        found[name, "link", " ".join(INERTIAL)] = [float(x) for x in link]
+    return found
+
+
+def _native(effect: str, values: Mapping[str, float], size: float, tree: Tree, j: int, into: Numbers) -> bool:
+    """Write what MJCF has of an effect into the numbers; whether that is all of it. `size` is the inertia that forces were divided by."""
+    at = tree.joints[j]
+    driven = bool(into[at, "actuator", "gain"])
+
+    def add(element: str, attribute: str, by: float) -> None:
+        into[at, element, attribute] = float(into[at, element, attribute]) + by  # type: ignore[arg-type]
+
+    if effect in ("coulomb_friction", "stribeck_friction"):
+        add("joint", "frictionloss", size * values["level"])
+    elif effect == "quadratic_drag":
+        into[at, "joint", "damping |v|"] = size * values["coefficient"]
+    elif effect == "cubic_stiffness" and tree.constants[j, REST] == 0.0:
+        into[at, "joint", "stiffness q^2"] = size * values["coefficient"]
+    elif effect == "constant_force" and driven:
+        add("actuator", "offset", size * values["level"])
+    elif effect == "saturation" and driven:
+        into[at, "actuator", "ctrlrange"] = [-values["limit"], values["limit"]]
+    elif effect == "actuator_lag" and driven:
+        into[at, "actuator", "lag"] = values["time_constant"]
+    elif effect == "actuator_delay" and driven:
+        into[at, "actuator", "delay"] = values["delay"]
+    elif effect == "sensor_delay":
+        into[at, "sensor", "delay"] = values["delay"]
+    elif effect == "hard_stop":
+        ends = [values["centre"] - values["limit"], values["centre"] + values["limit"]]
+        into[at, "tendon", "low high stiffness"] = [*ends, size * values["stiffness"]]
+    else:
+        return False
+    return effect not in PARTLY
