@@ -13,7 +13,7 @@ from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
 from trueup.diagnose.search import RESOLUTION, Candidate, Search, has_already
 from trueup.episode.layout import Field
-from trueup.fit.rollout_fit import Directions, Fitter, RolloutFit, in_parallel
+from trueup.fit.rollout_fit import Directions, Fitter, Linear, RolloutFit, in_parallel
 from trueup.model.block import joint, kind
 from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Effect, Number, Scale, effects
@@ -186,14 +186,15 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
     """Of each effect that the winner has not: a bound, or why there is none. Two lists."""
     terms = [t for t in search.terms if not has_already(winner.hypothesis, t)]
-    found = list(in_parallel(lambda term: _bound(search, winner, term, plant), terms))
+    linear = search.fitter.linear(search.adaptation, winner.fit)
+    found = list(in_parallel(lambda term: _bound(search, winner, term, plant, linear), terms))
     return [b for b in found if b.value is not None], [b for b in found if b.value is None]
 
 
-def _bound(search: Search, winner: Candidate, term: str, plant: Plant) -> Bound:
+def _bound(search: Search, winner: Candidate, term: str, plant: Plant, linear: Linear | None) -> Bound:
     effect, fitter, at = kind(term), search.fitter, joint(term)
     name, where = effect.name, plant.joint_name(at) if len(plant.joints) > 1 else None
-    screened = fitter.screen(search.adaptation, winner.fit, term)
+    screened = fitter.screen(search.adaptation, winner.fit, term, linear)
     error = BOUNDING * screened.error * np.sqrt(max(winner.fit.misfit, 1.0))
     number = effect.params[0]
     factor = in_units(number.scale, plant, at)

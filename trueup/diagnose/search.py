@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from trueup.diagnose.twins import twins
-from trueup.fit.rollout_fit import Fitter, RolloutFit, Start, in_parallel
+from trueup.fit.rollout_fit import Fitter, Linear, RolloutFit, Start, in_parallel
 from trueup.model.block import BLOCK, Memory, kind, term
 from trueup.model.block import joint as joint_of
 from trueup.model.effect import Port, effects
@@ -57,6 +58,18 @@ class Candidate:
         return self.check.misfit
 
 
+@dataclass(frozen=True, slots=True)
+class Near:
+    """A parent on short windows: its fit there, the derivatives that its extensions may keep, and the cost that a linear model expects of
+    each start of a term.
+    """
+
+    parent: RolloutFit
+    fit: RolloutFit
+    linear: Linear | None
+    expected: dict[str, np.ndarray]
+
+
 @dataclass
 class Search:
     """Fits of one plant's episodes under one scheme of integration; grows as it is asked."""
@@ -70,6 +83,7 @@ class Search:
     length_s: float = 0.0  # of its windows
     declared: Sequence[float] = ()  # numbers of a robot's nominal form, from which terms begin too
     found: dict[Hypothesis, Candidate] = field(default_factory=dict)
+    _near: dict[Hypothesis, Near] = field(default_factory=dict)
 
     def base(self, parameters: Sequence[float]) -> Candidate:
         """The nominal form with the numbers that fit best."""
@@ -115,10 +129,19 @@ class Search:
         """
         wanted = [(n, parent.hypothesis | n) for n in names if not has_already(parent.hypothesis, n)]
         rest = [n for n, h in wanted if h not in self.found and self.fitter.has_room(h)]
-        near = self.fitter.fit(self.short, parent.hypothesis, parent.fit.values, iterations=2, only_starts=True)
-        expected = list(in_parallel(lambda name: self.fitter.screen(self.short, near, name).cost, rest))
-        order = np.argsort([cost.min() for cost in expected], kind="stable")
-        return [(rest[i], expected[i]) for i in order[: most or None]]
+        near = self._on_short(parent.fit)
+        new = [n for n in rest if n not in near.expected]
+        screened = in_parallel(lambda name: self.fitter.screen(self.short, near.fit, name, near.linear).cost, new)
+        near.expected.update(zip(new, screened, strict=True))
+        order = np.argsort([near.expected[n].min() for n in rest], kind="stable")
+        return [(rest[i], near.expected[rest[i]]) for i in order[: most or None]]
+
+    def _on_short(self, parent: RolloutFit) -> Near:
+        known = self._near.get(parent.hypothesis)
+        if known is None or known.parent is not parent:
+            fit = self.fitter.fit(self.short, parent.hypothesis, parent.values, iterations=2, only_starts=True)
+            known = self._near[parent.hypothesis] = Near(parent, fit, self.fitter.linear(self.short, fit), {})
+        return known
 
     def suspected(self, parent: Candidate, others: int) -> list[str]:
         """Every term at the joint where a linear model expects most of one, and as many of the other joints' as are asked for."""
@@ -132,12 +155,13 @@ class Search:
         `expected` is the cost that a linear model expects of each of the term's starts.
         """
         begins = self._begins(parent, name, expected)
-        resting, hypothesis = self._still(begins[0], [name]), parent.hypothesis | name
+        resting, hypothesis, near = self._still(begins[0], [name]), parent.hypothesis | name, self._on_short(parent).linear
+        fit = partial(self.fitter.fit, self.short, hypothesis, fixed=resting, linear=near)
         if len(self.declared) and not parent.hypothesis.effects:  # what no number of the nominal form explains may have led them astray
             others = [np.concatenate([self.declared, b[len(self.declared) :]]) for b in begins]
-            tried = [self.fitter.fit(self.short, hypothesis, b, iterations=GLANCE, fixed=resting) for b in [*begins, *others]]
+            tried = [fit(b, iterations=GLANCE) for b in [*begins, *others]]
             begins = [f.values for f in sorted(tried, key=lambda f: f.cost)[: len(begins)]]
-        fits = [self.fitter.fit(self.short, hypothesis, b, iterations=RACE, tolerance=1e-2, fixed=resting) for b in begins]
+        fits = [fit(b, iterations=RACE, tolerance=1e-2) for b in begins]
         return sorted(fits, key=lambda f: f.cost)
 
     def settle(self, parent: RolloutFit, name: str, raced: Sequence[RolloutFit]) -> RolloutFit:

@@ -10,29 +10,31 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from trueup.fit.normal_equations import RAN_AWAY, Gram, Kept, kept, renewed, summed
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.compose import cores
 from trueup.model.dynamics import CompiledFamily, Form
 from trueup.model.effect import Scale, effects
 from trueup.model.family import families
 from trueup.model.hypothesis import Hypothesis, Scales, switches
-from trueup.model.rigid_body import invert
 from trueup.model.series import DECLARED, Series, roll, unobserved
 
 Array = NDArray[np.float64]
 STEP = 1e-4  # of a parameter's scale: a finite difference
 CORNER = 3e-3  # the same where the error has corners
-RAN_AWAY = 1e100  # of a sum of squares: no rollout that stays near its log comes there, and its own square is still finite
 UNSEEN = 1e-6  # squared standard errors that an effect makes where the log cannot have shown it
+ROUGH = 5e-3  # a tolerance beyond which old derivatives do to the end
+KEEPS_ITS_WORD = 0.5  # of the expected decrease: a step that brings less wants new derivatives
 NEGLIGIBLE = 0.02  # of a squared standard error: a decrease not worth an iteration
 MEMORY_STEP = 1e-3  # of its scale
+
+Linear = Mapping[str, Kept]  # derivatives that are kept, by episode digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,31 +147,6 @@ class Screening:
     error: Array
 
 
-@njit(cache=True, nogil=True)
-def _gram(out, observed, weight, window_of, inverse, into):  # type: ignore[no-untyped-def]
-    """Sum of outer products of (error, derivatives) over each window; `into` is (windows, used, used)."""
-    used = into.shape[1]
-    row = np.zeros(used)
-    for i in range(len(window_of)):
-        w = window_of[i]
-        if w < 0:
-            continue
-        for c in range(observed.shape[1]):
-            if weight[i, c] == 0.0:
-                continue
-            base = out[i, c, 0]
-            for lane in range(used):
-                row[lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
-            row[0] = (observed[i, c] - base) * weight[i, c]
-            for a in range(used):
-                for b in range(a + 1):
-                    into[w, a, b] += row[a] * row[b]
-    for w in range(len(into)):
-        for a in range(used):
-            for b in range(a):
-                into[w, b, a] = into[w, a, b]
-
-
 def warm(family: str = "oscillator") -> int:
     """Compile what fits and diagnoses need into the cache; the number of effects in the kernel."""
     dynamics = CompiledFamily(families()[family])
@@ -265,68 +242,85 @@ class Fitter:
         only_starts: bool = False,
         hold_starts: bool = False,
         tolerance: float = 1e-4,
+        linear: Linear | None = None,
     ) -> RolloutFit:
         """Levenberg-Marquardt from `values`. With `only_starts`, what the windows start from is estimated alone; with `hold_starts` their
         positions and velocities stay as observed, as a prediction's do.
+
+        Where derivatives take several blocks of lanes, those by the nominal form's directions and by the starts are kept while steps do
+        what they promise; `linear` are some of a fit nearby to begin with.
         """
-        free = self.free(hypothesis, fixed)
-        if only_starts:
-            free = free.none()
-        states = self._memories(hypothesis, len(free.rows))
-        values = free.moved(values, np.zeros(len(free.rows)))
+        task = self._task(data, hypothesis, self.free(hypothesis, fixed), only_starts=only_starts, hold_starts=hold_starts)
+        values = task.free.moved(values, np.zeros(len(task.free.rows)))
         given = starts or {}
         now = {s.digest: given.get(s.digest, Start(s.begin, {})) for s in data}
-        best = self._evaluate(data, hypothesis, values, now, free, states, hold_starts)
+        stale = linear is not None and task.keeps > 0
+        best, linear = self._evaluate(task, values, now, linear if stale else None)
         damping, converged = 1e-3, False
         for _ in range(iterations if np.isfinite(best.cost) else 0):
-            step, moves, expected = best.step(damping, values, free)
+            step, moves, expected = best.step(damping, task.free.at(values), task.free.low, task.free.high)
             if not expected > tolerance * best.cost + NEGLIGIBLE:
+                if stale and tolerance < ROUGH:
+                    best, linear, stale = *self._evaluate(task, values, now), False
+                    continue
                 converged = True
                 break
-            tried = free.moved(values, step)
-            there = {key: _moved(now[key], *move, states) for key, move in moves.items()}
-            found = self._evaluate(data, hypothesis, tried, there, free, states, hold_starts)
-            if found.cost < best.cost:
-                damping = max(damping * (0.2 if best.cost - found.cost > 0.5 * expected else 1.0), 1e-9)
-                values, now, best = tried, there, found
+            tried = task.free.moved(values, step)
+            there = {key: _moved(now[key], *move, task.states) for key, move in moves.items()}
+            found, after = self._evaluate(task, tried, there, linear)
+            gained = best.cost - found.cost
+            if gained > 0.0:
+                good = gained > KEEPS_ITS_WORD * expected
+                damping = max(damping * (0.2 if good else 1.0), 1e-9)
+                values, now, best, linear = tried, there, found, after
+                stale = task.keeps > 0
             else:
-                damping = damping * 10.0
+                good = False
+                damping = damping if stale else damping * 10.0
                 if damping > 1e7:  # noqa: PLR2004  (nothing within a millionth of a step is better)
                     converged = True
                     break
-        n = len(free.rows)
+            if stale and not good:
+                best, linear, stale = *self._evaluate(task, values, now), False
+        n = len(task.free.rows)
         information = best.reduced()[0] if np.isfinite(best.cost) else np.zeros((n, n))
         samples = sum(int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum()) for s in data)
         costs = np.concatenate([g[:, 0, 0] for g in best.parts.values()])
-        return RolloutFit(hypothesis, values, free, now, best.cost, costs, samples, information, converged)
+        return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, samples, information, converged)
 
-    def screen(self, data: Sequence[Series], parent: RolloutFit, effect: str) -> Screening:
+    def linear(self, data: Sequence[Series], fit: RolloutFit) -> Linear | None:
+        """The derivatives of a fit that fits nearby may keep, by episode digest; none where they take one block anyway."""
+        task = self._task(data, fit.hypothesis, self.free(fit.hypothesis))
+        return self._evaluate(task, fit.values, fit.starts)[1] if task.keeps else None
+
+    def screen(self, data: Sequence[Series], parent: RolloutFit, effect: str, linear: Linear | None = None) -> Screening:
         """What a linear model expects of each start of an effect on a parent's rollouts.
 
         What the effect does to them is scaled by one factor, and everything that the parent leaves free adapts to it. One lane for
-        each start. Where the parent's own parameters leave no lane, nothing can be said.
+        each start. Where the parent's own parameters leave no lane, nothing can be said. `linear` are the parent's derivatives.
         """
-        free = self.free(parent.hypothesis)
+        task = self._task(data, parent.hypothesis, self.free(parent.hypothesis))
+        task = replace(task, hypothesis=parent.hypothesis | effect, states=(), keeps=task.keeps if linear else 0)
         starts = kind(effect).starts
-        room = self._room() - len(free.rows)
+        own = len(task.free.rows) - task.keeps
+        room = BLOCK - 1 - own if task.keeps else self._room() - own
         if room <= 0:
             return Screening(np.full(len(starts), parent.cost), np.zeros(len(starts)), np.full(len(starts), np.inf))
-        parts = [self._screened(data, parent, effect, free, starts[i : i + room]) for i in range(0, len(starts), room)]
+        parts = [self._screened(task, parent, effect, starts[i : i + room], linear) for i in range(0, len(starts), room)]
         cost, factor, error = np.concatenate(parts, axis=1)
         return Screening(cost, factor, error)
 
-    def _screened(self, data: Sequence[Series], parent: RolloutFit, effect: str, free: Free, begins: Sequence[Sequence[float]]) -> Array:
-        n, k = len(free.rows), len(begins)
-        p, inverse = self._lanes(parent.values, free, n + k)
+    def _screened(self, task: _Task, parent: RolloutFit, effect: str, begins: Sequence[Sequence[float]], linear: Linear | None) -> Array:
+        n, k = len(task.free.rows), len(begins)
+        lanes = self._lanes(task, parent.values, task.keeps, k)
         off = list(self.block.rows(effect))
-        p[off] = self.block.nulls[off, None]
-        for lane, begin in enumerate(begins, start=n + 1):
-            p[:, lane] = self.with_effect(parent.values, effect, begin)
-            inverse[lane] = 1.0
-        inverse[n + k + 1 : n + k + 1 + 2 * self.joints] = 1.0 / self.start_steps
-        parts = self._grams(data, parent.hypothesis | effect, p, inverse, parent.starts, n + k, {})
+        lanes.p[off] = self.block.nulls[off, None]
+        for lane, begin in enumerate(begins, start=lanes.behind - k + 1):
+            lanes.p[:, lane] = self.with_effect(parent.values, effect, begin)
+            lanes.inverse[lane] = 1.0
+        parts, _ = self._sums(task, lanes, parent.starts, {}, linear if task.keeps else None)
         parts = {key: np.where(np.abs(g) < RAN_AWAY, g, 0.0) for key, g in parts.items()}
-        normal, gradient = _Gram(parts, {key: np.zeros(0) for key in parts}, np.zeros(0), n + k).reduced(1e-9)
+        normal, gradient = Gram(parts, {key: np.zeros(0) for key in parts}, np.zeros(0), n + k).reduced(1e-9)
         found = np.array([[parent.cost] * k, [0.0] * k, [np.inf] * k])
         for i in range(k):
             columns = [*range(n), n + i]
@@ -344,52 +338,63 @@ class Fitter:
             found[:, i] = parent.cost - gained, by[-1] / size[-1], np.sqrt(inverse_part[-1, -1]) / size[-1]
         return found
 
-    def _memories(self, hypothesis: Hypothesis, free: int) -> tuple[tuple[str, str], ...]:
-        """The hidden states whose past is estimated, as far as lanes are left."""
+    def _task(
+        self, data: Sequence[Series], hypothesis: Hypothesis, free: Free, *, only_starts: bool = False, hold_starts: bool = False
+    ) -> _Task:
+        free = free.none() if only_starts else free
         keys = [key for key in self.block.memories if key[0] in hypothesis.effects]
-        return tuple(keys[: max(0, self._room() - free)])
+        states = tuple(keys[: max(0, self._room() - len(free.rows))])  # as far as lanes are left
+        directions = sum(owner == "" for owner, _ in free.names)
+        several = self._lanes_for(len(free.rows) + len(states)) > BLOCK
+        return _Task(data, hypothesis, free, states, hold_starts, directions if several else 0)
 
-    def _evaluate(
-        self, data: Sequence[Series], hypothesis: Hypothesis, values: Array, starts: Mapping[str, Start], free: Free,
-        states: tuple[tuple[str, str], ...], hold_starts: bool,
-    ) -> _Gram:  # fmt: skip
-        n, m = len(free.rows), len(states)
-        p, inverse = self._lanes(values, free, n + m)
-        scales = np.array([self.unit(t, kind(t).memory[kind(t).states.index(state)]) for t, state in states])
-        pasts = {key: (lane, MEMORY_STEP * scale) for lane, (key, scale) in enumerate(zip(states, scales, strict=True), start=n + 1)}
-        inverse[n + m + 1 : n + m + 1 + 2 * self.joints] = 0.0 if hold_starts else 1.0 / self.start_steps
-        parts = self._grams(data, hypothesis, p, inverse, starts, n + m, pasts)
-        began = {s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in states]) for s in data}
-        return _Gram(parts, began, scales, n)
+    def _evaluate(self, task: _Task, values: Array, starts: Mapping[str, Start], old: Linear | None = None) -> tuple[Gram, Linear | None]:
+        """The normal equations at a place, and what may be kept of them; with old derivatives, those are kept."""
+        n, m = len(task.free.rows), len(task.states)
+        lanes = self._lanes(task, values, task.keeps if old else 0, m)
+        scales = np.array([self.unit(t, kind(t).memory[kind(t).states.index(state)]) for t, state in task.states])
+        first = lanes.behind - m + 1
+        pasts = {key: (lane, MEMORY_STEP * scale) for lane, (key, scale) in enumerate(zip(task.states, scales, strict=True), start=first)}
+        parts, linear = self._sums(task, lanes, starts, pasts, old)
+        began = {s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in task.states]) for s in task.data}
+        return Gram(parts, began, scales, n), linear
 
-    def _lanes(self, values: Array, free: Free, numbers: int) -> tuple[Array, Array]:
-        """Lanes with one for each free number, and the inverse of each lane's step."""
-        lanes = self._lanes_for(numbers)
-        p = np.repeat(values[:, None], lanes, axis=1)
-        inverse = np.zeros(lanes)
-        for lane, row in enumerate(free.rows, start=1):
-            size = free.step[lane - 1]
+    def _lanes(self, task: _Task, values: Array, kept: int, more: int) -> _Lanes:
+        """One lane for each free number but the first that are kept, and `more`; without any kept those of the start too."""
+        numbers = range(kept, len(task.free.rows))
+        behind = len(numbers) + more
+        count = -(-(1 + behind) // BLOCK) * BLOCK if kept else self._lanes_for(behind)
+        p = np.repeat(values[:, None], count, axis=1)
+        inverse = np.zeros(count)
+        for lane, which in enumerate(numbers, start=1):
+            row, size = task.free.rows[which], task.free.step[which]
             if 0 <= row < self.block.nominal:
                 size *= max(1.0, abs(values[row]))
             elif row >= 0:
-                size = -size if values[row] + size > free.high[lane - 1] else size
-            free.nudge(p[:, lane], lane - 1, size)
+                size = -size if values[row] + size > task.free.high[which] else size
+            task.free.nudge(p[:, lane], which, size)
             inverse[lane] = 1.0 / size
-        return p, inverse
+        if not (kept or task.hold_starts):
+            inverse[behind + 1 : behind + 1 + 2 * self.joints] = 1.0 / self.start_steps
+        return _Lanes(p, inverse, behind)
 
-    def _grams(
-        self, data: Sequence[Series], hypothesis: Hypothesis, p: Array, inverse: Array, starts: Mapping[str, Start], before: int,
+    def _sums(
+        self,
+        task: _Task,
+        lanes: _Lanes,
+        starts: Mapping[str, Start],
         pasts: Mapping[tuple[str, str], tuple[int, float]],
-    ) -> dict[str, Array]:  # fmt: skip
-        """Outer products by episode; the lanes behind `before` ones hold the derivatives by the start.
+        old: Linear | None,
+    ) -> tuple[dict[str, Array], Linear | None]:
+        """Sums of outer products by episode, and what may be kept of them.
 
         `pasts` are the lanes and steps of hidden states' derivatives: inwards, for beyond its end a play has none.
         """
-        on, inverse = switches(hypothesis, self.joints), inverse.copy()
-        parts = {}
-        for s in data:
-            start = starts[s.digest]
-            block = p.copy()
+        on, inverse = switches(task.hypothesis, self.joints), lanes.inverse.copy()
+        parts, linear = {}, dict(old or {})
+        for s in task.data:
+            start, weight = starts[s.digest], s.usable / self.sigma
+            block = lanes.p.copy()
             for key, value in start.memory.items():
                 block[self.block.memories[key]] += value
             for key, (lane, size) in pasts.items():
@@ -397,131 +402,47 @@ class Fitter:
                 block[self.block.memories[key], lane] += inwards
                 inverse[lane] = 1.0 / inwards
             init = np.repeat(start.windows[:, :, None], block.shape[1], axis=2)
+            if old is not None:
+                out = roll(s, self.form, block, on, init)
+                parts[s.digest] = renewed(out, s.observed, weight, s.window_of, inverse, lanes.behind, old[s.digest])
+                continue
             for state, size in enumerate(self.start_steps):
-                init[:, state, before + 1 + state] += size
+                init[:, state, lanes.behind + 1 + state] += size
             out = roll(s, self.form, block, on, init)
-            used = before + 1 + len(self.start_steps)
-            parts[s.digest] = np.zeros((len(init), used, used))
-            _gram(out, s.observed, s.usable / self.sigma, s.window_of, inverse, parts[s.digest])
-        return parts
+            parts[s.digest] = summed(out, s.observed, weight, s.window_of, inverse, lanes.behind + 1 + len(self.start_steps), len(init))
+            if task.keeps:
+                linear[s.digest] = kept(out, weight, inverse, parts[s.digest], task.keeps, lanes.behind + 1)
+        return parts, linear or None
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """What is fitted to what. `states` are the hidden ones whose past is estimated; of so many of the first free numbers the derivatives
+    may be kept.
+    """
+
+    data: Sequence[Series]
+    hypothesis: Hypothesis
+    free: Free
+    states: tuple[tuple[str, str], ...]
+    hold_starts: bool
+    keeps: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Lanes:
+    """Parameter vectors of lanes `(rows, lanes)`, the inverse of each one's step, how many follow the first before those of the start."""
+
+    p: Array
+    inverse: Array
+    behind: int
 
 
 def _moved(start: Start, windows: Array, memory: Array, states: tuple[tuple[str, str], ...]) -> Start:
-    kept = dict(start.memory)
+    past = dict(start.memory)
     for key, by in zip(states, memory, strict=True):
-        kept[key] = kept.get(key, 0.0) + float(by)
-    return Start(start.windows + windows, kept)
-
-
-@dataclass(frozen=True, slots=True)
-class _Gram:
-    """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows, used, used)`.
-
-    Starts are eliminated window by window, then what hidden states began with episode by episode; those have a prior of one scale.
-    """
-
-    parts: Mapping[str, Array]
-    began: Mapping[str, Array]
-    scales: Array
-    free: int
-
-    @property
-    def cost(self) -> float:
-        if not all(np.abs(g).max(initial=0.0) < RAN_AWAY for g in self.parts.values()):
-            return np.inf  # it ran away, or would a little further on
-        prior = sum(float(np.sum((b / self.scales) ** 2)) for b in self.began.values())
-        return sum(float(g[:, 0, 0].sum()) for g in self.parts.values()) + prior
-
-    def _condensed(self, damping: float) -> _Condensed:
-        """Starts eliminated window by window: matrices over (error, parameters, memories) by episode, with the memories' prior."""
-        n, m = self.free, len(self.scales)
-        sizes = [len(g) for g in self.parts.values()]
-        stacked = np.concatenate(list(self.parts.values()))
-        episode = np.repeat(np.arange(len(sizes)), sizes)
-        own = stacked.shape[1] - (n + m + 1)
-        inverse, cross = np.empty((len(stacked), own, own)), np.empty((len(stacked), own, n + m + 1))
-        total = np.zeros((len(sizes), n + m + 1, n + m + 1))
-        _eliminate(stacked, episode, n + m + 1, damping, inverse, cross, total)
-        if m:
-            weight = self.scales**-2
-            at = np.arange(n + 1, n + m + 1)
-            felt = total[:, at, at] > weight  # a past that the episode does not show, as beyond a play's end, stays where it is
-            total[:, at, at] = (total[:, at, at] + weight) * (1.0 + damping)
-            pull = np.where(felt, weight * np.array(list(self.began.values())), 0.0)
-            total[:, 0, at] -= pull
-            total[:, at, 0] -= pull
-        solve = np.linalg.inv(total[:, n + 1 :, n + 1 :])
-        reduced = (total[:, : n + 1, : n + 1] - total[:, : n + 1, n + 1 :] @ solve @ total[:, n + 1 :, : n + 1]).sum(axis=0)
-        return _Condensed(episode, inverse, cross, total, np.asarray(solve, float), reduced)
-
-    def reduced(self, damping: float = 0.0) -> tuple[Array, Array]:
-        """Normal matrix and gradient of the parameters once starts and memories are eliminated."""
-        total = self._condensed(damping).reduced
-        return total[1:, 1:], total[0, 1:]
-
-    def step(self, damping: float, values: Array, free: Free) -> tuple[Array, dict[str, tuple[Array, Array]], float]:
-        """Steps of the parameters and of each episode's starts and memories, and the decrease that the linear model expects."""
-        c, n = self._condensed(damping), self.free
-        normal, gradient = c.reduced[1:, 1:], c.reduced[0, 1:]
-        at = free.at(values)
-        moving = ~(((at <= free.low) & (gradient < 0.0)) | ((at >= free.high) & (gradient > 0.0)))
-        step = np.zeros(n)
-        if moving.any():
-            part = normal[np.ix_(moving, moving)]
-            size = np.sqrt(np.maximum(np.diag(part), 1e-300))
-            scaled = part / size[:, None] / size + (damping + 1e-12) * np.eye(len(size))
-            step[moving] = np.linalg.solve(scaled, gradient[moving] / size) / size
-        memory = np.einsum("eij,ej->ei", c.solve, c.total[:, n + 1 :, 0] - c.total[:, n + 1 :, 1 : n + 1] @ step)
-        others = np.concatenate([np.repeat(step[None], len(memory), axis=0), memory], axis=1)[c.episode]
-        windows = np.einsum("wij,wj->wi", c.inverse, c.cross[:, :, 0] - np.einsum("wij,wj->wi", c.cross[:, :, 1:], others))
-        expected = float(step @ gradient)
-        expected += float(np.einsum("ei,eij,ej->", c.total[:, n + 1 :, 0], c.solve, c.total[:, n + 1 :, 0]))
-        expected += float(np.einsum("wi,wij,wj->", c.cross[:, :, 0], c.inverse, c.cross[:, :, 0]))
-        moves = {key: (windows[c.episode == e], memory[e]) for e, key in enumerate(self.parts)}
-        return step, moves, expected
-
-
-@dataclass(frozen=True, slots=True)
-class _Condensed:
-    """Products of an elimination: `inverse` and `cross` of starts by window, `total` and `solve` of memories by episode."""
-
-    episode: NDArray[np.int64]
-    inverse: Array
-    cross: Array
-    total: Array
-    solve: Array
-    reduced: Array
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignore[no-untyped-def]
-    """The Schur complement of each window's starting values, summed by episode."""
-    own = g.shape[1] - size
-    part, solved = np.empty((own, own)), np.empty((own, size))
-    for w in range(len(g)):
-        ridge = 0.0
-        for i in range(own):
-            for k in range(own):
-                part[i, k] = g[w, size + i, size + k]
-            part[i, i] *= 1.0 + damping
-            ridge += part[i, i]
-        for i in range(own):
-            part[i, i] += 1e-9 * max(ridge, 1e-3)
-        invert(part, inverse[w])
-        for i in range(own):
-            for k in range(size):
-                cross[w, i, k] = g[w, size + i, k]
-        for i in range(own):
-            for k in range(size):
-                solved[i, k] = 0.0
-                for l in range(own):  # noqa: E741
-                    solved[i, k] += inverse[w, i, l] * cross[w, l, k]
-        e = episode[w]
-        for i in range(size):
-            for k in range(size):
-                total[e, i, k] += g[w, i, k]
-                for l in range(own):  # noqa: E741
-                    total[e, i, k] -= cross[w, l, i] * solved[l, k]
+        past[key] = past.get(key, 0.0) + float(by)
+    return Start(start.windows + windows, past)
 
 
 def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:

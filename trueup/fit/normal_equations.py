@@ -1,0 +1,222 @@
+"""Normal equations of a rollout fit: sums of outer products by window, what windows start from eliminated.
+
+A row of a window's matrix is (error, directions and numbers, memories, start). Derivatives that hardly change from one step to the next,
+by the nominal form's directions and by the starts, may be kept from an earlier rollout, and only the others are rolled out again.
+Source: B. Triggs et al., Bundle Adjustment (1999), 6; C. T. Kelley, Solving Nonlinear Equations with Newton's Method (2003), section 2.4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from trueup.model.rigid_body import invert
+
+Array = NDArray[np.float64]
+RAN_AWAY = 1e100  # of a sum of squares: no rollout that stays near its log comes there, and its own square is still finite
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """Weighted derivatives of one episode's rollout by `first` directions and by the starts, `(samples, 2 x joints, kept)`, and the sums of
+    their outer products by window `(windows, kept, kept)`.
+    """
+
+    rows: Array
+    products: Array
+    first: int
+
+
+def summed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, used: int, windows: int) -> Array:
+    """Sums of outer products of (error, derivatives) by window, `(windows, used, used)`, of a rollout `(samples, 2 x joints, lanes)`.
+
+    Its first lane is unperturbed; `inverse` `(lanes,)` is that of each lane's step, `weight` `(samples, 2 x joints)` that of an error.
+    """
+    into = np.zeros((windows, used, used))
+    _summed(out, observed, weight, window_of, inverse, into)
+    return into
+
+
+def kept(out: Array, weight: Array, inverse: Array, sums: Array, first: int, start: int) -> Kept:
+    """What is kept of a rollout and its sums: derivatives by the `first` numbers and by the start, whose columns begin at `start`."""
+    columns = np.array([*range(1, first + 1), *range(start, sums.shape[1])])
+    with np.errstate(over="ignore", invalid="ignore"):
+        rows = (out[:, :, columns] - out[:, :, :1]) * (inverse[columns] * weight[:, :, None])
+    return Kept(np.where(weight[:, :, None] > 0.0, rows, 0.0), np.ascontiguousarray(sums[:, columns[:, None], columns]), first)
+
+
+def renewed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, fresh: int, old: Kept) -> Array:
+    """The same sums, with what was kept and `fresh` new derivatives: those of the lanes behind the unperturbed one."""
+    windows, size = len(old.products), 1 + fresh + old.products.shape[1]
+    at = np.array([*range(1, old.first + 1), *range(1 + old.first + fresh, size)])
+    into = np.zeros((windows, size, size))
+    into[:, at[:, None], at] = old.products
+    new = np.array([0, *range(1 + old.first, 1 + old.first + fresh)])
+    _renewed(out, observed, weight, window_of, inverse, new, old.rows, old.first, into)
+    into[:, :, new] = into[:, new].transpose(0, 2, 1)
+    return into
+
+
+@dataclass(frozen=True, slots=True)
+class Gram:
+    """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows, used, used)`.
+
+    Starts are eliminated window by window, then what hidden states began with episode by episode; those have a prior of one scale.
+    """
+
+    parts: Mapping[str, Array]
+    began: Mapping[str, Array]
+    scales: Array
+    free: int
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared normalised errors, infinite where a rollout ran away."""
+        if not all(np.abs(g).max(initial=0.0) < RAN_AWAY for g in self.parts.values()):
+            return np.inf  # it ran away, or would a little further on
+        prior = sum(float(np.sum((b / self.scales) ** 2)) for b in self.began.values())
+        return sum(float(g[:, 0, 0].sum()) for g in self.parts.values()) + prior
+
+    def _condensed(self, damping: float) -> _Condensed:
+        """Starts eliminated window by window: matrices over (error, parameters, memories) by episode, with the memories' prior."""
+        n, m = self.free, len(self.scales)
+        sizes = [len(g) for g in self.parts.values()]
+        stacked = np.concatenate(list(self.parts.values()))
+        episode = np.repeat(np.arange(len(sizes)), sizes)
+        own = stacked.shape[1] - (n + m + 1)
+        inverse, cross = np.empty((len(stacked), own, own)), np.empty((len(stacked), own, n + m + 1))
+        total = np.zeros((len(sizes), n + m + 1, n + m + 1))
+        _eliminate(stacked, episode, n + m + 1, damping, inverse, cross, total)
+        if m:
+            weight = self.scales**-2
+            at = np.arange(n + 1, n + m + 1)
+            felt = total[:, at, at] > weight  # a past that the episode does not show, as beyond a play's end, stays where it is
+            total[:, at, at] = (total[:, at, at] + weight) * (1.0 + damping)
+            pull = np.where(felt, weight * np.array(list(self.began.values())), 0.0)
+            total[:, 0, at] -= pull
+            total[:, at, 0] -= pull
+        solve = np.linalg.inv(total[:, n + 1 :, n + 1 :])
+        reduced = (total[:, : n + 1, : n + 1] - total[:, : n + 1, n + 1 :] @ solve @ total[:, n + 1 :, : n + 1]).sum(axis=0)
+        return _Condensed(episode, inverse, cross, total, np.asarray(solve, float), reduced)
+
+    def reduced(self, damping: float = 0.0) -> tuple[Array, Array]:
+        """Normal matrix and gradient of the parameters once starts and memories are eliminated."""
+        total = self._condensed(damping).reduced
+        return total[1:, 1:], total[0, 1:]
+
+    def step(self, damping: float, at: Array, low: Array, high: Array) -> tuple[Array, dict[str, tuple[Array, Array]], float]:
+        """Steps of the parameters, which are `at` places between bounds, and of each episode's starts and memories, and the decrease that
+        the linear model expects.
+        """
+        c, n = self._condensed(damping), self.free
+        normal, gradient = c.reduced[1:, 1:], c.reduced[0, 1:]
+        moving = ~(((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0)))
+        step = np.zeros(n)
+        if moving.any():
+            part = normal[np.ix_(moving, moving)]
+            size = np.sqrt(np.maximum(np.diag(part), 1e-300))
+            scaled = part / size[:, None] / size + (damping + 1e-12) * np.eye(len(size))
+            step[moving] = np.linalg.solve(scaled, gradient[moving] / size) / size
+        memory = np.einsum("eij,ej->ei", c.solve, c.total[:, n + 1 :, 0] - c.total[:, n + 1 :, 1 : n + 1] @ step)
+        others = np.concatenate([np.repeat(step[None], len(memory), axis=0), memory], axis=1)[c.episode]
+        windows = np.einsum("wij,wj->wi", c.inverse, c.cross[:, :, 0] - np.einsum("wij,wj->wi", c.cross[:, :, 1:], others))
+        expected = float(step @ gradient)
+        expected += float(np.einsum("ei,eij,ej->", c.total[:, n + 1 :, 0], c.solve, c.total[:, n + 1 :, 0]))
+        expected += float(np.einsum("wi,wij,wj->", c.cross[:, :, 0], c.inverse, c.cross[:, :, 0]))
+        moves = {key: (windows[c.episode == e], memory[e]) for e, key in enumerate(self.parts)}
+        return step, moves, expected
+
+
+@dataclass(frozen=True, slots=True)
+class _Condensed:
+    """Products of an elimination: `inverse` and `cross` of starts by window, `total` and `solve` of memories by episode."""
+
+    episode: NDArray[np.int64]
+    inverse: Array
+    cross: Array
+    total: Array
+    solve: Array
+    reduced: Array
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignore[no-untyped-def]
+    """The Schur complement of each window's starting values, summed by episode."""
+    own = g.shape[1] - size
+    part, solved = np.empty((own, own)), np.empty((own, size))
+    for w in range(len(g)):
+        ridge = 0.0
+        for i in range(own):
+            for k in range(own):
+                part[i, k] = g[w, size + i, size + k]
+            part[i, i] *= 1.0 + damping
+            ridge += part[i, i]
+        for i in range(own):
+            part[i, i] += 1e-9 * max(ridge, 1e-3)
+        invert(part, inverse[w])
+        for i in range(own):
+            for k in range(size):
+                cross[w, i, k] = g[w, size + i, k]
+        for i in range(own):
+            for k in range(size):
+                solved[i, k] = 0.0
+                for l in range(own):  # noqa: E741
+                    solved[i, k] += inverse[w, i, l] * cross[w, l, k]
+        e = episode[w]
+        for i in range(size):
+            for k in range(size):
+                total[e, i, k] += g[w, i, k]
+                for l in range(own):  # noqa: E741
+                    total[e, i, k] -= cross[w, l, i] * solved[l, k]
+
+
+@njit(cache=True, nogil=True)
+def _summed(out, observed, weight, window_of, inverse, into):  # type: ignore[no-untyped-def]
+    """Sum of outer products of (error, derivatives) over each window; `into` is (windows, used, used)."""
+    used = into.shape[1]
+    row = np.zeros(used)
+    for i in range(len(window_of)):
+        w = window_of[i]
+        if w < 0:
+            continue
+        for c in range(observed.shape[1]):
+            if weight[i, c] == 0.0:
+                continue
+            base = out[i, c, 0]
+            for lane in range(used):
+                row[lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
+            row[0] = (observed[i, c] - base) * weight[i, c]
+            for a in range(used):
+                for b in range(a + 1):
+                    into[w, a, b] += row[a] * row[b]
+    for w in range(len(into)):
+        for a in range(used):
+            for b in range(a):
+                into[w, b, a] = into[w, a, b]
+
+
+@njit(cache=True, nogil=True)
+def _renewed(out, observed, weight, window_of, inverse, new, rows, first, into):  # type: ignore[no-untyped-def]
+    """The rows of the error and of what is new, whose places `new` tells."""
+    fresh = len(new) - 1
+    row = np.zeros(into.shape[1])
+    for i in range(len(window_of)):
+        w = window_of[i]
+        if w < 0:
+            continue
+        for c in range(observed.shape[1]):
+            if weight[i, c] == 0.0:
+                continue
+            base = out[i, c, 0]
+            row[1 : 1 + first] = rows[i, c, :first]
+            row[1 + first + fresh :] = rows[i, c, first:]
+            row[0] = (observed[i, c] - base) * weight[i, c]
+            for lane in range(1, fresh + 1):
+                row[first + lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
+            for a in new:
+                for b in range(len(row)):
+                    into[w, a, b] += row[a] * row[b]
