@@ -1,4 +1,4 @@
-"""Diagnosis of robots that nobody has seen: arms of two and three joints drawn by lot, the truth in MuJoCo at a sixteenth of the control
+"""Diagnosis of robots that nobody has seen: arms of two, three and six joints by lot, the truth in MuJoCo at a sixteenth of the control
 period, one effect at one joint, two at two joints, a payload, or nothing but other numbers.
 
 The laws of the truth are written here and share no line with the catalogue's; what MuJoCo has itself (friction loss) is MuJoCo's.
@@ -30,24 +30,35 @@ EFFECTS = (
     "backlash",
     "actuator_lag", "actuator_delay", "saturation", "rate_limit", "gain_asymmetry", "sensor_bias", "sensor_scale", "sensor_delay",
 )  # fmt: skip
-SINGLES, PAIRS, PAYLOADS = 12, 4, 4
+SINGLES, PAIRS, PAYLOADS, LARGE = 12, 4, 4, 2
+SIX = 6
+AXES = {2: "yy", 3: "zyy", SIX: "zyyxyx"}
+LIMITS = (40.0, 25.0, 12.0, 6.0, 4.0, 2.0)  # [N m]
+STIFF, DAMP = (45.0, 25.0, 10.0, 6.0, 4.0, 2.0), (4.5, 2.5, 1.0, 0.5, 0.3, 0.15)  # of the controller
 SEED = 7
 
 
 class Arm:
     """A machine: a nominal model as MJCF, and what its truth does otherwise."""
 
-    def __init__(self, rng: np.random.Generator, hidden: dict[int, str], payload: bool) -> None:
-        self.n = int(rng.integers(2, 4))
+    def __init__(self, rng: np.random.Generator, hidden: dict[int, str], payload: bool, joints: int = 0) -> None:
+        self.n = joints or int(rng.integers(2, 4))
         self.hidden, self.payload, self.rng = hidden, payload, rng
         lengths, masses = rng.uniform(0.2, 0.4, self.n), np.sort(rng.uniform(0.6, 2.2, self.n))[::-1]
         damping, armature = rng.uniform(0.1, 0.4, self.n), rng.uniform(0.01, 0.04, self.n)
-        first = "0 0 1" if self.n == 3 else "0 1 0"
+        self.size = np.minimum(np.array(LIMITS[: self.n]) / LIMITS[2], 1.0)  # a wrist's forces are small
+        if self.n == SIX:
+            lengths, masses, damping, armature = (
+                lengths * 0.5 ** (np.arange(SIX) / 2),
+                masses * self.size,
+                damping * self.size,
+                armature * self.size,
+            )
         body, ends = "", ""
         for j in range(self.n):
             place = lengths[j - 1] if j else 0.0
             body += (
-                f'<body name="l{j}" pos="{place:g} 0 0"><joint name="j{j}" axis="{first if j == 0 else "0 1 0"}" damping="{damping[j]:g}" '
+                f'<body name="l{j}" pos="{place:g} 0 0"><joint name="j{j}" axis="{_axis(AXES[self.n][j])}" damping="{damping[j]:g}" '
                 f'armature="{armature[j]:g}"/><geom type="capsule" fromto="0 0 0 {lengths[j]:g} 0 0" size="0.03" mass="{masses[j]:g}" '
                 'contype="0" conaffinity="0"/>'
             )
@@ -55,7 +66,7 @@ class Arm:
         motors = "".join(f'<motor joint="j{j}"/>' for j in range(self.n))
         option = f'<option timestep="{PERIOD_S}" integrator="implicitfast"/>'
         self.xml = f'<mujoco model="arm">{option}<worldbody>{body}{ends}</worldbody><actuator>{motors}</actuator></mujoco>'
-        self.limits = np.array([40.0, 25.0, 12.0])[: self.n]
+        self.limits = np.array(LIMITS[: self.n])
         self.tip = lengths[-1]
         self.strength = rng.uniform(0.7, 1.4, self.n)
 
@@ -88,7 +99,7 @@ class Arm:
             spec.joint(f"j{j}").damping = np.asarray(spec.joint(f"j{j}").damping) * self.rng.uniform(0.85, 1.2)
             spec.body(f"l{j}").first_geom().mass *= self.rng.uniform(0.9, 1.1)
             if self.hidden.get(j) == "coulomb_friction":
-                spec.joint(f"j{j}").frictionloss = 0.35 * self.strength[j]
+                spec.joint(f"j{j}").frictionloss = 0.35 * self.strength[j] * self.size[j]
         if self.payload:
             spec.body(f"l{self.n - 1}").add_geom(type=2, size=[0.03, 0, 0], pos=[self.tip, 0, 0], mass=self.rng.uniform(0.3, 0.8))
         return spec.compile()
@@ -107,9 +118,9 @@ class Arm:
             [sum(a * np.sin(2 * np.pi * f * t + p) for a, f, p in rng.uniform((0.1, 0.2, 0.0), (0.5, 1.5, 6.3), (3, 3))) for _ in range(n)]
         )
         drives = [_drive(self.hidden.get(j, ""), self.strength[j], self.limits[j]) for j in range(n)]
-        forces = [_force(self.hidden.get(j, ""), self.strength[j]) for j in range(n)]
+        forces = [_force(self.hidden.get(j, ""), self.strength[j], self.size[j]) for j in range(n)]
         seen, issued, past = np.empty((samples, 2 * n)), np.empty((samples, n)), []
-        stiff, damp = np.array([45.0, 25.0, 10.0])[:n], np.array([4.5, 2.5, 1.0])[:n]
+        stiff, damp = np.array(STIFF[:n]), np.array(DAMP[:n])
         for i in range(samples):
             past.append(np.concatenate([data.qpos, data.qvel]))
             shown = self._shown(past, i)
@@ -134,7 +145,11 @@ class Arm:
         return shown
 
 
-def _force(effect: str, strength: float) -> Callable[[float, float], float]:
+def _axis(letter: str) -> str:
+    return " ".join(str(int(letter == x)) for x in "xyz")
+
+
+def _force(effect: str, strength: float, size: float) -> Callable[[float, float], float]:
     """A force at the joint by its position and velocity."""
     laws: dict[str, Callable[[float, float], float]] = {
         "quadratic_drag": lambda _q, v: -0.25 * strength * v * abs(v),
@@ -144,7 +159,8 @@ def _force(effect: str, strength: float) -> Callable[[float, float], float]:
         "hard_stop": lambda q, v: -(400.0 * (q - 0.45) + 4.0 * v) * (q > 0.45) - (400.0 * (q + 0.45) + 4.0 * v) * (q < -0.45),
         "stribeck_friction": lambda _q, v: -strength * np.tanh(v / 2e-3) * (0.15 + 0.35 * np.exp(-((v / 0.15) ** 2))),
     }
-    return laws.get(effect, lambda _q, _v: 0.0)
+    law = laws.get(effect, lambda _q, _v: 0.0)
+    return lambda q, v: size * law(q, v)
 
 
 def _drive(effect: str, strength: float, limit: float) -> Callable[[float, float], float]:
@@ -182,12 +198,12 @@ def _drive(effect: str, strength: float, limit: float) -> Callable[[float, float
     return laws.get(effect, lambda u, _h: u)
 
 
-def trials(rng: np.random.Generator, singles: int, pairs: int, payloads: int) -> list[Arm]:
-    """Machines by lot."""
+def trials(rng: np.random.Generator, singles: int, pairs: int, payloads: int, large: int = 0) -> list[Arm]:
+    """Machines by lot; the last of six joints."""
     made = []
-    for i in range(singles + pairs + payloads):
-        count = 1 if i < singles else 2 if i < singles + pairs else 0
-        arm = Arm(rng, {}, payload=count == 0)
+    for i in range(singles + pairs + payloads + large):
+        count = 2 if singles <= i < singles + pairs else 0 if singles + pairs <= i < singles + pairs + payloads else 1
+        arm = Arm(rng, {}, payload=count == 0, joints=SIX if i >= singles + pairs + payloads else 0)
         joints = rng.choice(arm.n, count, replace=False)
         arm.hidden = {int(j): str(rng.choice(EFFECTS)) for j in joints}
         made.append(arm)
@@ -196,7 +212,7 @@ def trials(rng: np.random.Generator, singles: int, pairs: int, payloads: int) ->
 
 def main(arguments: list[str] | None = None) -> None:
     """Diagnose every machine and say how often effect and joint were right."""
-    counts = [int(x) for x in arguments or []] or [SINGLES, PAIRS, PAYLOADS]
+    counts = [int(x) for x in arguments or []] or [SINGLES, PAIRS, PAYLOADS, LARGE]
     rng, rows = np.random.default_rng(SEED), []
     for arm in trials(rng, *counts):
         plant = arm.plant()
@@ -208,7 +224,7 @@ def main(arguments: list[str] | None = None) -> None:
         named = {(str(e["effect"]), str(e.get("joint"))) for e in found.document["effects"]}  # type: ignore[union-attr,index,call-overload]
         others = [{(a["effect"], a["joint"]) for a in rival} for rival in found.document["indistinguishable"]]  # type: ignore[union-attr,index,call-overload]
         wanted = {(e, f"j{j}") for j, e in arm.hidden.items()}
-        kind = ("payload", "single", "pair")[len(wanted)]
+        kind = "six joints" if arm.n == SIX else ("payload", "single", "pair")[len(wanted)]
         right = named == wanted and (kind != "payload" or found.document["verdict"] == "parameters_only")
         rows.append((kind, right, right or wanted in others, {j for _, j in named} == {j for _, j in wanted}, closed or 0.0, seconds))
         said = " + ".join(f"{e} at {j}" for e, j in sorted(named)) or str(found.document["verdict"])
@@ -217,7 +233,7 @@ def main(arguments: list[str] | None = None) -> None:
             f"{'' if right else 'MISS '}{arm.n} joints, {truth}: {said}; {len(others)} more, closed {closed}, {seconds:.0f} s",
             file=sys.stderr,
         )
-    for kind in ("single", "pair", "payload"):
+    for kind in ("single", "pair", "payload", "six joints"):
         of = [r for r in rows if r[0] == kind]
         if of:
             named, in_set, joint = (f"{sum(r[i] for r in of)}/{len(of)}" for i in (1, 2, 3))

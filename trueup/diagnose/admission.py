@@ -101,7 +101,8 @@ def _sizes(plant: Plant, joint: int, states: Array, issued: Array) -> Scales:
             hint="Record episodes with a command that moves the joint.",
             joint=plant.joint_name(joint),
         )
-    return Scales(position, velocity, force, float(np.abs(issued[:, joint]).max()) or 1.0)
+    error = float(np.abs(issued[known, joint] - plant.dynamics.neutral(plant.parameters, joint, q[known])).max())
+    return Scales(position, velocity, force, float(np.abs(issued[:, joint]).max()) or 1.0, error)
 
 
 def _noise(tracks: Sequence[tuple[Array, NDArray[np.bool_]]]) -> float:

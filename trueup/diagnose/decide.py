@@ -19,7 +19,7 @@ import numpy as np
 
 from trueup.diagnose.search import Candidate
 from trueup.diagnose.twins import are_twins
-from trueup.episode.episode import Episode
+from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
 
@@ -64,7 +64,7 @@ PHYSICAL = Yardstick(0.01, 0.01, 2e-3, 0.15, 0.6, 2, 0.25, 0.0)  # no textbook l
 def yardstick(episodes: Sequence[Episode]) -> Yardstick:
     """By the stage that the episodes declare: a machine is measured by another yardstick than a simulator, and a robot by another than a
     joint."""
-    if any(e.conditions.get("stage") in ("physical", "HIL") for e in episodes):
+    if is_physical(episodes):
         return PHYSICAL
     return ROBOT if any(len({c.joint for c in e.layout.observations}) > 1 for e in episodes) else SIMULATED
 

@@ -69,6 +69,7 @@ def unit(scale: Scale, plant: Plant, joint: int = 0) -> str:
         Scale.VELOCITY: f"{q}/s",
         Scale.POSITION: q,
         Scale.COMMAND: u,
+        Scale.DRIVE: u,
         Scale.RATE: f"{u}/s",
         Scale.TIME: "s",
         Scale.ONE: "1",
@@ -155,7 +156,7 @@ def parameter_table(plant: Plant, directions: Directions, fit: RolloutFit, coars
     """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine one by one."""
     widths = half_widths(fit, coarse)
     wide = np.array([widths["", name] for name in directions.names])
-    if not directions.sized:
+    if not directions.combined:
         width, named = wide, np.ones(len(wide), np.bool_)
     else:
         count = len(directions.names)

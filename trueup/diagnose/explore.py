@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +14,7 @@ from trueup.diagnose.periodicity import pitches
 from trueup.diagnose.search import Candidate, Search, searchable
 from trueup.episode.episode import Episode
 from trueup.fit.base_parameters import directions
+from trueup.fit.identify import identify
 from trueup.fit.rollout_fit import Fitter, Start, in_parallel
 from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
@@ -22,23 +23,47 @@ from trueup.model.series import DECLARED, Scheme, Series, refined, series
 from trueup.model.state import smoothed_states
 
 Progress = Callable[[str, float], None]
-PARENTS = 4  # of the best compositions grow by one more effect
-REFINED = 5  # of the best are fitted until nothing moves
 WINDOW_S = 2.0
 SHORT_S = 0.5  # windows for beginnings
-GROWN = 9  # effects that each of them is tried with, of those that a linear model expects most of
-SETTLED = 5  # terms of a robot of several joints that are fitted to the end, of those that did best in a race
-OTHERS = 6  # terms that race beside all of the joint that is suspected most, and beside each of the best
 HALVED = 3  # times at most, windows in which the nominal form runs away
-FEW = 2  # of the best compositions of a robot grow by one more term
 TELLING = 2  # episodes on which they race
+TELLING_ROWS = 15_000  # samples of all joints that they race on, at most
+SPREAD = 2  # of the best compositions are looked for at every joint, where they do not explain the gap at one
 HOPELESS = 0.25  # of the gap left by the best of a size: no effect more makes an explanation of that
 ENOUGH_SAMPLES = 6000  # in all adaptation episodes; more than twice as many are thinned where they are close together
+FINISHED_ON_MACHINE = 1e-4  # of a cost: what no law explains to some per cent is not fitted to a millionth
 FINE = 0.02  # of the time in which the joint crosses its travel: a step that still integrates well
 FINER = 4  # steps for one of the search
 PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
 FAR_BEHIND = 4.0  # times the best misfit
+MANY_JOINTS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How many go on: terms that race at the joint where a linear model expects most of one, and `others` beside them; of those that raced
+    so many are `settled`, and `refined` until nothing moves; of the best compositions so many `parents` grow by one more term, each tried
+    with the `grown` most promising. 0 is all.
+    """
+
+    raced: int
+    others: int
+    settled: int
+    refined: int
+    parents: int
+    grown: int
+
+
+ONE_JOINT = Effort(raced=0, others=0, settled=0, refined=5, parents=4, grown=9)
+ROBOT = Effort(raced=12, others=4, settled=5, refined=5, parents=2, grown=6)
+LARGE_ROBOT = Effort(raced=8, others=3, settled=3, refined=2, parents=1, grown=4)
+
+
+def effort(plant: Plant) -> Effort:
+    """A fit of many joints takes long."""
+    joints = len(plant.joints)
+    return ONE_JOINT if joints == 1 else ROBOT if joints < MANY_JOINTS else LARGE_ROBOT
 
 
 def explore(plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], progress: Progress) -> Search:
@@ -89,37 +114,43 @@ def _explore(
             [series(plant, e, scheme, length / parts) for e in validation],
             [series(plant, e, scheme, min(SHORT_S, length / parts)) for e in adaptation],
         )
-        base, by = search.base(plant.parameters), yardstick(adaptation)
+        base, by = search.base(_begins(plant, adaptation)), yardstick(adaptation)
         if np.isfinite(total(base)):
             break
     search.length_s = length / float(parts)
+    search.finished = FINISHED_ON_MACHINE if by is PHYSICAL else search.finished
     search.terms = searchable([bool(c >= 0) for c in plant.command_columns])
     search.pitches = pitches(plant, admission, adaptation)
     progress("the nominal form refitted", 1.0)
     alone = len(plant.joints) == 1
     if not alone:
-        search.short, search.declared = _telling(base, search.short), plant.parameters
-    settled = 0 if alone else SETTLED
-    terms = search.terms if alone else search.suspected(base, OTHERS)
-    generation = search.extend([base], terms, partial(progress, "one effect"), settled=settled)
-    largest, kept = (by.most_effects, PARENTS) if alone else (PAIR, FEW)
+        search.short = [series(plant, e, scheme, min(SHORT_S, search.length_s)) for e in _telling(base, adaptation, len(plant.joints))]
+        search.declared = plant.parameters
+    spent, largest = effort(plant), by.most_effects if alone else PAIR
+    terms = search.terms if alone else search.suspected(base, spent.raced, spent.others)
+    generation = search.extend([base], terms, partial(progress, "one effect"), settled=spent.settled)
     for size in range(2, largest + 1):
-        leaders = _refined(search, generation)
+        leaders = _leaders(search, generation, base, by, spent)
         if size > PAIR:  # one effect less than two is what the others began from
-            leaders = _swapped(search, leaders, base, by, settled)
+            leaders = _swapped(search, leaders, base, by, spent)
             list(in_parallel(search.shrink, leaders[:2]))
         best = min(c.misfit for c in search)
         if any(enough(c, base, by) for c in search) or (size > PAIR and best - 1.0 > HOPELESS * (base.misfit - 1.0)):
             break
-        parents = leaders[: kept if size == PAIR else 2]
-        generation = search.extend(
-            parents, search.terms, partial(progress, f"{size} effects"), most=GROWN if alone else OTHERS, settled=settled
-        )
+        parents = leaders[: spent.parents if size == PAIR else 2]
+        generation = search.extend(parents, search.terms, partial(progress, f"{size} effects"), most=spent.grown, settled=spent.settled)
     else:
-        leaders = _refined(search, generation)
-        for c in (_swapped(search, leaders, base, by, settled) if largest == PAIR and alone else leaders)[:2]:
+        leaders = _leaders(search, generation, base, by, spent)
+        for c in (_swapped(search, leaders, base, by, spent) if largest == PAIR and alone else leaders)[:2]:
             search.shrink(c)
     return search
+
+
+def _begins(plant: Plant, adaptation: Sequence[Episode]) -> list[Sequence[float]]:
+    """Parameters from which the nominal form is fitted: the declared ones, and of a robot those of a regression."""
+    if len(plant.joints) == 1:
+        return [plant.parameters]
+    return [plant.parameters, identify(plant, adaptation)[0].parameters]
 
 
 def polished(
@@ -161,25 +192,53 @@ def _started(plant: Plant, episode: Episode, s: Series, best: Candidate) -> Seri
     return replace(s, begin=smoothed_states(plant, episode, from_positions=True)[np.flatnonzero(s.resets >= 0)]) if hidden else s
 
 
-def _refined(search: Search, generation: Sequence[Candidate]) -> list[Candidate]:
+def _refined(search: Search, generation: Sequence[Candidate], most: int) -> list[Candidate]:
     """The best of a generation, fitted until nothing moves, the best first; those far behind are left as they are."""
-    near = [c for c in generation[:REFINED] if total(c) < FAR_BEHIND * max(total(generation[0]), 1.0)]
-    refined = [*in_parallel(search.refine, near), *(c for c in generation[:REFINED] if c not in near)]
+    near = [c for c in generation[:most] if total(c) < FAR_BEHIND * max(total(generation[0]), 1.0)]
+    refined = [*in_parallel(search.refine, near), *(c for c in generation[:most] if c not in near)]
     return sorted((c for c in refined if c.resolved), key=total)
 
 
-def _telling(base: Candidate, short: Sequence[Series]) -> list[Series]:
-    """The episodes on which terms of a robot race: those that the nominal form explains worst."""
+def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, by: Yardstick, spent: Effort) -> list[Candidate]:
+    """The best of a generation refined, with those in which their effects act at every joint where that is still wanted: drives of one
+    make on one bus are late, weak or sticky alike.
+    """
+    leaders = _refined(search, generation, spent.refined)
+    if spent is ONE_JOINT or any(enough(c, base, by) for c in leaders):
+        return leaders
+    made = [c for c in in_parallel(search.everywhere, leaders[:SPREAD]) if c is not None]
+    return sorted([*leaders, *(c for c in made if c.resolved)], key=total)
+
+
+def _telling(base: Candidate, episodes: Sequence[Episode], joints: int) -> list[Episode]:
+    """Where terms of a robot race: the episodes that the nominal form explains worst, and of a long one the stretch that it does."""
     by_episode = base.fit.by_episode
-    return sorted(short, key=lambda s: -by_episode[s.digest])[:TELLING]
+    worst = sorted(episodes, key=lambda e: -by_episode[e.digest])[:TELLING]
+    most = TELLING_ROWS // (len(worst) * joints)
+    ends = np.cumsum([len(s.windows) for s in base.fit.starts.values()])
+    costs = dict(zip(base.fit.starts, np.split(base.fit.costs, ends[:-1]), strict=True))
+    return [_stretch(e, costs[e.digest], most) for e in worst]
 
 
-def _swapped(search: Search, leaders: list[Candidate], base: Candidate, by: Yardstick, settled: int = 0) -> list[Candidate]:
+def _stretch(episode: Episode, costs: np.ndarray, most: int) -> Episode:
+    """No more than so many samples of an episode that follow each other, those whose windows cost most `(windows,)`."""
+    samples = len(episode.t_s)
+    if samples <= most:
+        return episode
+    many = max(1, int(len(costs) * most / samples))
+    first = int(np.argmax(np.convolve(costs, np.ones(many), "valid"))) * samples // len(costs)
+    kept = slice(min(first, samples - most), min(first, samples - most) + most)
+    t = episode.t_s[kept] - episode.t_s[kept][0]
+    return replace(episode, t_s=t, commands=episode.commands[kept].copy(), observations=episode.observations[kept].copy())
+
+
+def _swapped(search: Search, leaders: list[Candidate], base: Candidate, by: Yardstick, spent: Effort) -> list[Candidate]:
     """The best, with those in which one of its effects gave way to another: one effect alone may look like what two together are not."""
     if not leaders or any(enough(c, base, by) for c in leaders):
         return leaders
     parts = [search.fitted(leaders[0].hypothesis.without(name), leaders[0]) for name in leaders[0].hypothesis.effects]
-    return sorted([*leaders, *_refined(search, search.extend(parts, search.terms, most=SWAPPED, settled=settled))], key=total)
+    generation = search.extend(parts, search.terms, most=SWAPPED, settled=spent.settled)
+    return sorted([*leaders, *_refined(search, generation, spent.refined)], key=total)
 
 
 def thinning(admission: Admission, episodes: Sequence[Episode]) -> int:

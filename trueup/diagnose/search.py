@@ -82,13 +82,16 @@ class Search:
     pitches: Sequence[Begin] = ()
     length_s: float = 0.0  # of its windows
     declared: Sequence[float] = ()  # numbers of a robot's nominal form, from which terms begin too
+    finished: float = 1e-6  # of a cost: a step that brings less is the last
     found: dict[Hypothesis, Candidate] = field(default_factory=dict)
     _near: dict[Hypothesis, Near] = field(default_factory=dict)
 
-    def base(self, parameters: Sequence[float]) -> Candidate:
-        """The nominal form with the numbers that fit best."""
-        fit = self.fitter.fit(self.adaptation, Hypothesis(), self.fitter.begin(parameters), iterations=25)
-        return self.keep(fit)
+    def base(self, begins: Sequence[Sequence[float]]) -> Candidate:
+        """The nominal form with the numbers that fit best, from the most promising of several beginnings."""
+        fit, tried = partial(self.fitter.fit, self.adaptation, Hypothesis()), [self.fitter.begin(b) for b in begins]
+        if len(tried) > 1:
+            tried = [min((fit(b, iterations=GLANCE) for b in tried), key=lambda f: f.cost).values]
+        return self.keep(fit(tried[0], iterations=25))
 
     def nominal(self, parameters: Sequence[float]) -> RolloutFit:
         """The nominal parameters, on validation episodes."""
@@ -143,11 +146,11 @@ class Search:
             known = self._near[parent.hypothesis] = Near(parent, fit, self.fitter.linear(self.short, fit), {})
         return known
 
-    def suspected(self, parent: Candidate, others: int) -> list[str]:
-        """Every term at the joint where a linear model expects most of one, and as many of the other joints' as are asked for."""
+    def suspected(self, parent: Candidate, here: int, others: int) -> list[str]:
+        """So many terms at the joint where a linear model expects most of one, and so many of the other joints', the most promising."""
         order = [name for name, _ in self._promising(parent, self.terms, 0)]
         joint = joint_of(order[0])
-        return [t for t in order if joint_of(t) == joint] + [t for t in order if joint_of(t) != joint][:others]
+        return [t for t in order if joint_of(t) == joint][:here] + [t for t in order if joint_of(t) != joint][:others]
 
     def race(self, parent: RolloutFit, name: str, expected: np.ndarray) -> list[RolloutFit]:
         """Short fits of a composition with one term more from several starts, the best first.
@@ -179,6 +182,26 @@ class Search:
         best = self._pruned(best, [name])
         zoomed = kind(name).zoomed
         return self._zoomed(best, name, zoomed) if zoomed and best.cost < parent.cost else best
+
+    def everywhere(self, candidate: Candidate) -> Candidate | None:
+        """The same with each of its effects at every joint where it is sought, begun there at the same size; None where that is no other
+        composition, or an effect has to be sought at many places.
+        """
+        hypothesis, values = candidate.hypothesis, candidate.fit.values.copy()
+        for at in candidate.hypothesis.effects:
+            effect = kind(at)
+            if effect.zoomed or effect.periodic or effect.port is Port.TIMING:
+                return None
+            rows = list(self.fitter.block.rows(at))
+            for t in (t for t in self.terms if kind(t) is effect and not has_already(hypothesis, t)):
+                hypothesis = hypothesis | t
+                units = [self.fitter.unit(t, n.scale) / self.fitter.unit(at, n.scale) for n in effect.params]
+                values[list(self.fitter.block.rows(t))] = values[rows] * units
+        if hypothesis in self.found or hypothesis == candidate.hypothesis:
+            return None
+        still = self._still(values, hypothesis.effects)
+        near = self.fitter.fit(self.short, hypothesis, values, iterations=SETTLE, tolerance=1e-2, fixed=still)
+        return self.keep(self.fitter.fit(self.adaptation, hypothesis, near.values, iterations=SETTLE, tolerance=1e-3, fixed=still))
 
     def _asked(self, best: RolloutFit, of: str) -> list[np.ndarray]:
         """Parameter vectors from which the numbers of a term that stayed at their null are tried."""
@@ -237,7 +260,9 @@ class Search:
         if self._corners(at.hypothesis):
             begun = self._begun(self.adaptation, at, {digest: start.windows for digest, start in at.starts.items()})
             at = begun if begun.cost < at.cost else at
-        fit = self.fitter.fit(self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=1e-6, fixed=self.still(at))
+        fit = self.fitter.fit(
+            self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=self.finished, fixed=self.still(at)
+        )
         for name in candidate.hypothesis.effects:
             fit = self._turned(fit, name)
             for parameter in kind(name).threshold[:1]:

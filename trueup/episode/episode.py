@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -70,3 +70,8 @@ class Episode:
                 f"episode {self.digest[:12]} has the role {self.role}, {allowed} is needed", role=str(self.role), digest=self.digest
             )
         return self
+
+
+def is_physical(episodes: Sequence[Episode]) -> bool:
+    """Whether any was recorded on a machine: its declared stage is physical, or HIL."""
+    return any(e.conditions.get("stage") in ("physical", "HIL") for e in episodes)

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.episode.episode import Episode
-from trueup.fit.rollout_fit import Directions
+from trueup.episode.episode import Episode, is_physical
+from trueup.fit.rollout_fit import STEP, Directions
 from trueup.model.dynamics import CompiledTree, regressors
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 SPAN_S = 0.05  # over which an acceleration is a mean: short against the motion, long against the noise of a velocity
 MOST_ROWS = 4000
 FELT = 2e-3  # of the forces: a combination that moves them less by its own size is not shown
+FELT_ON_MACHINE = 2e-2  # the same where the model's law is no more exact than that
 ALONE = 0.999  # of a number lies in the combinations that are shown: it is determined by itself
 
 
@@ -38,11 +39,25 @@ def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
     scale = np.maximum(np.sqrt(np.mean(force**2, axis=0)), 1e-9)
     design = (columns / scale[None, :, None]).reshape(-1, columns.shape[2]) * size
     design = design - design @ np.outer(together := _all_gains(plant, size), together)
-    _, singular, ways = np.linalg.svd(design / np.sqrt(len(columns)), full_matrices=False)
-    shown = ways[singular > FELT]
+    design /= np.sqrt(len(columns))
+    felt = FELT_ON_MACHINE if is_physical(episodes) else FELT
+    losses = np.flatnonzero((np.linalg.norm(design, axis=0) > felt) & _losses(plant))
+    _, singular, ways = np.linalg.svd(np.where(_losses(plant), 0.0, design), full_matrices=False)
+    shown = ways[singular > felt]
     determined = (np.einsum("kp,kp->p", shown, shown) > ALONE) & (size > 0.0)
-    names = tuple(f"combination {i + 1}" for i in range(len(shown)))
-    return Directions(names, shown * size, determined, sized=True)
+    determined[losses] = True
+    told = [plant.dynamics.parameter_names[i] for i in losses]
+    along = np.concatenate([shown * size, np.eye(len(size))[losses]])
+    alone = np.concatenate([np.full(len(shown), -1), losses])
+    steps = STEP * np.concatenate([np.ones(len(shown)), size[losses]])
+    return Directions((*(f"combination {i + 1}" for i in range(len(shown))), *told), along, determined, alone, steps, combined=True)
+
+
+def _losses(plant: Plant) -> NDArray[np.bool_]:
+    """Which numbers take energy away, `(parameters,)`: damping and friction. No other number looks like them, and they are not negative."""
+    found, first = np.zeros(len(plant.parameters), np.bool_), LINK * len(plant.joints)
+    found[first + DAMPING :: JOINT] = found[first + FRICTION :: JOINT] = True
+    return found
 
 
 def _all_gains(plant: Plant, size: Array) -> Array:

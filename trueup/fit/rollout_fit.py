@@ -41,19 +41,22 @@ Linear = Mapping[str, Kept]  # derivatives that are kept, by episode digest
 class Directions:
     """The ways in which the numbers of a nominal form may move, `(directions, numbers)`, and what each is called.
 
-    A family's are its parameters. A tree's are combinations that its data determine: `sized` ones have the size of what they combine,
-    so that their steps need not grow with a value.
+    A family's are its parameters. A tree's are `combined`: combinations that its data determine, and numbers by themselves, which are not
+    negative. `alone` `(directions,)` is the number that moves by itself, -1 for a combination; `steps` `(directions,)` are for finite
+    differences.
     """
 
     names: tuple[str, ...]
     along: Array
     determined: NDArray[np.bool_]  # which numbers the data show one by one, `(numbers,)`
-    sized: bool = False
+    alone: NDArray[np.int64]
+    steps: Array
+    combined: bool = False
 
     @staticmethod
     def of_family(names: Sequence[str]) -> Directions:
         """Each parameter by itself."""
-        return Directions(tuple(names), np.eye(len(names)), np.ones(len(names), np.bool_))
+        return Directions(tuple(names), np.eye(len(names)), np.ones(len(names), np.bool_), np.arange(len(names)), np.full(len(names), STEP))
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,12 +199,13 @@ class Fitter:
         bounds: list[tuple[float, float]] = []
         along: list[Array] = []
         nothing = np.zeros(self.directions.along.shape[1])
-        for row, (name, way) in enumerate(zip(self.directions.names, self.directions.along, strict=True)):
+        ways = self.directions
+        for name, row, way, step in zip(ways.names, ways.alone, ways.along, ways.steps, strict=True):
             if ("", name) not in kept:
-                rows.append(-1 if self.directions.sized else row)
+                rows.append(int(row))
                 names.append(("", name))
-                steps.append(STEP)
-                bounds.append((-np.inf, np.inf))
+                steps.append(float(step))
+                bounds.append((0.0 if ways.combined and row >= 0 else -np.inf, np.inf))
                 along.append(way)
         for term in hypothesis.effects:
             effect = kind(term)
@@ -214,8 +218,8 @@ class Fitter:
                 steps.append(unit * (CORNER if number.name in effect.threshold else STEP))
                 bounds.append((number.low * unit, number.high * unit))
                 along.append(nothing)
-        limits, ways = np.array(bounds).reshape(-1, 2), np.array(along).reshape(len(rows), -1)
-        return Free(np.array(rows, np.int64), tuple(names), np.array(steps), limits[:, 0], limits[:, 1], ways)
+        limits, moved = np.array(bounds).reshape(-1, 2), np.array(along).reshape(len(rows), -1)
+        return Free(np.array(rows, np.int64), tuple(names), np.array(steps), limits[:, 0], limits[:, 1], moved)
 
     def begin(self, parameters: Sequence[float]) -> Array:
         """A block's parameter vector in which nothing acts."""
@@ -368,7 +372,7 @@ class Fitter:
         inverse = np.zeros(count)
         for lane, which in enumerate(numbers, start=1):
             row, size = task.free.rows[which], task.free.step[which]
-            if 0 <= row < self.block.nominal:
+            if 0 <= row < self.block.nominal and not self.directions.combined:
                 size *= max(1.0, abs(values[row]))
             elif row >= 0:
                 size = -size if values[row] + size > task.free.high[which] else size
@@ -390,29 +394,32 @@ class Fitter:
 
         `pasts` are the lanes and steps of hidden states' derivatives: inwards, for beyond its end a play has none.
         """
+        several = lanes.p.shape[1] > BLOCK and len(task.data) > 1
+        found = list((in_parallel if several else map)(lambda s: self._sum(task, lanes, s, starts[s.digest], pasts, old), task.data))
+        linear = {s.digest: part for s, (_, part) in zip(task.data, found, strict=True) if part is not None}
+        return {s.digest: sums for s, (sums, _) in zip(task.data, found, strict=True)}, linear or None
+
+    def _sum(
+        self, task: _Task, lanes: _Lanes, s: Series, start: Start, pasts: Mapping[tuple[str, str], tuple[int, float]], old: Linear | None
+    ) -> tuple[Array, Kept | None]:
+        """Those of one episode."""
         on, inverse = switches(task.hypothesis, self.joints), lanes.inverse.copy()
-        parts, linear = {}, dict(old or {})
-        for s in task.data:
-            start, weight = starts[s.digest], s.usable / self.sigma
-            block = lanes.p.copy()
-            for key, value in start.memory.items():
-                block[self.block.memories[key]] += value
-            for key, (lane, size) in pasts.items():
-                inwards = -size if start.memory.get(key, 0.0) > 0.0 else size
-                block[self.block.memories[key], lane] += inwards
-                inverse[lane] = 1.0 / inwards
-            init = np.repeat(start.windows[:, :, None], block.shape[1], axis=2)
-            if old is not None:
-                out = roll(s, self.form, block, on, init)
-                parts[s.digest] = renewed(out, s.observed, weight, s.window_of, inverse, lanes.behind, old[s.digest])
-                continue
-            for state, size in enumerate(self.start_steps):
-                init[:, state, lanes.behind + 1 + state] += size
+        weight, block = s.usable / self.sigma, lanes.p.copy()
+        for key, value in start.memory.items():
+            block[self.block.memories[key]] += value
+        for key, (lane, size) in pasts.items():
+            inwards = -size if start.memory.get(key, 0.0) > 0.0 else size
+            block[self.block.memories[key], lane] += inwards
+            inverse[lane] = 1.0 / inwards
+        init = np.repeat(start.windows[:, :, None], block.shape[1], axis=2)
+        if old is not None:
             out = roll(s, self.form, block, on, init)
-            parts[s.digest] = summed(out, s.observed, weight, s.window_of, inverse, lanes.behind + 1 + len(self.start_steps), len(init))
-            if task.keeps:
-                linear[s.digest] = kept(out, weight, inverse, parts[s.digest], task.keeps, lanes.behind + 1)
-        return parts, linear or None
+            return renewed(out, s.observed, weight, s.window_of, inverse, lanes.behind, old[s.digest]), old[s.digest]
+        for state, size in enumerate(self.start_steps):
+            init[:, state, lanes.behind + 1 + state] += size
+        out = roll(s, self.form, block, on, init)
+        sums = summed(out, s.observed, weight, s.window_of, inverse, lanes.behind + 1 + len(self.start_steps), len(init))
+        return sums, kept(out, weight, inverse, sums, task.keeps, lanes.behind + 1) if task.keeps else None
 
 
 @dataclass(frozen=True, slots=True)

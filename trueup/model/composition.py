@@ -30,11 +30,12 @@ from trueup.model.block import BLOCK, height, memory_offsets, offsets
 from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
 from trueup.model.rigid_body import ROOM, bias, invert_lanes, net, pose, rub
-from trueup.model.tree import DAMPING, FRICTION, GAIN, JOINT, LINK
+from trueup.model.tree import DAMPING, FRICTION, GAIN, JOINT, LINK, OFFSET, SERVO
 
 APART = frozenset({"passive", "drive", "spring", "mobility"})  # parts of the nominal acceleration
 RIGID = {f.__name__: f for f in (bias, invert_lanes, net, pose, rub)}
-NUMBERS = {"ROOM": ROOM, "LINK": LINK, "JOINT": JOINT, "DAMPING": DAMPING, "GAIN": GAIN, "FRICTION": FRICTION}
+AT_JOINT = {"JOINT": JOINT, "DAMPING": DAMPING, "GAIN": GAIN, "SERVO": SERVO, "FRICTION": FRICTION}
+NUMBERS = {"ROOM": ROOM, "LINK": LINK, "OFFSET": OFFSET, **AT_JOINT}
 
 HEAD = """
 def make(digest, functions, njit):
@@ -168,10 +169,20 @@ def make(digest, functions, njit):
                             u[j, lane] = (reached - before) / h_s[i]
                     if j == 0:
                         {timing}
-                    {command}
                     for lane in range(W):
                         qe[j, lane] = q[j, lane] + alpha * h[lane] * v[j, lane]
                         ve[j, lane] = v[j, lane]
+                    if family < 0 and p[LINK * n + JOINT * j + SERVO, 0] != 0.0:
+                        {goal}
+                        gains, servo = p[LINK * n + JOINT * j + GAIN], p[LINK * n + JOINT * j + SERVO]
+                        for lane in range(W):
+                            wide[lane] = (servo[lane] * qe[j, lane] - tree[j, OFFSET]) / gains[lane]
+                            u[j, lane] -= wide[lane]
+                        {drive}
+                        for lane in range(W):
+                            u[j, lane] += wide[lane]
+                    else:
+                        {command}
                 {families}
                 if family < 0:
                     pose(tree, p, qe, room, mass)
@@ -260,9 +271,12 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
     """The functions to compile, and the text of the kernel that calls them."""
     functions = [f.acceleration for f in known_families.values()] + [e.apply for e in known_effects.values()]
     names = [f"family_{i}" for i in range(len(known_families))] + [f"effect_{i}" for i in range(len(known_effects))]
-    ports: dict[str, list[str]] = {part: [] for part in (*Port, "delays", "states", "begin", "follow_states", "hidden", "jump")}
+    parts = ("delays", "goal", "drive", "states", "begin", "follow_states", "hidden", "jump")
+    ports: dict[str, list[str]] = {part: [] for part in (*Port, *parts)}
     for index, effect in enumerate(known_effects.values()):
         ports["delays" if effect.delays() else str(effect.port)] += _loop(index, effect)
+        if effect.port is Port.COMMAND and not effect.delays():  # a servo follows its goal, and its drive acts on the error
+            ports["drive" if effect.of_drive else "goal"] += _loop(index, effect)
         if effect.hides_velocity:
             seen, before = (f"{state}_{index}" for state in effect.states)
             ports["hidden"] += [f"if on[{index}, j]:"]

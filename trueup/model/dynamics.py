@@ -80,6 +80,10 @@ class Dynamics(ABC):
         """Acceleration that a joint's actuator gives under a command at positions, `(n,)`; in a tree, with nothing else in its way."""
 
     @abstractmethod
+    def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
+        """The command under which a joint's actuator gives no force at positions, `(n,)`: 0 but of a servo of position."""
+
+    @abstractmethod
     def inertia(self, parameters: Array, q: Array) -> Array:
         """Mass matrices at positions `(n, joints)` in units of each joint's own inertia, `(n, joints, joints)`."""
 
@@ -122,6 +126,9 @@ class CompiledFamily(Dynamics):
         driven, passive = (self.family.acceleration(zero, zero, u, *parameters) for u in (applied, zero))
         return np.asarray(driven - passive)
 
+    def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
+        return np.zeros(len(q))
+
     def slippery(self, parameters: Array) -> Array:
         return parameters
 
@@ -160,6 +167,11 @@ class CompiledTree(Dynamics):
         first = LINK * self.joints + JOINT * joint
         force = parameters[first + GAIN] * applied - parameters[first + SERVO] * q + self.tree.constants[joint, OFFSET]
         return np.asarray(force / self.form.sizes[joint])
+
+    def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
+        first = LINK * self.joints + JOINT * joint
+        gain, servo = parameters[first + GAIN], parameters[first + SERVO]
+        return np.asarray((servo * q - self.tree.constants[joint, OFFSET]) / gain) if servo else np.zeros(len(q))
 
     def slippery(self, parameters: Array) -> Array:
         smooth = np.array(parameters, float)

@@ -63,6 +63,7 @@ class Scale(StrEnum):
     VELOCITY = "velocity"
     POSITION = "position"
     COMMAND = "command"
+    DRIVE = "command, or a servo's error"
     RATE = "command / s"
     TIME = "s"
     ONE = "1"
@@ -114,6 +115,7 @@ class Effect(ABC):
     same_as: ClassVar[str] = ""
     hides_velocity: ClassVar[bool] = False
     least_periods: ClassVar[float] = 0.0  # of the samples: a smaller first number is what integration does, and no effect
+    of_drive: ClassVar[bool] = False  # it acts on what drives the joint: at a servo of position on the error, not on the goal
     falls: ClassVar[bool] = False  # whether the effect grows as its first parameter falls, as a limit's does
 
     @staticmethod

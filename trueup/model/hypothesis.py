@@ -13,12 +13,15 @@ from trueup.model.effect import Scale, effects
 
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """A joint's own sizes, against which parameters are measured."""
+    """A joint's own sizes, against which parameters are measured. `error` is that of a servo's goal beyond its position; without, the
+    command's own drives the joint.
+    """
 
     position: float
     velocity: float
     acceleration: float
     command: float
+    error: float = 0.0
 
     def of(self, scale: Scale) -> float:
         """The value of one unit of a scale."""
@@ -28,6 +31,7 @@ class Scales:
             Scale.VELOCITY: self.velocity,
             Scale.POSITION: self.position,
             Scale.COMMAND: self.command,
+            Scale.DRIVE: self.error or self.command,
             Scale.RATE: self.command / time,
             Scale.TIME: time,
             Scale.ONE: 1.0,

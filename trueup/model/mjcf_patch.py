@@ -30,7 +30,7 @@ INSTEAD = {
     "command_quantization": "round ctrl to multiples of the step before each step",
     "constant_force": "add the level to qfrc_applied of the joint",
     "cubic_stiffness": "subtract coefficient q^3 from qfrc_applied of the joint",
-    "deadband": "set ctrl to sign(u) max(|u| - width, 0) before each step",
+    "deadband": "set ctrl to sign(u) max(|u| - width, 0) before each step, u being what ctrl exceeds a servo's position by",
     "dropped_frames": "hold the sensor's last value in what reads it",
     "elastic_transmission": "give the motor a joint and an inertia of its own, joined to the link's by a tendon with stiffness and damping",
     "gain_asymmetry": "set ctrl to u + asymmetry |u| before each step",
@@ -141,6 +141,15 @@ def _numbers(tree: Tree) -> Numbers:
     return found
 
 
+def _limit(limit: float, at: str, into: Numbers) -> None:
+    """A motor's command ends at a limit, and so does a servo's force, where its error is that large."""
+    if into[at, "actuator", "servo"]:
+        force = abs(float(into[at, "actuator", "gain"])) * limit  # type: ignore[arg-type]
+        into[at, "actuator", "forcerange"] = [-force, force]
+    else:
+        into[at, "actuator", "ctrlrange"] = [-limit, limit]
+
+
 def _native(effect: str, values: Mapping[str, float], size: float, tree: Tree, j: int, into: Numbers) -> bool:
     """Write what MJCF has of an effect into the numbers; whether that is all of it. `size` is the inertia that forces were divided by."""
     at = tree.joints[j]
@@ -158,7 +167,7 @@ def _native(effect: str, values: Mapping[str, float], size: float, tree: Tree, j
     elif effect == "constant_force" and driven:
         add("actuator", "offset", size * values["level"])
     elif effect == "saturation" and driven:
-        into[at, "actuator", "ctrlrange"] = [-values["limit"], values["limit"]]
+        _limit(values["limit"], at, into)
     elif effect == "actuator_lag" and driven:
         into[at, "actuator", "lag"] = values["time_constant"]
     elif effect == "actuator_delay" and driven:

@@ -217,8 +217,9 @@ def _general(engine: Any, model: Any, name: str, actuator: int, patch: Patch) ->
     if "damping" in passive:
         velocity = min(velocity, max(float(passive["damping"]), 0.0))  # type: ignore[arg-type]
     gain, servo, offset = (given.get(k, x) for k, x in (("gain", gain), ("servo", servo), ("offset", offset)))  # type: ignore[assignment]
-    if "ctrlrange" in given:
-        limits |= {"ctrllimited": "true", "ctrlrange": _text(*given["ctrlrange"])}  # type: ignore[misc]
+    for what in ("ctrl", "force"):
+        if f"{what}range" in given:
+            limits |= {f"{what}limited": "true", f"{what}range": _text(*given[f"{what}range"])}  # type: ignore[misc]
     written = {"joint": name, "gear": "1", "gaintype": "fixed", "gainprm": _text(gain), "biastype": "affine"}
     written |= {"biasprm": _text(offset, -float(servo), -velocity), **limits}
     lag = {"dyntype": "filterexact", "dynprm": _text(given["lag"]), "actlimited": "false"} if "lag" in given else {"dyntype": "none"}

@@ -113,6 +113,40 @@ def test_mujoco_moves_as_the_corrected_model_does(tmp_path, effect):
     assert written.left == ()
 
 
+def test_a_servo_saturates_in_its_error_and_is_written_as_a_force_range(tmp_path):
+    servos = ARM.replace('<motor joint="shoulder"/>', '<position joint="shoulder" kp="40"/>')
+    plant = plant_of(tmp_path, servos.replace('<motor joint="elbow"/>', '<position joint="elbow" kp="15"/>'), ["shoulder", "elbow"])
+    model = corrected(plant, [("saturation", 1, {"limit": 0.2})])
+    off, written = agreed(tmp_path, plant, "robot.xml", model)
+    assert off < EXPRESSED
+    assert written.left == ()
+    change = next(c for c in patch(model).changes if c.attribute == "forcerange")
+    assert (change.joint, change.corrected) == ("elbow", [-3.0, 3.0])
+
+
+def test_what_a_servos_drive_does_depends_on_its_error_alone(tmp_path):
+    """Goal and position moved together: a deadband, an asymmetry or a saturation of the drive does not notice."""
+    text = ARM.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"').replace("motor", 'position kp="30"')
+    plant = plant_of(tmp_path, text, ["shoulder", "elbow"])
+    laws = {"saturation": {"limit": 0.3}, "deadband": {"width": 0.1}, "gain_asymmetry": {"asymmetry": 0.3}, "quadratic_gain": {"odd": 5.0}}
+    at_rest = np.zeros((SAMPLES, 4))
+    t = np.arange(SAMPLES) * plant.timestep_s
+    waves = np.sin(2 * np.pi * np.stack([2.0 * t, 3.0 * t], axis=1))
+    for name, numbers in laws.items():
+        model, found = corrected(plant, [(name, 0, numbers)]), []
+        for turned in (0.0, 1.5):  # of the shoulder: without gravity, no pose of the first joint differs from another
+            goals, seen = waves + np.array([turned, 0.0]), at_rest + np.array([turned, 0.0, 0.0, 0.0])
+            episode = Episode(t, goals, seen, plant.layout, Role.TEST, {}, 0, f"turned by {turned}")
+            found.append(model.rollout(cut(plant, episode, np.array([0])))[0, :, :2] - [turned, 0.0])
+        np.testing.assert_allclose(found[0], found[1], atol=1e-9)
+        assert np.abs(found[0] - rolled_from_rest(corrected(plant), t, waves)).max() > 0.01, name
+
+
+def rolled_from_rest(model, t, goals):
+    episode = Episode(t, goals, np.zeros((len(t), 4)), model.plant.layout, Role.TEST, {}, 0, "from rest")
+    return model.rollout(cut(model.plant, episode, np.array([0])))[0, :, :2]
+
+
 def test_every_number_of_every_kind_of_joint_goes_into_the_file(tmp_path):
     """Branches, slides, welded bodies, servos, several joints of one body; masses, armatures, dampings, springs, gains."""
     plant = plant_of(tmp_path, EVERYTHING, ["a", "b", "c"])

@@ -17,7 +17,8 @@ class Deadband(Effect):
     port = Port.COMMAND
     order = 5
     category = "structure"
-    params = (Number("width", Scale.COMMAND, 0.0, 0.0, 0.8),)
+    of_drive = True
+    params = (Number("width", Scale.DRIVE, 0.0, 0.0, 0.8),)
     starts = tuple((0.02 * 1.5**i,) for i in range(9))
     threshold = ("width",)
 

@@ -17,6 +17,7 @@ class GainAsymmetry(Effect):
     port = Port.COMMAND
     order = 8
     category = "structure"
+    of_drive = True
     params = (Number("asymmetry", Scale.ONE, 0.0, -0.95, 0.95),)
     starts = ((0.1,), (-0.1,))
 

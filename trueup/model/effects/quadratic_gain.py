@@ -17,6 +17,7 @@ class QuadraticGain(Effect):
     port = Port.COMMAND
     order = 10
     category = "saturation"
+    of_drive = True
     params = (Number("odd", Scale.ONE, 0.0, -0.9, 2.0), Number("even", Scale.ONE, 0.0, -0.9, 0.9))
     starts = ((0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1))
 

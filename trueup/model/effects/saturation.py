@@ -17,7 +17,8 @@ class Saturation(Effect):
     port = Port.COMMAND
     order = 3
     category = "saturation"
-    params = (Number("limit", Scale.COMMAND, INFINITY, 0.05, 1.0),)
+    of_drive = True
+    params = (Number("limit", Scale.DRIVE, INFINITY, 0.05, 1.0),)
     falls = True
     starts = tuple((0.97 - 0.09 * i,) for i in range(10))
     threshold = ("limit",)

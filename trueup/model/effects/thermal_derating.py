@@ -17,6 +17,7 @@ class ThermalDerating(Effect):
     port = Port.COMMAND
     order = 9
     category = "saturation"
+    of_drive = True
     params = (
         Number("loss", Scale.ONE, 0.0, 0.0, 4.0),
         Number("time_constant", Scale.TIME, 10.0, 0.2, 100.0),
