@@ -8,10 +8,10 @@ RUN := $(VENV)/.run
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo serve test check laws flow bench docs lock clean
+.PHONY: help setup demo demo-arm serve test check laws flow bench docs lock clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 $(BIN)/uv:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "trueup needs Python 3.11 or newer: make PYTHON=python3.12 …")'
@@ -36,6 +36,9 @@ setup: $(DEV) ## build the environment in .venv
 
 demo: $(RUN) ## run the main job on a real recording, with embedded storage
 	@$(BIN)/trueup demo
+
+demo-arm: $(RUN) ## the same for a six-joint arm given as MJCF, on its real recordings; about two minutes
+	@$(BIN)/trueup demo examples/so101 --work .trueup/demo-arm
 
 serve: $(RUN) ## run the service on embedded storage in .trueup, with a worker beside
 	@$(BIN)/trueup serve

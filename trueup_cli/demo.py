@@ -23,6 +23,7 @@ from trueup.diagnose.page import sentence
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.fit.score import rollout_rms
+from trueup.model.mjcf import resolved
 from trueup.model.predictor import Predictor
 from trueup.model.windows import starts_every
 from trueup_cli.audit import compare, recompute
@@ -42,6 +43,7 @@ CANDIDATES: dict[str, dict[str, Any]] = {
     "nominal + friction residual": {"kind": "fit", "method": "residual", "features": FRICTION},
     "diagnosed effects": {"kind": "diagnose"},
 }
+OF_ROBOTS = ("identified parameters", "diagnosed effects")
 START_LIMIT_S, LOOK_S = 30.0, 0.02
 
 
@@ -52,6 +54,10 @@ class Case:
     folder: Path
     work: Path
     plant: dict[str, Any]
+
+    @property
+    def is_robot(self) -> bool:
+        return "mjcf" in self.plant["nominal"]
 
     @property
     def name(self) -> str:
@@ -68,7 +74,7 @@ def demo(case: Path = EXAMPLE, *, work: Path = Path(".trueup/demo")) -> None:
     """
     began = time.monotonic()
     shutil.rmtree(work, ignore_errors=True)
-    told = Case(case, work, json.loads((case / "plant.json").read_text()))
+    told = Case(case, work, resolved(json.loads((case / "plant.json").read_text()), case))
     with _service(work / "data") as url:
         client = Client(url, actor="demo")
         _upload(client, told)
@@ -121,10 +127,9 @@ def _until_ready(url: str, child: subprocess.Popen[bytes]) -> None:
 
 
 def _upload(client: Client, case: Case) -> None:
-    out.print(
-        f"[bold]{case.name}[/]: {len(list(case.folder.glob('*.mcap')))} recordings, "
-        f"a nominal model of the family {case.plant['nominal']['family']}"
-    )
+    nominal = case.plant["nominal"]
+    described = f"in {nominal['mjcf']}" if case.is_robot else f"of the family {nominal['family']}"
+    out.print(f"[bold]{case.name}[/]: {len(list(case.folder.glob('*.mcap')))} recordings, a nominal model {described}")
     _say(1, "Register the plant, upload the recordings")
     client.register_plant(case.plant)
     found = []
@@ -151,6 +156,8 @@ def _fit_and_gate(client: Client, case: Case) -> dict[str, Any] | None:
     _say(3, "Fit candidates from the adaptation episodes and diagnose the gap; judge each on the validation episodes")
     rows, decisions = [], []
     for name, request in CANDIDATES.items():
+        if case.is_robot and name not in OF_ROBOTS:
+            continue
         result = run_job(client, case.name, request, request["kind"])["result"]
         artifact = result["artifact"]
         if "report" in result:
@@ -203,27 +210,30 @@ def _held_out(client: Client, case: Case, predictor: Predictor) -> list[Episode]
 
 def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list[Episode]) -> None:
     horizon_s = before.plant.horizon_s
-    channel = before.plant.layout.observations[0]
-    errors = [[float(rollout_rms(p, e, horizon_s)[0]) for e in episodes] for p in (before, after)]
+    every = np.array([[rollout_rms(p, e, horizon_s) for e in episodes] for p in (before, after)])
+    worst = int(np.argmax(every[0].mean(axis=0) / np.array(before.plant.scales)))
+    channel, errors = before.plant.layout.observations[worst], every[:, :, worst].tolist()
     table(
         f"RMS of {channel.name} over windows of {horizon_s:g} s [m{channel.unit}]",
         ["held-out episode", "nominal", "serving", "less by"],
         [(e.digest[:12], 1e3 * b, 1e3 * a, f"{1 - a / b:.1%}") for e, b, a in zip(episodes, *errors, strict=True)],
     )
-    episode = episodes[0]
+    most = int(np.argmax([np.ptp(e.observations[:, worst]) for e in episodes]))  # the one that moves furthest is looked at
+    episode = episodes[most]
     traces = [
-        Trace(name, predict_samples(p, episode, horizon_s)[:, 0], f"{1e3 * rms[0]:.2f} m{channel.unit}", colour)
+        Trace(name, predict_samples(p, episode, horizon_s)[:, worst], f"{1e3 * rms[most]:.2f} m{channel.unit}", colour)
         for name, p, rms, colour in (("nominal", before, errors[0], BEFORE), ("serving", after, errors[1], AFTER))
     ]
     skip = int(np.searchsorted(episode.t_s, horizon_s))  # the first window starts where no past shows the velocity
     shown = [Trace(t.name, t.values[skip:], t.rms, t.colour) for t in traces]
     starts = episode.t_s[starts_every(episode.t_s, horizon_s)]
     subtitle = f"held-out episode {episode.digest[:12]}, rollouts of {horizon_s:g} s; RMS errors over the whole episode in brackets"
+    name = case.name if len(before.plant.joints) == 1 else f"{case.name}, {channel.name}"
     svg = before_and_after(
-        f"{case.name}: the same commands, before and after",
+        f"{name}: the same commands, before and after",
         subtitle,
         episode.t_s[skip:],
-        episode.observations[skip:, 0],
+        episode.observations[skip:, worst],
         shown,
         starts[starts >= episode.t_s[skip]],
         channel.unit,

@@ -13,7 +13,7 @@ from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
 from trueup.diagnose.search import RESOLUTION, Candidate, Search, has_already
 from trueup.episode.layout import Field
-from trueup.fit.rollout_fit import Directions, Fitter, Linear, RolloutFit, in_parallel
+from trueup.fit.rollout_fit import Directions, Fitter, RolloutFit, Screening, in_parallel
 from trueup.model.block import joint, kind
 from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Effect, Number, Scale, effects
@@ -187,16 +187,18 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
     """Of each effect that the winner has not: a bound, or why there is none. Two lists."""
     terms = [t for t in search.terms if not has_already(winner.hypothesis, t)]
-    linear = search.fitter.linear(search.adaptation, winner.fit)
-    found = list(in_parallel(lambda term: _bound(search, winner, term, plant, linear), terms))
+    data, fit, linear = search.adaptation, winner.fit, None
+    if len(plant.joints) > 1:  # where terms raced is enough, and every joint has its own
+        near = search.near(fit)
+        data, fit, linear = search.short, near.fit, near.linear
+    found = list(in_parallel(lambda term: _bound(search, search.fitter.screen(data, fit, term, linear), fit, term, plant), terms))
     return [b for b in found if b.value is not None], [b for b in found if b.value is None]
 
 
-def _bound(search: Search, winner: Candidate, term: str, plant: Plant, linear: Linear | None) -> Bound:
+def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plant: Plant) -> Bound:
     effect, fitter, at = kind(term), search.fitter, joint(term)
     name, where = effect.name, plant.joint_name(at) if len(plant.joints) > 1 else None
-    screened = fitter.screen(search.adaptation, winner.fit, term, linear)
-    error = BOUNDING * screened.error * np.sqrt(max(winner.fit.misfit, 1.0))
+    error = BOUNDING * screened.error * np.sqrt(max(fit.misfit, 1.0))
     number = effect.params[0]
     factor = in_units(number.scale, plant, at)
     starts = np.array([max(abs(s[0]), abs(s[1]) if effect.periodic else 0.0) for s in effect.starts]) * fitter.unit(term, number.scale)

@@ -30,13 +30,14 @@ TELLING = 2  # episodes on which they race
 TELLING_ROWS = 15_000  # samples of all joints that they race on, at most
 SPREAD = 2  # of the best compositions are looked for at every joint, where they do not explain the gap at one
 HOPELESS = 0.25  # of the gap left by the best of a size: no effect more makes an explanation of that
+HOPELESS_ON_MACHINE = 0.6  # the same of one effect in a robot's real recording
 ENOUGH_SAMPLES = 6000  # in all adaptation episodes; more than twice as many are thinned where they are close together
-FINISHED_ON_MACHINE = 1e-4  # of a cost: what no law explains to some per cent is not fitted to a millionth
 FINE = 0.02  # of the time in which the joint crosses its travel: a step that still integrates well
 FINER = 4  # steps for one of the search
 PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
 FAR_BEHIND = 4.0  # times the best misfit
+WORSE = 2.0  # times the misfit on validation episodes: a last fit that does that went astray
 MANY_JOINTS = 4
 
 
@@ -118,11 +119,11 @@ def _explore(
         if np.isfinite(total(base)):
             break
     search.length_s = length / float(parts)
-    search.finished = FINISHED_ON_MACHINE if by is PHYSICAL else search.finished
     search.terms = searchable([bool(c >= 0) for c in plant.command_columns])
     search.pitches = pitches(plant, admission, adaptation)
     progress("the nominal form refitted", 1.0)
     alone = len(plant.joints) == 1
+    search.exact = alone or by is not PHYSICAL
     if not alone:
         search.short = [series(plant, e, scheme, min(SHORT_S, search.length_s)) for e in _telling(base, adaptation, len(plant.joints))]
         search.declared = plant.parameters
@@ -135,13 +136,15 @@ def _explore(
             leaders = _swapped(search, leaders, base, by, spent)
             list(in_parallel(search.shrink, leaders[:2]))
         best = min(c.misfit for c in search)
-        if any(enough(c, base, by) for c in search) or (size > PAIR and best - 1.0 > HOPELESS * (base.misfit - 1.0)):
+        left = (best - 1.0) / max(base.misfit - 1.0, 1e-12)
+        hopeless = left > HOPELESS if size > PAIR else left > HOPELESS_ON_MACHINE and not search.exact
+        if hopeless or any(enough(c, base, by) for c in search):
             break
         parents = leaders[: spent.parents if size == PAIR else 2]
         generation = search.extend(parents, search.terms, partial(progress, f"{size} effects"), most=spent.grown, settled=spent.settled)
     else:
         leaders = _leaders(search, generation, base, by, spent)
-        for c in (_swapped(search, leaders, base, by, spent) if largest == PAIR and alone else leaders)[:2]:
+        for c in (_swapped(search, leaders, base, by, spent) if largest == PAIR and alone else leaders)[: min(2, spent.parents)]:
             search.shrink(c)
     return search
 
@@ -164,7 +167,7 @@ def polished(
     physical = yardstick(adaptation) is PHYSICAL
     if scheme.alpha == 0.0 and not physical:
         return best, scheme
-    finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha else scheme
+    finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha and search.exact else scheme
     length = search.length_s
     last = Search(
         search.fitter,
@@ -179,11 +182,12 @@ def polished(
         best.fit.values,
         starts,
         iterations=25,
-        tolerance=1e-7,
+        tolerance=1e-7 if search.exact else 1e-4,
         hold_starts=physical,
         fixed=search.still(best.fit),
     )
-    return last.keep(fit if physical else last.pruned(fit)), finer
+    done = last.keep(fit if physical else last.pruned(fit))
+    return (done, finer) if done.misfit < WORSE * best.misfit else (best, scheme)
 
 
 def _started(plant: Plant, episode: Episode, s: Series, best: Candidate) -> Series:

@@ -82,7 +82,7 @@ class Search:
     pitches: Sequence[Begin] = ()
     length_s: float = 0.0  # of its windows
     declared: Sequence[float] = ()  # numbers of a robot's nominal form, from which terms begin too
-    finished: float = 1e-6  # of a cost: a step that brings less is the last
+    exact: bool = True  # whether laws hold so well that a fit to a millionth of its cost tells anything
     found: dict[Hypothesis, Candidate] = field(default_factory=dict)
     _near: dict[Hypothesis, Near] = field(default_factory=dict)
 
@@ -132,14 +132,15 @@ class Search:
         """
         wanted = [(n, parent.hypothesis | n) for n in names if not has_already(parent.hypothesis, n)]
         rest = [n for n, h in wanted if h not in self.found and self.fitter.has_room(h)]
-        near = self._on_short(parent.fit)
+        near = self.near(parent.fit)
         new = [n for n in rest if n not in near.expected]
         screened = in_parallel(lambda name: self.fitter.screen(self.short, near.fit, name, near.linear).cost, new)
         near.expected.update(zip(new, screened, strict=True))
         order = np.argsort([near.expected[n].min() for n in rest], kind="stable")
         return [(rest[i], near.expected[rest[i]]) for i in order[: most or None]]
 
-    def _on_short(self, parent: RolloutFit) -> Near:
+    def near(self, parent: RolloutFit) -> Near:
+        """A fit on short windows."""
         known = self._near.get(parent.hypothesis)
         if known is None or known.parent is not parent:
             fit = self.fitter.fit(self.short, parent.hypothesis, parent.values, iterations=2, only_starts=True)
@@ -158,9 +159,11 @@ class Search:
         `expected` is the cost that a linear model expects of each of the term's starts.
         """
         begins = self._begins(parent, name, expected)
-        resting, hypothesis, near = self._still(begins[0], [name]), parent.hypothesis | name, self._on_short(parent).linear
+        resting, hypothesis, near = self._still(begins[0], [name]), parent.hypothesis | name, self.near(parent).linear
         fit = partial(self.fitter.fit, self.short, hypothesis, fixed=resting, linear=near)
-        if len(self.declared) and not parent.hypothesis.effects:  # what no number of the nominal form explains may have led them astray
+        if (
+            len(self.declared) and self.exact and not parent.hypothesis.effects
+        ):  # what no number of the nominal form explains may have led them astray
             others = [np.concatenate([self.declared, b[len(self.declared) :]]) for b in begins]
             tried = [fit(b, iterations=GLANCE) for b in [*begins, *others]]
             begins = [f.values for f in sorted(tried, key=lambda f: f.cost)[: len(begins)]]
@@ -171,7 +174,10 @@ class Search:
         """The best fit of what did best in a race, a value between corners zoomed in on."""
         hypothesis, fit = raced[0].hypothesis, self.fitter.fit
         resting = self._still(raced[0].values, [name])
-        near = [fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3, fixed=resting) for f in raced[:KEPT]]
+        near = [
+            fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3, fixed=resting)
+            for f in raced[: KEPT if self.exact else 1]
+        ]
         apart = [f for i, f in enumerate(near) if not any(_same(f, g) for g in near[:i])]
         settled = [fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3, fixed=resting) for f in apart]
         best = min(settled, key=lambda f: f.cost)
@@ -261,11 +267,17 @@ class Search:
             begun = self._begun(self.adaptation, at, {digest: start.windows for digest, start in at.starts.items()})
             at = begun if begun.cost < at.cost else at
         fit = self.fitter.fit(
-            self.adaptation, at.hypothesis, at.values, at.starts, iterations=25, tolerance=self.finished, fixed=self.still(at)
+            self.adaptation,
+            at.hypothesis,
+            at.values,
+            at.starts,
+            iterations=25,
+            tolerance=1e-6 if self.exact else 1e-4,
+            fixed=self.still(at),
         )
         for name in candidate.hypothesis.effects:
             fit = self._turned(fit, name)
-            for parameter in kind(name).threshold[:1]:
+            for parameter in kind(name).threshold[: int(self.exact)]:
                 fit = self._zoomed(fit, name, parameter)
         return self.keep(self.pruned(min(fit, candidate.fit, key=lambda f: f.cost)))
 

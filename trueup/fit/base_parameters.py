@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import STEP, Directions
-from trueup.model.dynamics import CompiledTree, regressors
+from trueup.model.dynamics import CompiledTree, mass_matrix, regressors
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
 from trueup.model.tree import ARMATURE, DAMPING, FRAME, FRICTION, GAIN, JOINT, LINK, REST, SERVO, STIFFNESS, ZERO
@@ -26,7 +26,9 @@ Array = NDArray[np.float64]
 SPAN_S = 0.05  # over which an acceleration is a mean: short against the motion, long against the noise of a velocity
 MOST_ROWS = 4000
 FELT = 2e-3  # of the forces: a combination that moves them less by its own size is not shown
-FELT_ON_MACHINE = 2e-2  # the same where the model's law is no more exact than that
+FELT_ON_MACHINE = 5e-2  # the same where no law is much more exact than that
+POSES = 50  # of an episode are looked at
+LIGHTEST = 0.9  # of what a joint's links weigh may be missing from its inertia
 ALONE = 0.999  # of a number lies in the combinations that are shown: it is determined by itself
 
 
@@ -41,23 +43,43 @@ def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
     design = design - design @ np.outer(together := _all_gains(plant, size), together)
     design /= np.sqrt(len(columns))
     felt = FELT_ON_MACHINE if is_physical(episodes) else FELT
-    losses = np.flatnonzero((np.linalg.norm(design, axis=0) > felt) & _losses(plant))
-    _, singular, ways = np.linalg.svd(np.where(_losses(plant), 0.0, design), full_matrices=False)
-    shown = ways[singular > felt]
-    determined = (np.einsum("kp,kp->p", shown, shown) > ALONE) & (size > 0.0)
-    determined[losses] = True
-    told = [plant.dynamics.parameter_names[i] for i in losses]
-    along = np.concatenate([shown * size, np.eye(len(size))[losses]])
-    alone = np.concatenate([np.full(len(shown), -1), losses])
-    steps = STEP * np.concatenate([np.ones(len(shown)), size[losses]])
-    return Directions((*(f"combination {i + 1}" for i in range(len(shown))), *told), along, determined, alone, steps, combined=True)
+    single, low = _single(plant, episodes)
+    alone = np.flatnonzero((np.linalg.norm(design, axis=0) > felt) & single)
+    told, shown = design[:, alone], _shown(design, felt)
+    combined = _shown(np.where(single, 0.0, design - told @ np.linalg.lstsq(told, design, rcond=None)[0]), felt)
+    names = [f"combination {i + 1}" for i in range(len(combined))] + [plant.dynamics.parameter_names[i] for i in alone]
+    return Directions(
+        tuple(names),
+        along=np.concatenate([combined * size, np.eye(len(size))[alone]]),
+        determined=(np.einsum("kp,kp->p", shown, shown) > ALONE) & (size > 0.0),
+        alone=np.concatenate([np.full(len(combined), -1), alone]),
+        steps=STEP * np.concatenate([np.ones(len(combined)), size[alone]]),
+        low=np.concatenate([np.full(len(combined), -np.inf), low[alone]]),
+        nominal=np.array(plant.parameters),
+        combined=True,
+    )
 
 
-def _losses(plant: Plant) -> NDArray[np.bool_]:
-    """Which numbers take energy away, `(parameters,)`: damping and friction. No other number looks like them, and they are not negative."""
-    found, first = np.zeros(len(plant.parameters), np.bool_), LINK * len(plant.joints)
-    found[first + DAMPING :: JOINT] = found[first + FRICTION :: JOINT] = True
-    return found
+def _shown(design: Array, felt: float) -> Array:
+    """The ways along which a design moves by more than `felt`, `(ways, parameters)`."""
+    _, singular, ways = np.linalg.svd(design, full_matrices=False)
+    return np.asarray(ways[singular > felt])
+
+
+def _single(plant: Plant, episodes: Sequence[Episode]) -> tuple[NDArray[np.bool_], Array]:
+    """Which numbers move by themselves, and the least that each may be, `(parameters,)`: damping and friction, which are not negative, and
+    armature, which leaves something of what a joint's links weigh.
+    """
+    assert isinstance(plant.dynamics, CompiledTree)
+    joints, first = len(plant.joints), LINK * len(plant.joints)
+    found, low = np.zeros(len(plant.parameters), np.bool_), np.zeros(len(plant.parameters))
+    for number in (ARMATURE, DAMPING, FRICTION):
+        found[first + number :: JOINT] = True
+    poses = np.concatenate([smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), :joints] for e in episodes])
+    masses = np.einsum("njj->nj", mass_matrix(plant.dynamics.tree, poses[np.isfinite(poses).all(axis=1)]))
+    given = np.array(plant.parameters)[first + ARMATURE :: JOINT]
+    low[first + ARMATURE :: JOINT] = -LIGHTEST * (masses.min(axis=0) - given)
+    return found, low
 
 
 def _all_gains(plant: Plant, size: Array) -> Array:

@@ -113,7 +113,8 @@ def _identify_tree(plant: Plant, episodes: Sequence[Episode], progress: Callable
     design = (columns @ ways.along.T / scale[:, None]).reshape(-1, len(ways.names))
     found = solve(design, (missing / scale).reshape(-1), len(plant.joints))
     values = nominal + found.values @ ways.along
-    values[ways.alone[ways.alone >= 0]] = np.maximum(values[ways.alone[ways.alone >= 0]], 0.0)
+    single = ways.alone >= 0
+    values[ways.alone[single]] = np.maximum(values[ways.alone[single]], ways.low[single])
     widths = np.sqrt((found.half_widths**2) @ ways.along**2)
     progress(1.0)
     told = [i for i in range(len(nominal)) if ways.determined[i]]

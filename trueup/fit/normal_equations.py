@@ -108,12 +108,14 @@ class Gram:
         total = self._condensed(damping).reduced
         return total[1:, 1:], total[0, 1:]
 
-    def step(self, damping: float, at: Array, low: Array, high: Array) -> tuple[Array, dict[str, tuple[Array, Array]], float]:
-        """Steps of the parameters, which are `at` places between bounds, and of each episode's starts and memories, and the decrease that
-        the linear model expects.
+    def step(
+        self, damping: float, at: Array, low: Array, high: Array, worth: Array, pull: Array
+    ) -> tuple[Array, dict[str, tuple[Array, Array]], float]:
+        """Steps of the parameters, which are `at` places between bounds and have a prior's normal diagonal `worth` and gradient `pull`,
+        and of each episode's starts and memories, and the decrease that the linear model expects.
         """
         c, n = self._condensed(damping), self.free
-        normal, gradient = c.reduced[1:, 1:], c.reduced[0, 1:]
+        normal, gradient = c.reduced[1:, 1:] + np.diag(worth), c.reduced[0, 1:] + pull
         moving = ~(((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0)))
         step = np.zeros(n)
         if moving.any():

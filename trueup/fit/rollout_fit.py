@@ -31,6 +31,7 @@ CORNER = 3e-3  # the same where the error has corners
 UNSEEN = 1e-6  # squared standard errors that an effect makes where the log cannot have shown it
 ROUGH = 5e-3  # a tolerance beyond which old derivatives do to the end
 KEEPS_ITS_WORD = 0.5  # of the expected decrease: a step that brings less wants new derivatives
+PRIOR = 50.0  # times what is left of a sample: the cost of a robot's number that is off by its size, for neighbours err alike
 NEGLIGIBLE = 0.02  # of a squared standard error: a decrease not worth an iteration
 MEMORY_STEP = 1e-3  # of its scale
 
@@ -41,9 +42,9 @@ Linear = Mapping[str, Kept]  # derivatives that are kept, by episode digest
 class Directions:
     """The ways in which the numbers of a nominal form may move, `(directions, numbers)`, and what each is called.
 
-    A family's are its parameters. A tree's are `combined`: combinations that its data determine, and numbers by themselves, which are not
-    negative. `alone` `(directions,)` is the number that moves by itself, -1 for a combination; `steps` `(directions,)` are for finite
-    differences.
+    A family's are its parameters. A tree's are `combined`: combinations that its data determine, and numbers by themselves. `alone`
+    `(directions,)` is the number that moves by itself, -1 for a combination, `low` the least that it may be, `steps` are for finite
+    differences, `nominal` `(numbers,)` what numbers are expected near, each within its size.
     """
 
     names: tuple[str, ...]
@@ -51,12 +52,23 @@ class Directions:
     determined: NDArray[np.bool_]  # which numbers the data show one by one, `(numbers,)`
     alone: NDArray[np.int64]
     steps: Array
+    low: Array
+    nominal: Array
     combined: bool = False
 
     @staticmethod
     def of_family(names: Sequence[str]) -> Directions:
         """Each parameter by itself."""
-        return Directions(tuple(names), np.eye(len(names)), np.ones(len(names), np.bool_), np.arange(len(names)), np.full(len(names), STEP))
+        count = len(names)
+        return Directions(
+            tuple(names),
+            np.eye(count),
+            np.ones(count, np.bool_),
+            np.arange(count),
+            np.full(count, STEP),
+            np.full(count, -np.inf),
+            np.zeros(count),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,12 +212,12 @@ class Fitter:
         along: list[Array] = []
         nothing = np.zeros(self.directions.along.shape[1])
         ways = self.directions
-        for name, row, way, step in zip(ways.names, ways.alone, ways.along, ways.steps, strict=True):
+        for name, row, way, step, low in zip(ways.names, ways.alone, ways.along, ways.steps, ways.low, strict=True):
             if ("", name) not in kept:
                 rows.append(int(row))
                 names.append(("", name))
                 steps.append(float(step))
-                bounds.append((0.0 if ways.combined and row >= 0 else -np.inf, np.inf))
+                bounds.append((float(low), np.inf))
                 along.append(way)
         for term in hypothesis.effects:
             effect = kind(term)
@@ -256,13 +268,16 @@ class Fitter:
         """
         task = self._task(data, hypothesis, self.free(hypothesis, fixed), only_starts=only_starts, hold_starts=hold_starts)
         values = task.free.moved(values, np.zeros(len(task.free.rows)))
+        samples = sum(int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum()) for s in data)
+        weight, centre = self._expected(task.free)
         given = starts or {}
         now = {s.digest: given.get(s.digest, Start(s.begin, {})) for s in data}
         stale = linear is not None and task.keeps > 0
         best, linear = self._evaluate(task, values, now, linear if stale else None)
         damping, converged = 1e-3, False
         for _ in range(iterations if np.isfinite(best.cost) else 0):
-            step, moves, expected = best.step(damping, task.free.at(values), task.free.low, task.free.high)
+            at, worth = task.free.at(values), PRIOR * best.cost / samples * weight
+            step, moves, expected = best.step(damping, at, task.free.low, task.free.high, worth, worth * (centre - at))
             if not expected > tolerance * best.cost + NEGLIGIBLE:
                 if stale and tolerance < ROUGH:
                     best, linear, stale = *self._evaluate(task, values, now), False
@@ -272,7 +287,7 @@ class Fitter:
             tried = task.free.moved(values, step)
             there = {key: _moved(now[key], *move, task.states) for key, move in moves.items()}
             found, after = self._evaluate(task, tried, there, linear)
-            gained = best.cost - found.cost
+            gained = best.cost - found.cost + float(worth @ ((at - centre) ** 2 - (task.free.at(tried) - centre) ** 2))
             if gained > 0.0:
                 good = gained > KEEPS_ITS_WORD * expected
                 damping = max(damping * (0.2 if good else 1.0), 1e-9)
@@ -288,9 +303,15 @@ class Fitter:
                 best, linear, stale = *self._evaluate(task, values, now), False
         n = len(task.free.rows)
         information = best.reduced()[0] if np.isfinite(best.cost) else np.zeros((n, n))
-        samples = sum(int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum()) for s in data)
         costs = np.concatenate([g[:, 0, 0] for g in best.parts.values()])
         return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, samples, information, converged)
+
+    def _expected(self, free: Free) -> tuple[Array, Array]:
+        """Where a robot's numbers are expected, and the inverse squares of how far from there, 0 where nothing is known, `(free,)` each."""
+        own = np.array([owner == "" for owner, _ in free.names], np.bool_) & self.directions.combined
+        nominal = np.zeros(len(self.block.nulls))
+        nominal[: len(self.directions.nominal)] = self.directions.nominal
+        return np.where(own, (STEP / free.step) ** 2, 0.0), np.where(own, free.at(nominal), 0.0)
 
     def linear(self, data: Sequence[Series], fit: RolloutFit) -> Linear | None:
         """The derivatives of a fit that fits nearby may keep, by episode digest; none where they take one block anyway."""

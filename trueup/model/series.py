@@ -21,6 +21,8 @@ from trueup.model.windows import intervals, starts_every
 Array = NDArray[np.float64]
 DISTINCT = 0.9  # of the samples have a value of their own where noise is finer than no lattice
 FINE_S = 0.0125  # there the error of a 1 Hz motion is 3e-4
+CATCHES_UP = 1.5  # times the step after it: the one that follows a lost frame, which a joint that stuck does not make
+MOSTLY = 0.4  # of the short runs
 AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one after another
 
 
@@ -157,8 +159,13 @@ def held(observed: Array) -> NDArray[np.bool_]:
         return np.zeros(len(known), np.bool_)
     if bool(np.isfinite(observed[:, 1]).any()):
         return np.asarray(np.logical_not(fresh) & (observed[:, 1] != 0.0))
-    runs: NDArray[np.int64] = np.cumsum(fresh)
-    return np.asarray(np.logical_not(fresh) & (np.asarray(np.bincount(runs))[runs] < AT_REST))
+    runs: NDArray[np.int64] = np.cumsum(fresh)  # of one value each, counted from 1
+    many = np.bincount(runs)
+    short = (many > 1) & (many < AT_REST)
+    steps = np.abs(np.diff(observed[fresh, 0], append=[np.nan, np.nan]))  # from each run to the next
+    caught_up = steps[:-1][short[1:]] > CATCHES_UP * steps[1:][short[1:]]
+    lost = bool(len(caught_up) and caught_up.mean() > MOSTLY)
+    return np.asarray(np.logical_not(fresh) & short[runs] & lost)
 
 
 def roll(s: Series, form: Form, p: Array, on: NDArray[np.uint8], init: Array, gain: Array | None = None) -> Array:

@@ -56,15 +56,16 @@ def _period_s(t_s: Array) -> float:
 def _states(plant: Plant, episode: Episode, ahead: int, from_positions: bool) -> Array:
     states = np.full((len(episode.t_s), 2 * plant.dynamics.joints), np.nan)
     states[:, plant.state_columns] = episode.observations
-    for joint in range(plant.dynamics.joints):
-        column = plant.dynamics.joints + joint
-        if from_positions or np.isnan(states[:, column]).any():
-            states[:, column] = _slopes(episode.t_s, states[:, joint], _span(episode), ahead)
+    joints = plant.dynamics.joints
+    asked = np.flatnonzero(np.isnan(states[:, joints:]).any(axis=0) | from_positions)
+    if len(asked):
+        states[:, joints + asked] = _slopes(episode.t_s, states[:, asked], _span(episode), ahead)
     return states
 
 
 def _slopes(t_s: Array, q: Array, span: int, ahead: int) -> Array:
-    """Slope at each sample of the parabola through `span` samples that end `ahead` samples later, `(samples,)`.
+    """Slope of each joint's positions `(samples, joints)` at each sample, of the parabola through `span` samples that end `ahead` samples
+    later, `(samples, joints)`.
 
     Samples on the other side of a gap do not count; of two a line is left, of one nothing, and the slope is 0.
     """
@@ -84,4 +85,4 @@ def _slopes_at(rows: NDArray[np.int64], t_s: Array, q: Array, span: int, ahead: 
     x = np.where(known, t / scale, 0.0)[:, :, None]
     curved = (known.sum(axis=1) > 2)[:, None, None]  # noqa: PLR2004  (a parabola has three coefficients)
     powers = np.concatenate([np.ones_like(x), x, x * x * curved], axis=2) * known[:, :, None]
-    return np.asarray(np.einsum("ns,ns->n", np.linalg.pinv(powers)[:, 1], np.where(known, q[inside], 0.0)) / scale)
+    return np.asarray(np.einsum("ns,nsj->nj", np.linalg.pinv(powers)[:, 1], np.where(known[:, :, None], q[inside], 0.0)) / scale)
