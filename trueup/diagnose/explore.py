@@ -211,6 +211,7 @@ def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, b
     if spent is ONE_JOINT or any(enough(c, base, by) for c in leaders):
         return leaders
     made = [c for c in in_parallel(search.everywhere, leaders[:SPREAD]) if c is not None]
+    list(in_parallel(search.shrink, [c for c in made if enough(c, base, by)]))  # at how many of them does it act?
     return sorted([*leaders, *(c for c in made if c.resolved)], key=total)
 
 

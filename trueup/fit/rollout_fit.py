@@ -280,8 +280,10 @@ class Fitter:
             step, moves, expected = best.step(damping, at, task.free.low, task.free.high, worth, worth * (centre - at))
             if not expected > tolerance * best.cost + NEGLIGIBLE:
                 if stale and tolerance < ROUGH:
-                    best, linear, stale = *self._evaluate(task, values, now), False
-                    continue
+                    fresh, derived = self._evaluate(task, values, now)
+                    if np.isfinite(fresh.cost):  # else it runs away a little further on, and this is as far as it goes
+                        best, linear, stale = fresh, derived, False
+                        continue
                 converged = True
                 break
             tried = task.free.moved(values, step)
@@ -300,7 +302,10 @@ class Fitter:
                     converged = True
                     break
             if stale and not good:
-                best, linear, stale = *self._evaluate(task, values, now), False
+                fresh, derived = self._evaluate(task, values, now)
+                if not np.isfinite(fresh.cost):
+                    break
+                best, linear, stale = fresh, derived, False
         n = len(task.free.rows)
         information = best.reduced()[0] if np.isfinite(best.cost) else np.zeros((n, n))
         costs = np.concatenate([g[:, 0, 0] for g in best.parts.values()])
