@@ -11,7 +11,6 @@ from __future__ import annotations
 import ast
 import json
 import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.peers.case import TERMS
+from bench.peers.environment import HERE, peers_python
 from tests.support.simulated import episode_of, episodes_of, plant_of
 from trueup.blindtrial.tally import Answer, judge
 from trueup.diagnose.admission import admit
@@ -36,8 +36,6 @@ from trueup.model.windows import cut, starts_every
 from trueup.simulate.machine import BEYOND
 from trueup.simulate.trial import CATALOGUE, draw, draw_bench
 
-HERE = Path(__file__).parent
-PEERS = HERE / ".peers"
 TIERS = ("A1", "B1", "B2")
 ON_INERTIA = ("sensor_bias", "sensor_drift", "k_modulated", "asymmetric_stiffness")  # nothing there shows them
 PAIRS, NONE, OUTSIDE = 6, 6, 6
@@ -143,12 +141,7 @@ def _named(names, others=()) -> Answer:
 
 def peers(found: list[Hidden]) -> dict[str, dict[str, Given]]:
     """Every peer's answers, by method and machine."""
-    python = PEERS / "bin" / "python"
-    if not python.exists():
-        print("installing the peers into an environment of their own …", flush=True)
-        subprocess.run([sys.executable, "-m", "venv", PEERS], check=True)
-        subprocess.run([python, "-m", "pip", "install", "-q", "-r", HERE / "peers" / "requirements.txt"], check=True)
-    given = {}
+    python, given = peers_python(), {}
     with tempfile.TemporaryDirectory() as temporary:
         cases = Path(temporary) / "cases"
         cases.mkdir()

@@ -6,15 +6,20 @@ The laws of the truth are written here and share no line with the catalogue's; w
 
 from __future__ import annotations
 
+import json
+import shutil
+import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from bench.peers.environment import HERE, peers_python
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.measure import closed_on
 from trueup.episode.episode import Episode
@@ -22,7 +27,7 @@ from trueup.episode.role import Role
 from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
 
-PERIOD_S, FINE, SECONDS = 0.004, 16, 5.0
+PERIOD_S, FINE, SECONDS, HORIZON_S = 0.004, 16, 5.0, 0.5
 ROLES = ("adaptation",) * 4 + ("validation",) * 2 + ("test",) * 2
 NOISE = (2e-4, 3e-3)  # [rad, rad/s]
 EFFECTS = (
@@ -85,7 +90,7 @@ class Arm:
                 for s, f, u in (("q", "position", "rad"), ("v", "velocity", "rad/s"))
                 for x in names
             ],
-            "evaluation": {"horizon_s": 0.5},
+            "evaluation": {"horizon_s": HORIZON_S},
         }
         with tempfile.TemporaryDirectory() as folder:
             (Path(folder) / "arm.xml").write_text(self.xml)
@@ -210,13 +215,54 @@ def trials(rng: np.random.Generator, singles: int, pairs: int, payloads: int, la
     return made
 
 
+def _write(folder: Path, arm: Arm, episodes: list[Episode]) -> None:
+    """A machine as a peer gets it."""
+    folder.mkdir(parents=True)
+    (folder / "arm.xml").write_text(arm.xml)
+    arrays: dict[str, np.ndarray] = {"horizon": np.array(round(HORIZON_S / PERIOD_S))}
+    for role in ("adaptation", "test"):
+        group = [e for e in episodes if e.role == role]
+        arrays[role] = np.array(len(group))
+        for i, e in enumerate(group):
+            arrays |= {f"{role}{i}t": e.t_s, f"{role}{i}u": e.commands, f"{role}{i}y": e.observations}
+    np.savez(folder / "recordings.npz", **arrays)
+
+
+def peers(cases: Path) -> dict[str, dict[str, dict[str, Any]]]:
+    """Answers of mujoco.sysid without friction losses among its parameters and with them, by method and machine."""
+    python = peers_python()
+    answers = {}
+    for method, more in (("mujoco.sysid", []), ("mujoco.sysid, friction losses free", ["frictionloss"])):
+        with tempfile.TemporaryDirectory() as out:
+            subprocess.run([python, "-m", "bench.peers.sysid", cases, out, *more], check=True, stdout=subprocess.DEVNULL, cwd=HERE.parent)
+            answers[method] = {file.stem: json.loads(file.read_text()) for file in Path(out).iterdir()}
+    return answers
+
+
+def told(answers: dict[str, dict[str, Any]], hidden: dict[str, dict[int, str]]) -> str:
+    """What a peer's answers came to."""
+    joint = sum({a["blamed"][0][1]} == {f"j{j}" for j in hidden[name]} for name, a in answers.items())
+    friction = [name for name, of in hidden.items() if set(of.values()) == {"coulomb_friction"}]
+    rubs = sum(answers[name]["blamed"][0][0] == "frictionloss" for name in friction)
+    wrongly = sum(a["blamed"][0][0] == "frictionloss" for name, a in answers.items() if name not in friction)
+    closed = np.median([1.0 - a["after"] / a["before"] for a in answers.values()])
+    slowest = max(a["seconds"] for a in answers.values())
+    return (
+        f"joint of what it blames right {joint}/{len(answers)}, friction blamed {rubs}/{len(friction)} where it is and "
+        f"{wrongly}/{len(answers) - len(friction)} where it is not, closed {closed:.4f}, {slowest:.0f} s at most"
+    )
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Diagnose every machine and say how often effect and joint were right."""
     counts = [int(x) for x in arguments or []] or [SINGLES, PAIRS, PAYLOADS, LARGE]
     rng, rows = np.random.default_rng(SEED), []
-    for arm in trials(rng, *counts):
+    cases, hidden = Path(tempfile.mkdtemp()), {}
+    for number, arm in enumerate(trials(rng, *counts)):
         plant = arm.plant()
         episodes = arm.recorded(plant)
+        _write(cases / f"{number:03d}", arm, episodes)
+        hidden[f"{number:03d}"] = arm.hidden
         began = time.perf_counter()
         found = diagnose(plant, [e for e in episodes if e.role is not Role.TEST])
         seconds = time.perf_counter() - began
@@ -239,6 +285,11 @@ def main(arguments: list[str] | None = None) -> None:
             named, in_set, joint = (f"{sum(r[i] for r in of)}/{len(of)}" for i in (1, 2, 3))
             closed, slowest = np.median([r[4] for r in of]), max(r[5] for r in of)
             print(f"{kind}: named {named}, in the set {in_set}, joint {joint}, closed {closed:.4f}, {slowest:.0f} s at most")
+
+    print("on the same machines:")
+    for method, answers in peers(cases).items():
+        print(f"{method}: {told(answers, hidden)}")
+    shutil.rmtree(cases)
 
 
 if __name__ == "__main__":
