@@ -241,10 +241,10 @@ def peers(cases: Path) -> dict[str, dict[str, dict[str, Any]]]:
 
 def told(answers: dict[str, dict[str, Any]], hidden: dict[str, dict[int, str]]) -> str:
     """What a peer's answers came to."""
-    joint = sum({a["blamed"][0][1]} == {f"j{j}" for j in hidden[name]} for name, a in answers.items())
+    joint = sum({a["blamed"][1]} == {f"j{j}" for j in hidden[name]} for name, a in answers.items())
     friction = [name for name, of in hidden.items() if set(of.values()) == {"coulomb_friction"}]
-    rubs = sum(answers[name]["blamed"][0][0] == "frictionloss" for name in friction)
-    wrongly = sum(a["blamed"][0][0] == "frictionloss" for name, a in answers.items() if name not in friction)
+    rubs = sum(answers[name]["blamed"][0] == "frictionloss" for name in friction)
+    wrongly = sum(a["blamed"][0] == "frictionloss" for name, a in answers.items() if name not in friction)
     closed = np.median([1.0 - a["after"] / a["before"] for a in answers.values()])
     slowest = max(a["seconds"] for a in answers.values())
     return (

@@ -89,11 +89,11 @@ def errors(model: mujoco.MjModel, z, horizon: int) -> float:
     return float(np.mean(np.square(missed)))
 
 
-def blamed(given: sysid.ParameterDict, fitted: sysid.ParameterDict) -> list[list[str]]:
-    """Friction losses that were found; else the number that moved furthest."""
+def blamed(given: sysid.ParameterDict, fitted: sysid.ParameterDict) -> list[str]:
+    """The largest friction loss that was found, else the number that moved furthest: what, and at which joint."""
     moved = {name: float(np.abs(np.log(p.value[0] / given[name].value[0]))) for name, p in fitted.items()}
     rubs = {name: float(p.value[0]) for name, p in fitted.items() if name.startswith("frictionloss") and p.value[0] > FOUND}
-    return [list(max(rubs or moved, key=(rubs or moved).get).split())]
+    return max(rubs or moved, key=(rubs or moved).get).split()
 
 
 def main(cases: Path, out: Path, friction: bool) -> None:

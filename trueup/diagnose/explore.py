@@ -108,6 +108,7 @@ def _explore(
         every = thinning(admission, adaptation)
         adaptation, validation = ([thinned(e, every) for e in group] for group in (adaptation, validation))
     fitter = Fitter(plant.form, directions(plant, adaptation), admission.scales, admission.sigma)
+    begins, by = _begins(plant, adaptation), yardstick(adaptation)
     for parts in 2 ** np.arange(HALVED + 1):
         search = Search(
             fitter,
@@ -115,7 +116,7 @@ def _explore(
             [series(plant, e, scheme, length / parts) for e in validation],
             [series(plant, e, scheme, min(SHORT_S, length / parts)) for e in adaptation],
         )
-        base, by = search.base(_begins(plant, adaptation)), yardstick(adaptation)
+        base = search.base(begins)
         if np.isfinite(total(base)):
             break
     search.length_s = length / float(parts)

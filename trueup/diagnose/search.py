@@ -161,9 +161,8 @@ class Search:
         begins = self._begins(parent, name, expected)
         resting, hypothesis, near = self._still(begins[0], [name]), parent.hypothesis | name, self.near(parent).linear
         fit = partial(self.fitter.fit, self.short, hypothesis, fixed=resting, linear=near)
-        if (
-            len(self.declared) and self.exact and not parent.hypothesis.effects
-        ):  # what no number of the nominal form explains may have led them astray
+        astray = self.exact and not parent.hypothesis.effects  # what no number of the nominal form explains may have led them there
+        if astray and len(self.declared):
             others = [np.concatenate([self.declared, b[len(self.declared) :]]) for b in begins]
             tried = [fit(b, iterations=GLANCE) for b in [*begins, *others]]
             begins = [f.values for f in sorted(tried, key=lambda f: f.cost)[: len(begins)]]

@@ -37,7 +37,7 @@ def summed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int
     Its first lane is unperturbed; `inverse` `(lanes,)` is that of each lane's step, `weight` `(samples, 2 x joints)` that of an error.
     """
     into = np.zeros((windows, used, used))
-    _summed(out, observed, weight, window_of, inverse, into)
+    _summed(out, observed, weight, window_of, inverse, used - 1, np.empty((*out.shape[:2], 0)), into)
     return into
 
 
@@ -51,13 +51,14 @@ def kept(out: Array, weight: Array, inverse: Array, sums: Array, first: int, sta
 
 def renewed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, fresh: int, old: Kept) -> Array:
     """The same sums, with what was kept and `fresh` new derivatives: those of the lanes behind the unperturbed one."""
-    windows, size = len(old.products), 1 + fresh + old.products.shape[1]
-    at = np.array([*range(1, old.first + 1), *range(1 + old.first + fresh, size)])
-    into = np.zeros((windows, size, size))
-    into[:, at[:, None], at] = old.products
-    new = np.array([0, *range(1 + old.first, 1 + old.first + fresh)])
-    _renewed(out, observed, weight, window_of, inverse, new, old.rows, old.first, into)
-    into[:, :, new] = into[:, new].transpose(0, 2, 1)
+    windows, many = old.products.shape[:2]
+    found = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
+    found[:, :many, :many] = old.products
+    _summed(out, observed, weight, window_of, inverse, fresh, old.rows, found)
+    behind = 1 + old.first + fresh  # where the starts' begin; before them the new ones, and the error first of all
+    at = np.array([*range(1, old.first + 1), *range(behind, many + 1 + fresh), 0, *range(1 + old.first, behind)])
+    into = np.empty_like(found)
+    into[:, at[:, None], at] = found
     return into
 
 
@@ -177,10 +178,10 @@ def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignor
 
 
 @njit(cache=True, nogil=True)
-def _summed(out, observed, weight, window_of, inverse, into):  # type: ignore[no-untyped-def]
-    """Sum of outer products of (error, derivatives) over each window; `into` is (windows, used, used)."""
-    used = into.shape[1]
-    row = np.zeros(used)
+def _summed(out, observed, weight, window_of, inverse, fresh, rows, into):  # type: ignore[no-untyped-def]
+    """Outer products of (kept derivatives, error, fresh derivatives) summed over each window; those of the kept ones are there."""
+    kept, size = rows.shape[2], into.shape[1]
+    row = np.zeros(size)
     for i in range(len(window_of)):
         w = window_of[i]
         if w < 0:
@@ -189,36 +190,15 @@ def _summed(out, observed, weight, window_of, inverse, into):  # type: ignore[no
             if weight[i, c] == 0.0:
                 continue
             base = out[i, c, 0]
-            for lane in range(used):
-                row[lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
-            row[0] = (observed[i, c] - base) * weight[i, c]
-            for a in range(used):
+            for b in range(kept):
+                row[b] = rows[i, c, b]
+            row[kept] = (observed[i, c] - base) * weight[i, c]
+            for lane in range(1, fresh + 1):
+                row[kept + lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
+            for a in range(kept, size):
                 for b in range(a + 1):
                     into[w, a, b] += row[a] * row[b]
     for w in range(len(into)):
-        for a in range(used):
+        for a in range(kept, size):
             for b in range(a):
                 into[w, b, a] = into[w, a, b]
-
-
-@njit(cache=True, nogil=True)
-def _renewed(out, observed, weight, window_of, inverse, new, rows, first, into):  # type: ignore[no-untyped-def]
-    """The rows of the error and of what is new, whose places `new` tells."""
-    fresh = len(new) - 1
-    row = np.zeros(into.shape[1])
-    for i in range(len(window_of)):
-        w = window_of[i]
-        if w < 0:
-            continue
-        for c in range(observed.shape[1]):
-            if weight[i, c] == 0.0:
-                continue
-            base = out[i, c, 0]
-            row[1 : 1 + first] = rows[i, c, :first]
-            row[1 + first + fresh :] = rows[i, c, first:]
-            row[0] = (observed[i, c] - base) * weight[i, c]
-            for lane in range(1, fresh + 1):
-                row[first + lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
-            for a in new:
-                for b in range(len(row)):
-                    into[w, a, b] += row[a] * row[b]

@@ -22,6 +22,7 @@ SAME = 1e-9  # of a number's size: not a change
 EXACT = 1e-5  # of the forces: links that move the same way
 ELEMENTS = dict(zip(AT_JOINT, ("joint", "joint", "actuator", "actuator", "joint", "joint"), strict=True))
 PARTLY = ("hard_stop", "stribeck_friction")
+OF_SERVO = ", u being what ctrl exceeds a servo's position by, and the position added again"
 INSTEAD = {
     "asymmetric_viscous_friction": "subtract difference |v| from qfrc_applied of the joint",
     "backlash": "give the actuator a joint of its own before the link, with a range as wide as the play",
@@ -30,14 +31,14 @@ INSTEAD = {
     "command_quantization": "round ctrl to multiples of the step before each step",
     "constant_force": "add the level to qfrc_applied of the joint",
     "cubic_stiffness": "subtract coefficient q^3 from qfrc_applied of the joint",
-    "deadband": "set ctrl to sign(u) max(|u| - width, 0) before each step, u being what ctrl exceeds a servo's position by",
+    "deadband": "set ctrl to sign(u) max(|u| - width, 0) before each step" + OF_SERVO,
     "dropped_frames": "hold the sensor's last value in what reads it",
     "elastic_transmission": "give the motor a joint and an inertia of its own, joined to the link's by a tendon with stiffness and damping",
-    "gain_asymmetry": "set ctrl to u + asymmetry |u| before each step",
+    "gain_asymmetry": "set ctrl to u + asymmetry |u| before each step" + OF_SERVO,
     "hard_stop": "the tendon's spring is the stop's; add damping v to qfrc_applied against the motion while it is pressed",
     "hysteresis": "integrate the hidden state beside mj_step and subtract its force from qfrc_applied of the joint",
     "load_dependent_friction": "set dof_frictionloss from the transmitted force before each step",
-    "quadratic_gain": "set ctrl to u + (odd u |u| + even u^2) / limit before each step",
+    "quadratic_gain": "set ctrl to u + (odd u |u| + even u^2) / limit before each step" + OF_SERVO,
     "rate_limit": "let ctrl change by no more than rate x timestep from step to step",
     "sensor_bias": "add the bias to the sensor's reading",
     "sensor_drift": "add rate x time to the sensor's reading",
