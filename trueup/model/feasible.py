@@ -40,13 +40,15 @@ def feasible(tree: Tree) -> tuple[Tree, float]:
     design = np.concatenate([regressors(tree, q, v, a), a[:, :, None] * np.eye(joints)], axis=2).reshape(-1, len(moving)) * size
     _, singular, ways = np.linalg.svd(design, full_matrices=False)
     shown = ways[singular > SHOWN * singular[0]]
+    near = np.linalg.inv(_metric(joints))
+    back = near @ shown.T @ np.linalg.inv(shown @ near @ shown.T)
     now = wanted
     for _ in range(ROUNDS):
         now = _possible(now, tree)
         missing = shown @ (wanted - now)
         if float(np.abs(missing).max()) < NEAR:
             break
-        now = now + shown.T @ missing
+        now = now + back @ missing
     now = _possible(now, tree)
     numbers[moving] = now * size
     found = replace(tree, parameters=tuple(float(x) for x in numbers))
@@ -57,7 +59,7 @@ def feasible(tree: Tree) -> tuple[Tree, float]:
 def _sizes(tree: Tree) -> Array:
     """Units in which the numbers of a usual link are about 1."""
     joints = len(tree.joints)
-    mass = float(np.mean(np.array(tree.parameters)[: LINK * joints].reshape(-1, LINK)[:, 0]))
+    mass = float(np.mean(np.abs(np.array(tree.parameters)[: LINK * joints].reshape(-1, LINK)[:, 0])))
     length = float(np.mean(np.linalg.norm(tree.constants[:, FRAME + 9 : ZERO], axis=1))) or 0.1
     link = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
     return np.concatenate([np.tile(link, joints), np.full(joints, mass * length**2)])
@@ -77,6 +79,15 @@ def _possible(now: Array, tree: Tree) -> Array:
             after[at] = _numbers((axes * np.maximum(values, 2.0 * LEAST)) @ axes.T)
     after[LINK * joints :] = np.maximum(now[LINK * joints :], 0.0)
     return after
+
+
+def _metric(joints: int) -> Array:
+    """What both projections are nearest in, lest they drive each other away: the squared norm of each pseudo-inertia, and of armatures."""
+    flat = np.stack([_pseudo(e).reshape(-1) for e in np.eye(LINK)])
+    found = np.eye((LINK + 1) * joints)
+    for j in range(joints):
+        found[LINK * j : LINK * (j + 1), LINK * j : LINK * (j + 1)] = flat @ flat.T
+    return found
 
 
 def _pseudo(link: Array) -> Array:

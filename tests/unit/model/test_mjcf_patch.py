@@ -261,3 +261,15 @@ def test_a_model_of_several_files_is_written_whole(tmp_path, made):
 def test_ports_that_have_no_element_are_all_described():
     assert set(INSTEAD) | set(NATIVE) | {"sensor_delay"} == set(effects())
     assert all(effect.port in Port for effect in effects().values())
+
+
+def test_masses_that_no_bodies_have_become_ones_that_some_have(tmp_path):
+    """Both links lighter than nothing: whatever is nearest, MuJoCo takes it, and how far off its forces are is said."""
+    plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
+    numbers = np.array(plant.parameters)
+    numbers[: 2 * LINK] *= -1.0
+    written = write(tmp_path / "robot.xml", patch(corrected(plant, numbers=numbers)), ["a heading"])
+    masses = mujoco.MjModel.from_xml_string(written.text).body_mass[1:]
+    assert (masses > 0.0).all()
+    assert (masses < 100.0 * np.array(plant.parameters)[: 2 * LINK : LINK]).all()  # they are not driven away
+    assert "no bodies have the masses" in written.left[0].instead
