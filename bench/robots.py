@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+import mujoco.rollout
 import numpy as np
 
 from bench.peers.environment import HERE, peers_python
@@ -28,6 +29,7 @@ from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
 
 PERIOD_S, FINE, SECONDS, HORIZON_S = 0.004, 16, 5.0, 0.5
+LEAD_S = 1.0  # before the log begins
 ROLES = ("adaptation",) * 4 + ("validation",) * 2 + ("test",) * 2
 NOISE = (2e-4, 3e-3)  # [rad, rad/s]
 EFFECTS = (
@@ -36,6 +38,8 @@ EFFECTS = (
     "actuator_lag", "actuator_delay", "saturation", "rate_limit", "gain_asymmetry", "sensor_bias", "sensor_scale", "sensor_delay",
 )  # fmt: skip
 SINGLES, PAIRS, PAYLOADS, LARGE = 12, 4, 4, 2
+PEERS = 4  # machines of the first that mujoco.sysid is given too: it takes minutes for each
+MODELS, WINDOWS = 16, 20
 SIX = 6
 AXES = {2: "yy", 3: "zyy", SIX: "zyyxyx"}
 LIMITS = (40.0, 25.0, 12.0, 6.0, 4.0, 2.0)  # [N m]
@@ -116,7 +120,8 @@ class Arm:
 
     def _episode(self, plant: Plant, model: mujoco.MjModel, role: str, number: int) -> Episode:
         rng, data, n = self.rng, mujoco.MjData(model), self.n
-        samples = round(SECONDS / PERIOD_S) + 1
+        lead = round(LEAD_S / PERIOD_S)
+        samples = lead + round(SECONDS / PERIOD_S) + 1
         t = np.arange(samples) * PERIOD_S
         data.qpos[:] = rng.uniform(-0.5, 0.5, n)
         waves = np.stack(
@@ -135,6 +140,7 @@ class Arm:
                 data.ctrl[:] = [drive(u, PERIOD_S / FINE) for drive, u in zip(drives, issued[i], strict=True)]
                 data.qfrc_applied[:] = [force(q, v) for force, q, v in zip(forces, data.qpos, data.qvel, strict=True)]
                 mujoco.mj_step(model, data)
+        t, issued, seen = t[:-lead], issued[lead:].copy(), seen[lead:].copy()
         return Episode(t, issued, seen, plant.layout, Role(role), {"stage": "SIL", "loop": "closed"}, 0, f"{role}-{number}")
 
     def _shown(self, past: list[np.ndarray], i: int) -> np.ndarray:
@@ -162,7 +168,7 @@ def _force(effect: str, strength: float, size: float) -> Callable[[float, float]
         "constant_force": lambda _q, _v: 0.7 * strength,
         "cogging": lambda q, _v: 0.5 * strength * np.sin(2.0 * np.pi * q / 0.35 + 0.4),
         "hard_stop": lambda q, v: -(400.0 * (q - 0.45) + 4.0 * v) * (q > 0.45) - (400.0 * (q + 0.45) + 4.0 * v) * (q < -0.45),
-        "stribeck_friction": lambda _q, v: -strength * np.tanh(v / 2e-3) * (0.15 + 0.35 * np.exp(-((v / 0.15) ** 2))),
+        "stribeck_friction": lambda _q, v: -strength * np.tanh(v / 5e-3) * (0.15 + 0.35 * np.exp(-((v / 0.15) ** 2))),
     }
     law = laws.get(effect, lambda _q, _v: 0.0)
     return lambda q, v: size * law(q, v)
@@ -239,6 +245,37 @@ def peers(cases: Path) -> dict[str, dict[str, dict[str, Any]]]:
     return answers
 
 
+def speed(arm: Arm) -> float:
+    """How many times as long mujoco.rollout takes, one thread each, for 16 neighbouring models of a robot on the same windows."""
+    plant, model = arm.plant(), mujoco.MjModel.from_xml_string(arm.xml)
+    rng, steps = np.random.default_rng(SEED), round(HORIZON_S / PERIOD_S)
+    initial = rng.uniform(-0.3, 0.3, (WINDOWS, 2 * arm.n))
+    applied = rng.uniform(-0.2, 0.2, (WINDOWS, steps + 1, arm.n)) * arm.limits
+    parameters = np.repeat(np.array([plant.parameters]), MODELS, axis=0)
+    parameters *= rng.uniform(0.999, 1.001, parameters.shape)
+    h, once = np.full((WINDOWS, steps + 1), PERIOD_S), np.ones((WINDOWS, steps + 1), np.int64)
+    states = np.concatenate([np.zeros((WINDOWS * MODELS, 1)), np.tile(initial, (MODELS, 1))], axis=1)
+    control = np.tile(applied[:, :steps], (MODELS, 1, 1))
+    models, data = [model] * len(states), [mujoco.MjData(model)]
+
+    def ours() -> None:
+        plant.dynamics.rollout(parameters, initial, applied, h, once)
+
+    def theirs() -> None:
+        mujoco.rollout.rollout(models, data, states, control)
+
+    def quickest(run: Callable[[], None]) -> float:
+        run()
+        times = []
+        for _ in range(5):
+            began = time.perf_counter()
+            run()
+            times.append(time.perf_counter() - began)
+        return min(times)
+
+    return quickest(theirs) / quickest(ours)
+
+
 def told(answers: dict[str, dict[str, Any]], hidden: dict[str, dict[int, str]]) -> str:
     """What a peer's answers came to."""
     joint = sum({a["blamed"][1]} == {f"j{j}" for j in hidden[name]} for name, a in answers.items())
@@ -261,8 +298,9 @@ def main(arguments: list[str] | None = None) -> None:
     for number, arm in enumerate(trials(rng, *counts)):
         plant = arm.plant()
         episodes = arm.recorded(plant)
-        _write(cases / f"{number:03d}", arm, episodes)
-        hidden[f"{number:03d}"] = arm.hidden
+        if number < PEERS:
+            _write(cases / f"{number:03d}", arm, episodes)
+            hidden[f"{number:03d}"] = arm.hidden
         began = time.perf_counter()
         found = diagnose(plant, [e for e in episodes if e.role is not Role.TEST])
         seconds = time.perf_counter() - began
@@ -286,7 +324,13 @@ def main(arguments: list[str] | None = None) -> None:
             closed, slowest = np.median([r[4] for r in of]), max(r[5] for r in of)
             print(f"{kind}: named {named}, in the set {in_set}, joint {joint}, closed {closed:.4f}, {slowest:.0f} s at most")
 
-    print("on the same machines:")
+    for joints in (3, SIX):
+        arm = Arm(np.random.default_rng(SEED), {}, payload=False, joints=joints)
+        print(f"{joints} joints: mujoco.rollout takes {speed(arm):.1f} times as long for {MODELS} models in {WINDOWS} windows, a core each")
+
+    first = rows[: len(hidden)]
+    right, closed, slowest = sum(r[1] for r in first), np.median([r[4] for r in first]), max(r[5] for r in first)
+    print(f"the first {len(first)} machines: trueup names {right}, closed {closed:.4f}, {slowest:.0f} s at most")
     for method, answers in peers(cases).items():
         print(f"{method}: {told(answers, hidden)}")
     shutil.rmtree(cases)

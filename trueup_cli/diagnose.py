@@ -11,7 +11,7 @@ import trueup
 from trueup.artifact.artifact import pack
 from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
-from trueup.diagnose.page import page, sentence
+from trueup.diagnose.page import page, pushed, sentence
 from trueup.diagnose.report import COMMAND_FILE
 from trueup.episode.episode import Episode
 from trueup.model.mjcf_writer import write as write_corrected
@@ -36,6 +36,8 @@ def run(case: Path, *, out: Path, seed: int = 0) -> None:
     write(found, episodes, out)
     files = {"report": out / "report.html", "model": out / "model", **write_mjcf(found, case, out)}
     print(sentence(found.document))
+    for push in pushed(found.document):
+        print(f"Something outside pushes, as a contact does: {push}. Leave it out: a contact is not simulated.")
     print("   ".join(f"{what}: {where}" for what, where in files.items()))
 
 

@@ -21,6 +21,7 @@ from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import trueup
 from trueup.artifact.artifact import Artifact, unpack
@@ -34,7 +35,7 @@ from trueup.diagnose.measure import closed_on
 from trueup.episode.episode import Episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
-from trueup.simulate.trial import Bench
+from trueup.simulate.trial import Bench, RobotBench
 from trueup_worker.blind_room import NO_ANSWER, Room
 
 SCHEMA = "trueup.blindtrial/1"
@@ -61,7 +62,7 @@ class Sealed:
     salt: str
     commitment: str
     tests: Sequence[Episode]
-    sigma: tuple[float, float]
+    sigma: NDArray[np.float64]
 
 
 def conduct(
@@ -105,8 +106,9 @@ def conduct(
             "episodes": [{"sha256": e.digest, "role": str(e.role)} for e in sorted(episodes, key=lambda e: e.digest)],
             "period_s": bench.timestep_s,
             "fine_step_s": bench.timestep_s / bench.parts,
-            "sigma": list(bench.sigma or ()),
-            "feedback": asdict(bench.feedback) if bench.feedback else None,
+            "sigma": [float(x) for x in bench.sigma] if bench.sigma is not None else [],
+            "feedback": {k: np.ravel(v).tolist() for k, v in asdict(bench.feedback).items()} if bench.feedback else None,
+            "robot": isinstance(bench, RobotBench),
             "left_out": list(left_out(plant)),
         },
         "opening": {"secret": hidden.hex(), "redrawn": secret is not None},
@@ -114,7 +116,9 @@ def conduct(
     }
 
 
-def _drawn(plant: Plant, bench: Bench, conditions: Mapping[str, str], count: int, secret: bytes, where: Path) -> Iterator[Sealed]:
+def _drawn(
+    plant: Plant, bench: Bench | RobotBench, conditions: Mapping[str, str], count: int, secret: bytes, where: Path
+) -> Iterator[Sealed]:
     rng = np.random.default_rng(int.from_bytes(bytes.fromhex(digest_of_bytes(secret + b"/lots"))))
     own: Json = [dict(plant.document), dict(conditions)]
     for i, lot in enumerate(draw_lots(plant, count, rng)):
@@ -158,7 +162,7 @@ def _row(index: int, plant: Plant, sealed: Sealed, answer: Mapping[str, Any], fo
     closed = None
     if "manifest" in answer:
         model = Artifact(answer["manifest"].encode(), b64decode(answer["arrays"]))
-        closed = closed_on(unpack(model), sealed.tests, np.array(sealed.sigma))
+        closed = closed_on(unpack(model), sealed.tests, sealed.sigma)
     return {
         "index": index,
         "label": sealed.label,

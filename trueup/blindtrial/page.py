@@ -138,7 +138,9 @@ def _rows(d: Mapping[str, Any]) -> str:
     for r in d["rows"]:
         hidden = " + ".join(r["label"]["effects"]) or f"no effect (bait: {r['label']['bait']})"
         closed = "–" if r["closed"] is None else f"{r['closed']:.1%}"
-        others = ", ".join(" + ".join(o) for o in r["indistinguishable"])
+        others = ", ".join(
+            " + ".join(e if isinstance(e, str) else f"{e['effect']} at {e['joint']}" for e in o) for o in r["indistinguishable"]
+        )
         mark = "" if r["exact"] else " class=miss"
         rows.append(
             f"<tr{mark}><td class=n>{r['index']}<td>{_plain(hidden)}<td class=n>{r['label']['gap']:.3f}<td>{_plain(r['answer'])}<td>{_plain(others)}"
@@ -156,9 +158,11 @@ def _blind(d: Mapping[str, Any]) -> str:
         else "under the recorded commands and a weak feedback to the recorded motion"
     )
     out = f" Left out, as the nominal form takes them up on these channels: {', '.join(b['left_out'])}." if b["left_out"] else ""
+    links = "the robot's links by MuJoCo, " if b["robot"] else ""
     again = " The secret was given, not drawn: this repeats a trial that was opened before." if d["opening"]["redrawn"] else ""
     return (
-        f"<p>Machines were simulated at {b['fine_step_s'] * 1e3:.3g} ms by a program that shares no line with the one that fits, with other laws of friction, "
+        f"<p>Machines were simulated at {b['fine_step_s'] * 1e3:.3g} ms by a program that shares no line with the one that fits, "
+        f"{links}with other laws of friction, "
         f"hysteresis and stops, {feedback}, and logged every {b['period_s'] * 1e3:.3g} ms with the noise of the user's log.{_plain(out)}</p>"
         "<p>Each label was committed by its salted SHA-256 before the first diagnosis. The diagnoses ran in processes that were told a folder of recordings and "
         f"nothing else. {leak['baits']} machines without an effect carried the label of one as a bait: {leak['taken']} taken.{again}</p>"

@@ -7,6 +7,7 @@ from io import BytesIO
 
 import numpy as np
 from mcap.writer import CompressionType
+from numpy.typing import NDArray
 
 from trueup.canonical import canonical_bytes
 from trueup.episode.episode import Episode
@@ -32,7 +33,7 @@ def _mcap(plant: Plant, run: Run, role: Role, conditions: Mapping[str, str]) -> 
         stream,
         stamps_ns=np.rint(run.t_s * 1e9).astype(np.int64),
         observations=run.observed[:, plant.state_columns],
-        commands=run.issued[:, None],
+        commands=_commands(plant, run),
         layout=plant.layout,
         role=role,
         conditions=conditions,
@@ -46,8 +47,14 @@ def tests(plant: Plant, trial: Trial) -> list[Episode]:
     found = []
     for i, run in enumerate(trial.of("test")):
         seen = run.observed[:, plant.state_columns].copy()
-        found.append(Episode(run.t_s.copy(), run.issued[:, None].copy(), seen, plant.layout, Role.TEST, {}, 0, f"test-{i}"))
+        found.append(Episode(run.t_s.copy(), _commands(plant, run), seen, plant.layout, Role.TEST, {}, 0, f"test-{i}"))
     return found
+
+
+def _commands(plant: Plant, run: Run) -> NDArray[np.float64]:
+    """The joints' commands as the log has them, `(samples, commands)`."""
+    by_joint = run.issued.reshape(len(run.t_s), -1)
+    return by_joint[:, [plant.joint_of(c) for c in plant.layout.commands]]
 
 
 def conditions_of(episodes: Sequence[Episode]) -> dict[str, str]:

@@ -40,7 +40,8 @@ def commitment(label: Mapping[str, Json], salt: str) -> str:
 
 def require_silent(files: Mapping[str, bytes], label: Mapping[str, Any], salt: str, own: Json) -> None:
     """Raises LabelLeaked where a file's name or bytes spell an effect or the salt; words of the user's `own` documents are not told."""
-    words = {*label["effects"], *([label["bait"]] if label["bait"] else ()), salt}
+    hidden = [*label["effects"], *([label["bait"]] if label["bait"] else ())]
+    words = {*(name.split(" at ")[0] for name in hidden), salt}
     known = canonical_bytes(own).decode()
     for name, data in files.items():
         for word in words:

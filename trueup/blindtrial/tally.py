@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from trueup.blindtrial.lot import spelled
 from trueup.canonical import Json
 from trueup.diagnose.twins import TWINS
 from trueup.model.effect import effects
@@ -52,7 +53,7 @@ class Answer:
     @property
     def named(self) -> frozenset[str]:
         """The answer's effects."""
-        return _folded(e["effect"] for e in self.report["effects"]) if self.report else frozenset()
+        return _folded(self.report["effects"]) if self.report else frozenset()
 
     @property
     def others(self) -> set[frozenset[str]]:
@@ -60,8 +61,19 @@ class Answer:
         return {_folded(names) for names in self.report["indistinguishable"]} - {self.named} if self.report else set()
 
 
-def _folded(names: Iterable[str]) -> frozenset[str]:
-    return frozenset(effects()[n].same_as or n if n in effects() else n for n in names)
+def _folded(of: Iterable[str | Mapping[str, Any]]) -> frozenset[str]:
+    """Effects of a label or a report as they are compared: on the log of one joint, effects of one law are one."""
+    found = set()
+    for at in of:
+        name, _, joint = at.partition(" at ") if isinstance(at, str) else (at["effect"], "", at.get("joint", ""))
+        found.add(spelled(name, joint) if joint else effects()[name].same_as or name if name in effects() else name)
+    return frozenset(found)
+
+
+def _are_twins(differing: frozenset[str]) -> bool:
+    """Whether two answers differ in nothing but twins at one joint."""
+    parts = [name.partition(" at ") for name in differing]
+    return len({joint for _, _, joint in parts}) == 1 and frozenset(name for name, _, _ in parts) in TWINS
 
 
 def judge(label: Mapping[str, Any], answer: Answer) -> dict[str, Json]:
@@ -74,10 +86,10 @@ def judge(label: Mapping[str, Any], answer: Answer) -> dict[str, Json]:
         exact = in_set = answer.verdict == "unknown_effect"
     else:
         claimed = answer.verdict == "effect"
-        exact = claimed and (named == truth or (truth in others and (named ^ truth) in TWINS))
+        exact = claimed and (named == truth or (truth in others and _are_twins(named ^ truth)))
         in_set = claimed and (exact or truth in others)
     taken = bool(label["bait"]) and named >= _folded([label["bait"]])
-    excess = {o for o in others - {truth} if (o ^ named) not in TWINS}
+    excess = {o for o in others - {truth} if not _are_twins(o ^ named)}
     return {"exact": exact, "in_set": in_set, "alternatives": len(excess), "bait_taken": taken}
 
 
@@ -90,10 +102,11 @@ def intervals(label: Mapping[str, Any], answer: Answer) -> list[dict[str, Any]]:
     found = []
     for entry in answer.report["effects"]:
         name = entry["effect"]
-        true: Mapping[str, float] = label["effects"].get(name) or next((v for n, v in label["effects"].items() if name in _folded([n])), {})
+        true: Mapping[str, float] = next((v for n, v in label["effects"].items() if _folded([entry]) == _folded([n])), {})
         compared = [n for n in ALIKE.get(name, (effects()[name].params[0].name,)) if n in true and n in entry["estimate"]]
         found += [_held(name, n, true[n], entry["estimate"][n]) for n in compared]
-    return found + [_held("", n, label["parameters"][n], p) for n, p in answer.report["parameters"].items()]
+    own = label["parameters"]  # of a robot the log shows sums of them
+    return found + [_held("", n, own[n], p) for n, p in answer.report["parameters"].items() if n in own]
 
 
 def _held(of: str, number: str, true: float, estimate: Mapping[str, Any]) -> dict[str, Any]:
@@ -107,7 +120,7 @@ def bound(label: Mapping[str, Any], answer: Answer) -> bool | None:
         return None
     ((name, numbers),) = label["effects"].items()
     for entry in answer.report["excluded"]:
-        if entry["effect"] in _folded([name]) and entry["parameter"] in numbers:
+        if _folded([entry]) == _folded([name]) and entry["parameter"] in numbers:
             size = abs(numbers[entry["parameter"]])
             if not size:
                 return None  # the other of its numbers is hidden
@@ -154,10 +167,20 @@ def _improbable(taken: int, baits: int) -> bool | None:
 
 def _confusion(rows: Sequence[Mapping[str, Any]]) -> list[Json]:
     """How often which truth was answered how, faint ones apart."""
-    counts = Counter(
-        (_words(_folded(r["label"]["effects"]), r["label"]["kind"]), r["answer"]) for r in rows if r["label"]["kind"] != "faint"
-    )
+    counts = Counter(_where_apart(r) for r in rows if r["label"]["kind"] != "faint")
     return [{"truth": truth, "answer": answer, "n": n} for (truth, answer), n in sorted(counts.items())]
+
+
+def _where_apart(row: Mapping[str, Any]) -> tuple[str, str]:
+    """Truth and answer of a trial in words, joints left out where they are right, and said to be others where they are not."""
+    truth, answer = _words(_folded(row["label"]["effects"]), row["label"]["kind"]), str(row["answer"])
+    hidden, named = (sorted(part.partition(" at ")[2] for part in words.split(" + ")) for words in (truth, answer))
+    other = ", at another joint" if any(named) and hidden != named else ""
+    return _placeless(truth), _placeless(answer) + other
+
+
+def _placeless(words: str) -> str:
+    return " + ".join(sorted(part.partition(" at ")[0] for part in words.split(" + ")))
 
 
 def _words(names: frozenset[str], kind: str) -> str:
@@ -174,8 +197,8 @@ def answer_words(answer: Answer) -> str:
 def _trust(rows: Sequence[Mapping[str, Any]]) -> list[Json]:
     """Of each answer that was given: how often it was right, and how often at least, with 95 % confidence."""
     found: list[Json] = []
-    for answer in sorted({r["answer"] for r in rows}):
-        of = [bool(r["exact"]) for r in rows if r["answer"] == answer and r["label"]["kind"] != "faint"]
+    for answer in sorted({_placeless(r["answer"]) for r in rows}):
+        of = [bool(r["exact"]) for r in rows if _placeless(r["answer"]) == answer and r["label"]["kind"] != "faint"]
         if of:
             found.append({"answer": answer, "n": len(of), "right": sum(of), "at_least": lower(sum(of), len(of))})
     return found

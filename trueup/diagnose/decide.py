@@ -4,7 +4,8 @@
   a larger composition must also earn its place on the latter alone.
 - Differences are scaled by the best candidate's own misfit, so that what no candidate explains does not separate them, and every
   free number has its price.
-- A larger composition is taken where it removes a material part of the gap, beyond the accuracy of laws and integration.
+- A larger composition is taken where it removes a material part of the gap, beyond the accuracy of laws and integration, or leaves
+  nothing but noise of what plainly was there.
 - Compositions of one size are told apart where a difference is certain over windows, and not where it is small.
 - Where even the best leaves a material part of the gap, none of them is the answer.
 """
@@ -22,6 +23,7 @@ from trueup.diagnose.twins import are_twins
 from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
+from trueup.model.hypothesis import Hypothesis
 
 LOG_LIKELIHOOD = 9.0  # units of log-likelihood that separate two candidates
 CERTAIN = 3.0  # times that, for windows that do not agree
@@ -31,6 +33,9 @@ FLOOR = 0.5  # the least misfit: the noise is known to a few per cent, so none i
 FINISHED = 0.2  # of what was left: a composition that leaves no more than that explains it
 NOISE_POWER = 0.06  # of the noise's power: the least that an effect must remove
 ADEQUATE = 1.25  # misfit up to which noise, known to a few per cent, is all that is left
+PLAIN = 0.5  # of that misfit: so much more is no noise
+SCRAPS = 0.1  # of what was left: an accident takes not so much of it
+FAR = 10.0  # times the noise's power: what a robot's law leaves of that size may be another effect, however large the gap was
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,10 +45,10 @@ class Yardstick:
     `material` is the least part of the refitted gap that an effect must remove, `finishing` the same where it leaves FINISHED of the
     rest; `overall` the least part of the nominal model's gap; `unexplained` the part of the gap beyond which no law is the answer, and
     `unexplained_by_more` the same of several, for each of their numbers: many numbers take up much;
-    `most_effects` how many are looked for; `alike` the part
-    of the best misfit on validation episodes within which two compositions of one size are alike; `indifferent` the part of the refitted
-    gap by which integration alone may make one of two better. Where `alike` is not 0, what remains is no
-    white noise, samples are no independent witnesses, and only validation episodes rank.
+    `most_effects` how many are looked for; `alike` the part of the best misfit on validation episodes within which two compositions of one
+    size are alike; `indifferent` the part of the refitted gap by which integration alone may make one of two better; `far` the misfit
+    beyond which the search goes on in any case. Where `alike` is not 0, what remains is no white noise, samples are no independent
+    witnesses, and only validation episodes rank.
     """
 
     material: float
@@ -54,10 +59,13 @@ class Yardstick:
     most_effects: int
     alike: float
     indifferent: float
+    far: float = np.inf
 
 
 SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 0.015, 3, 0.0, 0.0)  # the laws' forms and the integration differ by about a thousandth
-ROBOT = replace(SIMULATED, finishing=3e-3, indifferent=4e-4)  # a step of several joints knows an effect's force only when it is over
+ROBOT = replace(
+    SIMULATED, finishing=3e-3, indifferent=4e-4, far=FAR
+)  # a step of several joints knows an effect's force only when it is over
 PHYSICAL = Yardstick(0.01, 0.01, 2e-3, 0.15, 0.6, 2, 0.25, 0.0)  # no textbook law holds on a machine to better than some per cent
 
 
@@ -98,8 +106,9 @@ def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick =
     base = by_size[0][0]
     gap = max(base.misfit - 1.0, nominal.misfit - 1.0 if np.isfinite(nominal.misfit) else 0.0, 0.0)
     winner = base
+    found = {c.hypothesis: c for c in sound}
     for _, group in sorted(by_size.items())[1:]:
-        if _earns(group[0], winner, base, gap, by):
+        if _earns(group[0], winner, found.get(_common(group[0], winner), base), gap, by):
             winner = group[0]
     size = complexity(winner)
     left = max(winner.misfit - 1.0, 0.0) / max(base.misfit - 1.0 if size else gap, 1e-12)
@@ -137,7 +146,13 @@ def penalised(c: Candidate, spread: float) -> float:
 
 def enough(candidate: Candidate, base: Candidate, by: Yardstick) -> bool:
     """Whether nothing material is left for a larger composition to explain."""
-    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < by.finishing * (base.misfit - 1.0)
+    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < min(by.finishing * (base.misfit - 1.0), by.far)
+
+
+def _common(larger: Candidate, smaller: Candidate) -> Hypothesis:
+    """What a composition leaves of a smaller one that it changes, against which the change is measured; nothing where it adds to it."""
+    kept = tuple(t for t in larger.hypothesis.effects if t in smaller.hypothesis.effects)
+    return Hypothesis(kept if len(kept) < len(smaller.hypothesis.effects) else ())
 
 
 def _earns(larger: Candidate, smaller: Candidate, base: Candidate, gap: float, by: Yardstick) -> bool:
@@ -145,7 +160,10 @@ def _earns(larger: Candidate, smaller: Candidate, base: Candidate, gap: float, b
     removed = smaller.misfit - larger.misfit
     rest = max(larger.misfit - 1.0, 0.0) / max(smaller.misfit - 1.0, 1e-12)
     part = by.material if rest > FINISHED else by.finishing
-    material = max(part * (base.misfit - 1.0), by.overall * gap, NOISE_POWER * max(larger.misfit, FLOOR))
+    material = NOISE_POWER * max(larger.misfit, FLOOR)
+    finishes = larger.misfit < ADEQUATE or rest < SCRAPS
+    if by.alike or not finishes or removed < PLAIN * larger.misfit:  # else nothing is left of what plainly was
+        material = max(part * (base.misfit - 1.0), by.overall * gap, material)
     return removed > material and _certain(smaller.check.costs - larger.check.costs, larger.misfit)
 
 

@@ -24,7 +24,8 @@ from trueup.model.state import smoothed_states
 
 Progress = Callable[[str, float], None]
 WINDOW_S = 2.0
-SHORT_S = 0.5  # windows for beginnings
+SHORT_S = 0.5  # windows for beginnings,
+SHORTER = 4  # of a robot so many in one that is fitted: the further the nominal form is off, the shorter a linear model reaches
 HALVED = 3  # times at most, windows in which the nominal form runs away
 TELLING = 2  # episodes on which they race
 TELLING_ROWS = 15_000  # samples of all joints that they race on, at most
@@ -57,7 +58,7 @@ class Effort:
 
 
 ONE_JOINT = Effort(raced=0, others=0, settled=0, refined=5, parents=4, grown=9)
-ROBOT = Effort(raced=12, others=4, settled=5, refined=5, parents=2, grown=6)
+ROBOT = Effort(raced=0, others=4, settled=5, refined=5, parents=2, grown=6)
 LARGE_ROBOT = Effort(raced=8, others=3, settled=3, refined=2, parents=1, grown=4)
 
 
@@ -126,7 +127,8 @@ def _explore(
     alone = len(plant.joints) == 1
     search.exact = alone or by is not PHYSICAL
     if not alone:
-        search.short = [series(plant, e, scheme, min(SHORT_S, search.length_s)) for e in _telling(base, adaptation, len(plant.joints))]
+        short_s = min(SHORT_S, search.length_s / SHORTER)
+        search.short = [series(plant, e, scheme, short_s) for e in _telling(base, adaptation, len(plant.joints))]
         search.declared = plant.parameters
     spent, largest = effort(plant), by.most_effects if alone else PAIR
     terms = search.terms if alone else search.suspected(base, spent.raced, spent.others)
@@ -141,12 +143,12 @@ def _explore(
         hopeless = left > HOPELESS if size > PAIR else left > HOPELESS_ON_MACHINE and not search.exact
         if hopeless or any(enough(c, base, by) for c in search):
             break
-        parents = leaders[: spent.parents if size == PAIR else 2]
+        parents = [c for c in leaders if not total(c) > FAR_BEHIND * total(leaders[0])][: spent.parents if size == PAIR else 2]
         generation = search.extend(parents, search.terms, partial(progress, f"{size} effects"), most=spent.grown, settled=spent.settled)
     else:
         leaders = _leaders(search, generation, base, by, spent)
         for c in (_swapped(search, leaders, base, by, spent) if largest == PAIR and alone else leaders)[: min(2, spent.parents)]:
-            search.shrink(c)
+            (search.shrink if alone else search.peel)(c)
     return search
 
 
@@ -212,7 +214,7 @@ def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, b
     if spent is ONE_JOINT or any(enough(c, base, by) for c in leaders):
         return leaders
     made = [c for c in in_parallel(search.everywhere, leaders[:SPREAD]) if c is not None]
-    list(in_parallel(search.shrink, [c for c in made if enough(c, base, by)]))  # at how many of them does it act?
+    list(in_parallel(search.peel, [c for c in made if enough(c, base, by)]))  # at how many of them does it act?
     return sorted([*leaders, *(c for c in made if c.resolved)], key=total)
 
 
@@ -235,7 +237,8 @@ def _stretch(episode: Episode, costs: np.ndarray, most: int) -> Episode:
     first = int(np.argmax(np.convolve(costs, np.ones(many), "valid"))) * samples // len(costs)
     kept = slice(min(first, samples - most), min(first, samples - most) + most)
     t = episode.t_s[kept] - episode.t_s[kept][0]
-    return replace(episode, t_s=t, commands=episode.commands[kept].copy(), observations=episode.observations[kept].copy())
+    cut = f"{episode.digest}, samples {kept.start} to {kept.stop}"  # its hidden states begin elsewhere
+    return replace(episode, t_s=t, commands=episode.commands[kept].copy(), observations=episode.observations[kept].copy(), digest=cut)
 
 
 def _swapped(search: Search, leaders: list[Candidate], base: Candidate, by: Yardstick, spent: Effort) -> list[Candidate]:

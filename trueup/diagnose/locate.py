@@ -18,6 +18,7 @@ from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, Start
 from trueup.model.block import kind
 from trueup.model.effect import effects
+from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.series import whole
 from trueup.model.state import smoothed_states
@@ -27,11 +28,14 @@ STRIDE_S = 0.1
 SLOW, LARGE, LATE = 0.1, 0.8, 2.0 / 3.0  # of the top speed; of the largest command or travel; of the episode
 LEAST = 3  # samples in a stride
 EDGES_HZ = (0.3, 1.0, 3.0)  # between bands
+NORMAL_MEDIAN = 0.6745  # of absolute standard normals
+PUSHED, PUSHED_S = 8.0, 0.8  # times what is usual there, and how long it lasts: what something outside does that leans on a robot
+OF_MOTION = 0.2  # of the force of a joint's own motion: less is no push worth a word
 
 
 @dataclass(frozen=True, slots=True)
 class Strides:
-    """What the nominal form misses over short strides: residual force, and where each stride was, `(strides, joints)` each.
+    """What a fit misses over short strides: residual force, and where each stride was, `(strides, joints)` each.
 
     Forces are in units of each joint's own inertia, so a single joint's are accelerations. What a joint's force does to the others is
     taken out by the mass matrix: `travelled` is the residual acceleration before that. `motion` is the acceleration itself; `turned`
@@ -52,10 +56,11 @@ class Strides:
 
 
 def locate(
-    plant: Plant, search: Search, base: Candidate, nominal: RolloutFit, adaptation: Sequence[Episode], validation: Sequence[Episode]
+    plant: Plant, search: Search, winner: Candidate, nominal: RolloutFit, adaptation: Sequence[Episode], validation: Sequence[Episode]
 ) -> dict[str, Json]:
-    """Shares of the residual by channel, by port, by region and by band of frequency."""
-    strides = strides_of(plant, search, base, [*adaptation, *validation])
+    """Shares of the residual by channel, by port, by region and by band of frequency; of a robot, when something outside pushes."""
+    base, episodes = search.found[Hypothesis()], [*adaptation, *validation]
+    strides = strides_of(plant, search, base, episodes)
     force, moved = _by_joint(strides)
     worst = int(np.argmax(force))
     found: dict[str, Json] = {
@@ -69,6 +74,42 @@ def locate(
         shares = zip(named, force / max(force.sum(), 1e-300), moved / max(moved.sum(), 1e-300), np.sqrt(force), strict=True)
         found["joints"] = [{"joint": n, "force": float(f), "acceleration": float(a), "of_motion": float(m)} for n, f, a, m in shares]
         found["regions_of"] = plant.joint_name(worst)
+        found["pushed"] = _pushed(plant, strides_of(plant, search, winner, episodes), episodes)
+    return found
+
+
+def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]:
+    """When a force that the answer does not explain leans on a joint for long, always the same way, as a contact does.
+
+    No effect of a joint does that at one time and not at others; what is usual is the median of the whole log.
+    """
+    usual = np.maximum(np.nanmedian(np.abs(s.residual), axis=0) / NORMAL_MEDIAN, 1e-12)
+    least = np.maximum(PUSHED * usual, OF_MOTION * np.sqrt(np.nanmean(s.motion**2, axis=0)))
+    pushes: list[tuple[int, float, float, int, float]] = []
+    for count, e in enumerate(episodes):
+        rows = s.episode == count
+        t, stride = s.t[rows] * e.t_s[-1], float(np.median(s.stride_s[rows]))
+        for j in range(s.residual.shape[1]):
+            force = s.residual[rows, j]
+            for way in (1.0, -1.0):
+                at = np.flatnonzero(way * force > least[j])
+                for run in np.split(at, np.flatnonzero(np.diff(at) > 2) + 1):  # noqa: PLR2004  (one stride may be less)
+                    if len(run) * stride >= PUSHED_S:
+                        begin, end = float(t[run[0]]) - stride / 2.0, float(t[run[-1]]) + stride / 2.0
+                        pushes.append((count, begin, end, j, float(way * np.max(way * force[run]))))
+    found: list[Json] = []
+    for count, e in enumerate(episodes):
+        spans: list[list[float]] = []
+        mine = sorted(p for p in pushes if p[0] == count)
+        for _, begin, end, _, _ in mine:
+            if spans and begin <= spans[-1][1]:
+                spans[-1][1] = max(spans[-1][1], end)
+            else:
+                spans.append([begin, end])
+        for begin, end in spans:
+            by = {j: force for _, b, _, j, force in mine if begin <= b <= end}
+            joints: list[Json] = [{"joint": plant.joint_name(j), "force": force} for j, force in sorted(by.items())]
+            found.append({"episode": e.digest, "from_s": round(begin, 2), "to_s": round(end, 2), "joints": joints})
     return found
 
 
@@ -103,21 +144,21 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
     return [{"port": port, "share": part, "by": name} for port, (part, name) in sorted(best.items(), key=lambda item: -item[1][0])]
 
 
-def strides_of(plant: Plant, search: Search, base: Candidate, episodes: Sequence[Episode]) -> Strides:
-    """The refitted nominal form's misses over strides of STRIDE_S."""
+def strides_of(plant: Plant, search: Search, of: Candidate, episodes: Sequence[Episode]) -> Strides:
+    """What a fit misses over strides of STRIDE_S."""
     parts, joints = [], len(plant.joints)
     for count, e in enumerate(episodes):
         every = max(LEAST, round(STRIDE_S / e.period_s))
         first = np.arange(0, len(e.t_s) - every, every)
         s = whole(plant, e, search.adaptation[0].scheme, first)
         states = smoothed_states(plant, e)
-        fit = replace(base.fit, starts={s.digest: Start(states[first], {})})
+        fit = replace(of.fit, starts={s.digest: Start(states[first], of.fit.starts[e.digest].memory if e.digest in of.fit.starts else {})})
         path = trajectory(search.fitter, fit, s)
         end, middle = first + every - 1, first + every // 2
         span = (e.t_s[end] - e.t_s[first])[:, None]
         missed = (states[end, joints:] - path[end, joints:]) / span
         motion = (states[end, joints:] - states[first, joints:]) / span
-        inertia = plant.dynamics.inertia(base.fit.values[: len(plant.parameters)], states[middle, :joints])
+        inertia = plant.dynamics.inertia(of.fit.values[: len(plant.parameters)], states[middle, :joints])
         u = plant.applied(e.commands)
         use = np.concatenate([np.zeros((1, joints)), np.cumsum(u[:-1] ** 2 * np.diff(e.t_s)[:, None], axis=0)])
         parts.append(

@@ -203,7 +203,10 @@ def _where(d: Mapping[str, Any]) -> str:
         (j["joint"], j["force"], f"{j['force']:.0%} of the residual force, {j['acceleration']:.0%} of the acceleration that it makes")
         for j in where.get("joints", [])
     ]
-    by_joint = "<p class=pale>by joint, what only travels through the coupling taken out</p>" + _bars(joints) if joints else ""
+    pushes = "".join(f"<li>{escape(push)}</li>" for push in pushed(d))
+    by_joint = f"<p>Something outside pushes, as a contact does; it is not simulated:</p><ul>{pushes}</ul>" if pushes else ""
+    if joints:
+        by_joint += "<p class=pale>by joint, what only travels through the coupling taken out</p>" + _bars(joints)
     at = f", at {escape(where['regions_of'])}" if joints else ""
     return (
         f"<div class=cols><div>{by_joint}<p class=pale>by region{at}, the most telling first</p>{_bars(regions)}</div>"
@@ -215,6 +218,16 @@ def _where(d: Mapping[str, Any]) -> str:
         + _bars(channels)
         + "</div></div>"
     )
+
+
+def pushed(d: Mapping[str, Any]) -> list[str]:
+    """When something outside pushes a robot, in words."""
+    roles = {e["sha256"]: e["role"] for e in d["evidence"]["episodes"]}
+    found = []
+    for push in d["where"].get("pushed", []):
+        joints = " and ".join(f"{j['joint']} by {j['force']:.2g}" for j in push["joints"])
+        found.append(f"{roles[push['episode']]} episode {push['episode'][:12]}, {push['from_s']:g} to {push['to_s']:g} s: {joints}")
+    return found
 
 
 def _bars(items: Sequence[tuple[str, float, str]]) -> str:

@@ -95,7 +95,7 @@ class Search:
 
     def nominal(self, parameters: Sequence[float]) -> RolloutFit:
         """The nominal parameters, on validation episodes."""
-        return self.fitter.fit(self.validation, Hypothesis(), self.fitter.begin(parameters), iterations=CHECK, only_starts=True)
+        return self.fitter.started(self.validation, Hypothesis(), self.fitter.begin(parameters), iterations=CHECK)
 
     def extend(
         self,
@@ -143,7 +143,7 @@ class Search:
         """A fit on short windows."""
         known = self._near.get(parent.hypothesis)
         if known is None or known.parent is not parent:
-            fit = self.fitter.fit(self.short, parent.hypothesis, parent.values, iterations=2, only_starts=True)
+            fit = self.fitter.started(self.short, parent.hypothesis, parent.values, _remembering(self.short, parent), iterations=2)
             known = self._near[parent.hypothesis] = Near(parent, fit, self.fitter.linear(self.short, fit), {})
         return known
 
@@ -151,16 +151,16 @@ class Search:
         """So many terms at the joint where a linear model expects most of one, and so many of the other joints', the most promising."""
         order = [name for name, _ in self._promising(parent, self.terms, 0)]
         joint = joint_of(order[0])
-        return [t for t in order if joint_of(t) == joint][:here] + [t for t in order if joint_of(t) != joint][:others]
+        return [t for t in order if joint_of(t) == joint][: here or None] + [t for t in order if joint_of(t) != joint][:others]
 
     def race(self, parent: RolloutFit, name: str, expected: np.ndarray) -> list[RolloutFit]:
         """Short fits of a composition with one term more from several starts, the best first.
 
         `expected` is the cost that a linear model expects of each of the term's starts.
         """
-        begins = self._begins(parent, name, expected)
-        resting, hypothesis, near = self._still(begins[0], [name]), parent.hypothesis | name, self.near(parent).linear
-        fit = partial(self.fitter.fit, self.short, hypothesis, fixed=resting, linear=near)
+        begins, near = self._begins(parent, name, expected), self.near(parent)
+        resting, hypothesis = self._still(begins[0], [name]), parent.hypothesis | name
+        fit = partial(self.fitter.fit, self.short, hypothesis, starts=_remembering(self.short, near.fit), fixed=resting, linear=near.linear)
         astray = self.exact and not parent.hypothesis.effects  # what no number of the nominal form explains may have led them there
         if astray and len(self.declared):
             others = [np.concatenate([self.declared, b[len(self.declared) :]]) for b in begins]
@@ -178,7 +178,10 @@ class Search:
             for f in raced[: KEPT if self.exact else 1]
         ]
         apart = [f for i, f in enumerate(near) if not any(_same(f, g) for g in near[:i])]
-        settled = [fit(self.adaptation, hypothesis, f.values, iterations=SETTLE, tolerance=1e-3, fixed=resting) for f in apart]
+        settled = [
+            fit(self.adaptation, hypothesis, f.values, _remembering(self.adaptation, f), iterations=SETTLE, tolerance=1e-3, fixed=resting)
+            for f in apart
+        ]
         best = min(settled, key=lambda f: f.cost)
         if resting:
             asked = [fit(self.adaptation, hypothesis, v, best.starts, iterations=SETTLE, tolerance=1e-3) for v in self._asked(best, name)]
@@ -306,6 +309,24 @@ class Search:
 
     def shrink(self, candidate: Candidate) -> list[Candidate]:
         """Each composition with one effect less, fitted from where this one is; kept where that is better than what was found."""
+        better = self._smaller(candidate)
+        for part in list(better):
+            if len(part.hypothesis.effects) > 1 and part.misfit < NEARLY * max(candidate.misfit, 1.0):
+                better += self.shrink(part)
+        return better
+
+    def peel(self, candidate: Candidate) -> None:
+        """The same with the effect left out that is missed least, again and again, while that does about as well."""
+        while len(candidate.hypothesis.effects) > 1:
+            self._smaller(candidate)
+            parts = [self.found[candidate.hypothesis.without(name)] for name in candidate.hypothesis.effects]
+            least = min(parts, key=lambda c: c.fit.cost)
+            if not least.misfit < NEARLY * max(candidate.misfit, 1.0):
+                break
+            candidate = least
+
+    def _smaller(self, candidate: Candidate) -> list[Candidate]:
+        """Those with one effect less that are better than what was found."""
         better = []
         for name in candidate.hypothesis.effects:
             smaller = candidate.hypothesis.without(name)
@@ -314,9 +335,6 @@ class Search:
             )
             if smaller not in self.found or fit.cost < self.found[smaller].fit.cost:
                 better.append(self.keep(fit))
-        for part in list(better):
-            if len(part.hypothesis.effects) > 1 and part.misfit < NEARLY * max(candidate.misfit, 1.0):
-                better += self.shrink(part)
         return better
 
     def mirror(self, candidate: Candidate) -> None:
@@ -339,7 +357,7 @@ class Search:
         """A fit as a candidate, with the starts of validation windows estimated, from given ones too."""
         checks = [self._checked(fit)]
         if starts is not None:
-            checks.append(self.fitter.fit(self.validation, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True))
+            checks.append(self.fitter.started(self.validation, fit.hypothesis, fit.values, starts, CHECK))
         self.found[fit.hypothesis] = Candidate(fit, min(checks, key=lambda f: f.cost), self._resolved(fit))
         return self.found[fit.hypothesis]
 
@@ -357,7 +375,7 @@ class Search:
         starts = {digest: Start(begin, {}) for digest, begin in windows.items()}
         for key in self._corners(fit.hypothesis):
             starts = {s.digest: self._scanned(s, fit, starts[s.digest], key) for s in data}
-        return self.fitter.fit(data, fit.hypothesis, fit.values, starts, iterations=CHECK, only_starts=True)
+        return self.fitter.started(data, fit.hypothesis, fit.values, starts, CHECK)
 
     def _scanned(self, s: Series, fit: RolloutFit, start: Start, key: Memory) -> Start:
         """A start with the best of many pasts of one hidden state, one in each lane, from windows that know of none of them."""
@@ -406,13 +424,21 @@ def trajectory(fitter: Fitter, fit: RolloutFit, s: Series) -> np.ndarray:
     return np.asarray(roll(s, fitter.form, p, switches(fit.hypothesis, fitter.joints), init)[:, :, 0])
 
 
+def _remembering(data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
+    """Starts that know nothing but what hidden states began with in a fit of the same episodes in other windows."""
+    return {s.digest: Start(s.begin, fit.starts[s.digest].memory if s.digest in fit.starts else {}) for s in data}
+
+
 def _apart(expected: np.ndarray) -> list[int]:
-    """The most promising starts, no two of them neighbours."""
+    """The most promising starts, no two of them neighbours; where a linear model prefers none, some that are far apart."""
+    most = RACED if len(expected) < MANY else 2 * RACED
+    if np.ptp(expected) == 0.0:
+        return [int(i) for i in (np.arange(most) + 1) * len(expected) // (most + 1)] if len(expected) > most else list(range(len(expected)))
     chosen: list[int] = []
     for i in np.argsort(expected, kind="stable"):
         if all(abs(int(i) - j) > max(1, len(expected) // FAR) for j in chosen):
             chosen.append(int(i))
-    return chosen[: RACED if len(expected) < MANY else 2 * RACED]
+    return chosen[:most]
 
 
 def has_already(hypothesis: Hypothesis, of: str) -> bool:

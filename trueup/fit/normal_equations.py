@@ -7,8 +7,8 @@ Source: B. Triggs et al., Bundle Adjustment (1999), 6; C. T. Kelley, Solving Non
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -82,8 +82,33 @@ class Gram:
         prior = sum(float(np.sum((b / self.scales) ** 2)) for b in self.began.values())
         return sum(float(g[:, 0, 0].sum()) for g in self.parts.values()) + prior
 
-    def _condensed(self, damping: float) -> _Condensed:
-        """Starts eliminated window by window: matrices over (error, parameters, memories) by episode, with the memories' prior."""
+    def costs(self, episode: str) -> Array:
+        """Cost of each window of an episode, infinite where its rollout ran away."""
+        g = self.parts[episode]
+        with np.errstate(invalid="ignore"):
+            sound = np.abs(g).max(axis=(1, 2), initial=0.0) < RAN_AWAY
+        return np.where(sound, g[:, 0, 0], np.inf)
+
+    def cost_of(self, episode: str) -> float:
+        """Cost of an episode, infinite where a rollout ran away."""
+        return float(self.costs(episode).sum() + np.sum((self.began[episode] / self.scales) ** 2))
+
+    def mixed(self, other: Gram, episodes: Iterable[str]) -> Gram:
+        """The same with some episodes from another."""
+        parts, began = ({**mine, **{e: its[e] for e in episodes}} for mine, its in ((self.parts, other.parts), (self.began, other.began)))
+        return replace(self, parts=parts, began=began)
+
+    def moves(self, damping: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
+        """Steps of each episode's starts and memories where no parameter moves, each window with a damping of its own `(windows,)`."""
+        sound = {key: np.where(np.isfinite(self.costs(key))[:, None, None], g, 0.0) for key, g in self.parts.items()}
+        c = replace(self, parts=sound)._condensed(np.concatenate([damping[key] for key in self.parts]))
+        return c.moves(list(self.parts), np.zeros(0))
+
+    def _condensed(self, damping: Array) -> _Condensed:
+        """Starts eliminated window by window: matrices over (error, parameters, memories) by episode, with the memories' prior.
+
+        `damping` `(windows,)` of all episodes; that of what hidden states began with is the least of them.
+        """
         n, m = self.free, len(self.scales)
         sizes = [len(g) for g in self.parts.values()]
         stacked = np.concatenate(list(self.parts.values()))
@@ -96,7 +121,7 @@ class Gram:
             weight = self.scales**-2
             at = np.arange(n + 1, n + m + 1)
             felt = total[:, at, at] > weight  # a past that the episode does not show, as beyond a play's end, stays where it is
-            total[:, at, at] = (total[:, at, at] + weight) * (1.0 + damping)
+            total[:, at, at] = (total[:, at, at] + weight) * (1.0 + float(damping.min()))
             pull = np.where(felt, weight * np.array(list(self.began.values())), 0.0)
             total[:, 0, at] -= pull
             total[:, at, 0] -= pull
@@ -106,7 +131,7 @@ class Gram:
 
     def reduced(self, damping: float = 0.0) -> tuple[Array, Array]:
         """Normal matrix and gradient of the parameters once starts and memories are eliminated."""
-        total = self._condensed(damping).reduced
+        total = self._condensed(self._alike(damping)).reduced
         return total[1:, 1:], total[0, 1:]
 
     def step(
@@ -115,7 +140,7 @@ class Gram:
         """Steps of the parameters, which are `at` places between bounds and have a prior's normal diagonal `worth` and gradient `pull`,
         and of each episode's starts and memories, and the decrease that the linear model expects.
         """
-        c, n = self._condensed(damping), self.free
+        c, n = self._condensed(self._alike(damping)), self.free
         normal, gradient = c.reduced[1:, 1:] + np.diag(worth), c.reduced[0, 1:] + pull
         moving = ~(((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0)))
         step = np.zeros(n)
@@ -124,14 +149,13 @@ class Gram:
             size = np.sqrt(np.maximum(np.diag(part), 1e-300))
             scaled = part / size[:, None] / size + (damping + 1e-12) * np.eye(len(size))
             step[moving] = np.linalg.solve(scaled, gradient[moving] / size) / size
-        memory = np.einsum("eij,ej->ei", c.solve, c.total[:, n + 1 :, 0] - c.total[:, n + 1 :, 1 : n + 1] @ step)
-        others = np.concatenate([np.repeat(step[None], len(memory), axis=0), memory], axis=1)[c.episode]
-        windows = np.einsum("wij,wj->wi", c.inverse, c.cross[:, :, 0] - np.einsum("wij,wj->wi", c.cross[:, :, 1:], others))
         expected = float(step @ gradient)
         expected += float(np.einsum("ei,eij,ej->", c.total[:, n + 1 :, 0], c.solve, c.total[:, n + 1 :, 0]))
         expected += float(np.einsum("wi,wij,wj->", c.cross[:, :, 0], c.inverse, c.cross[:, :, 0]))
-        moves = {key: (windows[c.episode == e], memory[e]) for e, key in enumerate(self.parts)}
-        return step, moves, expected
+        return step, c.moves(list(self.parts), step), expected
+
+    def _alike(self, damping: float) -> Array:
+        return np.full(sum(map(len, self.parts.values())), damping)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +169,14 @@ class _Condensed:
     solve: Array
     reduced: Array
 
+    def moves(self, episodes: Sequence[str], step: Array) -> dict[str, tuple[Array, Array]]:
+        """Steps of each episode's starts and memories beside a step of the parameters."""
+        n = len(step)
+        memory = np.einsum("eij,ej->ei", self.solve, self.total[:, n + 1 :, 0] - self.total[:, n + 1 :, 1 : n + 1] @ step)
+        others = np.concatenate([np.repeat(step[None], len(memory), axis=0), memory], axis=1)[self.episode]
+        windows = np.einsum("wij,wj->wi", self.inverse, self.cross[:, :, 0] - np.einsum("wij,wj->wi", self.cross[:, :, 1:], others))
+        return {key: (windows[self.episode == e], memory[e]) for e, key in enumerate(episodes)}
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignore[no-untyped-def]
@@ -156,7 +188,7 @@ def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignor
         for i in range(own):
             for k in range(own):
                 part[i, k] = g[w, size + i, size + k]
-            part[i, i] *= 1.0 + damping
+            part[i, i] *= 1.0 + damping[w]
             ridge += part[i, i]
         for i in range(own):
             part[i, i] += 1e-9 * max(ridge, 1e-3)

@@ -31,6 +31,9 @@ CORNER = 3e-3  # the same where the error has corners
 UNSEEN = 1e-6  # squared standard errors that an effect makes where the log cannot have shown it
 ROUGH = 5e-3  # a tolerance beyond which old derivatives do to the end
 KEEPS_ITS_WORD = 0.5  # of the expected decrease: a step that brings less wants new derivatives
+STARTED = 1e-4  # of the cost: a decrease by starts alone that ends their search
+KEPT_IT = 0.9  # of it: a longer one would have
+ASTRAY = 100.0  # times the cost: a step that leads there was far too long
 PRIOR = 50.0  # times what is left of a sample: the cost of a robot's number that is off by its size, for neighbours err alike
 NEGLIGIBLE = 0.02  # of a squared standard error: a decrease not worth an iteration
 MEMORY_STEP = 1e-3  # of its scale
@@ -255,30 +258,28 @@ class Fitter:
         *,
         iterations: int = 12,
         fixed: Iterable[tuple[str, str]] = (),
-        only_starts: bool = False,
         hold_starts: bool = False,
         tolerance: float = 1e-4,
         linear: Linear | None = None,
     ) -> RolloutFit:
-        """Levenberg-Marquardt from `values`. With `only_starts`, what the windows start from is estimated alone; with `hold_starts` their
-        positions and velocities stay as observed, as a prediction's do.
+        """Levenberg-Marquardt from `values`. With `hold_starts` positions and velocities of windows stay as observed, as a prediction's do.
 
         Where derivatives take several blocks of lanes, those by the nominal form's directions and by the starts are kept while steps do
         what they promise; `linear` are some of a fit nearby to begin with.
         """
-        task = self._task(data, hypothesis, self.free(hypothesis, fixed), only_starts=only_starts, hold_starts=hold_starts)
+        task = self._task(data, hypothesis, self.free(hypothesis, fixed), hold_starts=hold_starts)
         values = task.free.moved(values, np.zeros(len(task.free.rows)))
-        samples = sum(int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum()) for s in data)
+        samples, now = self._samples(data), _from(starts, data)
         weight, centre = self._expected(task.free)
-        given = starts or {}
-        now = {s.digest: given.get(s.digest, Start(s.begin, {})) for s in data}
         stale = linear is not None and task.keeps > 0
         best, linear = self._evaluate(task, values, now, linear if stale else None)
-        damping, converged = 1e-3, False
-        for _ in range(iterations if np.isfinite(best.cost) else 0):
+        damping, converged, astray = 1e-3, False, False
+        left = iterations if np.isfinite(best.cost) else 0
+        while left:
+            left -= 1
             at, worth = task.free.at(values), PRIOR * best.cost / samples * weight
             step, moves, expected = best.step(damping, at, task.free.low, task.free.high, worth, worth * (centre - at))
-            if not expected > tolerance * best.cost + NEGLIGIBLE:
+            if not expected > tolerance * best.cost + NEGLIGIBLE and not astray:
                 if stale and tolerance < ROUGH:
                     fresh, derived = self._evaluate(task, values, now)
                     if np.isfinite(fresh.cost):  # else it runs away a little further on, and this is as far as it goes
@@ -292,12 +293,15 @@ class Fitter:
             gained = best.cost - found.cost + float(worth @ ((at - centre) ** 2 - (task.free.at(tried) - centre) ** 2))
             if gained > 0.0:
                 good = gained > KEEPS_ITS_WORD * expected
-                damping = max(damping * (0.2 if good else 1.0), 1e-9)
+                damping = max(damping * (0.04 if gained > KEPT_IT * expected else 0.2 if good else 1.0), 1e-9)
+                astray = False
                 values, now, best, linear = tried, there, found, after
                 stale = task.keeps > 0
             else:
                 good = False
-                damping = damping if stale else damping * 10.0
+                astray = not found.cost < ASTRAY * best.cost
+                left += astray  # a glance tells that, and costs as little
+                damping = damping * 1e3 if astray else damping if stale else damping * 10.0
                 if damping > 1e7:  # noqa: PLR2004  (nothing within a millionth of a step is better)
                     converged = True
                     break
@@ -310,6 +314,40 @@ class Fitter:
         information = best.reduced()[0] if np.isfinite(best.cost) else np.zeros((n, n))
         costs = np.concatenate([g[:, 0, 0] for g in best.parts.values()])
         return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, samples, information, converged)
+
+    def started(
+        self, data: Sequence[Series], hypothesis: Hypothesis, values: Array, starts: Mapping[str, Start] | None = None, iterations: int = 12
+    ) -> RolloutFit:
+        """What the windows start from, estimated alone: Levenberg-Marquardt with a damping of each window's own, for but through what
+        hidden states remember they know nothing of each other.
+        """
+        task = self._task(data, hypothesis, self.free(hypothesis).none())
+        now, converged = _from(starts, data), False
+        best, _ = self._evaluate(task, values, now)
+        damping = {key: np.full(len(g), 1e-3) for key, g in best.parts.items()}
+        for _ in range(iterations):
+            moves = best.moves(damping)
+            tried = {key: _moved(now[key], *move, task.states) for key, move in moves.items()}
+            found, _ = self._evaluate(task, values, tried)
+            better = {key: found.costs(key) < best.costs(key) for key in now}
+            damping = {key: damping[key] * np.where(of, 0.1, 10.0) for key, of in better.items()}
+            if not all(of.all() for of in better.values()):
+                for key, of in better.items():
+                    past = tried[key].memory if found.cost_of(key) < best.cost_of(key) else now[key].memory
+                    tried[key] = Start(np.where(of[:, None], tried[key].windows, now[key].windows), past)
+                found, _ = self._evaluate(task, values, tried)
+            before, gaining = best.cost, [key for key in now if found.cost_of(key) < best.cost_of(key)]
+            now, best = {**now, **{key: tried[key] for key in gaining}}, best.mixed(found, gaining)
+            if np.isfinite(before) and not before - best.cost > STARTED * best.cost + NEGLIGIBLE:
+                converged = all(of.all() for of in better.values())
+                if converged or not gaining:
+                    break
+        costs = np.concatenate([best.costs(key) for key in now])
+        return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, self._samples(data), np.zeros((0, 0)), converged)
+
+    def _samples(self, data: Sequence[Series]) -> int:
+        """Numbers that are compared."""
+        return sum(int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum()) for s in data)
 
     def _expected(self, free: Free) -> tuple[Array, Array]:
         """Where a robot's numbers are expected, and the inverse squares of how far from there, 0 where nothing is known, `(free,)` each."""
@@ -368,10 +406,7 @@ class Fitter:
             found[:, i] = parent.cost - gained, by[-1] / size[-1], np.sqrt(inverse_part[-1, -1]) / size[-1]
         return found
 
-    def _task(
-        self, data: Sequence[Series], hypothesis: Hypothesis, free: Free, *, only_starts: bool = False, hold_starts: bool = False
-    ) -> _Task:
-        free = free.none() if only_starts else free
+    def _task(self, data: Sequence[Series], hypothesis: Hypothesis, free: Free, *, hold_starts: bool = False) -> _Task:
         keys = [key for key in self.block.memories if key[0] in hypothesis.effects]
         states = tuple(keys[: max(0, self._room() - len(free.rows))])  # as far as lanes are left
         directions = sum(owner == "" for owner, _ in free.names)
@@ -469,6 +504,11 @@ class _Lanes:
     p: Array
     inverse: Array
     behind: int
+
+
+def _from(starts: Mapping[str, Start] | None, data: Sequence[Series]) -> dict[str, Start]:
+    """Where rollouts start: as given, or as observed."""
+    return {s.digest: (starts or {}).get(s.digest, Start(s.begin, {})) for s in data}
 
 
 def _moved(start: Start, windows: Array, memory: Array, states: tuple[tuple[str, str], ...]) -> Start:

@@ -9,7 +9,7 @@ Sources: D. Karnopp, ASME Journal of Dynamic Systems 107 (1985); R. Bouc (1967),
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -84,6 +84,10 @@ class Machine:
     imperfections: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     bounds: tuple[float, float] | None = None
 
+    def having(self, name: str, values: Mapping[str, float], _joint: int = 0) -> Machine:
+        """The same with one imperfection more."""
+        return replace(self, imperfections={**self.imperfections, name: values})
+
     def vector(self) -> tuple[Array, NDArray[np.bool_]]:
         """The imperfections' numbers, and which there are."""
         numbers, present = np.zeros(SIZE), np.zeros(SIZE, np.bool_)
@@ -134,76 +138,148 @@ def run(
     return Run(np.asarray(np.arange(total - warm_up) * timestep_s, np.float64), issued[kept].copy(), observed[kept].copy())
 
 
+# What a joint remembers between fine steps.
+(M_PLAY, M_LAG, M_RATE, M_HEAT, M_WIND, M_CREEP, M_MODE, M_MODE_SPEED, M_TWIST, M_TWIST_SPEED, M_SLOW) = range(11)
+MEMORY = 11
+
+
+@njit(cache=True)
+def sensed(n, fine_q, fine_v, j, h, now):  # type: ignore[no-untyped-def]
+    """What a joint's sensors say at fine step `j`, before noise."""
+    wait = int(n[S_SDELAY] / h)
+    rest, past = n[S_SDELAY] / h - wait, max(0, j - wait)
+    before = max(0, past - 1)
+    q = (1.0 - rest) * fine_q[past] + rest * fine_q[before]
+    v = (1.0 - rest) * fine_v[past] + rest * fine_v[before]
+    return q * (1.0 + n[S_SCALE]) + n[S_BIAS] + n[S_DRIFT] * max(now, 0.0), v
+
+
+@njit(cache=True)
+def stored(n, has, q, v, luck, last_q, last_v, first):  # type: ignore[no-untyped-def]
+    """What the log keeps of what was sensed."""
+    if has[S_SQUANT]:
+        q = n[S_SQUANT] * np.floor(q / n[S_SQUANT] + 0.5)
+        if n[S_SQUANT + 1] > 0.0:
+            v = n[S_SQUANT + 1] * np.floor(v / n[S_SQUANT + 1] + 0.5)
+    if has[S_DROP] and not first and luck < n[S_DROP]:
+        q, v = last_q, last_v
+    return q, v
+
+
+@njit(cache=True)
+def arriving(n, fine_u, j, h):  # type: ignore[no-untyped-def]
+    """The command that arrives at fine step `j`."""
+    wait = int(n[S_DELAY] / h)
+    rest = n[S_DELAY] / h - wait
+    return (1.0 - rest) * fine_u[max(0, j - wait)] + rest * fine_u[max(0, j - wait - 1)]
+
+
+@njit(cache=True)
+def driven(n, has, m, u, h, fine, limit):  # type: ignore[no-untyped-def]
+    """What the drive makes of a command; `fine` where a step is a part of a sample."""
+    if has[S_CQUANT]:
+        u = n[S_CQUANT] * np.floor(u / n[S_CQUANT] + 0.5)
+    if has[S_SAT]:
+        u = min(max(u, -n[S_SAT]), n[S_SAT])
+    if has[S_RATE]:
+        change = u - m[M_RATE]
+        most = n[S_RATE] * h
+        later = u if abs(change) <= most else m[M_RATE] + (most if change > 0.0 else -most)
+        u = 0.5 * (m[M_RATE] + later) if fine else later
+        m[M_RATE] = later
+    if has[S_DEAD]:
+        u = 0.0 if abs(u) <= n[S_DEAD] else (u - n[S_DEAD] if u > 0.0 else u + n[S_DEAD])
+    if has[S_PLAY]:
+        half = n[S_PLAY] / 2.0
+        if u - m[M_PLAY] > half:
+            m[M_PLAY] = u - half
+        elif m[M_PLAY] - u > half:
+            m[M_PLAY] = u + half
+        u = m[M_PLAY]
+    if has[S_LAG]:
+        later = m[M_LAG] + (u - m[M_LAG]) * (1.0 - np.exp(-h / n[S_LAG]))
+        u = 0.5 * (m[M_LAG] + later) if fine else later
+        m[M_LAG] = later
+    if has[S_ASYM]:
+        u = u * (1.0 + n[S_ASYM]) if u > 0.0 else u * (1.0 - n[S_ASYM])
+    if has[S_HEAT]:
+        m[M_HEAT] += h * ((u / limit) ** 2 - m[M_HEAT]) / n[S_HEAT + 1]
+        u = u * max(0.05, 1.0 - n[S_HEAT] * m[M_HEAT])
+    if has[S_QGAIN]:
+        u = u * (1.0 + (n[S_QGAIN] * abs(u) + n[S_QGAIN + 1] * u) / limit)
+    return u
+
+
+@njit(cache=True)
+def pulling(n, has, m, force, x, w, h):  # type: ignore[no-untyped-def]
+    """A force with those added that act on a joint at position `x` and velocity `w`, dry friction apart."""
+    force += n[S_FORCE] - n[S_DRAG] * w * abs(w) - n[S_CUBIC] * x**3
+    if has[S_COG]:
+        force += n[S_COG] * np.sin(2.0 * np.pi * x / n[S_COG + 1] + n[S_COG + 2])
+    if has[S_VDP]:
+        force -= n[S_VDP] * ((x / n[S_VDP + 1]) ** 2 - 1.0) * w
+    if has[S_PDAMP]:
+        force -= n[S_PDAMP] * abs(x) * w
+    if has[S_STOP]:
+        depth = abs(x) - n[S_STOP]
+        if depth > 0.0:
+            outward = w if x > 0.0 else -w
+            push = n[S_STOP + 1] * depth + (n[S_STOP + 2] * outward if outward > 0.0 else 0.0)
+            force -= push if x > 0.0 else -push
+    if has[S_HYST]:
+        # exponent 2: the restoring part follows |z|
+        m[M_WIND] += h * (w - 0.5 * abs(w) * abs(m[M_WIND]) * m[M_WIND] - 0.5 * w * m[M_WIND] * m[M_WIND]) / n[S_HYST + 1]
+        force -= n[S_HYST] * m[M_WIND]
+    if has[S_VISCO]:
+        m[M_CREEP] += h * (x - m[M_CREEP]) / n[S_VISCO + 1]
+        force -= n[S_VISCO] * (x - m[M_CREEP])
+    if has[S_MODE]:
+        mode_force = n[S_MODE] * (x - m[M_MODE]) + n[S_MODE + 1] * (w - m[M_MODE_SPEED])
+        m[M_MODE_SPEED] += h * mode_force / n[S_MODE + 2]
+        m[M_MODE] += h * m[M_MODE_SPEED]
+        force -= mode_force
+    return force
+
+
+@njit(cache=True)
+def sticking(n, has, w, load, now):  # type: ignore[no-untyped-def]
+    """The force up to which dry friction holds a joint that moves at `w`; `load` is what its transmission carries."""
+    stick = n[S_COULOMB] + n[S_LOAD] * abs(load) / 2.0 + n[S_GROW] * max(now, 0.0)
+    if has[S_STRIBECK]:
+        stick += n[S_STRIBECK] + n[S_STRIBECK + 1] * np.exp(-((w / n[S_STRIBECK + 2]) ** 2))
+    return stick
+
+
+@njit(cache=True)
+def observed_velocity(n, has, m, v, gained, h):  # type: ignore[no-untyped-def]
+    """The velocity that is observed: a slow estimate lags behind."""
+    m[M_SLOW] = m[M_SLOW] + (v - 0.5 * gained - m[M_SLOW]) * (1.0 - np.exp(-h / n[S_VLAG])) if has[S_VLAG] else v
+    return m[M_SLOW]
+
+
 @njit(cache=True)
 def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, lost, q, v, warm_up, closed, kp, kd):  # type: ignore[no-untyped-def]
-    total = len(planned)
-    period = dt * (1.0 + n[S_SKEW])
-    h = period / parts
+    total, fine = len(planned), parts > 1
+    h = dt * (1.0 + n[S_SKEW]) / parts
     issued, observed = np.zeros(total), np.zeros((total, 2))
     fine_q, fine_v = np.zeros(total * parts + 1), np.zeros(total * parts + 1)
-    wait_u, wait_y = int(n[S_DELAY] / h), int(n[S_SDELAY] / h)
-    rest_u, rest_y = n[S_DELAY] / h - wait_u, n[S_SDELAY] / h - wait_y
-    gained = 0.0
-    fine_u = np.zeros(total * parts + 1)
-    play = lag = rate = wind = heat = 0.0
-    twist, twist_speed, mode, mode_speed, creep = 0.0, 0.0, 0.0, 0.0, 0.0
-    fine_q[0], fine_v[0], slow = q, v, v
+    fine_u, m, gained = np.zeros(total * parts + 1), np.zeros(MEMORY), 0.0
+    fine_q[0], fine_v[0], m[M_SLOW] = q, v, v
     for i in range(total):
-        # what the sensors say
-        past = max(0, i * parts - wait_y)
-        before = max(0, past - 1)
-        seen_q = (1.0 - rest_y) * fine_q[past] + rest_y * fine_q[before]
-        seen_v = (1.0 - rest_y) * fine_v[past] + rest_y * fine_v[before]
         now = (i - warm_up) * dt
-        seen_q = seen_q * (1.0 + n[S_SCALE]) + n[S_BIAS] + n[S_DRIFT] * max(now, 0.0)
-        seen_q, seen_v = seen_q + noise[i, 0], seen_v + noise[i, 1]
-        if has[S_SQUANT]:
-            seen_q = n[S_SQUANT] * np.floor(seen_q / n[S_SQUANT] + 0.5)
-            if n[S_SQUANT + 1] > 0.0:
-                seen_v = n[S_SQUANT + 1] * np.floor(seen_v / n[S_SQUANT + 1] + 0.5)
-        if has[S_DROP] and i > 0 and lost[i] < n[S_DROP]:
-            seen_q, seen_v = observed[i - 1, 0], observed[i - 1, 1]
+        seen_q, seen_v = sensed(n, fine_q, fine_v, i * parts, h, now)
+        last = observed[i - 1] if i > 0 else observed[0]
+        seen_q, seen_v = stored(n, has, seen_q + noise[i, 0], seen_v + noise[i, 1], lost[i], last[0], last[1], i == 0)
         observed[i, 0], observed[i, 1] = seen_q, seen_v
         u = kp * (planned[i] - seen_q) - kd * seen_v if closed else planned[i]
         issued[i] = min(max(u, low), high)
         for part in range(parts):
             j = i * parts + part
             fine_u[j] = issued[i]
-            u = (1.0 - rest_u) * fine_u[max(0, j - wait_u)] + rest_u * fine_u[max(0, j - wait_u - 1)]
-            # the drive
-            if has[S_CQUANT]:
-                u = n[S_CQUANT] * np.floor(u / n[S_CQUANT] + 0.5)
-            if has[S_SAT]:
-                u = min(max(u, -n[S_SAT]), n[S_SAT])
-            if has[S_RATE]:
-                change = u - rate
-                most = n[S_RATE] * h
-                later = u if abs(change) <= most else rate + (most if change > 0.0 else -most)
-                u = later if parts == 1 else 0.5 * (rate + later)
-                rate = later
-            if has[S_DEAD]:
-                u = 0.0 if abs(u) <= n[S_DEAD] else (u - n[S_DEAD] if u > 0.0 else u + n[S_DEAD])
-            if has[S_PLAY]:
-                half = n[S_PLAY] / 2.0
-                if u - play > half:
-                    play = u - half
-                elif play - u > half:
-                    play = u + half
-                u = play
-            if has[S_LAG]:
-                later = lag + (u - lag) * (1.0 - np.exp(-h / n[S_LAG]))
-                u = later if parts == 1 else 0.5 * (lag + later)
-                lag = later
-            if has[S_ASYM]:
-                u = u * (1.0 + n[S_ASYM]) if u > 0.0 else u * (1.0 - n[S_ASYM])
-            if has[S_HEAT]:
-                heat += h * ((u / limit) ** 2 - heat) / n[S_HEAT + 1]
-                u = u * max(0.05, 1.0 - n[S_HEAT] * heat)
-            if has[S_QGAIN]:
-                u = u * (1.0 + (n[S_QGAIN] * abs(u) + n[S_QGAIN + 1] * u) / limit)
+            u = driven(n, has, m, arriving(n, fine_u, j, h), h, fine, limit)
             # forces on the joint at rest of its friction
-            x = q if parts == 1 else q + 0.5 * h * v
-            w = v if parts == 1 else v + 0.5 * gained
+            x = q + 0.5 * h * v if fine else q
+            w = v + 0.5 * gained if fine else v
             stiffness = k
             if has[S_KMOD]:
                 stiffness = k * (1.0 + n[S_KMOD] * np.sin(n[S_KMOD + 1] * now))
@@ -212,43 +288,16 @@ def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, los
             spring = 0.0 if kind == 0 else (-stiffness * x if kind == 1 else -stiffness * np.sin(x))
             drive = b * u * (1.0 - n[S_SPEED] * abs(w))
             damping = c + n[S_VASYM] if w > 0.0 else c - n[S_VASYM]
-            force = spring + n[S_FORCE] - n[S_DRAG] * w * abs(w) - n[S_CUBIC] * x**3
-            if has[S_COG]:
-                force += n[S_COG] * np.sin(2.0 * np.pi * x / n[S_COG + 1] + n[S_COG + 2])
-            if has[S_VDP]:
-                force -= n[S_VDP] * ((x / n[S_VDP + 1]) ** 2 - 1.0) * w
-            if has[S_PDAMP]:
-                force -= n[S_PDAMP] * abs(x) * w
-            if has[S_STOP]:
-                depth = abs(x) - n[S_STOP]
-                if depth > 0.0:
-                    outward = w if x > 0.0 else -w
-                    push = n[S_STOP + 1] * depth + (n[S_STOP + 2] * outward if outward > 0.0 else 0.0)
-                    force -= push if x > 0.0 else -push
-            if has[S_HYST]:
-                # exponent 2: the restoring part follows |z|
-                wind += h * (w - 0.5 * abs(w) * abs(wind) * wind - 0.5 * w * wind * wind) / n[S_HYST + 1]
-                force -= n[S_HYST] * wind
-            if has[S_VISCO]:
-                creep += h * (x - creep) / n[S_VISCO + 1]
-                force -= n[S_VISCO] * (x - creep)
-            if has[S_MODE]:
-                mode_force = n[S_MODE] * (x - mode) + n[S_MODE + 1] * (w - mode_speed)
-                mode_speed += h * mode_force / n[S_MODE + 2]
-                mode += h * mode_speed
-                force -= mode_force
+            force = pulling(n, has, m, spring, x, w, h)
             if has[S_ELASTIC]:
                 share = n[S_ELASTIC + 2]
-                coupling = n[S_ELASTIC] * twist + n[S_ELASTIC + 1] * twist_speed
-                twist_speed += h * ((drive - coupling) / share - (force - damping * w + coupling) / (1.0 - share))
-                twist += h * twist_speed
+                coupling = n[S_ELASTIC] * m[M_TWIST] + n[S_ELASTIC + 1] * m[M_TWIST_SPEED]
+                m[M_TWIST_SPEED] += h * ((drive - coupling) / share - (force - damping * w + coupling) / (1.0 - share))
+                m[M_TWIST] += h * m[M_TWIST_SPEED]
                 pulled = (force - damping * w + coupling) / (1.0 - share)
             else:
                 pulled = force - damping * w + drive
-            # friction
-            stick = n[S_COULOMB] + n[S_LOAD] * abs(drive - spring) / 2.0 + n[S_GROW] * max(now, 0.0)
-            if has[S_STRIBECK]:
-                stick += n[S_STRIBECK] + n[S_STRIBECK + 1] * np.exp(-((w / n[S_STRIBECK + 2]) ** 2))
+            stick = sticking(n, has, w, drive - spring, now)
             speed = v + h * pulled
             if stick > 0.0:
                 if speed > h * stick:
@@ -257,8 +306,7 @@ def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, los
                     speed += h * stick
                 else:
                     speed = 0.0
-            q = x + (h * speed if parts == 1 else 0.5 * h * speed)
+            q = x + (0.5 * h * speed if fine else h * speed)
             gained, v = speed - v, speed
-            slow = slow + (v - 0.5 * gained - slow) * (1.0 - np.exp(-h / n[S_VLAG])) if has[S_VLAG] else v
-            fine_q[j + 1], fine_v[j + 1] = q, slow
+            fine_q[j + 1], fine_v[j + 1] = q, observed_velocity(n, has, m, v, gained, h)
     return issued, observed

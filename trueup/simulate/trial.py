@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.model.tree import DAMPING, FRICTION, GAIN, JOINT, LINK, Tree
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import BEYOND, SLOTS, Feedback, Machine, Run, run
+from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, rotor
+from trueup.simulate.robot import run as run_robot
 
 Array = NDArray[np.float64]
+AnyMachine = TypeVar("AnyMachine", Machine, RobotMachine)
 CATALOGUE = tuple(name for name in SLOTS if name not in BEYOND)
 ROUNDS = 18  # of bisection for a magnitude
 CLOSE = 0.1  # of what is wanted: close enough for a lot
@@ -60,13 +65,15 @@ class Bench:
 
 @dataclass(frozen=True)
 class Trial:
-    """What was recorded, by role, and what is wrong: effects with their numbers, whether the parameters moved, the gap that they make."""
+    """What was recorded, by role, and what is wrong: a machine with its effects, whether the parameters moved, the gap that effects make.
 
-    bench: Bench
-    machine: Machine
+    `sigma` is the noise of positions and velocities `(2 x joints,)`.
+    """
+
+    machine: Machine | RobotMachine
     shifted: bool
     gap: float
-    sigma: tuple[float, float]
+    sigma: Array
     runs: Sequence[tuple[str, Run]]
 
     def of(self, role: str) -> list[Run]:
@@ -111,8 +118,8 @@ def draw(
     total = 0.0
     for name in names:
         wanted = float(np.exp(rng.uniform(*np.log(gaps))))
-        shape = _shape(name, bench, size, rng)
-        machine, reached = _as_large_as(bench, machine, name, shape, plan, wanted)
+        shape = _shape(name, size, rng, hardens=bench.kind == "inertia")
+        machine, reached = _as_large_as(machine, name, shape, wanted, lambda m: _seen(bench, m, plan), int(name == "velocity_lag"))
         total = max(total, reached)
     sigma = bench.sigma or (bench.noise * size["position"], bench.noise * 1.5 * size["velocity"])
     if "sensor_quantization" in names:
@@ -121,7 +128,7 @@ def draw(
         (p.role, run(machine, bench.led_in(p.series), bench.timestep_s, bench.parts, sigma, rng, p.start, bench.warm_up, bench.feedback))
         for p in _plans(bench, size, rng)
     ]
-    return Trial(bench, machine, shifted, total, sigma, runs)
+    return Trial(machine, shifted, total, np.array(sigma), runs)
 
 
 def _plans(bench: Bench, size: Mapping[str, float], rng: np.random.Generator) -> Iterator[Plan]:
@@ -149,6 +156,10 @@ def _record(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> list[Run]:
     ]
 
 
+def _seen(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> Array:
+    return np.concatenate([r.observed for r in _record(bench, machine, plan)])
+
+
 def _sizes(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> dict[str, float]:
     runs = _record(bench, machine, plan)
     y = np.concatenate([r.observed for r in runs])
@@ -159,8 +170,11 @@ def _sizes(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> dict[str, fl
     }  # fmt: skip
 
 
-def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Generator) -> dict[str, tuple[float, float, bool]]:
-    """Of each number: its value at magnitude 0 and its growth with magnitude, or (value, 0) where it does not grow."""
+def _shape(name: str, s: Mapping[str, float], rng: np.random.Generator, *, hardens: bool) -> dict[str, tuple[float, float, bool]]:
+    """Of each number: its value at magnitude 0 and its growth with magnitude, or (value, 0) where it does not grow.
+
+    `s` are the sizes of the joint's motion and forces; a cubic spring `hardens` where nothing else holds the joint.
+    """
     a, q, v, u, t = s["acceleration"], s["position"], s["velocity"], s["command"], s["time"]
     sign = float(rng.choice([-1.0, 1.0]))
     odd = float(name == "quadratic_gain" and rng.random() < 0.5)  # noqa: PLR2004
@@ -182,7 +196,7 @@ def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Gener
             "speed": fixed(v * rng.uniform(0.1, 0.4)),
         },
         "quadratic_drag": {"coefficient": grows(a / v**2)},
-        "cubic_stiffness": {"coefficient": grows(a / q**3 * (sign if bench.kind != "inertia" else 1.0) * 0.3)},
+        "cubic_stiffness": {"coefficient": grows(a / q**3 * (1.0 if hardens else sign) * 0.3)},
         "constant_force": {"level": grows(a * sign)},
         "hysteresis": {"level": grows(a), "distance": fixed(q * rng.uniform(0.15, 0.6))},
         "hard_stop": {"limit": shrinks(s["travel"]), "stiffness": fixed(400.0 * a / q), "damping": fixed(5.0 * a / v)},
@@ -221,19 +235,23 @@ def _shape(name: str, bench: Bench, s: Mapping[str, float], rng: np.random.Gener
 
 
 def _as_large_as(
-    bench: Bench, machine: Machine, name: str, shape: Mapping[str, tuple[float, float, bool]], plan: Sequence[Plan], wanted: float
-) -> tuple[Machine, float]:
-    """The machine with one imperfection more, its magnitude bisected until it moves the position by `wanted` of its motion."""
-    without = np.concatenate([r.observed for r in _record(bench, machine, plan)])
+    machine: AnyMachine,
+    name: str,
+    shape: Mapping[str, tuple[float, float, bool]],
+    wanted: float,
+    observe: Callable[[AnyMachine], Array],
+    column: int,
+    joint: int = 0,
+) -> tuple[AnyMachine, float]:
+    """The machine with one imperfection more, its magnitude bisected until it moves an observed column by `wanted` of its motion."""
+    without = observe(machine)[:, column]
     low, high, best, reached = 0.0, 1.0, machine, 0.0  # the largest that is not too large
-    of = 1 if name == "velocity_lag" else 0
     for _ in range(ROUNDS):
         size = 0.5 * (low + high)
-        values = {key: at * (1.0 - size) if falls else at + by * size for key, (at, by, falls) in shape.items()}
-        tried = replace(machine, imperfections={**machine.imperfections, name: values})
-        with_it = np.concatenate([r.observed for r in _record(bench, tried, plan)])
+        tried = machine.having(name, {key: at * (1.0 - size) if falls else at + by * size for key, (at, by, falls) in shape.items()}, joint)
+        with_it = observe(tried)[:, column]
         with np.errstate(over="ignore", invalid="ignore"):  # a machine that runs away is too much
-            gap = float(np.sqrt(np.mean((with_it[:, of] - without[:, of]) ** 2)) / without[:, of].std())
+            gap = float(np.sqrt(np.mean((with_it - without) ** 2)) / without.std())
         if not np.isfinite(gap) or gap > (1.0 + CLOSE) * wanted:
             high = size
         else:
@@ -243,3 +261,101 @@ def _as_large_as(
     if best is machine:  # none was small enough: the smallest
         best, reached = tried, gap
     return best, reached
+
+
+@dataclass(frozen=True)
+class RobotBench:
+    """How trials of one robot are made: its numbers, rates and noise, and what was recorded. A second before each log is not logged.
+
+    `drive` `(joints,)` is the largest declared command, `asked` what each joint's drive was asked for at most: a command, or a servo's
+    error; `sigma` `(2 x joints,)` the noise.
+    """
+
+    tree: Tree
+    low: Array
+    high: Array
+    drive: Array
+    asked: Array
+    timestep_s: float
+    parts: int
+    sigma: Array
+    feedback: Follow | None
+    recorded: Sequence[RobotPlan]
+
+    @property
+    def warm_up(self) -> int:
+        """Samples before the log begins."""
+        return min([round(1.0 / self.timestep_s), *(len(p.commands) - 1 for p in self.recorded)])
+
+    @property
+    def machine(self) -> RobotMachine:
+        """The robot without anything wrong."""
+        return RobotMachine(self.tree, self.low, self.high, self.drive)
+
+    def record(self, machine: RobotMachine, plan: RobotPlan, sigma: Array, rng: np.random.Generator) -> Run:
+        """What a robot does on a plan."""
+        return run_robot(machine, plan, self.timestep_s, self.parts, sigma, rng, self.warm_up, self.feedback)
+
+
+def draw_robot(
+    bench: RobotBench,
+    terms: Sequence[tuple[str, int]],
+    shifted: bool,
+    rng: np.random.Generator,
+    gaps: tuple[float, float],
+    spread: tuple[float, float],
+) -> Trial:
+    """A robot of a bench with imperfections, each an effect at a joint and as large as a gap drawn within `gaps`, recorded by the bench's
+    plans, and by those of validation backwards.
+
+    The gap is the change of the joint's position, or velocity where it changes that alone, on the first plan. Masses with their moments,
+    dampings and friction losses that are shifted move by factors within `spread`, each link's and joint's its own.
+    """
+    machine, joints = bench.machine, len(bench.tree.joints)
+    if shifted:
+        machine = replace(machine, tree=_moved(bench.tree, rng, spread))
+    first, sigma, total = bench.recorded[0], bench.sigma, 0.0
+
+    def observe(tried: RobotMachine) -> Array:
+        return bench.record(tried, first, np.zeros(2 * joints), np.random.default_rng(0)).observed
+
+    for name, joint in terms:
+        wanted = float(np.exp(rng.uniform(*np.log(gaps))))
+        size = _robot_sizes(bench, machine, joint)
+        shape = _shape(name, size, rng, hardens=True)
+        if name == "elastic_transmission":  # the rotor is part of the armature
+            largest = rotor(machine.tree, joint)
+            shape |= {"share": (largest, 0.0, False), "stiffness": (40.0 * largest / size["time"] ** 2, 0.0, True)}
+            shape |= {"damping": (0.15 * largest / size["time"], 0.0, False)}
+        column = joints + joint if name == "velocity_lag" else joint
+        machine, reached = _as_large_as(machine, name, shape, wanted, observe, column, joint)
+        total = max(total, reached)
+        if name == "sensor_quantization":
+            sigma = np.where(np.arange(2 * joints) % joints == joint, 0.3 * sigma, sigma)
+    plans = [*bench.recorded, *(p.backwards("test") for p in bench.recorded if p.role == "validation")]
+    return Trial(machine, shifted, total, sigma, [(p.role, bench.record(machine, p, sigma, rng)) for p in plans])
+
+
+def _moved(tree: Tree, rng: np.random.Generator, spread: tuple[float, float]) -> Tree:
+    """Other masses, dampings and friction losses."""
+    joints = len(tree.joints)
+    links = np.array(tree.parameters[: LINK * joints]).reshape(joints, LINK) * rng.uniform(*spread, (joints, 1))
+    at_joint = np.array(tree.parameters[LINK * joints :]).reshape(joints, JOINT)
+    at_joint[:, [DAMPING, FRICTION]] *= rng.uniform(*spread, (joints, 2))
+    return replace(tree, parameters=tuple(float(x) for x in [*links.ravel(), *at_joint.ravel()]))
+
+
+def _robot_sizes(bench: RobotBench, machine: RobotMachine, joint: int) -> dict[str, float]:
+    """Sizes of one joint's motion and forces, as recorded."""
+    joints = len(bench.tree.joints)
+    reached = np.concatenate([p.reached for p in bench.recorded])
+    own = machine.tree.parameters[LINK * joints + JOINT * joint :]
+    q, v = float(reached[:, joint].std()), float(reached[:, joints + joint].std())
+    return {
+        "position": q,
+        "velocity": v,
+        "travel": float(np.abs(reached[:, joint]).max()),
+        "acceleration": abs(own[GAIN]) * float(bench.asked[joint]) / 2.0,
+        "command": float(bench.asked[joint]),
+        "time": q / v,
+    }

@@ -9,15 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.robots import ARM, arm_document, arm_plant
+from tests.support.robots import recorded as robot_recorded
 from tests.support.simulated import recorded
 from trueup.blindtrial.bench import bench_of
 from trueup.blindtrial.lot import draw_lots, left_out
 from trueup.blindtrial.page import page
 from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted, commitment, require_as_committed, require_silent, salt_of
-from trueup.blindtrial.tally import Answer, _improbable, bound, judge, lower
+from trueup.blindtrial.tally import Answer, _improbable, _where_apart, answer_words, bound, judge, lower
 from trueup.diagnose.case import read_case
 from trueup.errors import NotIdentifiable
 from trueup.model.effect import effects
+from trueup.model.mjcf import resolved
+from trueup.model.plant import Plant
 from trueup_worker import blind_trial
 from trueup_worker.blind_room import Room
 
@@ -252,3 +256,54 @@ def test_few_trials_promise_little():
 
 def test_a_commitment_hides_behind_its_salt():
     assert commitment(LABEL, "1") != commitment(LABEL, "2")
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    plant = arm_plant(tmp_path_factory.mktemp("arm"))
+    return plant, robot_recorded(plant, lambda _spec: None, range(3), ("adaptation", "adaptation", "validation"), seconds=3.0)
+
+
+def test_a_robots_effects_act_at_joints_by_lot_and_a_pair_at_two(arm):
+    plant, _ = arm
+    lots = draw_lots(plant, 400, np.random.default_rng(0))
+    singles = Counter(lot.effects[0] for lot in lots if lot.kind == "single")
+    assert {t.partition("@")[2] for t in singles} == {"", "1"}
+    assert {t for t in singles if t.startswith(("clock_skew", "dropped_frames"))} == {"clock_skew", "dropped_frames"}
+    pairs = [lot.effects for lot in lots if lot.kind == "pair"]
+    assert pairs
+    assert all(first.partition("@")[2] != second.partition("@")[2] for first, second in pairs)
+
+
+def test_a_joint_about_the_vertical_hides_a_bias(tmp_path):
+    upright = ARM.replace('name="shoulder" axis="0 1 0"', 'name="shoulder" axis="0 0 1"')
+    (tmp_path / "arm.xml").write_text(upright)
+    plant = Plant.from_document(resolved(arm_document(), tmp_path))
+    assert left_out(plant) == ("sensor_bias",)
+
+
+def test_a_blind_trial_of_a_robot_names_effect_and_joint(arm):
+    plant, episodes = arm
+    committed = []
+
+    document = blind_trial.conduct(plant, episodes, 2, SECRET, committed.extend, lambda *_: None)
+    assert [r["commitment"] for r in document["rows"]] == committed
+    assert {r["label"]["kind"] for r in document["rows"]} == {"none", "single"}
+    single = next(r for r in document["rows"] if r["label"]["kind"] == "single")
+    assert " at " in next(iter(single["label"]["effects"])) or set(single["label"]["effects"]) <= {"clock_skew", "dropped_frames"}
+    assert all(r["in_set"] for r in document["rows"])
+    assert "the robot's links by MuJoCo" in page(document)
+
+
+def test_an_answer_at_another_joint_is_wrong_and_told_so():
+    label = {"kind": "single", "effects": {"cogging at elbow": {}}, "moved": True, "bait": None, "gap": 0.1}
+
+    def answered(joint):
+        report = {"verdict": "effect", "effects": [{"effect": "cogging", "joint": joint, "estimate": {}}], "indistinguishable": []}
+        return Answer(report, None, 1.0)
+
+    assert judge(label, answered("elbow"))["exact"]
+    assert not judge(label, answered("shoulder"))["exact"]
+    row = {"label": label, "answer": answer_words(answered("shoulder"))}
+    assert _where_apart(row) == ("cogging", "cogging, at another joint")
+    assert _where_apart(row | {"answer": answer_words(answered("elbow"))}) == ("cogging", "cogging")

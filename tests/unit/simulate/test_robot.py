@@ -1,0 +1,95 @@
+"""The second simulator's robots: MuJoCo's own links, laws that are those of one joint, and steps that converge."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from tests.support.robots import ARM, EVERYTHING, arm_plant
+from trueup.model.mjcf import mujoco as engine
+from trueup.model.mjcf import tree_of
+from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, mjcf, rotor, run
+
+PERIOD_S = 0.004
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    arm_plant(tmp_path_factory.mktemp("arm"))
+    t = np.arange(500) * PERIOD_S
+    q = np.stack([0.4 * np.sin(4.0 * t), 0.3 * np.cos(6.0 * t)], axis=1)
+    v = np.gradient(q, PERIOD_S, axis=0)
+    u = np.stack([9.0 + 4.0 * np.sin(4.0 * t), 2.0 + np.cos(7.0 * t)], axis=1)
+    return RobotPlan("adaptation", u, np.concatenate([q, v], axis=1))
+
+
+@pytest.fixture(scope="module")
+def machine():
+    tree = tree_of(engine(), mujoco.MjModel.from_xml_string(ARM))
+    return RobotMachine(tree, np.full(2, -25.0), np.full(2, 25.0), np.full(2, 15.0))
+
+
+FOLLOW = Follow(np.array([30.0, 10.0]), np.array([3.0, 1.0]))
+
+
+def seen(machine, plan, parts=16):
+    return run(machine, plan, PERIOD_S, parts, np.zeros(4), np.random.default_rng(0), 50, FOLLOW)
+
+
+@pytest.mark.parametrize("text", [ARM, EVERYTHING])
+def test_a_tree_written_as_mjcf_moves_as_the_file_it_came_from(text):
+    given = mujoco.MjModel.from_xml_string(text)
+    given.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    again = mujoco.MjModel.from_xml_string(mjcf(tree_of(engine(), given), float(given.opt.timestep)))
+    one, other = mujoco.MjData(given), mujoco.MjData(again)
+    order = [given.joint(int(a[0])).name for a in given.actuator_trnid]
+    at = [[given.joint(j).name for j in range(given.njnt)].index(name) for name in order]
+    for i in range(300):
+        one.ctrl[:] = np.sin(0.02 * i + np.arange(given.nu))
+        other.ctrl[:] = 0.0
+        other.ctrl[at] = one.ctrl
+        mujoco.mj_step(given, one)
+        mujoco.mj_step(again, other)
+    np.testing.assert_allclose(other.qpos, one.qpos, atol=1e-9)
+
+
+def test_fine_steps_converge_with_their_square(machine, plan):
+    exact = seen(machine, plan, 64).observed
+    coarse, fine = (np.abs(seen(machine, plan, parts).observed - exact).max() for parts in (4, 8))
+    assert fine < 0.3 * coarse
+
+
+def test_dry_friction_holds_a_joint_that_is_pushed_by_less(machine):
+    still = RobotPlan("test", np.zeros((200, 2)), np.zeros((200, 4)))
+    flat = replace(machine, tree=replace(machine.tree, constants=machine.tree.constants * (np.arange(21) < 18)))  # no gravity
+    pushed = replace(still, commands=np.full((200, 2), 0.5))
+    held = flat.having("coulomb_friction", {"level": 0.6}, 0).having("coulomb_friction", {"level": 0.6}, 1)
+    moved = run(held, pushed, PERIOD_S, 8, np.zeros(4), np.random.default_rng(0)).observed
+    free = run(flat, pushed, PERIOD_S, 8, np.zeros(4), np.random.default_rng(0)).observed
+    assert np.abs(moved[:, :2]).max() < 1e-6
+    assert np.abs(free[:, :2]).max() > 0.05
+
+
+def test_what_acts_on_a_log_acts_at_every_joint_and_a_drive_at_its_own(machine, plan):
+    plain = seen(machine, plan).observed
+    lost = seen(machine.having("dropped_frames", {"fraction": 0.3}, 0), plan).observed
+    repeated = (np.diff(lost, axis=0) == 0.0).mean(axis=0)
+    assert (repeated > 0.2).all()
+    alone = [
+        run(m, plan, PERIOD_S, 8, np.zeros(4), np.random.default_rng(0)).observed
+        for m in (machine, machine.having("sensor_bias", {"bias": 0.1}, 1))
+    ]
+    np.testing.assert_allclose(alone[1] - alone[0], np.array([0.0, 0.1, 0.0, 0.0]) * np.ones((500, 1)), atol=1e-12)
+    saturated = seen(machine.having("saturation", {"limit": 2.0}, 0), plan)
+    assert np.abs(saturated.observed - plain).max() > 0.1
+
+
+def test_a_rotor_behind_a_spring_is_part_of_the_armature(machine, plan):
+    largest = rotor(machine.tree, 0)
+    assert 0.0 < largest < 0.02
+    stiff = {"stiffness": 2e4, "damping": 2.0, "share": largest}
+    soft = {"stiffness": 40.0, "damping": 0.2, "share": largest}
+    plain = seen(machine, plan).observed
+    off = [np.abs(seen(machine.having("elastic_transmission", values, 0), plan).observed - plain).max() for values in (stiff, soft)]
+    assert off[0] < 0.1 * off[1]
