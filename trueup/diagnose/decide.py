@@ -146,7 +146,7 @@ def penalised(c: Candidate, spread: float) -> float:
 
 def enough(candidate: Candidate, base: Candidate, by: Yardstick) -> bool:
     """Whether nothing material is left for a larger composition to explain."""
-    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < min(by.finishing * (base.misfit - 1.0), by.far)
+    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < by.finishing * (base.misfit - 1.0)
 
 
 def _common(larger: Candidate, smaller: Candidate) -> Hypothesis:

@@ -141,7 +141,7 @@ def _explore(
         best = min(c.misfit for c in search)
         left = (best - 1.0) / max(base.misfit - 1.0, 1e-12)
         hopeless = left > HOPELESS if size > PAIR else left > HOPELESS_ON_MACHINE and not search.exact
-        if hopeless or any(enough(c, base, by) for c in search):
+        if hopeless or any(enough(c, base, by) and c.misfit < by.far for c in search):
             break
         parents = [c for c in leaders if not total(c) > FAR_BEHIND * total(leaders[0])][: spent.parents if size == PAIR else 2]
         generation = search.extend(parents, search.terms, partial(progress, f"{size} effects"), most=spent.grown, settled=spent.settled)
