@@ -21,7 +21,7 @@ CUTS = (
     ("chirp_sweep", 60.0, 85.0, Role.ADAPTATION),
     ("friction_gravity", 0.0, 25.0, Role.ADAPTATION),
     ("step_response", 0.0, 25.0, Role.ADAPTATION),
-    ("workspace_sweep", 0.0, 20.0, Role.ADAPTATION),  # a little later the elbow meets the table
+    ("workspace_sweep", 0.0, 15.0, Role.ADAPTATION),  # then pitch and elbow lean on something, and once more at 21.6 s
     ("prbs_excitation", 0.0, 20.0, Role.VALIDATION),
     ("backlash_detection", 0.0, 20.0, Role.VALIDATION),
 )

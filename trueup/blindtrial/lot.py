@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,9 @@ FAINT = (0.3, 2.0)  # times the noise
 LEAST_FAINT = 1e-3  # of the motion, where there is no noise
 SPREAD = (0.85, 1.15)  # of the numbers that fit the user's episodes
 AS_NOMINAL = 0.25  # of the machines have the nominal numbers
-REDRAWN = 5  # times a machine that runs away is drawn again
+REDRAWN = 5  # times a machine that runs away is drawn again,
+VISIBLE = 0.3  # or one with an effect that makes no more of the least gap
+MANY = 100  # lots: each sort is among them
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,8 @@ def _left_out_of_robot(plant: Plant, tree: Tree, j: int) -> list[str]:
     held = own[SERVO] or own[STIFFNESS]
     down = constants[GRAVITY : GRAVITY + 3]
     moves_alike = constants[PARENT] < 0.0 and (constants[SLIDE] or np.allclose(np.cross(constants[FRAME + 6 : FRAME + 9], down), 0.0))
-    found = ["sensor_bias"] if moves_alike and not held else []  # nothing says where zero is
+    last = j not in tree.constants[:, PARENT]  # its link may be turned as well
+    found = ["sensor_bias"] if (moves_alike or last) and not held else []  # nothing says where zero is
     if len(plant.joints) + j not in plant.state_columns:
         found += ["velocity_lag", "sensor_scale", "clock_skew"]
     found += ["elastic_transmission"] if own[ARMATURE] <= 0.0 else []  # there is no rotor that could be behind a spring
@@ -129,9 +132,17 @@ def machine_of(plant: Plant, bench: Bench | RobotBench, lot: Lot, rng: np.random
             trial = draw_robot(bench, [(_name(t), joint(t)) for t in lot.effects], lot.moved, rng, gaps, SPREAD)
         else:
             trial = draw(bench if lot.moved else nominal(plant, bench), lot.effects, lot.moved, rng, gaps, SPREAD)
-        if all(np.isfinite(run.observed).all() and np.isfinite(run.issued).all() for _, run in trial.runs):
+        seen = not lot.effects or trial.gap >= VISIBLE * gaps[0]
+        if seen and all(np.isfinite(run.observed).all() and np.isfinite(run.issued).all() for _, run in trial.runs):
             break
+        if not seen:  # a drive that is hardly used cannot grow hot: another effect is hidden
+            lot = replace(lot, effects=_drawn(plant, lot, rng))
     return trial
+
+
+def _drawn(plant: Plant, lot: Lot, rng: np.random.Generator) -> tuple[str, ...]:
+    """As many effects as a lot has, of the same sort, by lot."""
+    return next(other.effects for other in draw_lots(plant, MANY, rng) if other.kind == lot.kind)
 
 
 def _noise(bench: Bench | RobotBench) -> float:

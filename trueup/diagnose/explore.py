@@ -38,6 +38,7 @@ FINER = 4  # steps for one of the search
 PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
 FAR_BEHIND = 4.0  # times the best misfit
+INTEGRATED = 0.05  # of a robot's gap: where the best leaves more, no other integration makes an explanation of it
 WORSE = 2.0  # times the misfit on validation episodes: a last fit that does that went astray
 MANY_JOINTS = 4
 
@@ -80,7 +81,9 @@ def explore(plant: Plant, admission: Admission, adaptation: Sequence[Episode], v
         search = _explore(plant, admission, adaptation, validation, scheme, progress)
         if best is None or min(map(total, search)) < min(map(total, best)):
             best = search
-        if any(enough(c, search.found[Hypothesis()], yardstick(adaptation)) for c in search):
+        base = search.found[Hypothesis()]
+        far_off = len(plant.joints) > 1 and min(c.misfit for c in search) - 1.0 > INTEGRATED * (base.misfit - 1.0)
+        if far_off or any(enough(c, base, yardstick(adaptation)) for c in search):
             break
     assert best is not None
     return best
@@ -215,6 +218,9 @@ def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, b
         return leaders
     made = [c for c in in_parallel(search.everywhere, leaders[:SPREAD]) if c is not None]
     list(in_parallel(search.peel, [c for c in made if enough(c, base, by)]))  # at how many of them does it act?
+    known = set(search.found)
+    search.mirror(leaders[0])  # of two that are nearly alike one may hide what else there is
+    made += [search.found[h] for h in set(search.found) - known]
     return sorted([*leaders, *(c for c in made if c.resolved)], key=total)
 
 

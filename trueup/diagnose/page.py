@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 WIDTH, PLOT, SMALL, MARGIN = 920, 220, 110, 56
 MOST_POINTS = 1200  # of a drawn line: more than there are pixels
 ROWS = 14  # of the table of comparisons
+MOSTLY = "New numbers in the nominal form explain most of the gap; no effect of the catalogue takes a material part of what remains."
+PLAINLY = 2.0  # times the floor: an error above that is no noise
 WORDS = {
     "no_gap": "The nominal model already predicts as well as the noise allows.",
     "parameters_only": "New numbers in the nominal form explain the gap; no effect is missing.",
@@ -47,7 +49,7 @@ def sentence(document: Mapping[str, Any]) -> str:
     """The answer in a sentence or two."""
     verdict, gap = document["verdict"], document["gap"]
     if verdict != "effect":
-        text = WORDS[verdict]
+        text = MOSTLY if verdict == "parameters_only" and gap["after"] > PLAINLY * gap["floor"] else WORDS[verdict]
     else:
         text = " and ".join(_effect_words(e) for e in document["effects"]) + "."
         text = text[0].upper() + text[1:]

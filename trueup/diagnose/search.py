@@ -345,7 +345,9 @@ class Search:
             rest, mirrored = self._off(candidate.fit.values, effect), candidate.hypothesis.without(effect) | twin
             ours, its = (kind(name).params[0].scale for name in (effect, twin))
             same = candidate.fit.values[self.fitter.block.rows(effect)[0]] / self.fitter.unit(effect, ours)
-            starts = [*kind(twin).starts, *([(same,)] if ours is its else [])]
+            starts = [(same,)] if ours is its else []
+            if not starts or not len(self.declared):  # a fit of a robot takes long, and twins are as large as each other
+                starts += kind(twin).starts
             begins = [self.fitter.with_effect(rest, twin, start) for start in starts]
             tried = [self.fitter.fit(self.adaptation, mirrored, b, candidate.fit.starts, iterations=SETTLE, tolerance=1e-3) for b in begins]
             fit = min(tried, key=lambda f: f.cost)

@@ -65,7 +65,7 @@ class Bench:
 
 @dataclass(frozen=True)
 class Trial:
-    """What was recorded, by role, and what is wrong: a machine with its effects, whether the parameters moved, the gap that effects make.
+    """What was recorded, by role, and what is wrong: a machine with its effects, whether parameters moved, the gap that the least makes.
 
     `sigma` is the noise of positions and velocities `(2 x joints,)`.
     """
@@ -115,12 +115,12 @@ def draw(
     machine = Machine(bench.kind, bench.k * moved[0], bench.c * moved[1], bench.b * moved[2], bench.limit, bounds=bench.bounds)
     plan = bench.recorded or [Plan("", _plan(bench, shape, rng), (0.0, 0.0)) for shape in SHAPES]
     size = _sizes(bench, machine, plan)
-    total = 0.0
+    gaps_made = []
     for name in names:
         wanted = float(np.exp(rng.uniform(*np.log(gaps))))
         shape = _shape(name, size, rng, hardens=bench.kind == "inertia")
         machine, reached = _as_large_as(machine, name, shape, wanted, lambda m: _seen(bench, m, plan), int(name == "velocity_lag"))
-        total = max(total, reached)
+        gaps_made.append(reached)
     sigma = bench.sigma or (bench.noise * size["position"], bench.noise * 1.5 * size["velocity"])
     if "sensor_quantization" in names:
         sigma = (sigma[0] * 0.3, sigma[1] * 0.3)
@@ -128,7 +128,7 @@ def draw(
         (p.role, run(machine, bench.led_in(p.series), bench.timestep_s, bench.parts, sigma, rng, p.start, bench.warm_up, bench.feedback))
         for p in _plans(bench, size, rng)
     ]
-    return Trial(machine, shifted, total, np.array(sigma), runs)
+    return Trial(machine, shifted, min(gaps_made, default=0.0), np.array(sigma), runs)
 
 
 def _plans(bench: Bench, size: Mapping[str, float], rng: np.random.Generator) -> Iterator[Plan]:
@@ -314,7 +314,7 @@ def draw_robot(
     machine, joints = bench.machine, len(bench.tree.joints)
     if shifted:
         machine = replace(machine, tree=_moved(bench.tree, rng, spread))
-    first, sigma, total = bench.recorded[0], bench.sigma, 0.0
+    first, sigma, gaps_made = bench.recorded[0], bench.sigma, []
 
     def observe(tried: RobotMachine) -> Array:
         return bench.record(tried, first, np.zeros(2 * joints), np.random.default_rng(0)).observed
@@ -329,11 +329,12 @@ def draw_robot(
             shape |= {"damping": (0.15 * largest / size["time"], 0.0, False)}
         column = joints + joint if name == "velocity_lag" else joint
         machine, reached = _as_large_as(machine, name, shape, wanted, observe, column, joint)
-        total = max(total, reached)
+        gaps_made.append(reached)
         if name == "sensor_quantization":
             sigma = np.where(np.arange(2 * joints) % joints == joint, 0.3 * sigma, sigma)
     plans = [*bench.recorded, *(p.backwards("test") for p in bench.recorded if p.role == "validation")]
-    return Trial(machine, shifted, total, sigma, [(p.role, bench.record(machine, p, sigma, rng)) for p in plans])
+    gap = min(gaps_made, default=0.0)
+    return Trial(machine, shifted, gap, sigma, [(p.role, bench.record(machine, p, sigma, rng)) for p in plans])
 
 
 def _moved(tree: Tree, rng: np.random.Generator, spread: tuple[float, float]) -> Tree:

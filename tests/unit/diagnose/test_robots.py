@@ -8,7 +8,8 @@ import pytest
 from tests.support.robots import arm_plant, recorded
 from trueup.artifact.artifact import pack, unpack
 from trueup.diagnose.diagnosis import diagnose
-from trueup.diagnose.page import page, sentence
+from trueup.diagnose.locate import Strides, _pushed
+from trueup.diagnose.page import page, pushed, sentence
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.residual import fit_residual
@@ -103,3 +104,30 @@ def test_identified_and_residual_predict_a_payload_better_than_the_nominal_model
     assert report.health == ()
     assert error(found) < 0.1 * error(Nominal(plant))
     assert error(fit_residual(plant, adaptation)[0]) < error(Nominal(plant))
+
+
+def leaned_on(plant, episodes, from_s, to_s):
+    """Strides of a tenth of a second in which the elbow is pushed for a while, and the shoulder jerks now to one side, now to the other."""
+    rng, count = np.random.default_rng(0), 40
+    t = (np.arange(count) + 0.5) * 0.1
+    residual = np.concatenate([rng.normal(size=(count, 2)) for _ in episodes])
+    residual[:count, 1] -= 20.0 * ((t > from_s) & (t < to_s))
+    residual[:count, 0] += 20.0 * np.where(np.arange(count) % 8 < 4, 1.0, -1.0) * (t > 2.0)
+    many, one = np.ones_like(residual), np.ones(len(residual))
+    at = np.concatenate([t / e.t_s[-1] for e in episodes])
+    which = np.repeat(np.arange(len(episodes)), count)
+    return Strides(residual, residual, many, many, many, many, at, many, many > 0.0, which, 0.1 * one)
+
+
+def test_something_that_leans_on_a_joint_is_told_with_its_time(plant):
+    episodes = recorded(plant, lambda _spec: None, (0, 1), ("adaptation", "validation"))
+    (push,) = _pushed(plant, leaned_on(plant, episodes, 1.0, 2.2), episodes)
+    assert push["episode"] == episodes[0].digest
+    assert [j["joint"] for j in push["joints"]] == ["elbow"]
+    assert push["from_s"] == pytest.approx(1.0)
+    assert push["to_s"] == pytest.approx(2.2)
+    assert push["joints"][0]["force"] < -15.0
+    assert _pushed(plant, leaned_on(plant, episodes, 1.0, 1.5), episodes) == []
+    roles = [{"sha256": e.digest, "role": str(e.role)} for e in episodes]
+    (words,) = pushed({"where": {"pushed": [push]}, "evidence": {"episodes": roles}})
+    assert "1 to 2.2 s: elbow by -2" in words
