@@ -345,7 +345,7 @@ class Search:
             rest, mirrored = self._off(candidate.fit.values, effect), candidate.hypothesis.without(effect) | twin
             ours, its = (kind(name).params[0].scale for name in (effect, twin))
             same = candidate.fit.values[self.fitter.block.rows(effect)[0]] / self.fitter.unit(effect, ours)
-            starts = [(same,)] if ours is its else []
+            starts: list[tuple[float, ...]] = [(same,)] if ours is its else []
             if not starts or not len(self.declared):  # a fit of a robot takes long, and twins are as large as each other
                 starts += kind(twin).starts
             begins = [self.fitter.with_effect(rest, twin, start) for start in starts]
