@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 import trueup
 from trueup.artifact.artifact import Artifact, unpack
 from trueup.blindtrial.bench import bench_of
-from trueup.blindtrial.lot import draw_lots, label_of, left_out, machine_of
+from trueup.blindtrial.lot import draw_lots, label_of, machine_of, spelled_out
 from trueup.blindtrial.recording import case_files, conditions_of, tests
 from trueup.blindtrial.seal import commitment, require_silent, salt_of
 from trueup.blindtrial.tally import Answer, answer_words, intervals, judge, tally
@@ -109,7 +109,7 @@ def conduct(
             "sigma": [float(x) for x in bench.sigma] if bench.sigma is not None else [],
             "feedback": {k: np.ravel(v).tolist() for k, v in asdict(bench.feedback).items()} if bench.feedback else None,
             "robot": isinstance(bench, RobotBench),
-            "left_out": list(left_out(plant)),
+            "left_out": spelled_out(plant),
         },
         "opening": {"secret": hidden.hex(), "redrawn": secret is not None},
         "version": trueup.__version__,

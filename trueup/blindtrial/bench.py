@@ -106,6 +106,7 @@ def _robot_bench(plant: Plant, tree: Tree, kept: Sequence[Episode]) -> RobotBenc
         high=bounds[1],
         drive=plant.command_scales,
         asked=np.array([s.error if at_joint[j, SERVO] else s.command for j, s in enumerate(admission.scales)]),
+        force=np.array([s.acceleration for s in admission.scales]) * plant.form.sizes,
         timestep_s=period,
         parts=_parts(period),
         sigma=np.nan_to_num(admission.noise),

@@ -66,7 +66,10 @@ def _left_out_of_robot(plant: Plant, tree: Tree, j: int) -> list[str]:
     found = ["sensor_bias"] if (moves_alike or last) and not held else []  # nothing says where zero is
     if len(plant.joints) + j not in plant.state_columns:
         found += ["velocity_lag", "sensor_scale", "clock_skew"]
-    found += ["elastic_transmission"] if own[ARMATURE] <= 0.0 else []  # there is no rotor that could be behind a spring
+    found += (
+        ["elastic_transmission"] if own[ARMATURE] <= 0.0 or own[SERVO] else []
+    )  # no rotor could be behind a spring, or a servo has both
+    found += ["load_dependent_friction"] if own[SERVO] else []  # its load is the goal's and the position's together
     found += [name for name, effect in effects().items() if effect.port is Port.COMMAND] if plant.command_columns[j] < 0 else []
     return [term(name, j) for name in found]
 
@@ -76,7 +79,8 @@ def draw_lots(plant: Plant, count: int, rng: np.random.Generator) -> list[Lot]:
 
     Of a robot each effect acts at a joint by lot, two of them at two joints.
     """
-    known = [name for name in CATALOGUE if _places(plant, name)]
+    none = left_out(plant)
+    known = [name for name in CATALOGUE if _places(plant, name, none)]
     fitted = [name for name in known if name != "dropped_frames"]  # a frame is lost or is not: no loss is faint
     beyond = [name for name in BEYOND if name not in OF_A_SPRING or "k" in plant.dynamics.parameter_names]
     kinds = ["none", *(kind for kind, part in PARTS.items() for _ in range(round(part * count) - (kind == "none")))]  # one bait at least
@@ -84,7 +88,7 @@ def draw_lots(plant: Plant, count: int, rng: np.random.Generator) -> list[Lot]:
     turns = {kind: _turns({"outside": beyond, "faint": fitted}.get(kind, known), rng) for kind in PARTS}
 
     def placed(name: str, elsewhere: int = -1) -> str:
-        places = [j for j in _places(plant, name) if j != elsewhere]
+        places = [j for j in _places(plant, name, none) if j != elsewhere]
         return term(name, places[int(rng.integers(len(places)))] if len(places) > 1 else places[0])
 
     lots = []
@@ -95,16 +99,15 @@ def draw_lots(plant: Plant, count: int, rng: np.random.Generator) -> list[Lot]:
         elif kind == "pair":
             first = placed(next(turns[kind]))
             here = joint(first) if len(plant.joints) > 1 else -1
-            other = next(n for n in turns[kind] if _apart(_name(first), n) and set(_places(plant, n)) - {here})
+            other = next(n for n in turns[kind] if _apart(_name(first), n) and set(_places(plant, n, none)) - {here})
             lots.append(Lot(kind, (first, placed(other, here)), moved, None))
         else:
             lots.append(Lot(kind, (placed(next(turns[kind])),), moved, None))
     return [lots[i] for i in rng.permutation(len(lots))]
 
 
-def _places(plant: Plant, name: str) -> list[int]:
-    """Joints at which an effect may act; what acts on a whole log acts at the first."""
-    none = left_out(plant)
+def _places(plant: Plant, name: str, none: Sequence[str]) -> list[int]:
+    """Joints at which an effect may act, of which `none` is left out; what acts on a whole log acts at the first."""
     joints = 1 if name in OF_LOG else len(plant.joints)
     return [j for j in range(joints) if term(name, j) not in none]
 
@@ -132,7 +135,8 @@ def machine_of(plant: Plant, bench: Bench | RobotBench, lot: Lot, rng: np.random
             trial = draw_robot(bench, [(_name(t), joint(t)) for t in lot.effects], lot.moved, rng, gaps, SPREAD)
         else:
             trial = draw(bench if lot.moved else nominal(plant, bench), lot.effects, lot.moved, rng, gaps, SPREAD)
-        seen = not lot.effects or trial.gap >= VISIBLE * gaps[0]
+        counted = {name for name, effect in effects().items() if effect.counted}
+        seen = bool(counted.intersection(map(_name, lot.effects))) or not lot.effects or trial.gap >= VISIBLE * gaps[0]
         if seen and all(np.isfinite(run.observed).all() and np.isfinite(run.issued).all() for _, run in trial.runs):
             break
         if not seen:  # a drive that is hardly used cannot grow hot: another effect is hidden
@@ -167,6 +171,11 @@ def label_of(plant: Plant, lot: Lot, trial: Trial) -> Mapping[str, Json]:
         "bait": _spelled(plant, lot.bait) if lot.bait else None,
         "gap": float(trial.gap),
     }
+
+
+def spelled_out(plant: Plant) -> list[str]:
+    """What is left out, as labels have it."""
+    return list(dict.fromkeys(_spelled(plant, t) for t in left_out(plant)))
 
 
 def _spelled(plant: Plant, of: str) -> str:

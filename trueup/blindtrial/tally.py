@@ -174,9 +174,8 @@ def _confusion(rows: Sequence[Mapping[str, Any]]) -> list[Json]:
 def _where_apart(row: Mapping[str, Any]) -> tuple[str, str]:
     """Truth and answer of a trial in words, joints left out where they are right, and said to be others where they are not."""
     truth, answer = _words(_folded(row["label"]["effects"]), row["label"]["kind"]), str(row["answer"])
-    hidden, named = (sorted(part.partition(" at ")[2] for part in words.split(" + ")) for words in (truth, answer))
-    other = ", at another joint" if any(named) and hidden != named else ""
-    return _placeless(truth), _placeless(answer) + other
+    alike = _placeless(truth) == _placeless(answer)
+    return _placeless(truth), _placeless(answer) + (", at another joint" if alike and truth != answer else "")
 
 
 def _placeless(words: str) -> str:

@@ -38,7 +38,7 @@ FINER = 4  # steps for one of the search
 PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
 FAR_BEHIND = 4.0  # times the best misfit
-INTEGRATED = 0.05  # of a robot's gap: where the best leaves more, no other integration makes an explanation of it
+INTEGRATED, HALF = 0.05, 0.5  # of a robot's gap: where the best takes half and leaves so much, integration is not what is missing
 WORSE = 2.0  # times the misfit on validation episodes: a last fit that does that went astray
 MANY_JOINTS = 4
 
@@ -82,7 +82,8 @@ def explore(plant: Plant, admission: Admission, adaptation: Sequence[Episode], v
         if best is None or min(map(total, search)) < min(map(total, best)):
             best = search
         base = search.found[Hypothesis()]
-        far_off = len(plant.joints) > 1 and min(c.misfit for c in search) - 1.0 > INTEGRATED * (base.misfit - 1.0)
+        left = (min(c.misfit for c in search) - 1.0) / max(base.misfit - 1.0, 1e-12)
+        far_off = len(plant.joints) > 1 and INTEGRATED < left < HALF
         if far_off or any(enough(c, base, yardstick(adaptation)) for c in search):
             break
     assert best is not None
@@ -216,11 +217,14 @@ def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, b
     leaders = _refined(search, generation, spent.refined)
     if spent is ONE_JOINT or any(enough(c, base, by) for c in leaders):
         return leaders
-    made = [c for c in in_parallel(search.everywhere, leaders[:SPREAD]) if c is not None]
+    best = list({tuple(kind(t).name for t in c.hypothesis.effects): c for c in reversed(leaders)}.values())[::-1][:SPREAD]
+    made = [c for c in in_parallel(search.everywhere, best) if c is not None]
     list(in_parallel(search.peel, [c for c in made if enough(c, base, by)]))  # at how many of them does it act?
     known = set(search.found)
-    search.mirror(leaders[0])  # of two that are nearly alike one may hide what else there is
-    made += [search.found[h] for h in set(search.found) - known]
+    for c in leaders[:1]:
+        search.mirror(c)  # of two that are nearly alike one may hide what else there is
+    made += [search.found[h] for h in search.found if h not in known]
+    leaders = [search.found[c.hypothesis] for c in leaders]
     return sorted([*leaders, *(c for c in made if c.resolved)], key=total)
 
 

@@ -39,7 +39,8 @@ class Strides:
 
     Forces are in units of each joint's own inertia, so a single joint's are accelerations. What a joint's force does to the others is
     taken out by the mass matrix: `travelled` is the residual acceleration before that. `motion` is the acceleration itself; `turned`
-    whether a joint did, `t` of the episode, `episode` and `stride_s` `(strides,)` each.
+    whether a joint did, `t` of the episode, `episode` and `spacing_s`, from one
+    stride to the next, `(strides,)` each.
     """
 
     residual: Array
@@ -52,7 +53,7 @@ class Strides:
     use: Array
     turned: NDArray[np.bool_]
     episode: NDArray[np.int64]
-    stride_s: Array
+    spacing_s: Array
 
 
 def locate(
@@ -88,7 +89,8 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
     pushes: list[tuple[int, float, float, int, float]] = []
     for count, e in enumerate(episodes):
         rows = s.episode == count
-        t, stride = s.t[rows] * e.t_s[-1], float(np.median(s.stride_s[rows]))
+        t = s.t[rows] * e.t_s[-1]
+        stride = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
         for j in range(s.residual.shape[1]):
             force = s.residual[rows, j]
             for way in (1.0, -1.0):
@@ -107,7 +109,7 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
             else:
                 spans.append([begin, end])
         for begin, end in spans:
-            by = {j: force for _, b, _, j, force in mine if begin <= b <= end}
+            by = {j: force for _, b, _, j, force in sorted(mine, key=lambda p: abs(p[4])) if begin <= b <= end}
             joints: list[Json] = [{"joint": plant.joint_name(j), "force": force} for j, force in sorted(by.items())]
             found.append({"episode": e.digest, "from_s": round(begin, 2), "to_s": round(end, 2), "joints": joints})
     return found
@@ -173,7 +175,7 @@ def strides_of(plant: Plant, search: Search, of: Candidate, episodes: Sequence[E
                 (use / np.maximum(e.t_s, e.period_s)[:, None])[middle],
                 states[first, joints:] * states[end, joints:] < 0.0,
                 np.full(len(first), count),
-                span[:, 0],
+                np.full(len(first), every * e.period_s),
             )
         )
     return Strides(*(np.concatenate(column) for column in zip(*parts, strict=True)))
@@ -212,7 +214,7 @@ def _bands(s: Strides, j: int) -> list[Json]:
         rows = s.episode == count
         series = np.nan_to_num(np.stack([s.residual[rows, j], s.motion[rows, j]]))
         n = series.shape[1]
-        rate = np.fft.rfftfreq(n, float(np.median(s.stride_s[rows])))
+        rate = np.fft.rfftfreq(n, s.spacing_s[rows][0])
         power = np.abs(np.fft.rfft((series - series.mean(axis=1, keepdims=True)) * np.hanning(n + 2)[1:-1], axis=1)) ** 2
         for band in range(len(edges) - 1):
             energy[:, band] += power[:, (rate >= edges[band]) & (rate < edges[band + 1])].sum(axis=1)

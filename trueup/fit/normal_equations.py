@@ -107,7 +107,7 @@ class Gram:
     def _condensed(self, damping: Array) -> _Condensed:
         """Starts eliminated window by window: matrices over (error, parameters, memories) by episode, with the memories' prior.
 
-        `damping` `(windows,)` of all episodes; that of what hidden states began with is the least of them.
+        `damping` `(windows,)` of all episodes; that of what an episode's hidden states began with is the least of its own.
         """
         n, m = self.free, len(self.scales)
         sizes = [len(g) for g in self.parts.values()]
@@ -119,9 +119,10 @@ class Gram:
         _eliminate(stacked, episode, n + m + 1, damping, inverse, cross, total)
         if m:
             weight = self.scales**-2
+            least = np.array([damping[episode == e].min(initial=np.inf) for e in range(len(sizes))])
             at = np.arange(n + 1, n + m + 1)
             felt = total[:, at, at] > weight  # a past that the episode does not show, as beyond a play's end, stays where it is
-            total[:, at, at] = (total[:, at, at] + weight) * (1.0 + float(damping.min()))
+            total[:, at, at] = (total[:, at, at] + weight) * (1.0 + least[:, None])
             pull = np.where(felt, weight * np.array(list(self.began.values())), 0.0)
             total[:, 0, at] -= pull
             total[:, at, 0] -= pull

@@ -300,7 +300,7 @@ class Fitter:
             else:
                 good = False
                 astray = not found.cost < ASTRAY * best.cost
-                left += astray  # a glance tells that, and costs as little
+                left += astray  # it is no step
                 damping = damping * 1e3 if astray else damping if stale else damping * 10.0
                 if damping > 1e7:  # noqa: PLR2004  (nothing within a millionth of a step is better)
                     converged = True
@@ -329,7 +329,7 @@ class Fitter:
             moves = best.moves(damping)
             tried = {key: _moved(now[key], *move, task.states) for key, move in moves.items()}
             found, _ = self._evaluate(task, values, tried)
-            better = {key: found.costs(key) < best.costs(key) for key in now}
+            better = {key: found.costs(key) <= best.costs(key) * (1.0 + STARTED) + NEGLIGIBLE for key in now}
             damping = {key: damping[key] * np.where(of, 0.1, 10.0) for key, of in better.items()}
             if not all(of.all() for of in better.values()):
                 for key, of in better.items():
@@ -338,10 +338,10 @@ class Fitter:
                 found, _ = self._evaluate(task, values, tried)
             before, gaining = best.cost, [key for key in now if found.cost_of(key) < best.cost_of(key)]
             now, best = {**now, **{key: tried[key] for key in gaining}}, best.mixed(found, gaining)
-            if np.isfinite(before) and not before - best.cost > STARTED * best.cost + NEGLIGIBLE:
-                converged = all(of.all() for of in better.values())
-                if converged or not gaining:
-                    break
+            settled = np.isfinite(before) and not before - best.cost > STARTED * best.cost + NEGLIGIBLE
+            converged = settled and all(of.all() for of in better.values())
+            if converged or (not gaining and (settled or not np.isfinite(before))):
+                break
         costs = np.concatenate([best.costs(key) for key in now])
         return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, self._samples(data), np.zeros((0, 0)), converged)
 

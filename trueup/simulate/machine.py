@@ -100,7 +100,9 @@ class Machine:
 
 @dataclass(frozen=True)
 class Run:
-    """A log: sample times [s] `(n,)`, issued commands `(n,)`, observed position and velocity `(n, 2)`."""
+    """A log: sample times [s] `(n,)`, issued commands `(n,)`, observed position and velocity `(n, 2)`; of a robot `(n, joints)` and
+    `(n, 2 x joints)`.
+    """
 
     t_s: Array
     issued: Array

@@ -38,6 +38,9 @@ from trueup.model.tree import (
 )
 from trueup.simulate.machine import (
     FIRST,
+    M_LAG,
+    M_PLAY,
+    M_RATE,
     M_SLOW,
     M_TWIST,
     M_TWIST_SPEED,
@@ -138,7 +141,7 @@ def run(
     at_joint = np.array(machine.tree.parameters[LINK * joints :]).reshape(joints, JOINT)
     _make_room_for_rotors(model, numbers, present)
     drive = _Drive(numbers, present, machine, at_joint, h, parts, total)
-    drive.begin(plan.reached[0])
+    drive.begin(plan.reached[0], plan.commands[0])
     data.qpos[:], data.qvel[:] = plan.reached[0, :joints], plan.reached[0, joints:]
     noise, lost = rng.normal(size=(total, 2 * joints)) * sigma, rng.random(total)
     issued, observed = np.zeros((total, joints)), np.zeros((total, 2 * joints))
@@ -182,7 +185,7 @@ class _Drive:
             of_drive[FIRST[name] : FIRST[name] + len(SLOTS[name])] = True
         self.of_joints = (numbers, present, present & of_drive, present & ~of_drive)
         self.own = (
-            np.ascontiguousarray(at_joint[:, [GAIN, SERVO, FRICTION]]),
+            np.column_stack([at_joint[:, [GAIN, SERVO, FRICTION]], machine.tree.constants[:, LIMIT]]),
             np.ascontiguousarray(machine.tree.constants[:, OFFSET]),
             machine.drive,
             h,
@@ -191,9 +194,10 @@ class _Drive:
         self.q, self.v, self.u = np.zeros((joints, steps)), np.zeros((joints, steps)), np.zeros((joints, steps))
         self.friction = np.zeros(joints)
 
-    def begin(self, state: Array) -> None:
-        """From a state `(2 x joints,)`."""
+    def begin(self, state: Array, issued: Array) -> None:
+        """From a state `(2 x joints,)`, with drives that have followed their commands."""
         joints = len(self.friction)
+        self.memory[:, [M_PLAY, M_LAG, M_RATE]] = issued[:, None]
         self.q[:, 0], self.v[:, 0], self.memory[:, M_SLOW] = state[:joints], state[joints:], state[joints:]
 
     def see(self, k: int, now: float, noise: Array, luck: float, last: Array, first: bool, out: Array) -> None:
@@ -224,17 +228,17 @@ def _see(n, has, q, v, k, h, now, noise, luck, last, first, out):  # type: ignor
 @njit(cache=True)
 def _act(n, has, of_drive, of_goal, own, offset, size, h, m, fine_u, k, now, issued, q, v, gained, bias, ctrl, applied, friction):  # type: ignore[no-untyped-def]
     for j in range(len(n)):
-        gain, servo, rubs = own[j, 0], own[j, 1], own[j, 2]
+        gain, servo, rubs, most = own[j, 0], own[j, 1], own[j, 2], own[j, 3]
         fine_u[j, k] = issued[j]
         u = arriving(n[j], fine_u[j], k, h)
-        rest = (servo * q[j] - offset[j]) / gain if servo != 0.0 else 0.0
+        rest = (servo * q[j] - offset[j]) / gain if gain != 0.0 else 0.0
         if servo != 0.0:
             u = driven(n[j], of_goal[j], m[j], u, h, True, size[j])
             u = rest + driven(n[j], of_drive[j], m[j], u - rest, h, True, size[j])
         else:
             u = driven(n[j], has[j], m[j], u, h, True, size[j])
         x, w = q[j], v[j]
-        drive = gain * (u - rest)
+        drive = min(max(gain * (u - rest), -most), most)
         force = pulling(n[j], has[j], m[j], 0.0, x, w, h) - n[j, S_VASYM] * abs(w) - drive * min(1.0, n[j, S_SPEED] * abs(w))
         if has[j, S_ELASTIC]:
             coupling = n[j, S_ELASTIC] * m[j, M_TWIST] + n[j, S_ELASTIC + 1] * m[j, M_TWIST_SPEED]
@@ -263,7 +267,7 @@ def rotor(tree: Tree, joint: int) -> float:
 
 
 def mjcf(tree: Tree, timestep_s: float) -> str:
-    """A tree as MJCF, with an actuator at each joint that has a gain."""
+    """A tree as MJCF, with an actuator at each joint, for some with a gain of 0."""
     joints = len(tree.joints)
     links = np.array(tree.parameters[: LINK * joints]).reshape(joints, LINK)
     at_joint = np.array(tree.parameters[LINK * joints :]).reshape(joints, JOINT)

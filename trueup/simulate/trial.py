@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.tree import DAMPING, FRICTION, GAIN, JOINT, LINK, Tree
+from trueup.model.tree import DAMPING, FRICTION, JOINT, LINK, Tree
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import BEYOND, SLOTS, Feedback, Machine, Run, run
-from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, rotor
+from trueup.simulate.robot import OF_DRIVE, Follow, RobotMachine, RobotPlan, rotor
 from trueup.simulate.robot import run as run_robot
 
 Array = NDArray[np.float64]
@@ -268,7 +269,7 @@ class RobotBench:
     """How trials of one robot are made: its numbers, rates and noise, and what was recorded. A second before each log is not logged.
 
     `drive` `(joints,)` is the largest declared command, `asked` what each joint's drive was asked for at most: a command, or a servo's
-    error; `sigma` `(2 x joints,)` the noise.
+    error; `force` that of its motion; `sigma` `(2 x joints,)` the noise.
     """
 
     tree: Tree
@@ -276,6 +277,7 @@ class RobotBench:
     high: Array
     drive: Array
     asked: Array
+    force: Array
     timestep_s: float
     parts: int
     sigma: Array
@@ -308,27 +310,29 @@ def draw_robot(
     """A robot of a bench with imperfections, each an effect at a joint and as large as a gap drawn within `gaps`, recorded by the bench's
     plans, and by those of validation backwards.
 
-    The gap is the change of the joint's position, or velocity where it changes that alone, on the first plan. Masses with their moments,
-    dampings and friction losses that are shifted move by factors within `spread`, each link's and joint's its own.
+    The gap is the change of the joint's position, or velocity where it changes that alone, on the plan in which the joint moves most.
+    Masses with their moments, dampings and friction losses that are shifted move by factors within `spread`, each link's and joint's its
+    own.
     """
     machine, joints = bench.machine, len(bench.tree.joints)
     if shifted:
         machine = replace(machine, tree=_moved(bench.tree, rng, spread))
-    first, sigma, gaps_made = bench.recorded[0], bench.sigma, []
+    sigma, gaps_made = bench.sigma, []
 
-    def observe(tried: RobotMachine) -> Array:
-        return bench.record(tried, first, np.zeros(2 * joints), np.random.default_rng(0)).observed
+    def observe(tried: RobotMachine, joint: int) -> Array:
+        most = max(bench.recorded, key=lambda p: float(p.reached[:, joint].std()))
+        return bench.record(tried, most, np.zeros(2 * joints), np.random.default_rng(0)).observed
 
     for name, joint in terms:
         wanted = float(np.exp(rng.uniform(*np.log(gaps))))
-        size = _robot_sizes(bench, machine, joint)
+        size = _robot_sizes(bench, name, joint)
         shape = _shape(name, size, rng, hardens=True)
         if name == "elastic_transmission":  # the rotor is part of the armature
             largest = rotor(machine.tree, joint)
             shape |= {"share": (largest, 0.0, False), "stiffness": (40.0 * largest / size["time"] ** 2, 0.0, True)}
             shape |= {"damping": (0.15 * largest / size["time"], 0.0, False)}
         column = joints + joint if name == "velocity_lag" else joint
-        machine, reached = _as_large_as(machine, name, shape, wanted, observe, column, joint)
+        machine, reached = _as_large_as(machine, name, shape, wanted, partial(observe, joint=joint), column, joint)
         gaps_made.append(reached)
         if name == "sensor_quantization":
             sigma = np.where(np.arange(2 * joints) % joints == joint, 0.3 * sigma, sigma)
@@ -346,17 +350,17 @@ def _moved(tree: Tree, rng: np.random.Generator, spread: tuple[float, float]) ->
     return replace(tree, parameters=tuple(float(x) for x in [*links.ravel(), *at_joint.ravel()]))
 
 
-def _robot_sizes(bench: RobotBench, machine: RobotMachine, joint: int) -> dict[str, float]:
-    """Sizes of one joint's motion and forces, as recorded."""
+def _robot_sizes(bench: RobotBench, name: str, joint: int) -> dict[str, float]:
+    """Sizes of one joint's motion and forces, as recorded, and of the command that an effect acts on: a servo's goal, or its error."""
     joints = len(bench.tree.joints)
     reached = np.concatenate([p.reached for p in bench.recorded])
-    own = machine.tree.parameters[LINK * joints + JOINT * joint :]
+    goal = max(float(np.abs(p.commands[:, joint]).max()) for p in bench.recorded)
     q, v = float(reached[:, joint].std()), float(reached[:, joints + joint].std())
     return {
         "position": q,
         "velocity": v,
         "travel": float(np.abs(reached[:, joint]).max()),
-        "acceleration": abs(own[GAIN]) * float(bench.asked[joint]) / 2.0,
-        "command": float(bench.asked[joint]),
+        "acceleration": float(bench.force[joint]),
+        "command": float(bench.asked[joint]) if name in OF_DRIVE else goal,
         "time": q / v,
     }

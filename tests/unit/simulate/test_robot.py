@@ -93,3 +93,14 @@ def test_a_rotor_behind_a_spring_is_part_of_the_armature(machine, plan):
     plain = seen(machine, plan).observed
     off = [np.abs(seen(machine.having("elastic_transmission", values, 0), plan).observed - plain).max() for values in (stiff, soft)]
     assert off[0] < 0.1 * off[1]
+
+
+def test_a_rotor_gets_no_more_than_its_actuator_gives():
+    text = ARM.replace('<motor joint="shoulder"/>', '<position joint="shoulder" kp="40" kv="2" forcerange="-3 3"/>')
+    tree = tree_of(engine(), mujoco.MjModel.from_xml_string(text.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"')))
+    servo = RobotMachine(tree, np.full(2, -25.0), np.full(2, 25.0), np.full(2, 25.0))
+    goal = RobotPlan("test", np.tile([1.0, 0.0], (60, 1)), np.zeros((60, 4)))
+    soft = servo.having("elastic_transmission", {"stiffness": 80.0, "damping": 0.3, "share": rotor(tree, 0)}, 0)
+    ways = [run(m, goal, PERIOD_S, 16, np.zeros(4), np.random.default_rng(0)).observed[-1, 0] for m in (servo, soft)]
+    assert ways[0] > 0.05
+    assert ways[1] == pytest.approx(ways[0], rel=0.3)
