@@ -24,7 +24,7 @@ from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.series import refined, series
 from trueup.model.state import smoothed_states
-from trueup.model.tree import GAIN, JOINT, LINK, SERVO, Tree
+from trueup.model.tree import GAIN, SERVO, Tree
 from trueup.simulate.machine import KINDS, Feedback
 from trueup.simulate.robot import Follow, RobotPlan
 from trueup.simulate.trial import Bench, Plan, RobotBench
@@ -90,8 +90,7 @@ def _parts(period_s: float) -> int:
 def _robot_bench(plant: Plant, tree: Tree, kept: Sequence[Episode]) -> RobotBench:
     """The same of a robot: it is commanded what was recorded, with a weak feedback to the recorded motion at joints that no servo holds."""
     admission = admit(plant, [e for e in kept if e.role is Role.ADAPTATION])
-    joints, period = len(plant.joints), float(np.median([e.period_s for e in kept]))
-    at_joint = np.array(tree.parameters[LINK * joints :]).reshape(joints, JOINT)
+    joints, period, at_joint = len(plant.joints), float(np.median([e.period_s for e in kept])), tree.at_joint
     rate = np.array([STIFFER * s.velocity / s.position for s in admission.scales])
     motion = np.concatenate([smoothed_states(plant, e) for e in kept])
     middle = np.nanmedian(motion, axis=0)[:joints]

@@ -14,7 +14,7 @@ from trueup.model.block import AT, joint, term
 from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Port, effects
 from trueup.model.plant import Plant
-from trueup.model.tree import ARMATURE, FRAME, GRAVITY, JOINT, LINK, PARENT, SERVO, SLIDE, STIFFNESS, Tree
+from trueup.model.tree import ARMATURE, FRAME, GRAVITY, PARENT, SERVO, SLIDE, STIFFNESS, Tree
 from trueup.simulate.machine import BEYOND, Machine
 from trueup.simulate.robot import OF_A_SPRING, OF_LOG
 from trueup.simulate.trial import CATALOGUE, Bench, RobotBench, Trial, draw, draw_robot
@@ -58,7 +58,7 @@ def left_out(plant: Plant) -> tuple[str, ...]:
 
 def _left_out_of_robot(plant: Plant, tree: Tree, j: int) -> list[str]:
     """The same at one joint of a robot."""
-    constants, own = tree.constants[j], tree.parameters[LINK * len(tree.joints) + JOINT * j :]
+    constants, own = tree.constants[j], tree.at_joint[j]
     held = own[SERVO] or own[STIFFNESS]
     down = constants[GRAVITY : GRAVITY + 3]
     moves_alike = constants[PARENT] < 0.0 and (constants[SLIDE] or np.allclose(np.cross(constants[FRAME + 6 : FRAME + 9], down), 0.0))
@@ -66,9 +66,8 @@ def _left_out_of_robot(plant: Plant, tree: Tree, j: int) -> list[str]:
     found = ["sensor_bias"] if (moves_alike or last) and not held else []  # nothing says where zero is
     if len(plant.joints) + j not in plant.state_columns:
         found += ["velocity_lag", "sensor_scale", "clock_skew"]
-    found += (
-        ["elastic_transmission"] if own[ARMATURE] <= 0.0 or own[SERVO] else []
-    )  # no rotor could be behind a spring, or a servo has both
+    rigid = own[ARMATURE] <= 0.0 or own[SERVO]  # no rotor could be behind a spring, or a servo has both
+    found += ["elastic_transmission"] if rigid else []
     found += ["load_dependent_friction"] if own[SERVO] else []  # its load is the goal's and the position's together
     found += [name for name, effect in effects().items() if effect.port is Port.COMMAND] if plant.command_columns[j] < 0 else []
     return [term(name, j) for name in found]
@@ -130,12 +129,12 @@ def machine_of(plant: Plant, bench: Bench | RobotBench, lot: Lot, rng: np.random
     if lot.kind == "faint":
         noise = max(_noise(bench), LEAST_FAINT)
         gaps = (FAINT[0] * noise, FAINT[1] * noise)
+    counted = {name for name, effect in effects().items() if effect.counted}
     for _ in range(REDRAWN):
         if isinstance(bench, RobotBench):
             trial = draw_robot(bench, [(_name(t), joint(t)) for t in lot.effects], lot.moved, rng, gaps, SPREAD)
         else:
             trial = draw(bench if lot.moved else nominal(plant, bench), lot.effects, lot.moved, rng, gaps, SPREAD)
-        counted = {name for name, effect in effects().items() if effect.counted}
         seen = bool(counted.intersection(map(_name, lot.effects))) or not lot.effects or trial.gap >= VISIBLE * gaps[0]
         if seen and all(np.isfinite(run.observed).all() and np.isfinite(run.issued).all() for _, run in trial.runs):
             break

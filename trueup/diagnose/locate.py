@@ -75,7 +75,7 @@ def locate(
         shares = zip(named, force / max(force.sum(), 1e-300), moved / max(moved.sum(), 1e-300), np.sqrt(force), strict=True)
         found["joints"] = [{"joint": n, "force": float(f), "acceleration": float(a), "of_motion": float(m)} for n, f, a, m in shares]
         found["regions_of"] = plant.joint_name(worst)
-        found["pushed"] = _pushed(plant, strides_of(plant, search, winner, episodes), episodes)
+        found["pushed"] = _pushed(plant, strides if winner is base else strides_of(plant, search, winner, episodes), episodes)
     return found
 
 

@@ -45,11 +45,18 @@ class Tree:
         """Names of the parameters: `mass(link)`, `damping(joint)`; a link is named for its joint."""
         return tuple(f"{x}({j})" for j in self.joints for x in INERTIAL) + tuple(f"{x}({j})" for j in self.joints for x in AT_JOINT)
 
+    @property
+    def links(self) -> Array:
+        """A copy of the inertial numbers by link, `(joints, LINK)`."""
+        return np.array(self.parameters[: LINK * len(self.joints)]).reshape(-1, LINK)
+
+    @property
+    def at_joint(self) -> Array:
+        """A copy of the other numbers by joint, `(joints, JOINT)`."""
+        return np.array(self.parameters[LINK * len(self.joints) :]).reshape(-1, JOINT)
+
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
-        first = LINK * len(self.joints)
-        rows = np.array(self.parameters[first:]).reshape(-1, JOINT)
-        links = np.array(self.parameters[:first]).reshape(-1, LINK)
         return {
             "gravity": [float(x) for x in self.constants[0, GRAVITY:]],
             "joints": [
@@ -65,7 +72,7 @@ class Tree:
                     "inertial": [float(x) for x in link],
                     **dict(zip(AT_JOINT, (float(x) for x in at), strict=True)),
                 }
-                for name, c, link, at in zip(self.joints, self.constants, links, rows, strict=True)
+                for name, c, link, at in zip(self.joints, self.constants, self.links, self.at_joint, strict=True)
             ],
         }
 

@@ -23,9 +23,7 @@ from trueup.model.tree import (
     FRICTION,
     GAIN,
     GRAVITY,
-    JOINT,
     LIMIT,
-    LINK,
     NO_LIMIT,
     OFFSET,
     PARENT,
@@ -138,9 +136,8 @@ def run(
     model = engine.MjModel.from_xml_string(mjcf(machine.tree, h))
     data = engine.MjData(model)
     joints, total = len(machine.tree.joints), len(plan.commands)
-    at_joint = np.array(machine.tree.parameters[LINK * joints :]).reshape(joints, JOINT)
     _make_room_for_rotors(model, numbers, present)
-    drive = _Drive(numbers, present, machine, at_joint, h, parts, total)
+    drive = _Drive(numbers, present, machine, h, parts, total)
     drive.begin(plan.reached[0], plan.commands[0])
     data.qpos[:], data.qvel[:] = plan.reached[0, :joints], plan.reached[0, joints:]
     noise, lost = rng.normal(size=(total, 2 * joints)) * sigma, rng.random(total)
@@ -176,16 +173,14 @@ def run(
 class _Drive:
     """What happens at the joints of a robot, between the commands and MuJoCo."""
 
-    def __init__(
-        self, numbers: Array, present: NDArray[np.bool_], machine: RobotMachine, at_joint: Array, h: float, parts: int, samples: int
-    ) -> None:
+    def __init__(self, numbers: Array, present: NDArray[np.bool_], machine: RobotMachine, h: float, parts: int, samples: int) -> None:
         joints, steps = len(numbers), samples * parts + 1
         of_drive = np.zeros(SIZE, np.bool_)
         for name in OF_DRIVE:
             of_drive[FIRST[name] : FIRST[name] + len(SLOTS[name])] = True
         self.of_joints = (numbers, present, present & of_drive, present & ~of_drive)
         self.own = (
-            np.column_stack([at_joint[:, [GAIN, SERVO, FRICTION]], machine.tree.constants[:, LIMIT]]),
+            np.column_stack([machine.tree.at_joint[:, [GAIN, SERVO, FRICTION]], machine.tree.constants[:, LIMIT]]),
             np.ascontiguousarray(machine.tree.constants[:, OFFSET]),
             machine.drive,
             h,
@@ -263,14 +258,12 @@ def _make_room_for_rotors(model: Any, numbers: Array, present: NDArray[np.bool_]
 
 def rotor(tree: Tree, joint: int) -> float:
     """The largest rotor that a joint's armature has room for [kg m^2, kg]."""
-    return ROTOR * tree.parameters[LINK * len(tree.joints) + JOINT * joint + ARMATURE]
+    return ROTOR * float(tree.at_joint[joint, ARMATURE])
 
 
 def mjcf(tree: Tree, timestep_s: float) -> str:
     """A tree as MJCF, with an actuator at each joint, for some with a gain of 0."""
-    joints = len(tree.joints)
-    links = np.array(tree.parameters[: LINK * joints]).reshape(joints, LINK)
-    at_joint = np.array(tree.parameters[LINK * joints :]).reshape(joints, JOINT)
+    links, at_joint = tree.links, tree.at_joint
     children: dict[int, list[int]] = {}
     for j, parent in enumerate(tree.constants[:, PARENT]):
         children.setdefault(int(parent), []).append(j)

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.tree import DAMPING, FRICTION, JOINT, LINK, Tree
+from trueup.model.tree import DAMPING, FRICTION, Tree
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import BEYOND, SLOTS, Feedback, Machine, Run, run
 from trueup.simulate.robot import OF_DRIVE, Follow, RobotMachine, RobotPlan, rotor
@@ -344,8 +344,7 @@ def draw_robot(
 def _moved(tree: Tree, rng: np.random.Generator, spread: tuple[float, float]) -> Tree:
     """Other masses, dampings and friction losses."""
     joints = len(tree.joints)
-    links = np.array(tree.parameters[: LINK * joints]).reshape(joints, LINK) * rng.uniform(*spread, (joints, 1))
-    at_joint = np.array(tree.parameters[LINK * joints :]).reshape(joints, JOINT)
+    links, at_joint = tree.links * rng.uniform(*spread, (joints, 1)), tree.at_joint
     at_joint[:, [DAMPING, FRICTION]] *= rng.uniform(*spread, (joints, 2))
     return replace(tree, parameters=tuple(float(x) for x in [*links.ravel(), *at_joint.ravel()]))
 
