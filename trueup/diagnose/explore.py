@@ -11,12 +11,12 @@ import numpy as np
 from trueup.diagnose.admission import NUMERICAL, Admission
 from trueup.diagnose.decide import PHYSICAL, Yardstick, enough, total, yardstick
 from trueup.diagnose.periodicity import pitches
-from trueup.diagnose.search import Candidate, Search, searchable
+from trueup.diagnose.search import SETTLE, Candidate, Search, searchable
 from trueup.episode.episode import Episode
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.rollout_fit import Fitter, Start, in_parallel
-from trueup.model.block import kind
+from trueup.model.block import joint, kind
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.series import DECLARED, Scheme, Series, refined, series
@@ -37,8 +37,9 @@ FINE = 0.02  # of the time in which the joint crosses its travel: a step that st
 FINER = 4  # steps for one of the search
 PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
+SWAPS = 2  # times, of a robot
 FAR_BEHIND = 4.0  # times the best misfit
-INTEGRATED, HALF = 0.05, 0.5  # of a robot's gap: where the best takes half and leaves so much, integration is not what is missing
+HALF = 0.5  # of a robot's misfit: less is gained by no other integration, nor by an effect at every joint, that is worth following
 WORSE = 2.0  # times the misfit on validation episodes: a last fit that does that went astray
 MANY_JOINTS = 4
 
@@ -78,16 +79,27 @@ def explore(plant: Plant, admission: Admission, adaptation: Sequence[Episode], v
         schemes.reverse()  # a log without noise is a simulator's, and its step is the declared one
     best: Search | None = None
     for scheme in schemes:
-        search = _explore(plant, admission, adaptation, validation, scheme, progress)
+        search = _laid_out(plant, admission, adaptation, validation, scheme)
+        progress("the nominal form refitted", 1.0)
+        if best is not None and len(plant.joints) > 1 and not _promises(search, best):
+            break
+        _grow(plant, search, yardstick(adaptation), progress)
         if best is None or min(map(total, search)) < min(map(total, best)):
             best = search
-        base = search.found[Hypothesis()]
-        left = (min(c.misfit for c in search) - 1.0) / max(base.misfit - 1.0, 1e-12)
-        far_off = len(plant.joints) > 1 and INTEGRATED < left < HALF
-        if far_off or any(enough(c, base, yardstick(adaptation)) for c in search):
+        if any(enough(c, search.found[Hypothesis()], yardstick(adaptation)) for c in search):
             break
     assert best is not None
     return best
+
+
+def _promises(search: Search, best: Search) -> bool:
+    """Whether the nominal form, or the best composition of another search, does much better under a robot's search's own scheme."""
+    winner = min(best, key=total)
+    at, base = winner.fit, Hypothesis()
+    again = search.fitter.fit(
+        search.adaptation, at.hypothesis, at.values, search.placed(search.adaptation, at), iterations=SETTLE, fixed=search.still(at)
+    )
+    return again.cost < HALF * at.cost or total(search.found[base]) < HALF * total(best.found[base])
 
 
 def quiet(admission: Admission) -> bool:
@@ -105,15 +117,14 @@ def window_s(plant: Plant, episodes: Sequence[Episode]) -> float:
     return min(plant.horizon_s if given else max(WINDOW_S, plant.horizon_s), shortest)
 
 
-def _explore(
-    plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme, progress: Progress
-) -> Search:
+def _laid_out(plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme) -> Search:
+    """A search that has found the nominal form alone."""
     length = window_s(plant, [*adaptation, *validation])
     if scheme.alpha:
         every = thinning(admission, adaptation)
         adaptation, validation = ([thinned(e, every) for e in group] for group in (adaptation, validation))
     fitter = Fitter(plant.form, directions(plant, adaptation), admission.scales, admission.sigma)
-    begins, by = _begins(plant, adaptation), yardstick(adaptation)
+    begins = _begins(plant, adaptation)
     for parts in 2 ** np.arange(HALVED + 1):
         search = Search(
             fitter,
@@ -126,15 +137,22 @@ def _explore(
             break
     search.length_s = length / float(parts)
     search.terms = searchable([bool(c >= 0) for c in plant.command_columns])
-    search.pitches = pitches(plant, admission, adaptation)
-    progress("the nominal form refitted", 1.0)
+    repeating = [t for t in search.terms if kind(t).periodic]
+    search.pitches = {t: pitches(plant, admission, joint(t), adaptation) for t in repeating}
     alone = len(plant.joints) == 1
-    search.exact = alone or by is not PHYSICAL
+    search.exact = alone or yardstick(adaptation) is not PHYSICAL
     if not alone:
         short_s = min(SHORT_S, search.length_s / SHORTER)
         search.short = [series(plant, e, scheme, short_s) for e in _telling(base, adaptation, len(plant.joints))]
         search.declared = plant.parameters
-    spent, largest = effort(plant), by.most_effects if alone else PAIR
+        search.pieces = {e.digest: series(plant, e, scheme, search.length_s, SHORTER) for e in [*adaptation, *validation]}
+    return search
+
+
+def _grow(plant: Plant, search: Search, by: Yardstick, progress: Progress) -> None:
+    """Compositions of ever more effects, until there is nothing left to explain."""
+    alone, base, spent = len(plant.joints) == 1, search.found[Hypothesis()], effort(plant)
+    largest = by.most_effects if alone else PAIR
     terms = search.terms if alone else search.suspected(base, spent.raced, spent.others)
     generation = search.extend([base], terms, partial(progress, "one effect"), settled=spent.settled)
     for size in range(2, largest + 1):
@@ -146,14 +164,18 @@ def _explore(
         left = (best - 1.0) / max(base.misfit - 1.0, 1e-12)
         hopeless = left > HOPELESS if size > PAIR else left > HOPELESS_ON_MACHINE and not search.exact
         if hopeless or any(enough(c, base, by) and c.misfit < by.far for c in search):
+            return
+        near = [c for c in leaders if not total(c) > FAR_BEHIND * total(leaders[0])]
+        many, says = spent.parents if size == PAIR else 2, partial(progress, f"{size} effects")
+        others = () if alone else near[many : many + spent.others]
+        generation = search.extend(near[:many], search.terms, says, most=spent.grown, settled=spent.settled, others=others)
+    leaders = _leaders(search, generation, base, by, spent)
+    for _ in range(0 if largest > PAIR or not search.exact else 1 if alone else SWAPS):
+        before, leaders = leaders, _swapped(search, leaders, base, by, spent)
+        if not leaders or leaders[0] is before[0]:
             break
-        parents = [c for c in leaders if not total(c) > FAR_BEHIND * total(leaders[0])][: spent.parents if size == PAIR else 2]
-        generation = search.extend(parents, search.terms, partial(progress, f"{size} effects"), most=spent.grown, settled=spent.settled)
-    else:
-        leaders = _leaders(search, generation, base, by, spent)
-        for c in (_swapped(search, leaders, base, by, spent) if largest == PAIR and alone else leaders)[: min(2, spent.parents)]:
-            (search.shrink if alone else search.peel)(c)
-    return search
+    for c in leaders[: min(2, spent.parents)]:
+        (search.shrink if alone else search.peel)(c)
 
 
 def _begins(plant: Plant, adaptation: Sequence[Episode]) -> list[Sequence[float]]:
@@ -223,8 +245,8 @@ def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, b
     known = set(search.found)
     for c in leaders[:1]:
         search.mirror(c)  # of two that are nearly alike one may hide what else there is
-    made += [search.found[h] for h in search.found if h not in known]
     leaders = [search.found[c.hypothesis] for c in leaders]
+    made = [c for c in made if total(c) < HALF * total(leaders[0])] + [search.found[h] for h in search.found if h not in known]
     return sorted([*leaders, *(c for c in made if c.resolved)], key=total)
 
 
@@ -255,7 +277,8 @@ def _swapped(search: Search, leaders: list[Candidate], base: Candidate, by: Yard
     """The best, with those in which one of its effects gave way to another: one effect alone may look like what two together are not."""
     if not leaders or any(enough(c, base, by) for c in leaders):
         return leaders
-    parts = [search.fitted(leaders[0].hypothesis.without(name), leaders[0]) for name in leaders[0].hypothesis.effects]
+    best = min(leaders, key=lambda c: (len(c.hypothesis.effects) > PAIR and len(search.declared) > 0, total(c)))
+    parts = [search.fitted(best.hypothesis.without(name), best) for name in best.hypothesis.effects]
     generation = search.extend(parts, search.terms, most=SWAPPED, settled=spent.settled)
     return sorted([*leaders, *_refined(search, generation, spent.refined)], key=total)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.diagnose.admission import Admission
-from trueup.diagnose.measure import squared_errors
+from trueup.diagnose.measure import knows_beginnings, squared_errors
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, in_parallel
 from trueup.model.block import joint as joint_of
@@ -72,7 +72,7 @@ def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Schem
 
 def _errors(model: Corrected, admission: Admission, episodes: Sequence[Episode], horizon_s: float) -> Array:
     """Mean squared normalised error of each window of a horizon, `(windows,)`."""
-    return np.concatenate([squared_errors(model, e, horizon_s, admission.motion) for e in episodes])
+    return np.concatenate([squared_errors(model, e, horizon_s, admission.motion, beginnings=knows_beginnings(model)) for e in episodes])
 
 
 def _as_well(worse: Array) -> bool:

@@ -2,7 +2,8 @@
 
 error    root mean square over samples and channels of (predicted - observed) / the channel's standard deviation over the held-out
          episodes; rollouts start at each multiple of the horizon, and the starting samples do not count; where no velocity is observed
-         an episode's first rollout starts in ignorance of it, which is not the model's gap, and does not count either
+         an episode's first rollout starts in ignorance of it, which is not the model's gap, and does not count either, and so where the
+         corrected model remembers what was before the log: a drive's lag, a play, heat
 floor    what the measured noise does to the compared sample, and to the prediction through the state from which a window starts:
          the latter is how far predictions move when the episodes are given the same noise once more
 closed   1 - (after^2 - floor^2) / (before^2 - floor^2)
@@ -18,6 +19,8 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
+from trueup.model.block import kind
+from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal, Predictor
 from trueup.model.state import is_observed
@@ -41,6 +44,7 @@ class Gap:
     closed: float | None
     ci95: tuple[float, float] | None
     by_channel: dict[str, tuple[float, float]]
+    beginnings: bool = True  # whether the windows that start with the logs are counted
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
@@ -53,16 +57,24 @@ class Gap:
             "floor": self.floor,
             "closed": self.closed,
             "ci95": list(self.ci95) if self.ci95 else None,
+            "beginnings": "counted" if self.beginnings else "left out",
             "channels": {name: {"before": b, "after": a} for name, (b, a) in self.by_channel.items()},
         }
 
 
-def squared_errors(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array) -> Array:
-    """Mean squared normalised error of each window, `(windows,)`."""
-    return np.asarray(_by_channel(predictor, episode, horizon_s, motion).mean(axis=1))
+def squared_errors(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array, *, beginnings: bool = True) -> Array:
+    """Mean squared normalised error of each window, `(windows,)`, with or without the one with which the log begins."""
+    return np.asarray(_by_channel(predictor, episode, horizon_s, motion, beginnings).mean(axis=1))
 
 
-def _floor(corrected: Predictor, episode: Episode, horizon_s: float, motion: Array, sigma: Array, rng: np.random.Generator) -> Array:
+def knows_beginnings(model: Corrected) -> bool:
+    """Whether a log's first sample says all that a model starts from: nothing acts that remembers what was before it."""
+    return not any(kind(t).memory for t in model.hypothesis.effects)
+
+
+def _floor(
+    corrected: Corrected, episode: Episode, horizon_s: float, motion: Array, sigma: Array, rng: np.random.Generator, beginnings: bool
+) -> Array:
     """The noise's own part of each window's squared error, `(windows, channels)`."""
     plant = corrected.plant
     seen = plant.state_columns
@@ -70,22 +82,22 @@ def _floor(corrected: Predictor, episode: Episode, horizon_s: float, motion: Arr
     again = replace(episode, observations=episode.observations + noise, digest=episode.digest + "/again")
     paths = []
     for e in (episode, again):
-        windows = _windows(plant, e, horizon_s)
+        windows = _windows(plant, e, horizon_s, beginnings)
         paths.append(plant.observe(corrected.rollout(windows)))
     moved = np.where(windows.inside[:, :, None], (paths[1] - paths[0]) / motion[seen], 0.0) ** 2
     return np.asarray(moved.sum(axis=1) / windows.inside.sum(axis=1)[:, None] + (np.nan_to_num(sigma[seen]) / motion[seen]) ** 2)
 
 
-def _windows(plant: Plant, episode: Episode, horizon_s: float) -> Windows:
-    """Windows at each multiple of the horizon; where a velocity is not observed, from the second on if there is one."""
+def _windows(plant: Plant, episode: Episode, horizon_s: float, beginnings: bool) -> Windows:
+    """Windows at each multiple of the horizon; without beginnings, or where a velocity is not observed, the first only if it is alone."""
     first = starts_every(episode.t_s[:-1], horizon_s)
-    return cut(plant, episode, first if is_observed(plant, episode) or len(first) == 1 else first[1:])
+    return cut(plant, episode, first if (beginnings and is_observed(plant, episode)) or len(first) == 1 else first[1:])
 
 
-def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array) -> Array:
+def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array, beginnings: bool) -> Array:
     """Mean squared normalised error of each window and observed channel, `(windows, channels)`."""
     plant = predictor.plant
-    windows = _windows(plant, episode, horizon_s)
+    windows = _windows(plant, episode, horizon_s, beginnings)
     with np.errstate(over="ignore", invalid="ignore"):
         missed = (plant.observe(predictor.rollout(windows)) - episode.observations[windows.rows]) / motion[plant.state_columns]
         missed = np.clip(np.nan_to_num(missed, nan=RAN_AWAY, posinf=RAN_AWAY, neginf=RAN_AWAY), -RAN_AWAY, RAN_AWAY)
@@ -94,15 +106,16 @@ def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion
         return np.asarray(squares.sum(axis=1) / np.maximum(counted.sum(axis=1), 1)[:, None])
 
 
-def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episodes: Sequence[Episode], sigma: Array, seed: int) -> Gap:
+def measure(nominal: Predictor, refitted: Predictor, corrected: Corrected, episodes: Sequence[Episode], sigma: Array, seed: int) -> Gap:
     """The gap on held-out episodes whose positions and velocities have noise of `sigma` `(2 x joints,)`."""
     plant: Plant = corrected.plant
     rng = np.random.default_rng(seed)
     motion = _motion(plant, episodes)
     horizon = plant.horizon_s
-    tables = [np.concatenate([_by_channel(p, e, horizon, motion) for e in episodes]) for p in (nominal, refitted, corrected)]
+    begun = knows_beginnings(corrected)
+    tables = [np.concatenate([_by_channel(p, e, horizon, motion, begun) for e in episodes]) for p in (nominal, refitted, corrected)]
     before, parameters, after = (t.mean(axis=1) for t in tables)
-    floor = np.concatenate([_floor(corrected, e, horizon, motion, sigma, rng) for e in episodes])
+    floor = np.concatenate([_floor(corrected, e, horizon, motion, sigma, rng, begun) for e in episodes])
     least = np.nan_to_num(floor.mean(axis=1))
     drawn = rng.integers(0, len(before), (RESAMPLES, len(before)))
     closed, interval = None, None
@@ -114,15 +127,16 @@ def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episo
     names = [c.name for c in plant.layout.observations]
     channels = {n: (float(np.sqrt(tables[0][:, i].mean())), float(np.sqrt(tables[2][:, i].mean()))) for i, n in enumerate(names)}
     rms = [float(np.sqrt(x.mean())) for x in (before, parameters, after, least)]
-    return Gap(horizon, rms[0], rms[1], rms[2], rms[3], closed, interval, channels)
+    counted = all(_windows(plant, e, horizon, begun).first[0] == 0 for e in episodes)
+    return Gap(horizon, rms[0], rms[1], rms[2], rms[3], closed, interval, channels, counted)
 
 
-def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -> float | None:
+def closed_on(corrected: Corrected, episodes: Sequence[Episode], sigma: Array) -> float | None:
     """The part of the nominal model's gap that a predictor closes on further episodes; None where there was none above their noise."""
     plant = corrected.plant
-    motion = _motion(plant, episodes)
+    motion, begun = _motion(plant, episodes), knows_beginnings(corrected)
     before, after = (
-        float(np.mean(np.concatenate([squared_errors(p, e, plant.horizon_s, motion) for e in episodes])))
+        float(np.mean(np.concatenate([squared_errors(p, e, plant.horizon_s, motion, beginnings=begun) for e in episodes])))
         for p in (Nominal(plant), corrected)
     )
     floor = float(np.mean((np.nan_to_num(sigma) / motion)[plant.state_columns] ** 2))

@@ -141,6 +141,8 @@ def _figures(d: Mapping[str, Any]) -> str:
     label = f"held-out error: before {_short(gap['before'])}, corrected {_short(gap['after'])}, floor {_short(gap['floor'])}"
     svg = f"<svg viewBox='0 0 {WIDTH} 130' role=img aria-label='{label}'>{''.join(bars)}</svg>"
     note = f"Root mean square error of rollouts over {gap['horizon_s']:g} s, in units of each channel's standard deviation, on validation episodes."
+    if gap["beginnings"] != "counted":
+        note += " The window with which a log begins is left out: no sample says what was before."
     return f"<div class=figures><div><b>{closed}</b>of the gap closed {interval}</div></div><p class=pale>{note}</p>{svg}"
 
 

@@ -35,6 +35,7 @@ RESOLUTION = 2.0 * ZOOMS[-1]  # of a value that was zoomed in on: between corner
 ASKED_FOR = 18.0  # squared standard errors that a number must be worth
 PASTS = (0.0, *(sign * x for x in (0.03, 0.07, 0.12, 0.18, 0.25, 0.35, 0.5) for sign in (1.0, -1.0)))  # of a memory's scale
 NEARLY = 4.0  # times the misfit: a part of a composition that does about as well
+PARTNERS = 2  # terms that raced best, which other parents get
 RACE_SHARE = 0.5  # of the time of an extension
 CHECK = 10  # iterations for the starts of validation windows
 
@@ -79,9 +80,10 @@ class Search:
     validation: Sequence[Series]
     short: Sequence[Series]
     terms: Sequence[str] = ()  # what is sought
-    pitches: Sequence[Begin] = ()
+    pitches: Mapping[str, Sequence[Begin]] = field(default_factory=dict)  # of terms that repeat with the position
     length_s: float = 0.0  # of its windows
     declared: Sequence[float] = ()  # numbers of a robot's nominal form, from which terms begin too
+    pieces: Mapping[str, Series] = field(default_factory=dict)  # of a robot's windows, by episode digest: where their starts are found
     exact: bool = True  # whether laws hold so well that a fit to a millionth of its cost tells anything
     found: dict[Hypothesis, Candidate] = field(default_factory=dict)
     _near: dict[Hypothesis, Near] = field(default_factory=dict)
@@ -104,26 +106,37 @@ class Search:
         progress: Callable[[float], None] = lambda _: None,
         most: int = 0,
         settled: int = 0,
+        others: Sequence[Candidate] = (),
     ) -> list[Candidate]:
         """Each parent with each term that it has not, where not fitted before; the best first.
 
         With `most`, only so many terms of each parent, those of which a linear model expects most; with `settled`, only so many of all
-        are fitted to the end, those that did best in a race of their starts.
+        are fitted to the end, those that did best in a race of their starts. `others` are parents that get only the terms that raced
+        best with the first ones: where two effects act, those that may stand for the one are many, and the other is the same.
         """
-        jobs: dict[Hypothesis, tuple[Candidate, str, np.ndarray]] = {}
-        for parent in parents:
-            for name, expected in self._promising(parent, terms, most):
-                jobs.setdefault(parent.hypothesis | name, (parent, name, expected))
-        raced, done = [], []
-        for found in in_parallel(lambda job: (*job[:2], self.race(job[0].fit, job[1], job[2])), list(jobs.values())):
-            raced.append(found)
-            progress(RACE_SHARE * len(raced) / len(jobs))
-        raced.sort(key=lambda found: found[2][0].cost)
-        raced = raced[: settled or None]
+        raced = self._raced([(p, *found) for p in parents for found in self._promising(p, terms, most)], progress)
+        if others:
+            names = list(dict.fromkeys(name for _, name, _ in raced))[:PARTNERS]
+            raced += self._raced([(p, *found) for p in others for found in self._promising(p, names, 0)], lambda _: None)
+            raced.sort(key=lambda found: found[2][0].cost)
+        raced, done = raced[: settled or None], []
         for fit in in_parallel(lambda found: self.settle(found[0].fit, found[1], found[2]), raced):
             done.append(self.keep(fit))
             progress(RACE_SHARE + (1.0 - RACE_SHARE) * len(done) / len(raced))
         return sorted((c for c in done if c.resolved), key=lambda c: c.misfit)
+
+    def _raced(
+        self, wanted: Sequence[tuple[Candidate, str, np.ndarray]], progress: Callable[[float], None]
+    ) -> list[tuple[Candidate, str, list[RolloutFit]]]:
+        """Races of terms with parents, each composition once, the best first."""
+        jobs: dict[Hypothesis, tuple[Candidate, str, np.ndarray]] = {}
+        for parent, name, expected in wanted:
+            jobs.setdefault(parent.hypothesis | name, (parent, name, expected))
+        raced = []
+        for found in in_parallel(lambda job: (*job[:2], self.race(job[0].fit, job[1], job[2])), list(jobs.values())):
+            raced.append(found)
+            progress(RACE_SHARE * len(raced) / len(jobs))
+        return sorted(raced, key=lambda found: found[2][0].cost)
 
     def _promising(self, parent: Candidate, names: Sequence[str], most: int) -> list[tuple[str, np.ndarray]]:
         """The effects to try, with the cost that a linear model expects of each of their starts, the most promising first.
@@ -134,10 +147,14 @@ class Search:
         rest = [n for n, h in wanted if h not in self.found and self.fitter.has_room(h)]
         near = self.near(parent.fit)
         new = [n for n in rest if n not in near.expected]
-        screened = in_parallel(lambda name: self.fitter.screen(self.short, near.fit, name, near.linear).cost, new)
+        screened = in_parallel(lambda name: self.fitter.screen(self.short, near.fit, name, near.linear, self._starts(name)).cost, new)
         near.expected.update(zip(new, screened, strict=True))
         order = np.argsort([near.expected[n].min() for n in rest], kind="stable")
         return [(rest[i], near.expected[rest[i]]) for i in order[: most or None]]
+
+    def _starts(self, of: str) -> Sequence[Sequence[float]]:
+        """Where a term is begun."""
+        return [start for _, start in self.pitches[of]] if of in self.pitches else kind(of).starts
 
     def near(self, parent: RolloutFit) -> Near:
         """A fit on short windows."""
@@ -161,8 +178,7 @@ class Search:
         begins, near = self._begins(parent, name, expected), self.near(parent)
         resting, hypothesis = self._still(begins[0], [name]), parent.hypothesis | name
         fit = partial(self.fitter.fit, self.short, hypothesis, starts=_remembering(self.short, near.fit), fixed=resting, linear=near.linear)
-        astray = self.exact and not parent.hypothesis.effects  # what no number of the nominal form explains may have led them there
-        if astray and len(self.declared):
+        if self.exact and len(self.declared):  # what no number of the nominal form explains may have led them astray
             others = [np.concatenate([self.declared, b[len(self.declared) :]]) for b in begins]
             tried = [fit(b, iterations=GLANCE) for b in [*begins, *others]]
             begins = [f.values for f in sorted(tried, key=lambda f: f.cost)[: len(begins)]]
@@ -179,7 +195,7 @@ class Search:
         ]
         apart = [f for i, f in enumerate(near) if not any(_same(f, g) for g in near[:i])]
         settled = [
-            fit(self.adaptation, hypothesis, f.values, _remembering(self.adaptation, f), iterations=SETTLE, tolerance=1e-3, fixed=resting)
+            fit(self.adaptation, hypothesis, f.values, self.placed(self.adaptation, f), iterations=SETTLE, tolerance=1e-3, fixed=resting)
             for f in apart
         ]
         best = min(settled, key=lambda f: f.cost)
@@ -209,7 +225,8 @@ class Search:
             return None
         still = self._still(values, hypothesis.effects)
         near = self.fitter.fit(self.short, hypothesis, values, iterations=SETTLE, tolerance=1e-2, fixed=still)
-        return self.keep(self.fitter.fit(self.adaptation, hypothesis, near.values, iterations=SETTLE, tolerance=1e-3, fixed=still))
+        starts = self.placed(self.adaptation, near)
+        return self.keep(self.fitter.fit(self.adaptation, hypothesis, near.values, starts, iterations=SETTLE, tolerance=1e-3, fixed=still))
 
     def _asked(self, best: RolloutFit, of: str) -> list[np.ndarray]:
         """Parameter vectors from which the numbers of a term that stayed at their null are tried."""
@@ -238,10 +255,10 @@ class Search:
 
     def _begins(self, parent: RolloutFit, of: str, expected: np.ndarray) -> list[np.ndarray]:
         """Parameter vectors from which a fit begins: those of a periodicity, or the starts of which a linear model expects most."""
-        if not kind(of).periodic or not self.pitches:
+        if of not in self.pitches:
             return [self.fitter.with_effect(parent.values, of, kind(of).starts[i]) for i in _apart(expected)]
         begins = []
-        for family, start in self.pitches:
+        for family, start in self.pitches[of]:
             values = self.fitter.with_effect(parent.values, of, start)
             if not parent.hypothesis.effects:
                 values[: len(family)] = family
@@ -266,7 +283,7 @@ class Search:
         """The same fitted until nothing moves."""
         at = candidate.fit
         if self._corners(at.hypothesis):
-            begun = self._begun(self.adaptation, at, {digest: start.windows for digest, start in at.starts.items()})
+            begun = self._begun(self.adaptation, at, {digest: Start(start.windows, {}) for digest, start in at.starts.items()})
             at = begun if begun.cost < at.cost else at
         fit = self.fitter.fit(
             self.adaptation,
@@ -368,13 +385,24 @@ class Search:
         period_s = max(s.period_s for s in self.adaptation)
         return all(abs(fit.values[self.fitter.block.rows(t)[0]]) >= kind(t).least_periods * period_s for t in fit.hypothesis.effects)
 
+    def placed(self, data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
+        """Where the windows of episodes start by a fit, and what hidden states began with.
+
+        Of a robot piece by piece: a long window that starts where a sensor wrongly says ends far away, and nothing leads back.
+        """
+        if not self.pieces:
+            return _remembering(data, fit)
+        pieces = [self.pieces[s.digest] for s in data]
+        found = self.fitter.started(pieces, fit.hypothesis, fit.values, _remembering(pieces, fit), CHECK).starts
+        at = {s.digest: p.resets[s.resets >= 0] for s, p in zip(data, pieces, strict=True)}
+        return {digest: Start(start.windows[at[digest]], start.memory) for digest, start in found.items()}
+
     def _checked(self, fit: RolloutFit) -> RolloutFit:
         """The starts of validation windows."""
-        return self._begun(self.validation, fit, {s.digest: s.begin for s in self.validation})
+        return self._begun(self.validation, fit, self.placed(self.validation, fit))
 
-    def _begun(self, data: Sequence[Series], fit: RolloutFit, windows: Mapping[str, np.ndarray]) -> RolloutFit:
+    def _begun(self, data: Sequence[Series], fit: RolloutFit, starts: Mapping[str, Start]) -> RolloutFit:
         """A fit with its starts estimated alone; what a hidden state with corners began with is sought at many places in each episode."""
-        starts = {digest: Start(begin, {}) for digest, begin in windows.items()}
         for key in self._corners(fit.hypothesis):
             starts = {s.digest: self._scanned(s, fit, starts[s.digest], key) for s in data}
         return self.fitter.started(data, fit.hypothesis, fit.values, starts, CHECK)
@@ -384,8 +412,8 @@ class Search:
         effect, memories = kind(key[0]), self.fitter.block.memories
         offsets = np.array(PASTS) * self.fitter.unit(key[0], effect.memory[effect.states.index(key[1])])
         p = np.repeat(fit.values[:, None], BLOCK, axis=1)
-        for other, value in start.memory.items():
-            p[memories[other]] += value
+        for other in start.memory.keys() - {key}:
+            p[memories[other]] += start.memory[other]
         p[memories[key], : len(offsets)] += offsets
         out = roll(s, self.fitter.form, p, switches(fit.hypothesis, self.fitter.joints), np.repeat(s.begin[:, :, None], BLOCK, axis=2))
         counted = s.usable & (s.window_of >= 0)[:, None]

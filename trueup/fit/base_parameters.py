@@ -36,12 +36,12 @@ def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
     """The ways in which a plant's numbers may move: a family's one by one, a tree's as combinations that the episodes show."""
     if not isinstance(plant.dynamics, CompiledTree):
         return Directions.of_family(plant.dynamics.parameter_names)
-    columns, force = regression(plant, episodes)
+    shows, force = regression(plant, episodes)
     size = sizes(plant, force)
     scale = np.maximum(np.sqrt(np.mean(force**2, axis=0)), 1e-9)
-    design = (columns / scale[None, :, None]).reshape(-1, columns.shape[2]) * size
+    design = (shows / scale[None, :, None]).reshape(-1, shows.shape[2]) * size
     design = design - design @ np.outer(together := _all_gains(plant, size), together)
-    design /= np.sqrt(len(columns))
+    design /= np.sqrt(len(shows))
     felt = FELT_ON_MACHINE if is_physical(episodes) else FELT
     single, low = _single(plant, episodes)
     alone = np.flatnonzero((np.linalg.norm(design, axis=0) > felt) & single)
@@ -114,18 +114,23 @@ def regression(plant: Plant, episodes: Sequence[Episode]) -> tuple[Array, Array]
     """What each number adds to the force that is missing at each joint, `(rows, joints, parameters)`, and the forces `(rows, joints)`
     that links and armatures need, at moments of recorded episodes.
     """
-    assert isinstance(plant.dynamics, CompiledTree)
-    tree, joints = plant.dynamics.tree, len(plant.joints)
     moments = [_moments(plant, e) for e in episodes]
     every = -(-sum(len(m[0]) for m in moments) // MOST_ROWS)
     q, v, a, u = (np.concatenate([m[i] for m in moments])[::every] for i in range(4))
+    return columns(plant, q, v, a, u)
+
+
+def columns(plant: Plant, q: Array, v: Array, a: Array, u: Array) -> tuple[Array, Array]:
+    """The same at positions, velocities, accelerations and commands, `(rows, joints)` each."""
+    assert isinstance(plant.dynamics, CompiledTree)
+    tree, joints = plant.dynamics.tree, len(plant.joints)
     inertial = regressors(tree, q, v, a)
     at_joint = np.zeros((len(q), joints, JOINT * joints))
     for j in range(joints):
-        columns = at_joint[:, j, JOINT * j : JOINT * (j + 1)]
-        columns[:, ARMATURE], columns[:, DAMPING] = a[:, j], v[:, j]
-        columns[:, GAIN], columns[:, SERVO] = -u[:, j], q[:, j]
-        columns[:, STIFFNESS], columns[:, FRICTION] = q[:, j] - tree.constants[j, REST], np.sign(v[:, j])
+        own = at_joint[:, j, JOINT * j : JOINT * (j + 1)]
+        own[:, ARMATURE], own[:, DAMPING] = a[:, j], v[:, j]
+        own[:, GAIN], own[:, SERVO] = -u[:, j], q[:, j]
+        own[:, STIFFNESS], own[:, FRICTION] = q[:, j] - tree.constants[j, REST], np.sign(v[:, j])
     links, rest = np.split(np.array(tree.parameters), [LINK * joints])
     needed = inertial @ links + a * rest[ARMATURE::JOINT]
     return np.concatenate([inertial, at_joint], axis=2), needed

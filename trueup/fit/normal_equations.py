@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from trueup.model.rigid_body import invert
 
 Array = NDArray[np.float64]
+Lanes = NDArray[np.int64]
 RAN_AWAY = 1e100  # of a sum of squares: no rollout that stays near its log comes there, and its own square is still finite
+NOTHING = 1e-200  # of a squared derivative: what does no more than that has no step
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,30 +33,33 @@ class Kept:
     first: int
 
 
-def summed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, used: int, windows: int) -> Array:
-    """Sums of outer products of (error, derivatives) by window, `(windows, used, used)`, of a rollout `(samples, 2 x joints, lanes)`.
+def summed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, lanes: Lanes, windows: int) -> Array:
+    """Sums of outer products of (error, derivatives) by window, `(windows, 1 + derivatives, 1 + derivatives)`, of a rollout
+    `(samples, 2 x joints, lanes)`.
 
-    Its first lane is unperturbed; `inverse` `(lanes,)` is that of each lane's step, `weight` `(samples, 2 x joints)` that of an error.
+    Its first lane is unperturbed; `lanes` are those of the derivatives, `inverse` `(lanes,)` is that of each lane's step, `weight` that of
+    an error and `window_of` the window that it is an error of, `(samples, 2 x joints)`.
     """
-    into = np.zeros((windows, used, used))
-    _summed(out, observed, weight, window_of, inverse, used - 1, np.empty((*out.shape[:2], 0)), into)
+    into = np.zeros((windows, 1 + len(lanes), 1 + len(lanes)))
+    _summed(out, observed, weight, window_of, inverse, lanes, np.empty((*out.shape[:2], 0)), into)
     return into
 
 
-def kept(out: Array, weight: Array, inverse: Array, sums: Array, first: int, start: int) -> Kept:
+def kept(out: Array, weight: Array, inverse: Array, lanes: Lanes, sums: Array, first: int, start: int) -> Kept:
     """What is kept of a rollout and its sums: derivatives by the `first` numbers and by the start, whose columns begin at `start`."""
     columns = np.array([*range(1, first + 1), *range(start, sums.shape[1])])
+    from_ = lanes[columns - 1]
     with np.errstate(over="ignore", invalid="ignore"):
-        rows = (out[:, :, columns] - out[:, :, :1]) * (inverse[columns] * weight[:, :, None])
+        rows = (out[:, :, from_] - out[:, :, :1]) * (inverse[from_] * weight[:, :, None])
     return Kept(np.where(weight[:, :, None] > 0.0, rows, 0.0), np.ascontiguousarray(sums[:, columns[:, None], columns]), first)
 
 
-def renewed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, fresh: int, old: Kept) -> Array:
-    """The same sums, with what was kept and `fresh` new derivatives: those of the lanes behind the unperturbed one."""
-    windows, many = old.products.shape[:2]
+def renewed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, lanes: Lanes, old: Kept) -> Array:
+    """The same sums, with what was kept and the new derivatives of `lanes`."""
+    (windows, many), fresh = old.products.shape[:2], len(lanes)
     found = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
     found[:, :many, :many] = old.products
-    _summed(out, observed, weight, window_of, inverse, fresh, old.rows, found)
+    _summed(out, observed, weight, window_of, inverse, lanes, old.rows, found)
     behind = 1 + old.first + fresh  # where the starts' begin; before them the new ones, and the error first of all
     at = np.array([*range(1, old.first + 1), *range(behind, many + 1 + fresh), 0, *range(1 + old.first, behind)])
     into = np.empty_like(found)
@@ -143,11 +148,11 @@ class Gram:
         """
         c, n = self._condensed(self._alike(damping)), self.free
         normal, gradient = c.reduced[1:, 1:] + np.diag(worth), c.reduced[0, 1:] + pull
-        moving = ~(((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0)))
+        moving = ~(((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))) & (np.diag(normal) > NOTHING)
         step = np.zeros(n)
         if moving.any():
             part = normal[np.ix_(moving, moving)]
-            size = np.sqrt(np.maximum(np.diag(part), 1e-300))
+            size = np.sqrt(np.diag(part))
             scaled = part / size[:, None] / size + (damping + 1e-12) * np.eye(len(size))
             step[moving] = np.linalg.solve(scaled, gradient[moving] / size) / size
         expected = float(step @ gradient)
@@ -211,23 +216,21 @@ def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignor
 
 
 @njit(cache=True, nogil=True)
-def _summed(out, observed, weight, window_of, inverse, fresh, rows, into):  # type: ignore[no-untyped-def]
+def _summed(out, observed, weight, window_of, inverse, lanes, rows, into):  # type: ignore[no-untyped-def]
     """Outer products of (kept derivatives, error, fresh derivatives) summed over each window; those of the kept ones are there."""
     kept, size = rows.shape[2], into.shape[1]
     row = np.zeros(size)
-    for i in range(len(window_of)):
-        w = window_of[i]
-        if w < 0:
-            continue
+    for i in range(len(observed)):
         for c in range(observed.shape[1]):
-            if weight[i, c] == 0.0:
+            w = window_of[i, c]
+            if w < 0 or weight[i, c] == 0.0:
                 continue
             base = out[i, c, 0]
             for b in range(kept):
                 row[b] = rows[i, c, b]
             row[kept] = (observed[i, c] - base) * weight[i, c]
-            for lane in range(1, fresh + 1):
-                row[kept + lane] = (out[i, c, lane] - base) * inverse[lane] * weight[i, c]
+            for b in range(len(lanes)):
+                row[kept + 1 + b] = (out[i, c, lanes[b]] - base) * inverse[lanes[b]] * weight[i, c]
             for a in range(kept, size):
                 for b in range(a + 1):
                     into[w, a, b] += row[a] * row[b]

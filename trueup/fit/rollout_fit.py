@@ -20,10 +20,10 @@ from trueup.fit.normal_equations import RAN_AWAY, Gram, Kept, kept, renewed, sum
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.compose import cores
 from trueup.model.dynamics import CompiledFamily, Form
-from trueup.model.effect import Scale, effects
+from trueup.model.effect import Port, Scale, effects
 from trueup.model.family import families
 from trueup.model.hypothesis import Hypothesis, Scales, switches
-from trueup.model.series import DECLARED, Series, roll, unobserved
+from trueup.model.series import DECLARED, Series, roll, seen_by, unobserved
 
 Array = NDArray[np.float64]
 STEP = 1e-4  # of a parameter's scale: a finite difference
@@ -201,10 +201,6 @@ class Fitter:
         """How many numbers may be free: a family's fit in one block, a tree's take as many as they need."""
         return BLOCK - 1 - 2 * self.joints if self.form.family >= 0 else 1_000
 
-    def _lanes_for(self, numbers: int) -> int:
-        """Lanes for the unperturbed rollout, those of so many numbers, and those of the start; whole blocks."""
-        return -(-(1 + numbers + 2 * self.joints) // BLOCK) * BLOCK
-
     def free(self, hypothesis: Hypothesis, fixed: Iterable[tuple[str, str]] = ()) -> Free:
         """What a hypothesis leaves free, the nominal form's numbers first."""
         kept = set(fixed)
@@ -361,15 +357,17 @@ class Fitter:
         task = self._task(data, fit.hypothesis, self.free(fit.hypothesis))
         return self._evaluate(task, fit.values, fit.starts)[1] if task.keeps else None
 
-    def screen(self, data: Sequence[Series], parent: RolloutFit, effect: str, linear: Linear | None = None) -> Screening:
-        """What a linear model expects of each start of an effect on a parent's rollouts.
+    def screen(
+        self, data: Sequence[Series], parent: RolloutFit, effect: str, linear: Linear | None = None, starts: Sequence[Sequence[float]] = ()
+    ) -> Screening:
+        """What a linear model expects of each start of an effect on a parent's rollouts, of its own ones where none are given.
 
         What the effect does to them is scaled by one factor, and everything that the parent leaves free adapts to it. One lane for
         each start. Where the parent's own parameters leave no lane, nothing can be said. `linear` are the parent's derivatives.
         """
         task = self._task(data, parent.hypothesis, self.free(parent.hypothesis))
         task = replace(task, hypothesis=parent.hypothesis | effect, states=(), keeps=task.keeps if linear else 0)
-        starts = kind(effect).starts
+        starts = starts or kind(effect).starts
         own = len(task.free.rows) - task.keeps
         room = BLOCK - 1 - own if task.keeps else self._room() - own
         if room <= 0:
@@ -383,7 +381,7 @@ class Fitter:
         lanes = self._lanes(task, parent.values, task.keeps, k)
         off = list(self.block.rows(effect))
         lanes.p[off] = self.block.nulls[off, None]
-        for lane, begin in enumerate(begins, start=lanes.behind - k + 1):
+        for lane, begin in zip(lanes.of[len(lanes.of) - k :], begins, strict=True):
             lanes.p[:, lane] = self.with_effect(parent.values, effect, begin)
             lanes.inverse[lane] = 1.0
         parts, _ = self._sums(task, lanes, parent.starts, {}, linear if task.keeps else None)
@@ -410,7 +408,7 @@ class Fitter:
         keys = [key for key in self.block.memories if key[0] in hypothesis.effects]
         states = tuple(keys[: max(0, self._room() - len(free.rows))])  # as far as lanes are left
         directions = sum(owner == "" for owner, _ in free.names)
-        several = self._lanes_for(len(free.rows) + len(states)) > BLOCK
+        several = 1 + len(free.rows) + len(states) + 2 * self.joints > BLOCK
         return _Task(data, hypothesis, free, states, hold_starts, directions if several else 0)
 
     def _evaluate(self, task: _Task, values: Array, starts: Mapping[str, Start], old: Linear | None = None) -> tuple[Gram, Linear | None]:
@@ -418,20 +416,21 @@ class Fitter:
         n, m = len(task.free.rows), len(task.states)
         lanes = self._lanes(task, values, task.keeps if old else 0, m)
         scales = np.array([self.unit(t, kind(t).memory[kind(t).states.index(state)]) for t, state in task.states])
-        first = lanes.behind - m + 1
-        pasts = {key: (lane, MEMORY_STEP * scale) for lane, (key, scale) in enumerate(zip(task.states, scales, strict=True), start=first)}
+        at = lanes.of[len(lanes.of) - m :]
+        pasts = {key: (lane, MEMORY_STEP * scale) for lane, key, scale in zip(at, task.states, scales, strict=True)}
         parts, linear = self._sums(task, lanes, starts, pasts, old)
         began = {s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in task.states]) for s in task.data}
         return Gram(parts, began, scales, n), linear
 
     def _lanes(self, task: _Task, values: Array, kept: int, more: int) -> _Lanes:
-        """One lane for each free number but the first that are kept, and `more`; without any kept those of the start too."""
+        """One lane for each free number but the first that are kept, and `more`; without any kept those of the start too, before them."""
         numbers = range(kept, len(task.free.rows))
-        behind = len(numbers) + more
-        count = -(-(1 + behind) // BLOCK) * BLOCK if kept else self._lanes_for(behind)
+        starts = 0 if kept else 2 * self.joints
+        of = 1 + starts + np.arange(len(numbers) + more)
+        count = -(-(1 + starts + len(of)) // BLOCK) * BLOCK
         p = np.repeat(values[:, None], count, axis=1)
         inverse = np.zeros(count)
-        for lane, which in enumerate(numbers, start=1):
+        for lane, which in zip(of, numbers, strict=False):
             row, size = task.free.rows[which], task.free.step[which]
             if 0 <= row < self.block.nominal and not self.directions.combined:
                 size *= max(1.0, abs(values[row]))
@@ -439,9 +438,9 @@ class Fitter:
                 size = -size if values[row] + size > task.free.high[which] else size
             task.free.nudge(p[:, lane], which, size)
             inverse[lane] = 1.0 / size
-        if not (kept or task.hold_starts):
-            inverse[behind + 1 : behind + 1 + 2 * self.joints] = 1.0 / self.start_steps
-        return _Lanes(p, inverse, behind)
+        if not task.hold_starts:
+            inverse[1 : 1 + starts] = 1.0 / self.start_steps[:starts]
+        return _Lanes(p, inverse, of, starts)
 
     def _sums(
         self,
@@ -465,7 +464,9 @@ class Fitter:
     ) -> tuple[Array, Kept | None]:
         """Those of one episode."""
         on, inverse = switches(task.hypothesis, self.joints), lanes.inverse.copy()
-        weight, block = s.usable / self.sigma, lanes.p.copy()
+        block = lanes.p.copy()
+        window_of, weight = seen_by(s, self._late_s(task.hypothesis, block[:, 0]))
+        weight *= s.usable / self.sigma
         for key, value in start.memory.items():
             block[self.block.memories[key]] += value
         for key, (lane, size) in pasts.items():
@@ -475,12 +476,21 @@ class Fitter:
         init = np.repeat(start.windows[:, :, None], block.shape[1], axis=2)
         if old is not None:
             out = roll(s, self.form, block, on, init)
-            return renewed(out, s.observed, weight, s.window_of, inverse, lanes.behind, old[s.digest]), old[s.digest]
-        for state, size in enumerate(self.start_steps):
-            init[:, state, lanes.behind + 1 + state] += size
-        out = roll(s, self.form, block, on, init)
-        sums = summed(out, s.observed, weight, s.window_of, inverse, lanes.behind + 1 + len(self.start_steps), len(init))
-        return sums, kept(out, weight, inverse, sums, task.keeps, lanes.behind + 1) if task.keeps else None
+            return renewed(out, s.observed, weight, window_of, inverse, lanes.of, old[s.digest]), old[s.digest]
+        for state in range(lanes.starts):
+            init[:, state, 1 + state] += self.start_steps[state]
+        out = roll(s, self.form, block, on, init, starts=lanes.starts)
+        columns = np.concatenate([lanes.of, 1 + np.arange(lanes.starts)])
+        sums = summed(out, s.observed, weight, window_of, inverse, columns, len(init))
+        return sums, kept(out, weight, inverse, columns, sums, task.keeps, len(lanes.of) + 1) if task.keeps else None
+
+    def _late_s(self, hypothesis: Hypothesis, values: Array) -> Array:
+        """How late each joint is seen [s], `(joints,)`; a log of one joint does not show that apart from a late drive, and is shifted."""
+        late_s = np.zeros(self.joints)
+        for t in hypothesis.effects:
+            if self.form.family < 0 and kind(t).port is Port.OBSERVATION and kind(t).delays():
+                late_s[joint(t)] += values[self.block.rows(t)[0]]
+        return late_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -499,11 +509,14 @@ class _Task:
 
 @dataclass(frozen=True, slots=True)
 class _Lanes:
-    """Parameter vectors of lanes `(rows, lanes)`, the inverse of each one's step, how many follow the first before those of the start."""
+    """Parameter vectors of lanes `(rows, lanes)` and the inverse of each one's step; so many `starts` follow the first, then those `of`
+    numbers, memories and what is screened.
+    """
 
     p: Array
     inverse: Array
-    behind: int
+    of: NDArray[np.int64]
+    starts: int
 
 
 def _from(starts: Mapping[str, Start] | None, data: Sequence[Series]) -> dict[str, Start]:

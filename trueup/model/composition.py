@@ -7,6 +7,7 @@ its own effects cost, and nothing is compiled for it.
 
     each episode runs from its first sample to its last; hidden states (lag, play, heat, hysteresis) run through
     at the start of a window, position and velocity are set, which is no motion; the rest keeps its past
+    lanes that differ in their starts have lane 0's past at each of them, so that they show what a start does in its own window
     where lanes follow lane 0, lane 0 is corrected by each observation, in position, velocity, a force that disturbs it and what hides its
     velocity, and the others start each window from its whole state
 
@@ -43,7 +44,7 @@ def make(digest, functions, njit):
 
     @njit(cache=True, nogil=True, error_model="numpy")
     def run(
-        p, on, first, family, tree, sizes, alpha, u_scale, period, t_s, h_s, steps, issued, integral, resets, init, follow, gain,
+        p, on, first, family, tree, sizes, alpha, u_scale, period, t_s, h_s, steps, issued, integral, resets, init, starts, follow, gain,
         observed, out,
     ):
         digest
@@ -94,6 +95,8 @@ def make(digest, functions, njit):
             elif resets[i] >= 0:
                 for j in range(n):
                     {jump}
+                    for lane in range(1, 1 + starts):
+                        {follow_states}
                     for lane in range(W):
                         q[j, lane], v[j, lane] = init[resets[i], j, lane], init[resets[i], n + j, lane]
             since = t_s[i] - t_s[i - 1] if i > 0 else 0.0

@@ -222,7 +222,7 @@ class CompiledTree(Dynamics):
             kernel()(
                 p, off, self.form.block.nominal, -1, self.form.tree, self.form.sizes, 0.0, np.ones(joints), 0.0, t,
                 np.ascontiguousarray(h_s.reshape(-1)), np.ascontiguousarray(runs), issued, np.zeros_like(issued), resets,
-                np.repeat(initial[:, :, None], BLOCK, axis=2), False, np.zeros((1, joints, 4, 2)), observed, out,
+                np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False, np.zeros((1, joints, 4, 2)), observed, out,
             )  # fmt: skip
             found[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(-1, windows, samples, 2 * joints)
         return found

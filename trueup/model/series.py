@@ -67,12 +67,12 @@ class Series:
     u_scale: Array
 
 
-def series(plant: Plant, episode: Episode, scheme: Scheme, window_s: float) -> Series:
-    """An episode cut into windows of about `window_s` [s], all of one length; the last one ends with the episode."""
+def series(plant: Plant, episode: Episode, scheme: Scheme, window_s: float, parts: int = 1) -> Series:
+    """An episode cut into windows of about `window_s` [s], all of one length; the last one ends with the episode. Each in `parts`."""
     t = episode.t_s
     begins = known_from(plant, episode)
     span = t[-1] - t[begins]
-    count = max(1, round(span / window_s))
+    count = max(1, round(span / window_s)) * parts
     return whole(plant, episode, scheme, starts_every(t[:-1], span / count * (1 + 1e-9), float(t[begins])))
 
 
@@ -168,11 +168,23 @@ def held(observed: Array) -> NDArray[np.bool_]:
     return np.asarray(np.logical_not(fresh) & short[runs] & lost)
 
 
-def roll(s: Series, form: Form, p: Array, on: NDArray[np.uint8], init: Array, gain: Array | None = None) -> Array:
+def seen_by(s: Series, late_s: Array) -> tuple[NDArray[np.int64], Array]:
+    """The window whose motion each sample shows, and how much each counts, `(samples, 2 x joints)` each, where joints are seen `late_s`.
+
+    What a late sensor shows of the time before the log is no window's, -1; what is left of its samples counts for those too.
+    """
+    shown = np.searchsorted(s.t_s, s.t_s[:, None] - late_s, side="right") - 1
+    windows = np.where(shown >= 0, s.window_of[shown], -1)
+    weight = np.sqrt(len(shown) / np.maximum((shown >= 0).sum(axis=0), 1))
+    return np.tile(windows, 2), np.tile(np.broadcast_to(weight, shown.shape), 2)
+
+
+def roll(s: Series, form: Form, p: Array, on: NDArray[np.uint8], init: Array, gain: Array | None = None, starts: int = 0) -> Array:
     """Rollout of blocks of lanes over one series, `(samples, 2 x joints, lanes)`; with a gain `(beginning, joints, 4, 2)`, lanes follow
     lane 0, which is a filter.
 
-    p `(rows, lanes)` and init `(windows, 2 x joints, lanes)`, whole blocks of lanes.
+    p `(rows, lanes)` and init `(windows, 2 x joints, lanes)`, whole blocks of lanes. So many as `starts` after the first differ from it
+    in what windows start from alone, and begin each window with its hidden states.
     """
     from trueup.model.composition import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
@@ -185,8 +197,8 @@ def roll(s: Series, form: Form, p: Array, on: NDArray[np.uint8], init: Array, ga
         part = out if lanes == BLOCK else np.empty((len(s.t_s), 2 * joints, BLOCK))
         kernel()(
             np.ascontiguousarray(p[:, some]), on, form.block.nominal, form.family, form.tree, form.sizes, s.scheme.alpha, s.u_scale,
-            s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.integral, s.resets, np.ascontiguousarray(init[:, :, some]), gain is not None,
-            followed, observed, part,
+            s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.integral, s.resets, np.ascontiguousarray(init[:, :, some]),
+            0 if first else min(starts, BLOCK - 1), gain is not None, followed, observed, part,
         )  # fmt: skip
         if part is not out:
             out[:, :, some] = part
