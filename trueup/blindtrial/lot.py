@@ -66,9 +66,7 @@ def _left_out_of_robot(plant: Plant, tree: Tree, j: int) -> list[str]:
     found = ["sensor_bias"] if (moves_alike or last) and not held else []  # nothing says where zero is
     if len(plant.joints) + j not in plant.state_columns:
         found += ["velocity_lag", "sensor_scale", "clock_skew"]
-    rigid = own[ARMATURE] <= 0.0 or own[SERVO]  # no rotor could be behind a spring, or a servo has both
-    found += ["elastic_transmission"] if rigid else []
-    found += ["load_dependent_friction"] if own[SERVO] else []  # its load is the goal's and the position's together
+    found += ["elastic_transmission"] if own[ARMATURE] <= 0.0 else []  # no rotor could be behind a spring
     found += [name for name, effect in effects().items() if effect.port is Port.COMMAND] if plant.command_columns[j] < 0 else []
     return [term(name, j) for name in found]
 

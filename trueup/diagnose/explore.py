@@ -197,14 +197,16 @@ def polished(
     if scheme.alpha == 0.0 and not physical:
         return best, scheme
     finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha and search.exact else scheme
-    length = search.length_s
+    length, several = search.length_s, len(plant.joints) > 1 and search.exact
     last = Search(
         search.fitter,
         [_started(plant, e, series(plant, e, finer, length), best) for e in adaptation],
         [series(plant, e, finer, length) for e in validation],
         search.short,
+        pieces={e.digest: series(plant, e, finer, length, SHORTER) for e in [*adaptation, *validation] if several},
     )
-    starts = {s.digest: Start(s.begin, best.fit.starts[s.digest].memory) for s in last.adaptation}
+    memories = {s.digest: Start(s.begin, best.fit.starts[s.digest].memory) for s in last.adaptation}
+    starts = last.placed(last.adaptation, best.fit) if several else memories
     fit = last.fitter.fit(
         last.adaptation,
         best.hypothesis,

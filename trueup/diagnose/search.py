@@ -35,7 +35,8 @@ RESOLUTION = 2.0 * ZOOMS[-1]  # of a value that was zoomed in on: between corner
 ASKED_FOR = 18.0  # squared standard errors that a number must be worth
 PASTS = (0.0, *(sign * x for x in (0.03, 0.07, 0.12, 0.18, 0.25, 0.35, 0.5) for sign in (1.0, -1.0)))  # of a memory's scale
 NEARLY = 4.0  # times the misfit: a part of a composition that does about as well
-PARTNERS = 2  # terms that raced best, which other parents get
+PARTNERS = 2  # terms that raced best, which other parents get, and so many of their own
+WON, BEATEN = 1.5, 30.0  # misfits of a race that is over: one that leaves noise, and those that need not be fitted to the end
 RACE_SHARE = 0.5  # of the time of an extension
 CHECK = 10  # iterations for the starts of validation windows
 
@@ -111,14 +112,17 @@ class Search:
         """Each parent with each term that it has not, where not fitted before; the best first.
 
         With `most`, only so many terms of each parent, those of which a linear model expects most; with `settled`, only so many of all
-        are fitted to the end, those that did best in a race of their starts. `others` are parents that get only the terms that raced
-        best with the first ones: where two effects act, those that may stand for the one are many, and the other is the same.
+        are fitted to the end, those that did best in a race of their starts. `others` are parents that get few terms of their own, and
+        those that raced best with the first ones: where two effects act, many may stand for the one, and the other is the same.
         """
         raced = self._raced([(p, *found) for p in parents for found in self._promising(p, terms, most)], progress)
         if others:
             names = list(dict.fromkeys(name for _, name, _ in raced))[:PARTNERS]
-            raced += self._raced([(p, *found) for p in others for found in self._promising(p, names, 0)], lambda _: None)
+            few = [(p, *found) for p in others for found in [*self._promising(p, names, 0), *self._promising(p, terms, PARTNERS)]]
+            raced += self._raced(few, lambda _: None)
             raced.sort(key=lambda found: found[2][0].cost)
+        if settled and raced and raced[0][2][0].misfit < WON:
+            raced = [found for found in raced if found[2][0].misfit < BEATEN]
         raced, done = raced[: settled or None], []
         for fit in in_parallel(lambda found: self.settle(found[0].fit, found[1], found[2]), raced):
             done.append(self.keep(fit))
@@ -195,7 +199,7 @@ class Search:
         ]
         apart = [f for i, f in enumerate(near) if not any(_same(f, g) for g in near[:i])]
         settled = [
-            fit(self.adaptation, hypothesis, f.values, self.placed(self.adaptation, f), iterations=SETTLE, tolerance=1e-3, fixed=resting)
+            fit(self.adaptation, hypothesis, f.values, self._begun(self.adaptation, f), iterations=SETTLE, tolerance=1e-3, fixed=resting)
             for f in apart
         ]
         best = min(settled, key=lambda f: f.cost)
@@ -283,7 +287,9 @@ class Search:
         """The same fitted until nothing moves."""
         at = candidate.fit
         if self._corners(at.hypothesis):
-            begun = self._begun(self.adaptation, at, {digest: Start(start.windows, {}) for digest, start in at.starts.items()})
+            windows = {digest: Start(start.windows, {}) for digest, start in at.starts.items()}
+            starts = self.placed(self.adaptation, at) if self.pieces else self._recalled(self.adaptation, at, windows)
+            begun = self.fitter.started(self.adaptation, at.hypothesis, at.values, starts, CHECK)
             at = begun if begun.cost < at.cost else at
         fit = self.fitter.fit(
             self.adaptation,
@@ -385,32 +391,38 @@ class Search:
         period_s = max(s.period_s for s in self.adaptation)
         return all(abs(fit.values[self.fitter.block.rows(t)[0]]) >= kind(t).least_periods * period_s for t in fit.hypothesis.effects)
 
+    def _begun(self, data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
+        """Where a fit of other windows goes on: a robot's where that places them, a joint's where they were seen."""
+        return self.placed(data, fit) if self.pieces else _remembering(data, fit)
+
     def placed(self, data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
         """Where the windows of episodes start by a fit, and what hidden states began with.
 
         Of a robot piece by piece: a long window that starts where a sensor wrongly says ends far away, and nothing leads back.
         """
+        pieces = [self.pieces.get(s.digest, s) for s in data]
+        starts = self._recalled(pieces, fit, _remembering(pieces, fit))
         if not self.pieces:
-            return _remembering(data, fit)
-        pieces = [self.pieces[s.digest] for s in data]
-        found = self.fitter.started(pieces, fit.hypothesis, fit.values, _remembering(pieces, fit), CHECK).starts
+            return starts
+        found = self.fitter.started(pieces, fit.hypothesis, fit.values, starts, CHECK).starts
         at = {s.digest: p.resets[s.resets >= 0] for s, p in zip(data, pieces, strict=True)}
         return {digest: Start(start.windows[at[digest]], start.memory) for digest, start in found.items()}
 
     def _checked(self, fit: RolloutFit) -> RolloutFit:
         """The starts of validation windows."""
-        return self._begun(self.validation, fit, self.placed(self.validation, fit))
+        return self.fitter.started(self.validation, fit.hypothesis, fit.values, self.placed(self.validation, fit), CHECK)
 
-    def _begun(self, data: Sequence[Series], fit: RolloutFit, starts: Mapping[str, Start]) -> RolloutFit:
-        """A fit with its starts estimated alone; what a hidden state with corners began with is sought at many places in each episode."""
+    def _recalled(self, data: Sequence[Series], fit: RolloutFit, starts: dict[str, Start]) -> dict[str, Start]:
+        """The same with what hidden states with corners began with sought at many places in each episode."""
         for key in self._corners(fit.hypothesis):
             starts = {s.digest: self._scanned(s, fit, starts[s.digest], key) for s in data}
-        return self.fitter.started(data, fit.hypothesis, fit.values, starts, CHECK)
+        return starts
 
     def _scanned(self, s: Series, fit: RolloutFit, start: Start, key: Memory) -> Start:
         """A start with the best of many pasts of one hidden state, one in each lane, from windows that know of none of them."""
         effect, memories = kind(key[0]), self.fitter.block.memories
-        offsets = np.array(PASTS) * self.fitter.unit(key[0], effect.memory[effect.states.index(key[1])])
+        scale = self.fitter.unit(key[0], effect.memory[effect.states.index(key[1])])
+        offsets = np.array([start.memory.get(key, 0.0), *(past * scale for past in PASTS)])
         p = np.repeat(fit.values[:, None], BLOCK, axis=1)
         for other in start.memory.keys() - {key}:
             p[memories[other]] += start.memory[other]

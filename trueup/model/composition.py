@@ -31,12 +31,12 @@ from trueup.model.block import BLOCK, height, memory_offsets, offsets
 from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
 from trueup.model.rigid_body import ROOM, bias, invert_lanes, net, pose, rub
-from trueup.model.tree import DAMPING, FRICTION, GAIN, JOINT, LINK, OFFSET, SERVO
+from trueup.model.tree import DAMPING, FRICTION, GAIN, JOINT, LIMIT, LINK, OFFSET, SERVO
 
 APART = frozenset({"passive", "drive", "spring", "mobility"})  # parts of the nominal acceleration
 RIGID = {f.__name__: f for f in (bias, invert_lanes, net, pose, rub)}
 AT_JOINT = {"JOINT": JOINT, "DAMPING": DAMPING, "GAIN": GAIN, "SERVO": SERVO, "FRICTION": FRICTION}
-NUMBERS = {"ROOM": ROOM, "LINK": LINK, "OFFSET": OFFSET, **AT_JOINT}
+NUMBERS = {"ROOM": ROOM, "LINK": LINK, "OFFSET": OFFSET, "LIMIT": LIMIT, **AT_JOINT}
 
 HEAD = """
 def make(digest, functions, njit):
@@ -208,12 +208,14 @@ def make(digest, functions, njit):
                         for lane in range(W):
                             a[j, lane] = forces[j, lane] / sizes[j]
                     if {apart}:
-                        bias(tree, nothing, room, free)
+                        bias(tree, ve, room, free)
                         net(tree, p, nothing, qe, nothing, free)
                         for j in range(n):
-                            for lane in range(W):
-                                drive[j, lane] = p[LINK * n + JOINT * j + GAIN, lane] * u[j, lane] / sizes[j]
-                                spring[j, lane] = free[j, lane] / sizes[j]
+                            gains, servo = p[LINK * n + JOINT * j + GAIN], p[LINK * n + JOINT * j + SERVO]
+                            for lane in range(W):  # a servo drives by its error
+                                idle = tree[j, OFFSET] - servo[lane] * qe[j, lane]
+                                drive[j, lane] = min(max(idle + gains[lane] * u[j, lane], -tree[j, LIMIT]), tree[j, LIMIT]) / sizes[j]
+                                spring[j, lane] = (free[j, lane] - min(max(idle, -tree[j, LIMIT]), tree[j, LIMIT])) / sizes[j]
                                 mobility[j, lane] = moves[j, j * W + lane] * sizes[j]
                                 passive[j, lane] = 0.0
                             for k in range(n):

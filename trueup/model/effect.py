@@ -6,6 +6,7 @@ A file in `effects/` holds one; they are found by themselves. What `apply` takes
                  `period` of the samples [s], `since` the last one [s], 0 at the first, `u_scale` the command's declared limit,
                  `implicit` 1 where a step takes its end's values,
                  `passive` and `drive` the nominal acceleration without and by the command, `spring` the passive one at rest,
+                 in a robot with what centrifugal and Coriolis forces add,
                  `mobility` the acceleration that a unit of force brings about: 1 but in a tree, whose inertia changes with its pose
     states       the names in `states`: what the effect remembers of the episode's past
     parameters   the names in `params`

@@ -282,6 +282,12 @@ def test_a_joint_about_the_vertical_and_the_last_one_hide_a_bias(tmp_path):
     assert left_out(plant) == ("sensor_bias", "sensor_bias@1")
 
 
+def test_at_a_servo_gears_rub_and_springs_give(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM.replace("motor", 'position kp="30"'))
+    plant = Plant.from_document(resolved(arm_document(), tmp_path))
+    assert not [t for t in left_out(plant) if t.startswith(("load_dependent_friction", "elastic_transmission"))]
+
+
 def test_a_blind_trial_of_a_robot_names_effect_and_joint(arm):
     plant, episodes = arm
     committed = []

@@ -125,10 +125,11 @@ def test_a_servo_saturates_in_its_error_and_is_written_as_a_force_range(tmp_path
 
 
 def test_what_a_servos_drive_does_depends_on_its_error_alone(tmp_path):
-    """Goal and position moved together: a deadband, an asymmetry or a saturation of the drive does not notice."""
+    """Goal and position moved together: a deadband, a saturation, the friction of a gear or a spring behind it does not notice."""
     text = ARM.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"').replace("motor", 'position kp="30"')
     plant = plant_of(tmp_path, text, ["shoulder", "elbow"])
     laws = {"saturation": {"limit": 0.3}, "deadband": {"width": 0.1}, "gain_asymmetry": {"asymmetry": 0.3}, "quadratic_gain": {"odd": 5.0}}
+    laws |= {"load_dependent_friction": {"coefficient": 0.8}, "elastic_transmission": {"period": 0.2, "ratio": 0.1, "share": 0.3}}
     at_rest = np.zeros((SAMPLES, 4))
     t = np.arange(SAMPLES) * plant.timestep_s
     waves = np.sin(2 * np.pi * np.stack([2.0 * t, 3.0 * t], axis=1))
