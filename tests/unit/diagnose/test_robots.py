@@ -1,20 +1,28 @@
 """A robot's gap is found at its joint: one effect, a payload, and what of it an experiment or another rollout can use."""
 
 import json
+from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
-from tests.support.robots import arm_plant, recorded
+from tests.support.robots import ARM, PERIOD_S, arm_plant, recorded
 from trueup.artifact.artifact import pack, unpack
+from trueup.diagnose.admission import admit
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.locate import Strides, _pushed
 from trueup.diagnose.page import page, pushed, sentence
+from trueup.diagnose.periodicity import pitches
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.residual import fit_residual
+from trueup.model.mjcf import mujoco as engine
+from trueup.model.mjcf import tree_of
 from trueup.model.predictor import Nominal, predict_observations
+from trueup.model.series import DECLARED, seen_by, series
 from trueup.model.windows import cut, starts_every
+from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, run
 
 ROLES = ("adaptation", "adaptation", "adaptation", "validation", "validation")
 
@@ -131,3 +139,54 @@ def test_something_that_leans_on_a_joint_is_told_with_its_time(plant):
     roles = [{"sha256": e.digest, "role": str(e.role)} for e in episodes]
     (words,) = pushed({"where": {"pushed": [push]}, "evidence": {"episodes": roles}})
     assert "1 to 2.2 s: elbow by -2" in words
+
+
+LATE = 15  # samples
+
+
+def late_elbow(episode):
+    """The same recording with the elbow seen later than the shoulder."""
+    seen = episode.observations[LATE:].copy()
+    seen[:, [1, 3]] = episode.observations[:-LATE, [1, 3]]
+    t = episode.t_s[LATE:] - episode.t_s[LATE]
+    return replace(episode, t_s=t, commands=episode.commands[LATE:].copy(), observations=seen, digest=f"{episode.digest}, late")
+
+
+def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(plant):
+    def sticks(spec):
+        spec.joint("shoulder").frictionloss = 0.6
+
+    found = diagnose(plant, [late_elbow(e) for e in recorded(plant, sticks, range(5), ROLES)])
+    assert {(e["effect"], e["joint"]) for e in found.document["effects"]} == {("coulomb_friction", "shoulder"), ("sensor_delay", "elbow")}
+    delay = next(e for e in found.document["effects"] if e["effect"] == "sensor_delay")["estimate"]["delay"]["value"]
+    assert delay == pytest.approx(LATE * PERIOD_S, rel=0.02)
+    assert found.document["gap"]["beginnings"] == "left out"  # what the drive was told before the log is in no log
+    assert "left out" in page(found)
+
+
+def test_what_a_late_sensor_shows_counts_for_the_window_in_which_it_happened(plant):
+    (episode,) = recorded(plant, lambda _spec: None, (0,), ("adaptation",))
+    s = series(plant, episode, DECLARED, 0.5)
+    late = LATE * PERIOD_S + 1e-9
+    windows, weight = seen_by(s, np.array([0.0, late]))
+    np.testing.assert_array_equal(windows[:, 0], s.window_of)
+    np.testing.assert_array_equal(windows[LATE + 1 :, 1], s.window_of[: -LATE - 1])
+    assert (windows[:LATE, 1] == -1).all()  # before the log
+    counted = windows >= 0
+    np.testing.assert_allclose((weight**2 * counted).sum(axis=0), len(s.t_s))
+
+
+def test_the_pitch_of_a_force_is_found_at_its_joint(plant):
+    machine = RobotMachine(tree_of(engine(), mujoco.MjModel.from_xml_string(ARM)), np.full(2, -25.0), np.full(2, 25.0), np.full(2, 15.0))
+    toothed = machine.having("cogging", {"amplitude": 0.4, "pitch": 0.17, "phase": 1.0}, 1)
+    t = np.arange(1500) * PERIOD_S
+    q = np.stack([0.5 * np.sin(4.0 * t), 0.6 * np.cos(5.0 * t)], axis=1)
+    plan = RobotPlan("adaptation", np.zeros((1500, 2)), np.concatenate([q, np.gradient(q, PERIOD_S, axis=0)], axis=1))
+    found = run(
+        toothed, plan, PERIOD_S, 16, np.full(4, 1e-4), np.random.default_rng(0), 50, Follow(np.array([60.0, 20.0]), np.array([6.0, 2.0]))
+    )
+    (like,) = recorded(plant, lambda _spec: None, (0,), ("adaptation",))
+    episode = replace(like, t_s=found.t_s, commands=found.issued, observations=found.observed)
+    admission = admit(plant, [episode])
+    (_, (_, _, pitch)), *_ = pitches(plant, admission, 1, [episode])
+    assert pitch * admission.scales[1].position == pytest.approx(0.17, rel=0.03)
