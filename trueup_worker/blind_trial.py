@@ -35,7 +35,8 @@ from trueup.diagnose.measure import closed_on
 from trueup.episode.episode import Episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
-from trueup.simulate.trial import Bench, RobotBench
+from trueup.simulate.robot_trial import RobotBench
+from trueup.simulate.trial import Bench
 from trueup_worker.blind_room import NO_ANSWER, Room
 
 SCHEMA = "trueup.blindtrial/1"

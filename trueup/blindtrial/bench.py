@@ -27,7 +27,8 @@ from trueup.model.state import smoothed_states
 from trueup.model.tree import GAIN, SERVO, Tree
 from trueup.simulate.machine import KINDS, Feedback
 from trueup.simulate.robot import Follow, RobotPlan
-from trueup.simulate.trial import Bench, Plan, RobotBench
+from trueup.simulate.robot_trial import RobotBench
+from trueup.simulate.trial import Bench, Plan
 
 Array = NDArray[np.float64]
 FINE_S = 5e-4  # the second simulator's step is no longer than this,

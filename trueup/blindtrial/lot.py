@@ -17,7 +17,8 @@ from trueup.model.plant import Plant
 from trueup.model.tree import ARMATURE, FRAME, GRAVITY, PARENT, SERVO, SLIDE, STIFFNESS, Tree
 from trueup.simulate.machine import BEYOND, Machine
 from trueup.simulate.robot import OF_A_SPRING, OF_LOG
-from trueup.simulate.trial import CATALOGUE, Bench, RobotBench, Trial, draw, draw_robot
+from trueup.simulate.robot_trial import RobotBench, draw_robot
+from trueup.simulate.trial import CATALOGUE, Bench, Trial, draw
 
 PARTS = {"single": 0.6, "pair": 0.12, "outside": 0.1, "none": 0.1, "faint": 0.08}
 GAPS = (0.06, 0.5)  # of the motion: what an effect changes of the position

@@ -67,13 +67,13 @@ def squared_errors(predictor: Predictor, episode: Episode, horizon_s: float, mot
     return np.asarray(_by_channel(predictor, episode, horizon_s, motion, beginnings).mean(axis=1))
 
 
-def knows_beginnings(model: Corrected) -> bool:
+def knows_beginnings(model: Predictor) -> bool:
     """Whether a log's first sample says all that a model starts from: nothing acts that remembers what was before it."""
-    return not any(kind(t).memory for t in model.hypothesis.effects)
+    return not (isinstance(model, Corrected) and any(kind(t).memory for t in model.hypothesis.effects))
 
 
 def _floor(
-    corrected: Corrected, episode: Episode, horizon_s: float, motion: Array, sigma: Array, rng: np.random.Generator, beginnings: bool
+    corrected: Predictor, episode: Episode, horizon_s: float, motion: Array, sigma: Array, rng: np.random.Generator, beginnings: bool
 ) -> Array:
     """The noise's own part of each window's squared error, `(windows, channels)`."""
     plant = corrected.plant
@@ -106,7 +106,7 @@ def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion
         return np.asarray(squares.sum(axis=1) / np.maximum(counted.sum(axis=1), 1)[:, None])
 
 
-def measure(nominal: Predictor, refitted: Predictor, corrected: Corrected, episodes: Sequence[Episode], sigma: Array, seed: int) -> Gap:
+def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episodes: Sequence[Episode], sigma: Array, seed: int) -> Gap:
     """The gap on held-out episodes whose positions and velocities have noise of `sigma` `(2 x joints,)`."""
     plant: Plant = corrected.plant
     rng = np.random.default_rng(seed)
@@ -131,7 +131,7 @@ def measure(nominal: Predictor, refitted: Predictor, corrected: Corrected, episo
     return Gap(horizon, rms[0], rms[1], rms[2], rms[3], closed, interval, channels, counted)
 
 
-def closed_on(corrected: Corrected, episodes: Sequence[Episode], sigma: Array) -> float | None:
+def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -> float | None:
     """The part of the nominal model's gap that a predictor closes on further episodes; None where there was none above their noise."""
     plant = corrected.plant
     motion, begun = _motion(plant, episodes), knows_beginnings(corrected)

@@ -41,7 +41,7 @@ RACE_SHARE = 0.5  # of the time of an extension
 CHECK = 10  # iterations for the starts of validation windows
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """A fitted composition, and how it does on validation episodes; not `resolved` is one with an effect as small as integration's own."""
 
@@ -119,7 +119,8 @@ class Search:
         if others:
             names = list(dict.fromkeys(name for _, name, _ in raced))[:PARTNERS]
             few = [(p, *found) for p in others for found in [*self._promising(p, names, 0), *self._promising(p, terms, PARTNERS)]]
-            raced += self._raced(few, lambda _: None)
+            already = {parent.hypothesis | name for parent, name, _ in raced}
+            raced += self._raced([x for x in few if x[0].hypothesis | x[1] not in already], lambda _: None)
             raced.sort(key=lambda found: found[2][0].cost)
         if settled and raced and raced[0][2][0].misfit < WON:
             raced = [found for found in raced if found[2][0].misfit < BEATEN]
