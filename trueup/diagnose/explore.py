@@ -37,7 +37,7 @@ FINE = 0.02  # of the time in which the joint crosses its travel: a step that st
 FINER = 4  # steps for one of the search
 PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
-SWAPS = 2  # times, of a robot
+EVIDENT = 0.3  # of the force that is missing at a robot's joint: what repeats with the position and is so much of it races in any case
 FAR_BEHIND = 4.0  # times the best misfit
 HALF = 0.5  # of a robot's misfit: less is gained by no other integration, nor by an effect at every joint, that is worth following
 WORSE = 2.0  # times the misfit on validation episodes: a last fit that does that went astray
@@ -138,7 +138,10 @@ def _laid_out(plant: Plant, admission: Admission, adaptation: Sequence[Episode],
     search.length_s = length / float(parts)
     search.terms = searchable([bool(c >= 0) for c in plant.command_columns])
     repeating = [t for t in search.terms if kind(t).periodic]
-    search.pitches = {t: pitches(plant, admission, joint(t), adaptation) for t in repeating}
+    for t in repeating:
+        search.pitches[t], taken = pitches(plant, admission, joint(t), adaptation)
+        if taken > EVIDENT and len(plant.joints) > 1:
+            search.evident.append(t)
     alone = len(plant.joints) == 1
     search.exact = alone or yardstick(adaptation) is not PHYSICAL
     if not alone:
@@ -170,10 +173,8 @@ def _grow(plant: Plant, search: Search, by: Yardstick, progress: Progress) -> No
         others = () if alone else near[many : many + spent.others]
         generation = search.extend(near[:many], search.terms, says, most=spent.grown, settled=spent.settled, others=others)
     leaders = _leaders(search, generation, base, by, spent)
-    for _ in range(0 if largest > PAIR or not search.exact else 1 if alone else SWAPS):
-        before, leaders = leaders, _swapped(search, leaders, base, by, spent)
-        if not leaders or leaders[0] is before[0]:
-            break
+    if largest == PAIR and search.exact:
+        leaders = _swapped(search, leaders, base, by, spent)
     for c in leaders[: min(2, spent.parents)]:
         (search.shrink if alone else search.peel)(c)
 

@@ -23,6 +23,7 @@ from trueup.model.state import smoothed_states
 from trueup.model.tree import GAIN, JOINT, LINK, OFFSET
 
 Array = NDArray[np.float64]
+Begin = tuple[Sequence[float], Sequence[float]]
 KEPT = 5  # pitches
 OVERSAMPLED = 4.0  # steps for each wave over the travel
 SHORTEST, LONGEST = 0.02, 1.0  # of the largest deflection
@@ -33,9 +34,9 @@ SHOWN = 1e-6  # of the largest singular value: a combination of terms that is th
 FLAT = 1e-9  # of a wave: less is left of it once the form's own terms are taken out
 
 
-def pitches(plant: Plant, admission: Admission, joint: int, episodes: Sequence[Episode]) -> list[tuple[list[float], list[float]]]:
+def pitches(plant: Plant, admission: Admission, joint: int, episodes: Sequence[Episode]) -> tuple[list[Begin], float]:
     """Starts for a cogging fit at a joint, the strongest first: a family's parameters with them, of a robot none, and (sine, cosine, pitch)
-    in units of their scales.
+    in units of their scales; and the part of what the form's own terms leave that the strongest takes.
     """
     scales = admission.scales[joint]
     reach = scales.position
@@ -43,7 +44,7 @@ def pitches(plant: Plant, admission: Admission, joint: int, episodes: Sequence[E
     parts = [_rows(plant, admission, joint, e, rates, len(episodes)) for e in episodes]
     own, waves, missing = (np.concatenate([p[i] for p in parts], axis=0) for i in range(3))
     if len(missing) < own.shape[1]:
-        return []
+        return [], 0.0
     basis, shown, _ = np.linalg.svd(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300), full_matrices=False)
     basis = basis[:, shown > SHOWN * shown[0]]
     rest, swung = missing - basis @ (basis.T @ missing), waves - basis @ (basis.T @ waves)
@@ -58,12 +59,12 @@ def pitches(plant: Plant, admission: Admission, joint: int, episodes: Sequence[E
     for i in np.argsort(-taken, kind="stable"):
         if all(abs(int(i) - k) > OVERSAMPLED for k in chosen):
             chosen.append(int(i))
-    found = []
+    found: list[Begin] = []
     for i in chosen[:KEPT]:
         sizes = np.linalg.lstsq(np.column_stack([own, waves[:, [i, len(rates) + i]]]), missing, rcond=None)[0]
         family = list(sizes[: len(plant.parameters)]) if isinstance(plant.dynamics, CompiledFamily) else []
         found.append((family, [sizes[-2] / scales.acceleration, sizes[-1] / scales.acceleration, 1.0 / rates[i] / reach]))
-    return found
+    return found, float(taken.max() / max(rest @ rest, 1e-300))
 
 
 def _rows(plant: Plant, admission: Admission, joint: int, episode: Episode, rates: Array, shared: int) -> tuple[Array, Array, Array]:

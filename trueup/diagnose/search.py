@@ -81,7 +81,8 @@ class Search:
     validation: Sequence[Series]
     short: Sequence[Series]
     terms: Sequence[str] = ()  # what is sought
-    pitches: Mapping[str, Sequence[Begin]] = field(default_factory=dict)  # of terms that repeat with the position
+    pitches: dict[str, Sequence[Begin]] = field(default_factory=dict)  # of terms that repeat with the position
+    evident: list[str] = field(default_factory=list)  # terms that something else speaks for, so that they race in any case
     length_s: float = 0.0  # of its windows
     declared: Sequence[float] = ()  # numbers of a robot's nominal form, from which terms begin too
     pieces: Mapping[str, Series] = field(default_factory=dict)  # of a robot's windows, by episode digest: where their starts are found
@@ -154,8 +155,10 @@ class Search:
         new = [n for n in rest if n not in near.expected]
         screened = in_parallel(lambda name: self.fitter.screen(self.short, near.fit, name, near.linear, self._starts(name)).cost, new)
         near.expected.update(zip(new, screened, strict=True))
-        order = np.argsort([near.expected[n].min() for n in rest], kind="stable")
-        return [(rest[i], near.expected[rest[i]]) for i in order[: most or None]]
+        order = [rest[i] for i in np.argsort([near.expected[n].min() for n in rest], kind="stable")]
+        if most:
+            order = [n for n in order if n in self.evident] + _spread([n for n in order if n not in self.evident], most)
+        return [(n, near.expected[n]) for n in order]
 
     def _starts(self, of: str) -> Sequence[Sequence[float]]:
         """Where a term is begun."""
@@ -173,7 +176,8 @@ class Search:
         """So many terms at the joint where a linear model expects most of one, and so many of the other joints', the most promising."""
         order = [name for name, _ in self._promising(parent, self.terms, 0)]
         joint = joint_of(order[0])
-        return [t for t in order if joint_of(t) == joint][: here or None] + [t for t in order if joint_of(t) != joint][:others]
+        chosen = [t for t in order if joint_of(t) == joint][: here or None] + [t for t in order if joint_of(t) != joint][:others]
+        return chosen + [t for t in self.evident if t not in chosen]
 
     def race(self, parent: RolloutFit, name: str, expected: np.ndarray) -> list[RolloutFit]:
         """Short fits of a composition with one term more from several starts, the best first.
@@ -493,6 +497,16 @@ def has_already(hypothesis: Hypothesis, of: str) -> bool:
 def _asks(without: RolloutFit, best: RolloutFit) -> bool:
     """Whether a number is worth its while."""
     return without.cost > best.cost + ASKED_FOR * max(best.misfit, 1.0)
+
+
+def _spread(order: Sequence[str], most: int) -> list[str]:
+    """The first of some terms, so many, of which two thirds at most are at one joint if there are others: what a fit left there hides
+    what another joint does."""
+    share = -(-2 * most // 3)
+    rank = {t: sum(joint_of(other) == joint_of(t) for other in order[:i]) for i, t in enumerate(order)}
+    chosen = {*[t for t in order if rank[t] < share][:most]}
+    chosen |= {*[t for t in order if t not in chosen][: most - len(chosen)]}
+    return [t for t in order if t in chosen]
 
 
 def _same(one: RolloutFit, other: RolloutFit) -> bool:

@@ -188,5 +188,7 @@ def test_the_pitch_of_a_force_is_found_at_its_joint(plant):
     (like,) = recorded(plant, lambda _spec: None, (0,), ("adaptation",))
     episode = replace(like, t_s=found.t_s, commands=found.issued, observations=found.observed)
     admission = admit(plant, [episode])
-    (_, (_, _, pitch)), *_ = pitches(plant, admission, 1, [episode])
+    ((_, (_, _, pitch)), *_), taken = pitches(plant, admission, 1, [episode])
+    assert taken > 0.3
     assert pitch * admission.scales[1].position == pytest.approx(0.17, rel=0.03)
+    assert pitches(plant, admission, 0, [episode])[1] < 0.3
