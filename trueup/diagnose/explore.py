@@ -48,7 +48,7 @@ MANY_JOINTS = 4
 class Effort:
     """How many go on: terms that race at the joint where a linear model expects most of one, and `others` beside them; of those that raced
     so many are `settled`, and `refined` until nothing moves; of the best compositions so many `parents` grow by one more term, each tried
-    with the `grown` most promising. 0 is all.
+    with the `grown` most promising, and so many `partners` that come next with a few. 0 is all, but of partners none.
     """
 
     raced: int
@@ -57,11 +57,12 @@ class Effort:
     refined: int
     parents: int
     grown: int
+    partners: int
 
 
-ONE_JOINT = Effort(raced=0, others=0, settled=0, refined=5, parents=4, grown=9)
-ROBOT = Effort(raced=0, others=4, settled=5, refined=5, parents=2, grown=6)
-LARGE_ROBOT = Effort(raced=8, others=3, settled=3, refined=2, parents=1, grown=4)
+ONE_JOINT = Effort(raced=0, others=0, settled=0, refined=5, parents=4, grown=9, partners=0)
+ROBOT = Effort(raced=0, others=4, settled=5, refined=5, parents=2, grown=6, partners=4)
+LARGE_ROBOT = Effort(raced=8, others=3, settled=3, refined=2, parents=1, grown=4, partners=0)
 
 
 def effort(plant: Plant) -> Effort:
@@ -170,7 +171,7 @@ def _grow(plant: Plant, search: Search, by: Yardstick, progress: Progress) -> No
             return
         near = [c for c in leaders if not total(c) > FAR_BEHIND * total(leaders[0])]
         many, says = spent.parents if size == PAIR else 2, partial(progress, f"{size} effects")
-        others = () if alone else near[many : many + spent.others]
+        others = near[many : many + spent.partners]
         generation = search.extend(near[:many], search.terms, says, most=spent.grown, settled=spent.settled, others=others)
     leaders = _leaders(search, generation, base, by, spent)
     if largest == PAIR and search.exact:

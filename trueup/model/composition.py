@@ -226,6 +226,17 @@ def make(digest, functions, njit):
                 for j in range(n):
                     o = first + j * HEIGHT
                     {force}
+                if family < 0 and {apart}:  # what the others' effects do comes through the links
+                    for j in range(n):
+                        for k in range(n):
+                            if k == j:
+                                continue
+                            for lane in range(W):
+                                more = a[k, lane] * sizes[k] - forces[k, lane]
+                                passive[j, lane] += moves[j, k * W + lane] * more / mobility[j, lane]
+                for j in range(n):
+                    o = first + j * HEIGHT
+                    {behind}
                     a[j, 0] += push[j]  # of the filter alone: what disturbs the machine for a while is not foretold
                     for lane in range(W):
                         level[j, lane] = 0.0
@@ -276,10 +287,11 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
     """The functions to compile, and the text of the kernel that calls them."""
     functions = [f.acceleration for f in known_families.values()] + [e.apply for e in known_effects.values()]
     names = [f"family_{i}" for i in range(len(known_families))] + [f"effect_{i}" for i in range(len(known_effects))]
-    parts = ("delays", "goal", "drive", "states", "begin", "follow_states", "hidden", "jump")
+    parts = ("delays", "behind", "goal", "drive", "states", "begin", "follow_states", "hidden", "jump")
     ports: dict[str, list[str]] = {part: [] for part in (*Port, *parts)}
     for index, effect in enumerate(known_effects.values()):
-        ports["delays" if effect.delays() else str(effect.port)] += _loop(index, effect)
+        last = effect.port is Port.FORCE and "passive" in effect.arguments()  # it answers all other forces
+        ports["delays" if effect.delays() else "behind" if last else str(effect.port)] += _loop(index, effect)
         if effect.port is Port.COMMAND and not effect.delays():  # a servo follows its goal, and its drive acts on the error
             ports["drive" if effect.of_drive else "goal"] += _loop(index, effect)
         if effect.hides_velocity:
