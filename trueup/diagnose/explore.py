@@ -207,8 +207,10 @@ def polished(
         search.short,
         pieces={e.digest: series(plant, e, finer, length, SHORTER) for e in [*adaptation, *validation] if several},
     )
-    memories = {s.digest: Start(s.begin, best.fit.starts[s.digest].memory) for s in last.adaptation}
-    starts = last.placed(last.adaptation, best.fit) if several else memories
+    if several:
+        starts = last.placed(last.adaptation, best.fit)
+    else:
+        starts = {s.digest: Start(s.begin, best.fit.starts[s.digest].memory) for s in last.adaptation}
     fit = last.fitter.fit(
         last.adaptation,
         best.hypothesis,

@@ -19,7 +19,7 @@ Numerical Integration (2006), section I.3. Dry friction is a projection of the k
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Any
 
@@ -226,7 +226,7 @@ def make(digest, functions, njit):
                 for j in range(n):
                     o = first + j * HEIGHT
                     {force}
-                if family < 0 and {apart}:  # what the others' effects do comes through the links
+                if family < 0 and {answers}:  # what the others' effects do comes through the links
                     for j in range(n):
                         for k in range(n):
                             if k == j:
@@ -290,8 +290,7 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
     parts = ("delays", "behind", "goal", "drive", "states", "begin", "follow_states", "hidden", "jump")
     ports: dict[str, list[str]] = {part: [] for part in (*Port, *parts)}
     for index, effect in enumerate(known_effects.values()):
-        last = effect.port is Port.FORCE and "passive" in effect.arguments()  # it answers all other forces
-        ports["delays" if effect.delays() else "behind" if last else str(effect.port)] += _loop(index, effect)
+        ports["delays" if effect.delays() else "behind" if _answers(effect) else str(effect.port)] += _loop(index, effect)
         if effect.port is Port.COMMAND and not effect.delays():  # a servo follows its goal, and its drive acts on the error
             ports["drive" if effect.of_drive else "goal"] += _loop(index, effect)
         if effect.hides_velocity:
@@ -308,12 +307,27 @@ def assemble(known_families: dict[str, type[Family]], known_effects: dict[str, t
             from_ = "" if begins == "zero" else f"{begins}[j, lane] + "
             row = memory_offsets()[effect.name, state]
             ports["begin"] += ["for lane in range(W):", f"    {state}_{index}[j, lane] = {from_}p[o + {row}, lane]"]
-    asking = [f"on[{i}].any()" for i, e in enumerate(known_effects.values()) if APART.intersection(e.arguments())]
-    apart = " or ".join(asking) or "False"
+    apart, answers = (_any_on(known_effects.values(), asks) for asks in (_parts_force, _answers))
     ports["families"] = [line for i, f in enumerate(known_families.values()) for line in _family(i, f, apart)]
     ports["observe"] = ports.pop("observation")
-    text = "\n".join(_fill(line, ports | {"unpack": [", ".join(names)], "apart": [apart]}) for line in HEAD.splitlines())
+    ports |= {"unpack": [", ".join(names)], "apart": [apart], "answers": [answers]}
+    text = "\n".join(_fill(line, ports) for line in HEAD.splitlines())
     return functions, text
+
+
+def _any_on(all_effects: Iterable[type[Effect]], asks: Callable[[type[Effect]], bool]) -> str:
+    """Whether any of those effects acts that ask for something, in the kernel's words."""
+    return " or ".join(f"on[{i}].any()" for i, e in enumerate(all_effects) if asks(e)) or "False"
+
+
+def _parts_force(effect: type[Effect]) -> bool:
+    """Whether an effect asks for a part of the nominal acceleration."""
+    return bool(APART.intersection(effect.arguments()))
+
+
+def _answers(effect: type[Effect]) -> bool:
+    """Whether an effect answers all other forces at its joint, and so comes after them."""
+    return effect.port is Port.FORCE and "passive" in effect.arguments()
 
 
 def _fill(line: str, parts: dict[str, list[str]]) -> str:

@@ -173,6 +173,8 @@ def seen_by(s: Series, late_s: Array) -> tuple[NDArray[np.int64], Array]:
 
     What a late sensor shows of the time before the log is no window's, -1; what is left of its samples counts for those too.
     """
+    if not late_s.any():
+        return np.repeat(s.window_of[:, None], 2 * len(late_s), axis=1), np.ones((len(s.t_s), 2 * len(late_s)))
     shown = np.searchsorted(s.t_s, s.t_s[:, None] - late_s, side="right") - 1
     windows = np.where(shown >= 0, s.window_of[shown], -1)
     weight = np.sqrt(len(shown) / np.maximum((shown >= 0).sum(axis=0), 1))
