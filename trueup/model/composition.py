@@ -57,7 +57,7 @@ def make(digest, functions, njit):
         pointer = np.zeros((n, W), np.int64)
         room, mass, moves = np.zeros((n, ROOM * W)), np.zeros((n, n * W)), np.zeros((n, n * W))
         wide = np.zeros(n * W)
-        forces, free, held, nothing = np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W))
+        forces, free, held, nothing, beyond = np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W)), np.zeros((n, W))
         {states}
         last = len(t_s) - 1
         for j in range(n):
@@ -85,7 +85,7 @@ def make(digest, functions, njit):
             elif follow and resets[i] >= 0:
                 for j in range(n):
                     for lane in range(1, W):
-                        q[j, lane], v[j, lane] = q[j, 0], v[j, 0]
+                        q[j, lane], v[j, lane], beyond[j, lane] = q[j, 0], v[j, 0], beyond[j, 0]
                         {follow_states}
                 if late:
                     for k in range(i):
@@ -98,7 +98,7 @@ def make(digest, functions, njit):
                     for lane in range(1, 1 + starts):
                         {follow_states}
                     for lane in range(W):
-                        q[j, lane], v[j, lane] = init[resets[i], j, lane], init[resets[i], n + j, lane]
+                        q[j, lane], v[j, lane], beyond[j, lane] = init[resets[i], j, lane], init[resets[i], n + j, lane], 0.0
             since = t_s[i] - t_s[i - 1] if i > 0 else 0.0
             for lane in range(W):
                 t[lane] = t_s[i]
@@ -200,8 +200,9 @@ def make(digest, functions, njit):
                         for j in range(n):
                             for k in range(n):
                                 to, by, force = ve[j], moves[j, k * W : (k + 1) * W], forces[k]
+                                more = beyond[k]  # what effects did in the last step
                                 for lane in range(W):
-                                    to[lane] += alpha * h[lane] * by[lane] * force[lane]
+                                    to[lane] += alpha * h[lane] * by[lane] * (force[lane] + more[lane])
                         bias(tree, ve, room, forces)
                         net(tree, p, u, qe, v, forces)
                     for j in range(n):
@@ -250,6 +251,7 @@ def make(digest, functions, njit):
                 else:
                     for j in range(n):
                         for lane in range(W):
+                            beyond[j, lane] = sizes[j] * a[j, lane] - forces[j, lane]
                             held[j, lane] = h[lane] * (sizes[j] * level[j, lane] + p[LINK * n + JOINT * j + FRICTION, lane])
                             free[j, lane] = v[j, lane]
                         for k in range(n):

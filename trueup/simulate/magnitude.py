@@ -19,6 +19,7 @@ AnyMachine = TypeVar("AnyMachine", Machine, RobotMachine)
 Shape = Mapping[str, tuple[float, float, bool]]  # of each number: at magnitude 0, its growth, and whether it falls instead
 ROUNDS = 18  # of bisection for a magnitude
 CLOSE = 0.1  # of what is wanted: close enough for a lot
+SHAKEN = 1.5  # times the motion without it: a drive that an imperfection makes unstable is no machine that anybody logs
 
 
 def shape_of(name: str, s: Mapping[str, float], rng: np.random.Generator, *, hardens: bool) -> dict[str, tuple[float, float, bool]]:
@@ -94,22 +95,26 @@ def as_large_as(
     column: int,
     joint: int = 0,
 ) -> tuple[AnyMachine, float]:
-    """The machine with one imperfection more, its magnitude bisected until it moves an observed column by `wanted` of its motion."""
-    without = observe(machine)[:, column]
+    """The machine with one imperfection more, its magnitude bisected until it moves an observed column by `wanted` of its motion, and what
+    it moves it by: 0 where it only makes the machine shake.
+    """
+    without = observe(machine)
     low, high, best, reached = 0.0, 1.0, machine, 0.0  # the largest that is not too large
     grows = any(by or falls for _, by, falls in shape.values())
     for _ in range(ROUNDS if grows else 1):
         size = 0.5 * (low + high)
         tried = machine.having(name, {key: at * (1.0 - size) if falls else at + by * size for key, (at, by, falls) in shape.items()}, joint)
-        with_it = observe(tried)[:, column]
+        with_it = observe(tried)
         with np.errstate(over="ignore", invalid="ignore"):  # a machine that runs away is too much
-            gap = float(np.sqrt(np.mean((with_it - without) ** 2)) / without.std())
-        if not np.isfinite(gap) or gap > (1.0 + CLOSE) * wanted:
+            gap = float(np.sqrt(np.mean((with_it - without)[:, column] ** 2)) / without[:, column].std())
+            sane = bool((with_it.std(axis=0) < SHAKEN * without.std(axis=0)).all())
+        gap = gap if sane else np.inf
+        if gap > (1.0 + CLOSE) * wanted:
             high = size
         else:
             low, best, reached = size, tried, gap
             if gap > (1.0 - CLOSE) * wanted:
                 break
     if best is machine:  # none was small enough: the smallest
-        best, reached = tried, gap
+        best, reached = tried, gap if np.isfinite(gap) else 0.0
     return best, reached

@@ -236,9 +236,11 @@ def _act(n, has, of_drive, of_goal, own, offset, size, h, m, fine_u, k, now, iss
         drive = min(max(gain * (u - rest), -most), most)
         force = pulling(n[j], has[j], m[j], 0.0, x, w, h) - n[j, S_VASYM] * abs(w) - drive * min(1.0, n[j, S_SPEED] * abs(w))
         if has[j, S_ELASTIC]:
-            coupling = n[j, S_ELASTIC] * m[j, M_TWIST] + n[j, S_ELASTIC + 1] * m[j, M_TWIST_SPEED]
-            m[j, M_TWIST_SPEED] += h * (drive - coupling) / n[j, S_ELASTIC + 2] - gained[j]
-            m[j, M_TWIST] += h * m[j, M_TWIST_SPEED]
+            stiffness, damping, inertia = n[j, S_ELASTIC], n[j, S_ELASTIC + 1], n[j, S_ELASTIC + 2]
+            m[j, M_TWIST] += 0.5 * h * m[j, M_TWIST_SPEED]
+            foretold = m[j, M_TWIST_SPEED] - 0.5 * gained[j] + 0.5 * h * (drive - stiffness * m[j, M_TWIST]) / inertia
+            coupling = stiffness * m[j, M_TWIST] + damping * foretold / (1.0 + 0.5 * h * damping / inertia)
+            m[j, M_TWIST_SPEED] += h * (drive - coupling) / inertia
             force += coupling - drive
         ctrl[j], applied[j] = u, force
         friction[j] = rubs + sticking(n[j], has[j], w, drive + bias[j], now)
@@ -247,6 +249,9 @@ def _act(n, has, of_drive, of_goal, own, offset, size, h, m, fine_u, k, now, iss
 @njit(cache=True)
 def _moved(n, has, h, m, fine_q, fine_v, k, q, v, gained):  # type: ignore[no-untyped-def]
     for j in range(len(n)):
+        if has[j, S_ELASTIC]:
+            m[j, M_TWIST_SPEED] -= gained[j]
+            m[j, M_TWIST] += 0.5 * h * m[j, M_TWIST_SPEED]
         fine_q[j, k + 1], fine_v[j, k + 1] = q[j], observed_velocity(n[j], has[j], m[j], v[j], gained[j], h)
 
 

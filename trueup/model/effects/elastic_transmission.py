@@ -19,7 +19,7 @@ class ElasticTransmission(Effect):
     order = 9
     category = "structure"
     params = (
-        Number("period", Scale.TIME, 0.0, 0.0, 2.0),
+        Number("period", Scale.TIME, 0.0, 0.0, 4.0),
         Number("ratio", Scale.ONE, 0.05, 0.0, 1.0),
         Number("share", Scale.ONE, 0.3, 0.02, 0.9),
     )
@@ -29,12 +29,18 @@ class ElasticTransmission(Effect):
     starts = tuple((0.05 * 1.4**i, ratio, 0.3) for i in range(12) for ratio in (0.02, 0.1))
 
     @staticmethod
-    def apply(a, passive, drive, mobility, h, twist, rate, period, ratio, share):  # type: ignore[no-untyped-def]
+    def apply(a, passive, drive, mobility, h, implicit, twist, rate, period, ratio, share):  # type: ignore[no-untyped-def]
+        alpha = 0.5 * (1.0 - implicit)  # twist and rate step as position and velocity do
         w = 6.283185307179586 / np.maximum(period, 6.0 * h)
         both = share * (1.0 - share)
-        force = both * w * (w * twist + 2.0 * ratio * rate)
-        load = (passive + force) / np.maximum(1.0 - share * mobility, 0.05)
-        rate = rate + h * ((drive - force) / share - mobility * load)
-        twist = twist + h * rate
+        stiff, damp = both * w * w, 2.0 * both * w * ratio
+        left = np.maximum(1.0 - share * mobility, 0.05)
+        apart = 1.0 / share + mobility / left
+        angle = 2.0 * alpha * apart * stiff * h * h  # of a step, squared; a symmetric one swings too fast
+        stiff = stiff * (1.0 - angle / 12.0 * (1.0 - angle / 30.0))
+        ahead = twist + alpha * h * rate
+        kick = drive / share - mobility * passive / left - apart * (stiff * ahead + (1.0 - alpha) * damp * rate)
+        after = (rate + h * kick) / (1.0 + alpha * h * apart * damp)
+        load = (passive + stiff * ahead + damp * ((1.0 - alpha) * rate + alpha * after)) / left
         soft = period > 0.0
-        return a + (load - (passive + drive)) * soft, twist * soft, rate * soft
+        return a + (load - (passive + drive)) * soft, (ahead + (1.0 - alpha) * h * after) * soft, after * soft
