@@ -27,6 +27,7 @@ WINDOW_S = 2.0
 SHORT_S = 0.5  # windows for beginnings,
 SHORTER = 4  # of a robot so many in one that is fitted: the further the nominal form is off, the shorter a linear model reaches
 HALVED = 3  # times at most, windows in which the nominal form runs away
+SHORTEST = 16  # samples, and no fewer: noise is all that a window of less would show
 TELLING = 2  # episodes on which they race
 TELLING_ROWS = 15_000  # samples of all joints that they race on, at most
 SPREAD = 2  # of the best compositions are looked for at every joint, where they do not explain the gap at one
@@ -39,7 +40,9 @@ PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
 EVIDENT = 0.3  # of the force that is missing at a robot's joint: what repeats with the position and is so much of it races in any case
 FAR_BEHIND = 4.0  # times the best misfit
-HALF = 0.5  # of a robot's misfit: less is gained by no other integration, nor by an effect at every joint, that is worth following
+HALF = (
+    0.5  # of a robot's misfit: less is gained by no other integration, nor by effects at every joint or in another's place, worth following
+)
 WORSE = 2.0  # times the misfit on validation episodes: a last fit that does that went astray
 MANY_JOINTS = 4
 
@@ -79,12 +82,18 @@ def explore(plant: Plant, admission: Admission, adaptation: Sequence[Episode], v
     elif quiet(admission):
         schemes.reverse()  # a log without noise is a simulator's, and its step is the declared one
     best: Search | None = None
+    parts = 1
     for scheme in schemes:
-        search = _laid_out(plant, admission, adaptation, validation, scheme)
+        search = _laid_out(plant, admission, adaptation, validation, scheme, parts)
         progress("the nominal form refitted", 1.0)
         if best is not None and len(plant.joints) > 1 and not _promises(search, best):
             break
-        _grow(plant, search, yardstick(adaptation), progress)
+        generation = _first(plant, search, progress)
+        if best is None and _astray(search):
+            parts = SHORTER
+            search = _laid_out(plant, admission, adaptation, validation, scheme, parts)
+            generation = _first(plant, search, progress)
+        _grow(plant, search, generation, yardstick(adaptation), progress)
         if best is None or min(map(total, search)) < min(map(total, best)):
             best = search
         if any(enough(c, search.found[Hypothesis()], yardstick(adaptation)) for c in search):
@@ -118,25 +127,29 @@ def window_s(plant: Plant, episodes: Sequence[Episode]) -> float:
     return min(plant.horizon_s if given else max(WINDOW_S, plant.horizon_s), shortest)
 
 
-def _laid_out(plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme) -> Search:
-    """A search that has found the nominal form alone."""
+def _laid_out(
+    plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme, parts: int
+) -> Search:
+    """A search that has found the nominal form alone, on windows of which so many `parts` make one of full length, or more where the
+    nominal form runs away.
+    """
     length = window_s(plant, [*adaptation, *validation])
     if scheme.alpha:
         every = thinning(admission, adaptation)
         adaptation, validation = ([thinned(e, every) for e in group] for group in (adaptation, validation))
     fitter = Fitter(plant.form, directions(plant, adaptation), admission.scales, admission.sigma)
     begins = _begins(plant, adaptation)
-    for parts in 2 ** np.arange(HALVED + 1):
+    for part_s in length / parts / 2.0 ** np.arange(HALVED + 1):
         search = Search(
             fitter,
-            [series(plant, e, scheme, length / parts) for e in adaptation],
-            [series(plant, e, scheme, length / parts) for e in validation],
-            [series(plant, e, scheme, min(SHORT_S, length / parts)) for e in adaptation],
+            [series(plant, e, scheme, part_s) for e in adaptation],
+            [series(plant, e, scheme, part_s) for e in validation],
+            [series(plant, e, scheme, min(SHORT_S, part_s)) for e in adaptation],
         )
         base = search.base(begins)
         if np.isfinite(total(base)):
             break
-    search.length_s = length / float(parts)
+    search.length_s = float(part_s)
     search.terms = searchable([bool(c >= 0) for c in plant.command_columns])
     repeating = [t for t in search.terms if kind(t).periodic]
     for t in repeating:
@@ -146,26 +159,36 @@ def _laid_out(plant: Plant, admission: Admission, adaptation: Sequence[Episode],
     alone = len(plant.joints) == 1
     search.exact = alone or yardstick(adaptation) is not PHYSICAL
     if not alone:
-        short_s = min(SHORT_S, search.length_s / SHORTER)
+        short_s = min(SHORT_S, max(search.length_s / SHORTER, SHORTEST * max(e.period_s for e in adaptation)))
         search.short = [series(plant, e, scheme, short_s) for e in _telling(base, adaptation, len(plant.joints))]
         search.declared = plant.parameters
         search.pieces = {e.digest: series(plant, e, scheme, search.length_s, SHORTER) for e in [*adaptation, *validation]}
     return search
 
 
-def _grow(plant: Plant, search: Search, by: Yardstick, progress: Progress) -> None:
-    """Compositions of ever more effects, until there is nothing left to explain."""
+def _first(plant: Plant, search: Search, progress: Progress) -> list[Candidate]:
+    """Compositions of one effect."""
+    base, spent = search.found[Hypothesis()], effort(plant)
+    terms = search.terms if len(plant.joints) == 1 else search.suspected(base, spent.raced, spent.others)
+    return search.extend([base], terms, partial(progress, "one effect"), settled=spent.settled)
+
+
+def _astray(search: Search) -> bool:
+    """Whether an effect that did well in a robot's short windows ends far behind none in its long ones: descent does not reach so far."""
+    base = search.found[Hypothesis()]
+    return len(search.pieces) > 0 and search.exact and any(c.fit.cost > FAR_BEHIND * base.fit.cost for c in search)
+
+
+def _grow(plant: Plant, search: Search, generation: list[Candidate], by: Yardstick, progress: Progress) -> None:
+    """Compositions of ever more effects after those of one, until there is nothing left to explain."""
     alone, base, spent = len(plant.joints) == 1, search.found[Hypothesis()], effort(plant)
     largest = by.most_effects if alone else PAIR
-    terms = search.terms if alone else search.suspected(base, spent.raced, spent.others)
-    generation = search.extend([base], terms, partial(progress, "one effect"), settled=spent.settled)
     for size in range(2, largest + 1):
         leaders = _leaders(search, generation, base, by, spent)
         if size > PAIR:  # one effect less than two is what the others began from
             leaders = _swapped(search, leaders, base, by, spent)
             list(in_parallel(search.shrink, leaders[:2]))
-        best = min(c.misfit for c in search)
-        left = (best - 1.0) / max(base.misfit - 1.0, 1e-12)
+        left = _left(search, base)
         hopeless = left > HOPELESS if size > PAIR else left > HOPELESS_ON_MACHINE and not search.exact
         if hopeless or any(enough(c, base, by) and c.misfit < by.far for c in search):
             return
@@ -174,10 +197,15 @@ def _grow(plant: Plant, search: Search, by: Yardstick, progress: Progress) -> No
         others = near[many : many + spent.partners]
         generation = search.extend(near[:many], search.terms, says, most=spent.grown, settled=spent.settled, others=others)
     leaders = _leaders(search, generation, base, by, spent)
-    if largest == PAIR and search.exact:
+    if largest == PAIR and search.exact and not _left(search, base) > HALF:
         leaders = _swapped(search, leaders, base, by, spent)
     for c in leaders[: min(2, spent.parents)]:
         (search.shrink if alone else search.peel)(c)
+
+
+def _left(search: Search, base: Candidate) -> float:
+    """The part of the refitted gap that the best composition so far leaves on validation episodes."""
+    return (min(c.misfit for c in search) - 1.0) / max(base.misfit - 1.0, 1e-12)
 
 
 def _begins(plant: Plant, adaptation: Sequence[Episode]) -> list[Sequence[float]]:
