@@ -11,18 +11,23 @@ from tests.support.robots import ARM, PERIOD_S, arm_plant, recorded
 from trueup.artifact.artifact import pack, unpack
 from trueup.diagnose.admission import admit
 from trueup.diagnose.diagnosis import diagnose
+from trueup.diagnose.explore import _astray
 from trueup.diagnose.locate import Strides, _pushed
 from trueup.diagnose.page import page, pushed, sentence
 from trueup.diagnose.periodicity import pitches
+from trueup.diagnose.search import Candidate, Search
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.residual import fit_residual
+from trueup.fit.rollout_fit import Fitter
+from trueup.model.block import BLOCK
+from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.mjcf import mujoco as engine
 from trueup.model.mjcf import tree_of
 from trueup.model.predictor import Nominal, predict_observations
-from trueup.model.series import DECLARED, seen_by, series
+from trueup.model.series import DECLARED, Scheme, roll, seen_by, series
 from trueup.model.windows import cut, starts_every
-from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, run
+from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, rotor, run
 
 ROLES = ("adaptation", "adaptation", "adaptation", "validation", "validation")
 
@@ -192,3 +197,44 @@ def test_the_pitch_of_a_force_is_found_at_its_joint(plant):
     assert taken > 0.3
     assert pitch * admission.scales[1].position == pytest.approx(0.17, rel=0.03)
     assert pitches(plant, admission, 0, [episode])[1] < 0.3
+
+
+def test_a_joint_behind_a_spring_is_stepped_with_second_order(plant):
+    machine = RobotMachine(tree_of(engine(), mujoco.MjModel.from_xml_string(ARM)), np.full(2, -25.0), np.full(2, 25.0), np.full(2, 15.0))
+    share, size = rotor(machine.tree, 1), plant.form.sizes[1]
+    part = share / size
+    period, ratio, both = 0.15, 0.08, part * (1.0 - part)
+    stiffness, damping = both * size * (2.0 * np.pi / period) ** 2, 4.0 * np.pi / period * ratio * both * size
+    soft = machine.having("elastic_transmission", {"stiffness": stiffness, "damping": damping, "share": share}, 1)
+    t = np.arange(250) * PERIOD_S
+    u = np.stack([2.0 * np.sin(4.0 * t), 1.5 * np.cos(7.0 * t)], axis=1)
+    plan = RobotPlan("adaptation", u, np.zeros((250, 4)))
+    found = run(soft, plan, PERIOD_S, 64, np.zeros(4), np.random.default_rng(0))
+    (like,) = recorded(plant, lambda _spec: None, (0,), ("adaptation",))
+    episode = replace(like, t_s=found.t_s, commands=found.issued, observations=found.observed)
+    fitter = Fitter(plant.form, directions(plant, [episode]), admit(plant, [episode]).scales, np.ones(4))
+    values, rows = fitter.begin(plant.parameters), fitter.block.rows_of("elastic_transmission@1")
+    rigid = np.repeat(values[:, None], BLOCK, axis=1)
+    values[[rows["period"], rows["ratio"], rows["share"]]] = period, ratio, part
+    p, on = np.repeat(values[:, None], BLOCK, axis=1), switches(Hypothesis() | "elastic_transmission@1", 2)
+
+    def off(p, on, parts):
+        s = series(plant, episode, Scheme(0.5, parts), 1.0)
+        return np.abs(roll(s, plant.form, p, on, np.zeros((len(s.begin), 4, BLOCK)))[:, :, 0] - found.observed).max()
+
+    coarse, fine = (off(p, on, parts) for parts in (1, 2))
+    assert coarse < 0.02 * off(rigid, switches(Hypothesis(), 2), 1)
+    assert fine < 0.35 * coarse
+
+
+@pytest.mark.parametrize(("times", "astray"), [(3.0, False), (5.0, True)])
+def test_a_robot_is_searched_in_shorter_windows_where_a_fit_ends_far_behind_none(plant, times, astray):
+    (episode,) = recorded(plant, rubs, (0,), ("adaptation",))
+    admission, windows = admit(plant, [episode]), [series(plant, episode, DECLARED, 0.5)]
+    fitter = Fitter(plant.form, directions(plant, [episode]), admission.scales, admission.sigma)
+    search = Search(fitter, windows, windows, windows, pieces={episode.digest: series(plant, episode, DECLARED, 0.5, 4)})
+    base = search.base([plant.parameters])
+    far = replace(base.fit, hypothesis=Hypothesis() | "cogging", cost=times * base.fit.cost)
+    search.found[far.hypothesis] = Candidate(far, base.check)
+    assert _astray(search) is astray
+    assert not _astray(replace(search, pieces={}))  # a joint's windows are as long as its motion is foretold

@@ -9,6 +9,7 @@ import pytest
 from tests.support.robots import ARM, EVERYTHING, arm_plant
 from trueup.model.mjcf import mujoco as engine
 from trueup.model.mjcf import tree_of
+from trueup.simulate.magnitude import as_large_as
 from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, mjcf, rotor, run
 
 PERIOD_S = 0.004
@@ -54,7 +55,11 @@ def test_a_tree_written_as_mjcf_moves_as_the_file_it_came_from(text):
     np.testing.assert_allclose(other.qpos, one.qpos, atol=1e-9)
 
 
-def test_fine_steps_converge_with_their_square(machine, plan):
+@pytest.mark.parametrize("soft", [False, True])
+def test_fine_steps_converge_with_their_square(machine, plan, soft):
+    if soft:
+        values = {"stiffness": 60.0, "damping": 0.2, "share": rotor(machine.tree, 0)}
+        machine = machine.having("elastic_transmission", values, 0)
     exact = seen(machine, plan, 64).observed
     coarse, fine = (np.abs(seen(machine, plan, parts).observed - exact).max() for parts in (4, 8))
     assert fine < 0.3 * coarse
@@ -104,3 +109,21 @@ def test_a_rotor_gets_no_more_than_its_actuator_gives():
     ways = [run(m, goal, PERIOD_S, 16, np.zeros(4), np.random.default_rng(0)).observed[-1, 0] for m in (servo, soft)]
     assert ways[0] > 0.05
     assert ways[1] == pytest.approx(ways[0], rel=0.3)
+
+
+def test_an_imperfection_that_makes_the_machine_shake_is_too_large(machine):
+    still = np.sin(np.linspace(0.0, 9.0, 50))[:, None] * np.ones((1, 4))
+
+    def observe(tried):
+        level = tried.imperfections.get(("constant_force", 0), {"level": 0.0})["level"]
+        return still * (1.0 + np.array([0.1, 0.0, 3.0, 0.0]) * level)  # the velocity grows far more than the position
+
+    def drawn(wanted):
+        return as_large_as(machine, "constant_force", {"level": (0.0, 1.0, False)}, wanted, observe, 0)
+
+    calm, reached = drawn(0.01)
+    assert calm.imperfections["constant_force", 0]["level"] == pytest.approx(0.1, rel=0.15)
+    assert reached == pytest.approx(0.01, rel=0.15)
+    shaken, reached = drawn(0.09)  # at which the velocity would be four times what it was
+    assert shaken.imperfections["constant_force", 0]["level"] == pytest.approx(0.5 / 3.0, rel=0.01)
+    assert reached < 0.02
