@@ -64,7 +64,7 @@ class Yardstick:
 
 SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 0.015, 3, 0.0, 0.0)  # the laws' forms and the integration differ by about a thousandth
 # A step of several joints knows an effect's force only when it is over.
-ROBOT = replace(SIMULATED, finishing=3e-3, unexplained_by_more=0.04, indifferent=4e-4, far=FAR)
+ROBOT = replace(SIMULATED, finishing=3e-3, unexplained_by_more=0.03, indifferent=4e-4, far=FAR)
 PHYSICAL = Yardstick(0.01, 0.01, 2e-3, 0.15, 0.6, 2, 0.25, 0.0)  # no textbook law holds on a machine to better than some per cent
 
 
