@@ -7,8 +7,10 @@ import numpy as np
 
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
-from trueup.model.mjcf import resolved
+from trueup.model.mjcf import mujoco as engine
+from trueup.model.mjcf import resolved, tree_of
 from trueup.model.plant import Plant
+from trueup.simulate.robot import RobotMachine
 
 PERIOD_S, FINE = 0.004, 8
 
@@ -42,6 +44,12 @@ URDF = """<robot name="two"><link name="base"/>
 <limit lower="-2" upper="2" effort="10" velocity="5"/><dynamics damping="0.1"/></joint>
 <joint name="second" type="continuous"><parent link="one"/><child link="two"/><origin xyz="0.2 0 0"/>
 <axis xyz="0 1 0"/></joint></robot>"""
+
+
+def arm_machine():
+    """ARM in the second simulator, with nothing wrong."""
+    tree = tree_of(engine(), mujoco.MjModel.from_xml_string(ARM))
+    return RobotMachine(tree, np.full(2, -25.0), np.full(2, 25.0), np.full(2, 15.0))
 
 
 def arm_document(**more):

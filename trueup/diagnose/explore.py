@@ -32,6 +32,7 @@ TELLING = 2  # episodes on which they race
 TELLING_ROWS = 15_000  # samples of all joints that they race on, at most
 SPREAD = 2  # of the best compositions are looked for at every joint, where they do not explain the gap at one
 HOPELESS = 0.25  # of the gap left by the best of a size: no effect more makes an explanation of that
+HOPELESS_PAIR = 0.5  # the same of two effects of a robot: none in the place of one of them does
 HOPELESS_ON_MACHINE = 0.6  # the same of one effect in a robot's real recording
 ENOUGH_SAMPLES = 6000  # in all adaptation episodes; more than twice as many are thinned where they are close together
 FINE = 0.02  # of the time in which the joint crosses its travel: a step that still integrates well
@@ -40,9 +41,7 @@ PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
 EVIDENT = 0.3  # of the force that is missing at a robot's joint: what repeats with the position and is so much of it races in any case
 FAR_BEHIND = 4.0  # times the best misfit
-HALF = (
-    0.5  # of a robot's misfit: less is gained by no other integration, nor by effects at every joint or in another's place, worth following
-)
+HALF = 0.5  # of a robot's misfit: less is gained by no other integration, nor by an effect at every joint, that is worth following
 WORSE = 2.0  # times the misfit on validation episodes: a last fit that does that went astray
 MANY_JOINTS = 4
 
@@ -197,7 +196,7 @@ def _grow(plant: Plant, search: Search, generation: list[Candidate], by: Yardsti
         others = near[many : many + spent.partners]
         generation = search.extend(near[:many], search.terms, says, most=spent.grown, settled=spent.settled, others=others)
     leaders = _leaders(search, generation, base, by, spent)
-    if largest == PAIR and search.exact and not _left(search, base) > HALF:
+    if largest == PAIR and search.exact and not _left(search, base) > HOPELESS_PAIR:
         leaders = _swapped(search, leaders, base, by, spent)
     for c in leaders[: min(2, spent.parents)]:
         (search.shrink if alone else search.peel)(c)

@@ -238,6 +238,9 @@ def make(digest, functions, njit):
                 for j in range(n):
                     o = first + j * HEIGHT
                     {behind}
+                    if family < 0:
+                        for lane in range(W):
+                            beyond[j, lane] = sizes[j] * a[j, lane] - forces[j, lane]
                     a[j, 0] += push[j]  # of the filter alone: what disturbs the machine for a while is not foretold
                     for lane in range(W):
                         level[j, lane] = 0.0
@@ -251,7 +254,6 @@ def make(digest, functions, njit):
                 else:
                     for j in range(n):
                         for lane in range(W):
-                            beyond[j, lane] = sizes[j] * a[j, lane] - forces[j, lane]
                             held[j, lane] = h[lane] * (sizes[j] * level[j, lane] + p[LINK * n + JOINT * j + FRICTION, lane])
                             free[j, lane] = v[j, lane]
                         for k in range(n):

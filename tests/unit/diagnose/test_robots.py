@@ -3,11 +3,10 @@
 import json
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
-from tests.support.robots import ARM, PERIOD_S, arm_plant, recorded
+from tests.support.robots import PERIOD_S, arm_machine, arm_plant, recorded
 from trueup.artifact.artifact import pack, unpack
 from trueup.diagnose.admission import admit
 from trueup.diagnose.diagnosis import diagnose
@@ -22,12 +21,10 @@ from trueup.fit.residual import fit_residual
 from trueup.fit.rollout_fit import Fitter
 from trueup.model.block import BLOCK
 from trueup.model.hypothesis import Hypothesis, switches
-from trueup.model.mjcf import mujoco as engine
-from trueup.model.mjcf import tree_of
 from trueup.model.predictor import Nominal, predict_observations
 from trueup.model.series import DECLARED, Scheme, roll, seen_by, series
 from trueup.model.windows import cut, starts_every
-from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, rotor, run
+from trueup.simulate.robot import Follow, RobotPlan, rotor, run
 
 ROLES = ("adaptation", "adaptation", "adaptation", "validation", "validation")
 
@@ -182,7 +179,7 @@ def test_what_a_late_sensor_shows_counts_for_the_window_in_which_it_happened(pla
 
 
 def test_the_pitch_of_a_force_is_found_at_its_joint(plant):
-    machine = RobotMachine(tree_of(engine(), mujoco.MjModel.from_xml_string(ARM)), np.full(2, -25.0), np.full(2, 25.0), np.full(2, 15.0))
+    machine = arm_machine()
     toothed = machine.having("cogging", {"amplitude": 0.4, "pitch": 0.17, "phase": 1.0}, 1)
     t = np.arange(1500) * PERIOD_S
     q = np.stack([0.5 * np.sin(4.0 * t), 0.6 * np.cos(5.0 * t)], axis=1)
@@ -200,7 +197,7 @@ def test_the_pitch_of_a_force_is_found_at_its_joint(plant):
 
 
 def test_a_joint_behind_a_spring_is_stepped_with_second_order(plant):
-    machine = RobotMachine(tree_of(engine(), mujoco.MjModel.from_xml_string(ARM)), np.full(2, -25.0), np.full(2, 25.0), np.full(2, 15.0))
+    machine = arm_machine()
     share, size = rotor(machine.tree, 1), plant.form.sizes[1]
     part = share / size
     period, ratio, both = 0.15, 0.08, part * (1.0 - part)

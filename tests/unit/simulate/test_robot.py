@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from tests.support.robots import ARM, EVERYTHING, arm_plant
+from tests.support.robots import ARM, EVERYTHING, arm_machine, arm_plant
 from trueup.model.mjcf import mujoco as engine
 from trueup.model.mjcf import tree_of
 from trueup.simulate.magnitude import as_large_as
@@ -27,8 +27,7 @@ def plan(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def machine():
-    tree = tree_of(engine(), mujoco.MjModel.from_xml_string(ARM))
-    return RobotMachine(tree, np.full(2, -25.0), np.full(2, 25.0), np.full(2, 15.0))
+    return arm_machine()
 
 
 FOLLOW = Follow(np.array([30.0, 10.0]), np.array([3.0, 1.0]))
