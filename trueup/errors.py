@@ -9,6 +9,7 @@
     ├── NotInstalled             an optional part of the installation is needed
     ├── BadArtifact              a manifest, an array or a digest does not hold
     ├── BadGate                  a gate that cannot judge
+    ├── BadMonitor               a monitor that cannot watch
     ├── RoleRefused              data used for what its role forbids
     ├── NotIdentifiable          the data do not determine what was asked
     └── LedgerError              what we did cannot be explained
@@ -91,6 +92,13 @@ class BadGate(TrueupError):
 
     code = "bad-gate"
     hint = "A gate names at least one rule, and a trial holds at least one held-out episode."
+
+
+class BadMonitor(TrueupError):
+    """The monitor cannot watch."""
+
+    code = "bad-monitor"
+    hint = "A monitor needs a promise in operating hours, and detectors from docs/continual.md."
 
 
 class RoleRefused(TrueupError):

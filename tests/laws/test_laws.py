@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.robots import ARM, EVERYTHING
 from trueup.chapter.data import PLANT, draw
-from trueup.checks import dynamics_laws, effect_laws, family_laws, predictor_laws, rule_laws
+from trueup.checks import detector_laws, dynamics_laws, effect_laws, family_laws, predictor_laws, rule_laws
 from trueup.checks.law import LawBroken
 from trueup.fit.residual import fit_blind, fit_conditioned, fit_residual
 from trueup.fit.rollout_fit import Directions, Fitter
@@ -24,6 +24,8 @@ from trueup.model.mjcf import tree_of
 from trueup.model.predictor import Identified, Nominal
 from trueup.model.series import Scheme
 from trueup.model.tree import FRICTION, JOINT, LINK
+from trueup.monitor.detector import detectors
+from trueup.monitor.detectors.quantile import QuantileRun
 
 
 @pytest.fixture(scope="module")
@@ -250,3 +252,64 @@ class _Drifting(Nominal):
 def test_a_planted_fault_in_a_predictor_is_caught(law, kind):
     with pytest.raises(LawBroken):
         law(kind(PLANT))
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    return {name: detector_laws.calibrated(kind) for name, kind in detectors().items()}
+
+
+@pytest.mark.parametrize("law", detector_laws.LAWS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize("name", list(detectors()))
+def test_detectors(law, name, calibrated):
+    law(calibrated[name])
+
+
+class _Forgetful(QuantileRun):
+    name = "forgetful"
+
+    def document(self):
+        return {"level": self.level / 2.0, "run": self.run}
+
+    @staticmethod
+    def restore(document):
+        return _Forgetful(document["level"], document["run"])
+
+
+class _Late(QuantileRun):
+    name = "late"
+
+    def follow(self, state, residuals):
+        found = super().follow(state, residuals)
+        return replace(found, alarm=None if found.alarm is None else len(found.statistic) - 1)
+
+
+class _Foreseeing(QuantileRun):
+    name = "foreseeing"
+
+    def follow(self, state, residuals):
+        found = super().follow(state, residuals)
+        return replace(found, statistic=np.maximum.accumulate(found.statistic[::-1])[::-1])
+
+
+class _Nervous(QuantileRun):
+    name = "nervous"
+
+    def follow(self, state, residuals):
+        return QuantileRun(1.0, self.run).follow(state, residuals)
+
+
+class _Deaf(QuantileRun):
+    name = "deaf"
+
+    def follow(self, state, residuals):
+        return QuantileRun(1e9, self.run).follow(state, residuals)
+
+
+@pytest.mark.parametrize(
+    ("law", "kind"), list(zip(detector_laws.LAWS, (_Forgetful, _Late, _Foreseeing, _Nervous, _Deaf), strict=True)), ids=lambda x: x.__name__
+)
+def test_a_planted_fault_in_a_detector_is_caught(law, kind, calibrated):
+    healthy = calibrated["quantile_run"]
+    with pytest.raises(LawBroken):
+        law(kind(healthy.level, healthy.run))

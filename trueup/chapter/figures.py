@@ -32,8 +32,8 @@ from trueup.fit.score import Scoring, rollout_errors
 from trueup.gate.decision import default_gate
 from trueup.gate.judge import judge, run_trial
 from trueup.model.predictor import Nominal, Predictor
-from trueup.monitor.residuals import one_step_residuals
-from trueup.monitor.thresholds import QuantileThreshold
+from trueup.monitor.detectors.quantile import QuantileRun
+from trueup.monitor.residuals import Residuals, one_step_residuals
 
 Array = NDArray[np.float64]
 Value = float | int | str | bool
@@ -171,14 +171,30 @@ def _monitor() -> Table:
             states = drive(parameters, START_SCALE * rng.standard_normal(2), issued)
             residuals.append(one_step_residuals(nominal, states, issued[:, None]))
         groups.append(residuals)
-    threshold = QuantileThreshold.calibrate(groups[0])
-    alarm = threshold.alarms(groups[2])[0]
-    row = {
+    threshold = QuantileRun(float(np.quantile(np.concatenate(groups[0]), 0.99)))
+    followed = threshold.follow(threshold.begin(), _one_channel(groups[2][0]))
+    declared = len(groups[2][0]) if followed.alarm is None else followed.alarm
+    row: dict[str, Value] = {
         "threshold": threshold.level,
-        "held-out exceedance": threshold.exceedance(groups[1]),
-        "shifted exceedance": threshold.exceedance(groups[2]),
+        "held-out exceedance": float(np.mean([threshold.exceedance(_one_channel(r)) for r in groups[1]])),
+        "shifted exceedance": float(np.mean([threshold.exceedance(_one_channel(r)) for r in groups[2]])),
+        "first run starts at": declared - threshold.run + 1,
+        "alarm declared at": declared,
     }
-    return Table("Monitor", {"quantile 0.99": {**row, "first run starts at": alarm.starts_at, "alarm declared at": alarm.declared_at}})
+    return Table("Monitor", {"quantile 0.99": row})
+
+
+def _one_channel(errors: Array) -> Residuals:
+    """One-step errors of an episode as a monitor takes them: one channel, one window."""
+    n = len(errors)
+    return Residuals(
+        errors[:, None],
+        np.asarray(np.arange(1, n + 1) * DT_S, np.float64),
+        np.ones(n) / n,
+        np.zeros(n, np.int64),
+        n * DT_S,
+        np.zeros((1, 0, 2)),
+    )
 
 
 def _gate(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:

@@ -13,6 +13,7 @@ from trueup.errors import NotIdentifiable
 from trueup.model.hypothesis import Scales
 from trueup.model.plant import Plant
 from trueup.model.series import held_frames, positions_and_velocities
+from trueup.model.sizes import sizes
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
@@ -84,25 +85,7 @@ def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
     states = np.concatenate([smoothed_states(plant, e) for e in episodes])
     issued = np.concatenate([plant.applied(e.commands) for e in episodes])
     held = np.mean(np.concatenate(repeats)[:, :joints], axis=0)
-    return Admission(noise, sigma, motion, lattice, held, tuple(_sizes(plant, j, states, issued) for j in range(joints)))
-
-
-def _sizes(plant: Plant, joint: int, states: Array, issued: Array) -> Scales:
-    """A joint's own sizes. Raises NotIdentifiable where it does not move, or nothing drives it and no link beyond it could."""
-    q, v = states[:, joint], states[:, len(plant.joints) + joint]
-    known = np.isfinite(q) & np.isfinite(v)
-    driven = plant.dynamics.drive(plant.parameters, joint, q[known], issued[known, joint])
-    position, velocity, force = float(np.abs(q[known]).max()), float(np.std(v[known])), float(np.sqrt(np.mean(driven**2)))
-    if plant.command_columns[joint] < 0:
-        force = velocity**2 / position  # what its own motion needs
-    if min(position, velocity, force) <= 0.0:
-        raise NotIdentifiable(
-            "the joint never moves, or no command was ever given",
-            hint="Record episodes with a command that moves the joint.",
-            joint=plant.joint_name(joint),
-        )
-    error = float(np.abs(issued[known, joint] - plant.dynamics.neutral(plant.parameters, joint, q[known])).max())
-    return Scales(position, velocity, force, float(np.abs(issued[:, joint]).max()) or 1.0, error)
+    return Admission(noise, sigma, motion, lattice, held, tuple(sizes(plant, j, states, issued) for j in range(joints)))
 
 
 def _noise(tracks: Sequence[tuple[Array, NDArray[np.bool_]]]) -> float:

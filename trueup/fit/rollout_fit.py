@@ -22,7 +22,7 @@ from trueup.model.compose import cores
 from trueup.model.dynamics import CompiledFamily, Form
 from trueup.model.effect import Port, Scale, effects
 from trueup.model.family import families
-from trueup.model.hypothesis import Hypothesis, Scales, switches
+from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
 from trueup.model.series import DECLARED, Series, roll, seen_by, unobserved
 
 Array = NDArray[np.float64]
@@ -240,10 +240,7 @@ class Fitter:
 
     def with_effect(self, values: Array, term: str, start: Sequence[float]) -> Array:
         """The same with one term begun at a start given in units of its scales."""
-        values = values.copy()
-        for row, number, x in zip(self.block.rows(term), kind(term).params, start, strict=True):
-            values[row] = number.null if np.isnan(x) else np.clip(x, number.low, number.high) * self.unit(term, number.scale)
-        return values
+        return begun(self.block, values, self.scales[joint(term)], term, start)
 
     def fit(
         self,

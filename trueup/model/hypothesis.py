@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.block import joint, kind
+from trueup.model.block import Block, joint, kind
 from trueup.model.effect import Scale, effects
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,14 @@ class Hypothesis:
     def without(self, term: str) -> Hypothesis:
         """The same without one term."""
         return Hypothesis(tuple(e for e in self.effects if e != term))
+
+
+def begun(block: Block, values: Array, scales: Scales, term: str, start: Sequence[float]) -> Array:
+    """A block's values `(rows,)` with one term begun at a start, given in units of its joint's scales."""
+    values = values.copy()
+    for row, number, x in zip(block.rows(term), kind(term).params, start, strict=True):
+        values[row] = number.null if np.isnan(x) else np.clip(x, number.low, number.high) * scales.of(number.scale)
+    return values
 
 
 def switches(hypothesis: Hypothesis, joints: int = 1) -> NDArray[np.uint8]:

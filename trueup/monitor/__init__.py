@@ -1,1 +1,1 @@
-"""Is it still so: residuals of the serving model and thresholds on them."""
+"""Is it still so: residuals of the serving model, detectors that follow them, and what they promise."""

@@ -29,6 +29,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.BadPlant: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadArtifact: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadGate: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.BadMonitor: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.NotInstalled: HTTPStatus.NOT_IMPLEMENTED,
     errors.NotIdentifiable: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.RoleRefused: HTTPStatus.FORBIDDEN,

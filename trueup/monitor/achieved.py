@@ -1,0 +1,122 @@
+"""What a detector was measured to do: false alarms on healthy episodes that it was not set on, and delays on drifts put into them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from math import exp, log
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.canonical import Json
+from trueup.monitor.detector import Detector
+from trueup.monitor.residuals import Residuals
+
+Array = NDArray[np.float64]
+RESAMPLES = 200
+DRIFTS = 40  # drifts of each kind that are put into healthy episodes
+EPISODES = 20  # over which a drift grows
+HALVINGS = 60
+LEAST = 1e-300  # of a power, to divide by
+LOG_LEAST = -700.0  # whose exponential is no zero yet
+
+
+def achieved(
+    detector: Detector, judged: Detector, fresh: Sequence[Residuals], promise_h: float, rng: np.random.Generator
+) -> dict[str, Json]:
+    """Figures on healthy episodes that did not set the detector's level: exceedance and alarms an hour with intervals, delays of drifts.
+
+    `judged` is the same detector where it has read none of them.
+    """
+    hours = sum(r.seconds for r in fresh) / 3600.0
+    state, alarms = judged.begin(), 0
+    for residuals in fresh:
+        found = judged.follow(state, residuals)
+        state, alarms = found.state, alarms + (found.alarm is not None)
+    low, high = poisson_interval(alarms)
+    shares = np.array([detector.exceedance(r) for r in fresh])
+    drawn = shares[rng.integers(0, len(shares), (RESAMPLES, len(shares)))].mean(axis=1)
+    return {
+        "promised_per_h": 1.0 / promise_h,
+        "held_out_h": hours,
+        "alarms": alarms,
+        "alarms_per_h": alarms / hours,
+        "alarms_per_h_ci95": [low / hours, high / hours],
+        "exceedance": float(shares.mean()),
+        "exceedance_ci95": [float(np.quantile(drawn, q)) for q in (0.025, 0.975)],
+        "delays": {name: _delay(detector, fresh, drift, rng) for name, drift in INJECTED[detector.follows].items()},
+    }
+
+
+Drift = Callable[[Residuals, float, float], Residuals]
+
+
+def _grown(of: Residuals, part: float, luck: float) -> Residuals:
+    values = of.values.copy()
+    values[:, int(luck * values.shape[1])] *= 1.0 + part
+    return replace(of, values=values)
+
+
+def _shifted(of: Residuals, part: float, luck: float) -> Residuals:
+    values = of.values.copy()
+    values[:, int(luck * values.shape[1])] += part
+    return replace(of, values=values)
+
+
+def _like_an_effect(of: Residuals, part: float, luck: float) -> Residuals:
+    evidence = of.evidence.copy()
+    one = evidence[:, int(luck * evidence.shape[1])]
+    one[:, 0] += part * np.sqrt(one[:, 1].mean() / np.maximum(one[:, 1].mean() ** 2, LEAST)) * one[:, 1]
+    return replace(of, evidence=evidence)
+
+
+INJECTED: Mapping[str, Mapping[str, Drift]] = {
+    "channels": {"the spread of a channel doubles": _grown, "the mean of a channel moves by its spread": _shifted},
+    "signatures": {"an effect moves a channel by its spread": _like_an_effect},
+}
+
+
+def _delay(detector: Detector, fresh: Sequence[Residuals], drift: Drift, rng: np.random.Generator) -> dict[str, Json]:
+    """How long drifts that are full after EPISODES take to be found [s], and the share that is found by then."""
+    found = []
+    for _ in range(DRIFTS):
+        state, seconds, luck = detector.begin(), 0.0, float(rng.random())
+        for i, index in enumerate(rng.integers(0, len(fresh), EPISODES)):
+            residuals = drift(fresh[index], (i + 1) / EPISODES, luck)
+            followed = detector.follow(state, residuals)
+            if followed.alarm is not None:
+                found.append(seconds + float(residuals.t_s[followed.alarm]))
+                break
+            state, seconds = followed.state, seconds + residuals.seconds
+    median = float(np.median(found + [np.inf] * (DRIFTS - len(found))))
+    return {"episodes": EPISODES, "found": len(found) / DRIFTS, "median_s": median if np.isfinite(median) else None}
+
+
+def poisson_interval(count: int, confidence: float = 0.95) -> tuple[float, float]:
+    """The exact interval of a Poisson mean of which `count` were seen.
+
+    Source: F. Garwood, Biometrika 28 (1936).
+    """
+    tail = (1.0 - confidence) / 2.0
+    top = count + 10.0 * (count + 1.0) ** 0.5 + 10.0
+    low = 0.0 if count == 0 else _where(lambda mean: 1.0 - _at_most(count - 1, mean) > tail, top)
+    return low, _where(lambda mean: _at_most(count, mean) < tail, top)
+
+
+def _at_most(count: int, mean: float) -> float:
+    """The chance that a Poisson variable is `count` at most."""
+    term, total = -mean, 0.0
+    for i in range(count + 1):
+        total += exp(max(term, LOG_LEAST))
+        term += log(mean / (i + 1)) if mean > 0.0 else LOG_LEAST
+    return min(total, 1.0)
+
+
+def _where(holds: Callable[[float], bool], top: float) -> float:
+    """The least mean at which something begins to hold."""
+    low, high = 0.0, top
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2.0
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high

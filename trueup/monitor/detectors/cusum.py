@@ -1,0 +1,253 @@
+"""Cumulative sums: small residuals add up to an alarm.
+
+Source: E. S. Page, Biometrika 41 (1954); the likelihood ratio's optimality: G. Lorden, Annals of Mathematical Statistics 42 (1971).
+Both hold for independent residuals, which these are not: the level is set on resampled blocks of healthy ones.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.canonical import Json
+from trueup.monitor.detector import Detector, Followed, Reference, State
+from trueup.monitor.residuals import Residuals
+from trueup.monitor.tail import Tail
+
+Array = NDArray[np.float64]
+LARGEST = 8.0  # healthy spreads that one residual counts at most: a single wild sample is no change
+SHIFT = 1.0  # of the mean, in healthy spreads, for which the tabular sum is the best
+GROWTH = 1.5  # of the spread, for which the likelihood ratio is the best: less than twice
+NOTICED = 0.5  # of one channel's healthy power: the error has grown by a fifth where two are observed
+LEAST_POWER = 1e-12  # of a signature: the data show nothing of it
+MOST = 20.0  # that one window adds at most
+STREAMS, LENGTH = 256, 3000  # resampled futures, and blocks in each
+LEVELS = 16
+LEAST_ALARMS = 40  # in all futures together, for a rate to be read off
+C = TypeVar("C", bound="Cusum")
+
+
+@dataclass(frozen=True)
+class Cusum(Detector):
+    """The largest of several sums, each at least 0, of what speaks for one change."""
+
+    level: float
+    rests_on = "calibrated, no guarantee: blocks to come are drawn like the reference's, whatever the dependence within one"
+
+    @abstractmethod
+    def increments(self, residuals: Residuals) -> Array:
+        """What each step, a sample or a window, adds to each sum, `(steps, sums)`, negative on the mean while all is well."""
+
+    @abstractmethod
+    def sums(self) -> int:
+        """How many there are."""
+
+    @staticmethod
+    def ends(residuals: Residuals) -> NDArray[np.int64]:
+        """The sample at which each step ends, `(steps,)`."""
+        return np.arange(len(residuals.values))
+
+    def begin(self) -> State:
+        return (0.0,) * self.sums()
+
+    def follow(self, state: State, residuals: Residuals) -> Followed:
+        sums = np.cumsum(self.increments(residuals), axis=0)
+        path = sums - np.minimum(np.minimum.accumulate(sums, axis=0), -np.array(state))
+        highest, ends = path.max(axis=1), self.ends(residuals)
+        held = np.searchsorted(ends, np.arange(len(residuals.values)), side="right")
+        statistic = np.append(max(state, default=0.0), highest)[held]
+        beyond = np.flatnonzero(highest > self.level)
+        if len(beyond):
+            at = int(beyond[0])
+            return Followed(statistic, int(ends[at]), int(path[at].argmax()), self.begin())
+        return Followed(statistic, None, None, tuple(float(x) for x in path[-1]) if len(path) else state)
+
+    def exceedance(self, residuals: Residuals) -> float:
+        return float(np.mean(self.follow(self.begin(), residuals).statistic > self.level))
+
+
+@dataclass(frozen=True)
+class TabularCusum(Cusum):
+    """Two sums of each channel, for a mean that rises above what it was, and one that falls: S = max(0, S +- (z - centre) - SHIFT / 2)."""
+
+    centre: tuple[float, ...]
+    name = "tabular_cusum"
+
+    def increments(self, residuals: Residuals) -> Array:
+        moved = _clipped(residuals) - np.array(self.centre)
+        return np.asarray((np.hstack([moved, -moved]) - SHIFT / 2.0) * residuals.weight[:, None])
+
+    def sums(self) -> int:
+        return 2 * len(self.centre)
+
+    def labels(self, channels: Sequence[str], signs: Sequence[str]) -> list[str]:
+        return [f"{c} falls behind" for c in channels] + [f"{c} runs ahead" for c in channels]
+
+    @staticmethod
+    def calibrate(reference: Reference, rng: np.random.Generator) -> TabularCusum:
+        means = [b.weight @ _clipped(b) / b.weight.sum() for b in reference.fitted]
+        return calibrated(TabularCusum(0.0, tuple(float(x) for x in np.mean(means, axis=0))), reference, rng)
+
+    def document(self) -> dict[str, Json]:
+        return {"level": self.level, "centre": list(self.centre)}
+
+    @staticmethod
+    def restore(document: Mapping[str, Any]) -> TabularCusum:
+        return TabularCusum(float(document["level"]), tuple(float(x) for x in document["centre"]))
+
+
+@dataclass(frozen=True)
+class LikelihoodRatioCusum(Cusum):
+    """One sum of each channel, of the log likelihood ratio of a spread GROWTH times as large: z^2/2 (1 - 1/GROWTH^2) - ln GROWTH."""
+
+    channels: int
+    name = "likelihood_ratio_cusum"
+
+    def increments(self, residuals: Residuals) -> Array:
+        ratio = _clipped(residuals) ** 2 * (1.0 - GROWTH**-2) / 2.0 - np.log(GROWTH)
+        return np.asarray(ratio * residuals.weight[:, None])
+
+    def sums(self) -> int:
+        return self.channels
+
+    def labels(self, channels: Sequence[str], signs: Sequence[str]) -> list[str]:
+        return [f"{c} is predicted worse" for c in channels]
+
+    @staticmethod
+    def calibrate(reference: Reference, rng: np.random.Generator) -> LikelihoodRatioCusum:
+        return calibrated(LikelihoodRatioCusum(0.0, reference.fitted[0].values.shape[1]), reference, rng)
+
+    def document(self) -> dict[str, Json]:
+        return {"level": self.level, "channels": self.channels}
+
+    @staticmethod
+    def restore(document: Mapping[str, Any]) -> LikelihoodRatioCusum:
+        return LikelihoodRatioCusum(float(document["level"]), int(document["channels"]))
+
+
+def _clipped(residuals: Residuals) -> Array:
+    return np.clip(residuals.values, -LARGEST, LARGEST)
+
+
+@dataclass(frozen=True)
+class EffectCusum(Cusum):
+    """Two sums of each signature, of the log likelihood ratio of residuals with that effect in them and without, one for each sign.
+
+    The effect is as large as moves one channel by half of its healthy power, `amplitude` of its signature, beyond what a served model that
+    is not perfect has of it, `healthy`; `inflation` is how much more a sum of correlated residuals varies. All `(signatures,)`.
+    """
+
+    amplitude: tuple[float, ...]
+    inflation: tuple[float, ...]
+    healthy: tuple[float, ...]
+    name = "effect_cusum"
+    follows = "signatures"
+
+    def increments(self, residuals: Residuals) -> Array:
+        common, power = np.moveaxis(residuals.evidence, 2, 0)
+        size, divisor = np.array(self.amplitude), np.array(self.inflation)
+        expected = size**2 * power / 2.0
+        common = common - np.array(self.healthy) * power
+        return np.asarray(np.clip(np.hstack([(size * common - expected) / divisor, (-size * common - expected) / divisor]), -MOST, MOST))
+
+    def sums(self) -> int:
+        return 2 * len(self.amplitude)
+
+    @staticmethod
+    def ends(residuals: Residuals) -> NDArray[np.int64]:
+        return np.flatnonzero(np.diff(residuals.window, append=residuals.windows))
+
+    def labels(self, channels: Sequence[str], signs: Sequence[str]) -> list[str]:
+        return [f"like more {s}" for s in signs] + [f"like less {s}" for s in signs]
+
+    @staticmethod
+    def calibrate(reference: Reference, rng: np.random.Generator) -> EffectCusum:
+        common, power = np.moveaxis(np.concatenate([b.evidence for b in reference.fitted]), 2, 0)
+        mean = np.maximum(power.mean(axis=0), LEAST_POWER)
+        healthy = common.mean(axis=0) / mean
+        inflation = np.maximum(((common - healthy * power) ** 2).mean(axis=0) / mean, LEAST_POWER)
+        unseen = power.mean(axis=0) <= LEAST_POWER
+        amplitude = np.where(unseen, 0.0, np.sqrt(NOTICED / mean))
+        numbers = (tuple(map(float, x)) for x in (amplitude, inflation, healthy))
+        return calibrated(EffectCusum(0.0, *numbers), reference, rng)
+
+    def document(self) -> dict[str, Json]:
+        return {"level": self.level, "amplitude": list(self.amplitude), "inflation": list(self.inflation), "healthy": list(self.healthy)}
+
+    @staticmethod
+    def restore(document: Mapping[str, Any]) -> EffectCusum:
+        numbers = (tuple(float(x) for x in document[name]) for name in ("amplitude", "inflation", "healthy"))
+        return EffectCusum(float(document["level"]), *numbers)
+
+
+@dataclass(frozen=True)
+class _Summary:
+    """All that a sum needs of each block `(blocks, sums)`: total, highest and lowest partial sum, and the highest rise within it."""
+
+    total: Array
+    high: Array
+    low: Array
+    rise: Array
+
+    def drawn(self, index: NDArray[np.int64], rng: np.random.Generator) -> _Summary:
+        """Blocks by their index `(n,)`; those with the highest rises are made as high as their tail is."""
+        tail = Tail.of(self.rise.max(axis=1))
+        rise = self.rise[index].max(axis=1)
+        behind = rise > tail.threshold
+        grown = np.where(behind, tail.draw(len(index), rng) / np.where(behind, rise, 1.0), 1.0)[:, None]
+        return _Summary(
+            *(np.where(part > 0.0, part * grown, part) for part in (a[index] for a in (self.total, self.high, self.low, self.rise)))
+        )
+
+
+def _summary(detector: Cusum, blocks: Sequence[Residuals]) -> _Summary:
+    rows = []
+    for block in blocks:
+        sums = np.cumsum(detector.increments(block), axis=0)
+        rise = (sums - np.minimum(np.minimum.accumulate(sums, axis=0), 0.0)).max(axis=0)
+        rows.append(np.stack([sums[-1], sums.max(axis=0), np.minimum(sums.min(axis=0), 0.0), rise]))
+    return _Summary(*np.moveaxis(np.array(rows), 1, 0))
+
+
+def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C:
+    """The detector at the level that resampled futures pass as seldom as promised.
+
+    Each future draws its blocks from a resampled reference, so that what a short reference leaves open is in the rate, and its
+    largest blocks from a tail. Rates too small to be counted are read off the line through the logarithms of those that are: a sum that
+    falls on the mean has an exponential tail.
+    """
+    of = _summary(detector, reference.fitted)
+    levels = _passed_once(of, rng)
+    alarms = np.zeros(LEVELS)
+    n = len(of.rise)
+    streams = rng.integers(0, n, (STREAMS, n))
+    state = np.zeros((LEVELS, STREAMS, of.total.shape[1]))
+    for _ in range(LENGTH):
+        block = of.drawn(streams[np.arange(STREAMS), rng.integers(0, n, STREAMS)], rng)
+        beyond = np.maximum(state + block.high, block.rise).max(axis=2) > levels[:, None]
+        alarms += beyond.sum(axis=1)
+        state = np.maximum(state + block.total, block.total - block.low)
+        state[beyond] = 0.0
+    rates = alarms / (STREAMS * LENGTH)
+    counted = alarms >= LEAST_ALARMS
+    if rates[counted].min() < reference.cautious_rate:
+        level = float(np.interp(np.log(reference.cautious_rate), np.log(rates[counted])[::-1], levels[counted][::-1]))
+        return replace(detector, level=level)
+    kept = np.flatnonzero(counted)[-LEVELS // 2 :]
+    slope, at = np.polyfit(levels[kept], np.log(rates[kept]), 1)
+    return replace(detector, level=float((np.log(reference.cautious_rate) - at) / slope))
+
+
+def _passed_once(of: _Summary, rng: np.random.Generator) -> Array:
+    """Levels `(LEVELS,)` from what a block reaches by itself to what hardly any future passes."""
+    state, highest = np.zeros((STREAMS, of.total.shape[1])), np.zeros(STREAMS)
+    for _ in range(LENGTH):
+        block = of.drawn(rng.integers(0, len(of.rise), STREAMS), rng)
+        highest = np.maximum(highest, np.maximum(state + block.high, block.rise).max(axis=1))
+        state = np.maximum(state + block.total, block.total - block.low)
+    return np.linspace(float(np.median(of.rise.max(axis=1))), float(np.quantile(highest, 0.9)), LEVELS)
