@@ -2,7 +2,8 @@
 
     python -m trueup_service.inspection FILE < {"plant": …, "limits": …}
 
-The child walks the container, decodes the episode and prints what it is, or the error, as one JSON document.
+The child walks the container, decodes the episode and prints what it is, or the error, as one JSON document. A batch of telemetry it writes
+as MCAP first, beside the file.
 """
 
 from __future__ import annotations
@@ -35,8 +36,11 @@ class Inspected:
     summary: dict[str, Json]
 
 
-async def inspect_upload(path: Path, plant: dict[str, Json], memory_bytes: int, timeout_s: float) -> Inspected:
-    """What the file holds as an episode of this plant. Raises BadEpisode with the child's code and facts, InspectionFailed at a limit."""
+async def inspect_upload(path: Path, plant: dict[str, Json], memory_bytes: int, timeout_s: float, *, telemetry: bool = False) -> Inspected:
+    """What the file holds as an episode of this plant; a batch of telemetry becomes the MCAP file `as_mcap(path)`.
+
+    Raises BadEpisode with the child's code and facts, InspectionFailed at a limit.
+    """
     child = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
@@ -47,7 +51,9 @@ async def inspect_upload(path: Path, plant: dict[str, Json], memory_bytes: int, 
         stderr=asyncio.subprocess.PIPE,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # a pool for each core would eat the address space
     )
-    request = orjson.dumps({"plant": plant, "memory_bytes": memory_bytes, "cpu_s": int(timeout_s) + CHILD_CPU_MARGIN_S})
+    request = orjson.dumps(
+        {"plant": plant, "telemetry": telemetry, "memory_bytes": memory_bytes, "cpu_s": int(timeout_s) + CHILD_CPU_MARGIN_S}
+    )
     try:
         out, err = await asyncio.wait_for(child.communicate(request), timeout_s)
     except TimeoutError as error:
@@ -74,6 +80,21 @@ def _answer(out: bytes, err: bytes, code: int | None) -> Inspected:
     return Inspected(**answer)
 
 
+def as_mcap(path: Path) -> Path:
+    """Where a batch of telemetry becomes an episode."""
+    return path.with_suffix(".mcap")
+
+
+def convert_file(path: Path, plant: dict[str, Json]) -> Path:
+    """A batch of telemetry as an MCAP file beside it. Raises BadEpisode, BadPlant."""
+    from trueup.episode.telemetry import telemetry_to_mcap  # noqa: PLC0415
+    from trueup.model.plant import Plant  # noqa: PLC0415
+
+    with as_mcap(path).open("xb") as file:
+        telemetry_to_mcap(path.read_bytes(), Plant.from_document(plant).layout, file)
+    return as_mcap(path)
+
+
 def inspect_file(path: Path, plant: dict[str, Json]) -> Inspected:
     """The same in this process, without limits. Raises BadEpisode, BadPlant."""
     from trueup.episode.mcap import read_episode_stream  # noqa: PLC0415  (numpy: the server that waits for the child needs none)
@@ -94,7 +115,9 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (request["cpu_s"],) * 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     try:
-        answer: object = asdict(inspect_file(Path(sys.argv[1]), request["plant"]))
+        path = Path(sys.argv[1])
+        held = convert_file(path, request["plant"]) if request["telemetry"] else path
+        answer: object = asdict(inspect_file(held, request["plant"]))
     except TrueupError as error:
         answer = {"problem": {"code": error.code, "message": error.message, "hint": error.hint, "facts": error.facts}}
     sys.stdout.buffer.write(orjson.dumps(answer))

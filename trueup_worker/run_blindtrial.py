@@ -39,7 +39,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     return {"report": conduct(plant, episodes, trials, None, commit, lambda stage, part: progress.stage(stage, READING, 1.0)(part))}
 
 
-def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: object) -> None:
+def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: object) -> None:
     """None beside its result: what was opened stands in it."""
 
 

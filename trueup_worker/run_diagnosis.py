@@ -43,7 +43,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     return {"manifest": artifact.manifest.decode(), "arrays": keep_arrays(parts, artifact), "report": dict(found.document)}
 
 
-def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
     """The corrected model becomes the plant's next version."""
     add_artifact(writer, job.plant, Artifact(outcome["manifest"].encode(), b""), job.id, stamp)
 

@@ -55,7 +55,7 @@ def _provenance(job: JobRecord, episodes: list[Episode], report: dict[str, Json]
     }
 
 
-def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
     """The candidate becomes the plant's next version."""
     add_artifact(writer, job.plant, Artifact(outcome["manifest"].encode(), b""), job.id, stamp)
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from trueup.canonical import Json, digest_of
+from trueup.episode.role import HELD_OUT
 from trueup.gate.decision import Gate
-from trueup.gate.judge import HELD_OUT, judge, run_trial
+from trueup.gate.judge import judge, run_trial
 from trueup_service.actions import find
 from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.stamp import Stamp
@@ -32,7 +33,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     return {"decision": decision.document()}
 
 
-def effects(writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
     """The decision stands in the registry."""
     record_decision(writer, job.plant, outcome["decision"], job.id, stamp)
 

@@ -21,12 +21,19 @@ from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.registry.records import FINAL, JobRecord, JobState
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
-from trueup_worker import run_blindtrial, run_diagnosis, run_fit, run_gate
+from trueup_worker import run_blindtrial, run_calibration, run_diagnosis, run_fit, run_gate, run_watch
 from trueup_worker.progress import Cancelled, Progress
 
 log = logging.getLogger("trueup.worker")
 
-KINDS: dict[str, ModuleType] = {"fit": run_fit, "gate": run_gate, "diagnose": run_diagnosis, "blindtrial": run_blindtrial}
+KINDS: dict[str, ModuleType] = {
+    "fit": run_fit,
+    "gate": run_gate,
+    "diagnose": run_diagnosis,
+    "blindtrial": run_blindtrial,
+    "calibrate": run_calibration,
+    "watch": run_watch,
+}
 
 
 def compute(parts: Parts, job_id: str) -> dict[str, Json]:
@@ -67,7 +74,12 @@ def finish(parts: Parts, job_id: str, found: dict[str, Any]) -> str:
         return state
     with parts.database.write() as connection:
         finish_job(
-            Writer(connection), job, state, kind.result(found["outcome"]), stamp, lambda w: kind.effects(w, job, found["outcome"], stamp)
+            Writer(connection),
+            job,
+            state,
+            kind.result(found["outcome"]),
+            stamp,
+            lambda w: kind.effects(parts, w, job, found["outcome"], stamp),
         )
     return state
 

@@ -14,3 +14,9 @@ class Role(StrEnum):
     TEST = "test"
     REFERENCE = "reference"
     RETAINED = "retained"
+    TELEMETRY = "telemetry"  # a live batch: watched, and never fitted or judged on
+
+
+HELD_OUT = (Role.VALIDATION, Role.RETAINED)  # what a gate judges on
+WATCHED = (Role.ADAPTATION, Role.VALIDATION, Role.REFERENCE, Role.RETAINED, Role.TELEMETRY)  # test episodes are for reports alone
+HEALTHY = (Role.REFERENCE, Role.VALIDATION, Role.RETAINED, Role.TELEMETRY)  # what a model was not fitted on may say what is healthy

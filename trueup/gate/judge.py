@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from trueup.episode.episode import Episode
-from trueup.episode.role import Role
+from trueup.episode.role import HELD_OUT
 from trueup.errors import BadGate
 from trueup.fit.score import score
 from trueup.gate.decision import Decision, Gate, figures
 from trueup.gate.rule import Trial
 from trueup.model.predictor import Predictor
-
-HELD_OUT = (Role.VALIDATION, Role.RETAINED)
 
 
 def run_trial(

@@ -5,7 +5,17 @@ from __future__ import annotations
 from typing import TypeVar
 
 from trueup_service.errors import NotFound
-from trueup_service.registry.records import ArtifactRecord, DecisionRecord, EpisodeRecord, GateRecord, JobRecord, Move, PlantRecord
+from trueup_service.registry.records import (
+    AlarmRecord,
+    ArtifactRecord,
+    DecisionRecord,
+    EpisodeRecord,
+    GateRecord,
+    JobRecord,
+    MonitorRecord,
+    Move,
+    PlantRecord,
+)
 from trueup_service.registry.store import Reader
 
 T = TypeVar("T")
@@ -33,6 +43,15 @@ def gate(reader: Reader, plant: str, digest: str) -> GateRecord:
 
 def job(reader: Reader, name: str) -> JobRecord:
     return _found(reader.job(name), "job", name)
+
+
+def monitor(reader: Reader, plant: str, digest: str) -> MonitorRecord:
+    return _found(reader.monitor(plant, digest), "monitor", digest)
+
+
+def alarm(reader: Reader, plant: str, name: str) -> AlarmRecord:
+    found = reader.alarm(name)
+    return _found(found if found is not None and found.plant == plant else None, "alarm", name)
 
 
 def any_decision(reader: Reader, digest: str) -> DecisionRecord:

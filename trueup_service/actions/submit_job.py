@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from trueup.canonical import Json
-from trueup.episode.role import Role
+from trueup.episode.role import HEALTHY, HELD_OUT, WATCHED, Role
 from trueup.errors import BadGate, NotIdentifiable, RoleRefused
-from trueup.gate.judge import HELD_OUT
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.jobs import JobQueue
@@ -64,7 +63,36 @@ def _submit_on_both(writer: Writer, queue: JobQueue, job: str, plant: str, kind:
     return _submit(writer, queue, job, plant, kind, frozen, stamp)
 
 
-SUBMIT = {"fit": submit_fit, "gate": submit_gate, "diagnose": submit_diagnosis, "blindtrial": submit_blindtrial}
+def submit_calibration(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+    """A monitor of what serves now, on healthy episodes: those named, or all of the role reference. Raises RoleRefused, NotIdentifiable."""
+    find.plant_digest(writer, plant)
+    named = request.get("episodes")
+    episodes = _episodes(writer, plant, named, (Role.REFERENCE,) if named is None else HEALTHY)
+    if not episodes:
+        raise NotIdentifiable("there is no reference episode", hint="Upload healthy operation whose metadata says role = reference.")
+    frozen = {**request, "episodes": _digests(episodes), "artifact": find.serving(writer, plant).artifact}
+    return _submit(writer, queue, job, plant, "calibrate", frozen, stamp)
+
+
+def submit_watch(writer: Writer, queue: JobQueue, job: str, plant: str, stamp: Stamp) -> JobRecord | None:
+    """A look at the episodes that the plant's monitor has not seen; None if there are none, or one waits already, or nobody watches."""
+    watching = writer.watching(plant)
+    if watching is None or writer.waits(plant, "watch"):
+        return None
+    if find.monitor(writer, plant, watching.monitor).artifact != find.serving(writer, plant).artifact:
+        return None
+    if not writer.unwatched(watching, WATCHED, 1):
+        return None
+    return _submit(writer, queue, job, plant, "watch", {"monitor": watching.monitor}, stamp)
+
+
+SUBMIT = {
+    "calibrate": submit_calibration,
+    "fit": submit_fit,
+    "gate": submit_gate,
+    "diagnose": submit_diagnosis,
+    "blindtrial": submit_blindtrial,
+}
 
 
 def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) -> list[EpisodeRecord]:

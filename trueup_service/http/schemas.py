@@ -111,6 +111,62 @@ class JobWithReads(Job):
     reads: dict[str, str]
 
 
+class Monitor(Answer):
+    """A calibrated monitor: its detectors with their levels, and what they were measured to keep."""
+
+    plant: str
+    digest: Digest
+    artifact: Digest
+    document: dict[str, Any]
+    job: str | None
+    created_at: Time
+    created_by: str
+
+
+class Watch(Answer):
+    """What a monitor saw in one episode: of each detector its highest statistic, of each channel its error in healthy spreads."""
+
+    sequence: int
+    episode: Digest
+    seen: dict[str, Any]
+    at: Time
+
+
+class Alarm(Answer):
+    """`document` says which detectors alarmed, since when, and what changed; `job` is the diagnosis that it opened, once it could."""
+
+    id: str
+    plant: str
+    monitor: Digest
+    artifact: Digest
+    episode: Digest
+    document: dict[str, Any]
+    job: str | None
+    raised_at: Time
+    closed_at: Time | None
+    closed_by: str | None
+    closed_because: str | None
+
+
+class MonitorState(BaseModel):
+    """Whether somebody watches. `watches` is false where no monitor was calibrated for what serves now: `hint` says what to do."""
+
+    plant: str
+    serving: Digest
+    monitor: Digest | None
+    watches: bool
+    episodes: int
+    alarm: Alarm | None
+    hint: str
+
+
+class Closing(BaseModel):
+    """Why an alarm is closed."""
+
+    model_config = ConfigDict(extra="forbid")
+    because: str = Field(min_length=1, max_length=500)
+
+
 class Decision(Answer):
     digest: Digest
     plant: str
@@ -194,6 +250,19 @@ class BlindtrialRequest(BaseModel):
     kind: Literal["blindtrial"]
     trials: int = Field(60, ge=1, le=2000, description="machines to draw; each takes as long as a diagnosis")
     episodes: list[Digest] | None = None
+
+
+class CalibrationRequest(BaseModel):
+    """Calibrate a monitor of what serves now. `episodes` are healthy ones, null for all of the role reference."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["calibrate"]
+    promise_h: float = Field(
+        100.0, gt=0, allow_inf_nan=False, description="operating hours in which one false alarm is allowed, of all joints"
+    )
+    detectors: list[str] | None = Field(None, description="which detectors share the promise; null for all")
+    episodes: list[Digest] | None = None
+    seed: int = Field(0, ge=0, lt=2**32, description="of the resampling")
 
 
 class Promotion(BaseModel):

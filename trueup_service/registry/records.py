@@ -117,6 +117,59 @@ class DecisionRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class MonitorRecord:
+    """A calibrated monitor of one artifact."""
+
+    plant: str
+    digest: str
+    artifact: str
+    document: dict[str, Json]
+    job: str | None
+    created_at: str
+    created_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class Watching:
+    """Which monitor watches a plant since when, how many episodes it has seen, and what its detectors have kept of them."""
+
+    plant: str
+    monitor: str
+    since: str
+    sequence: int
+    kept: dict[str, Json]
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What a monitor saw in one episode."""
+
+    plant: str
+    monitor: str
+    sequence: int
+    episode: str
+    seen: dict[str, Json]
+    at: str
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmRecord:
+    """An alarm: which monitor raised it on which episode, what changed, the diagnosis that it opened, and why it was closed."""
+
+    id: str
+    plant: str
+    monitor: str
+    artifact: str
+    episode: str
+    document: dict[str, Json]
+    job: str | None
+    raised_at: str
+    closed_at: str | None
+    closed_by: str | None
+    closed_because: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class Move:
     """One position of a serving pointer. `back_to` is the generation whose artifact a rollback would serve."""
 

@@ -1,7 +1,7 @@
 """What may be asked of the registry, and what may be added to it.
 
 `Reader` asks, `Writer` adds. Nothing here updates or deletes an episode, an artifact, a gate, a decision, a move or an audit entry;
-only a job's progress and the generation that serves change.
+only a job's progress, the generation that serves, where a monitor stands, and whether an alarm is open change.
 """
 
 from __future__ import annotations
@@ -20,18 +20,22 @@ from trueup.ledger.audit import GENESIS, AuditEntry, append
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import (
     FINAL,
+    AlarmRecord,
     ArtifactRecord,
     DecisionRecord,
     EpisodeRecord,
     GateRecord,
     JobRecord,
     JobState,
+    MonitorRecord,
     Move,
     PlantRecord,
+    Watch,
+    Watching,
 )
 
 R = TypeVar("R")
-_JSON = {"document", "summary", "request", "result", "facts"}
+_JSON = {"document", "summary", "request", "result", "facts", "kept", "seen"}
 
 # Statements of the busiest paths, built once: building one costs about as much as running it.
 _BY_PLANT: BindParameter[str] = bindparam("plant")
@@ -174,6 +178,50 @@ class Reader:
             Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.at <= at).order_by(t.moves.c.generation.desc()).limit(1)
         )
 
+    def monitor(self, plant: str, digest: str) -> MonitorRecord | None:
+        return self._one(MonitorRecord, select(t.monitors).where(t.monitors.c.plant == plant, t.monitors.c.digest == digest))
+
+    def monitors(self, plant: str, before: str, limit: int) -> list[MonitorRecord]:
+        """Monitors, the newest first, made before a time."""
+        query = select(t.monitors).where(t.monitors.c.plant == plant, t.monitors.c.created_at < before)
+        return self._all(MonitorRecord, query.order_by(t.monitors.c.created_at.desc(), t.monitors.c.digest).limit(limit))
+
+    def watching(self, plant: str) -> Watching | None:
+        """Which monitor watches a plant, and where it stands."""
+        return self._one(Watching, select(t.watching).where(t.watching.c.plant == plant))
+
+    def watches(self, plant: str, monitor: str, after: int, limit: int) -> list[Watch]:
+        """What a monitor saw, episode by episode, from behind a sequence number."""
+        query = select(t.watches).where(t.watches.c.plant == plant, t.watches.c.monitor == monitor, t.watches.c.sequence > after)
+        return self._all(Watch, query.order_by(t.watches.c.sequence).limit(limit))
+
+    def unwatched(self, of: Watching, roles: Iterable[str], limit: int) -> list[EpisodeRecord]:
+        """Episodes that came in since a monitor watches and that it has not seen, in the order of their start."""
+        seen = select(t.watches.c.episode).where(
+            t.watches.c.plant == of.plant, t.watches.c.monitor == of.monitor, t.watches.c.episode == t.episodes.c.digest
+        )
+        query = select(t.episodes).where(t.episodes.c.plant == of.plant, t.episodes.c.role.in_(list(roles)))
+        query = query.where(t.episodes.c.created_at >= of.since, ~seen.exists())
+        return self._all(EpisodeRecord, query.order_by(t.episodes.c.start_ns, t.episodes.c.digest).limit(limit))
+
+    def waits(self, plant: str, kind: str) -> bool:
+        """Whether a job of this kind has not begun yet."""
+        query = select(t.jobs.c.id).where(t.jobs.c.plant == plant, t.jobs.c.kind == kind, t.jobs.c.state == JobState.QUEUED)
+        return self.connection.scalar(query.limit(1)) is not None
+
+    def alarm(self, alarm: str) -> AlarmRecord | None:
+        return self._one(AlarmRecord, select(t.alarms).where(t.alarms.c.id == alarm))
+
+    def alarms(self, plant: str, before: str, limit: int) -> list[AlarmRecord]:
+        """Alarms, the newest first, raised before a time."""
+        query = select(t.alarms).where(t.alarms.c.plant == plant, t.alarms.c.raised_at < before)
+        return self._all(AlarmRecord, query.order_by(t.alarms.c.raised_at.desc(), t.alarms.c.id).limit(limit))
+
+    def open_alarm(self, plant: str) -> AlarmRecord | None:
+        """The alarm that nobody has closed yet."""
+        query = select(t.alarms).where(t.alarms.c.plant == plant, t.alarms.c.closed_at.is_(None))
+        return self._one(AlarmRecord, query.order_by(t.alarms.c.raised_at).limit(1))
+
     def audit_entries(self, after: int, limit: int, plant: str | None = None) -> list[AuditEntry]:
         query = select(t.audit).where(t.audit.c.sequence > after)
         query = query if plant is None else query.where(t.audit.c.plant == plant)
@@ -268,6 +316,34 @@ class Writer(Reader):
         if swapped.rowcount != 1:
             raise PointerMoved(f"another move took generation {move.generation}", expected=move.generation - 1)
         self._add(t.moves, asdict(move))
+
+    def add_monitor(self, record: MonitorRecord) -> None:
+        self._add(t.monitors, asdict(record))
+
+    def watch_with(self, watching: Watching) -> None:
+        """From now on a monitor watches its plant, in the place of any before."""
+        values = {"monitor": watching.monitor, "since": watching.since, "sequence": watching.sequence, "kept": _text(watching.kept)}
+        changed = self.connection.execute(update(t.watching).where(t.watching.c.plant == watching.plant).values(values))
+        if changed.rowcount == 0:
+            self._add(t.watching, asdict(watching))
+
+    def advance(self, before: Watching, kept: dict[str, Json], seen: Sequence[Watch]) -> bool:
+        """Move a monitor on over what it has seen; False, and nothing is done, if it does not stand where it stood."""
+        where = t.watching.c.plant == before.plant, t.watching.c.monitor == before.monitor, t.watching.c.sequence == before.sequence
+        values = {"sequence": before.sequence + len(seen), "kept": _text(kept)}
+        if self.connection.execute(update(t.watching).where(*where).values(values)).rowcount != 1:
+            return False
+        for watch in seen:
+            self._add(t.watches, asdict(watch))
+        return True
+
+    def add_alarm(self, record: AlarmRecord) -> None:
+        self._add(t.alarms, asdict(record))
+
+    def update_alarm(self, alarm: str, **values: str) -> bool:
+        """Give an open alarm its diagnosis, or close it; False if it is closed."""
+        where = t.alarms.c.id == alarm, t.alarms.c.closed_at.is_(None)
+        return self.connection.execute(update(t.alarms).where(*where).values(values)).rowcount == 1
 
     def remember(self, scope: str, key: str, request: str, response: dict[str, Json], now: str) -> None:
         """Keep the response to a request under its idempotency key."""

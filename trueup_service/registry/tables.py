@@ -134,6 +134,59 @@ moves = Table(
     Index(None, "plant", "at"),
 )
 
+monitors = Table(
+    "monitors",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("digest", DIGEST, primary_key=True),
+    Column("artifact", DIGEST, nullable=False),
+    Column("document", Text, nullable=False),
+    Column("job", ID),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+    Index(None, "plant", "created_at"),
+)
+
+watching = Table(
+    "watching",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("monitor", DIGEST, nullable=False),
+    Column("since", AT, nullable=False),
+    Column("sequence", Integer, nullable=False),
+    Column("kept", Text, nullable=False),
+)
+
+watches = Table(
+    "watches",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("monitor", DIGEST, primary_key=True),
+    Column("sequence", Integer, primary_key=True, autoincrement=False),
+    Column("episode", DIGEST, nullable=False),
+    Column("seen", Text, nullable=False),
+    Column("at", AT, nullable=False),
+    ForeignKeyConstraint(["plant", "monitor"], ["monitors.plant", "monitors.digest"]),
+    Index(None, "plant", "monitor", "episode", unique=True),
+)
+
+alarms = Table(
+    "alarms",
+    metadata,
+    Column("id", ID, primary_key=True),
+    Column("plant", NAME, ForeignKey("plants.name"), nullable=False),
+    Column("monitor", DIGEST, nullable=False),
+    Column("artifact", DIGEST, nullable=False),
+    Column("episode", DIGEST, nullable=False),
+    Column("document", Text, nullable=False),
+    Column("job", ID),
+    Column("raised_at", AT, nullable=False),
+    Column("closed_at", AT),
+    Column("closed_by", Text),
+    Column("closed_because", Text),
+    Index(None, "plant", "raised_at"),
+)
+
 audit = Table(
     "audit",
     metadata,

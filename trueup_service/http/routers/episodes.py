@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from datetime import UTC, datetime
 from typing import Annotated
 
@@ -10,24 +9,23 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
-from trueup.canonical import Json
 from trueup.episode.role import Role
 from trueup_service.actions import find
-from trueup_service.actions.ingest_episode import ingest_episode
-from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.actions.stamp import time_text
 from trueup_service.errors import Kept
-from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With
+from trueup_service.http.ingesting import description_of, ingest, inspect
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, page
 from trueup_service.http.serving_answers import document
-from trueup_service.http.uploads import Received, received
-from trueup_service.inspection import Inspected, inspect_upload
+from trueup_service.http.uploads import received
+from trueup_service.inspection import Inspected
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import EpisodeRecord, Move
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
-PURPOSES = ("fit", "gate", "diagnose", "blindtrial")  # kinds of jobs that read episodes
+PURPOSES = ("fit", "gate", "diagnose", "blindtrial", "calibrate", "watch")  # kinds of jobs that read episodes
 router = APIRouter(prefix="/v1/plants/{plant}/episodes", tags=["episodes"])
 MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 
@@ -38,37 +36,17 @@ async def upload(request: Request, parts: With, stamp: By, plant: PlantName, key
 
     All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again are the same episode.
     """
-    description = await run_in_threadpool(_description, parts, plant)
+    description = await run_in_threadpool(description_of, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         known = await run_in_threadpool(_known, parts, plant, file.digest)
-        inspected = known or await _inspect(request, parts, file, description)
-        return await run_in_threadpool(_ingest, parts, stamp, plant, key, file, inspected)
-
-
-def _description(parts: Parts, plant: str) -> dict[str, Json]:
-    with parts.database.read() as connection:
-        return find.plant(Reader(connection), plant).document
+        inspected = known or await inspect(request, parts, file.path, description)
+        return await run_in_threadpool(ingest, parts, stamp, plant, key, file, inspected)
 
 
 def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
     with parts.database.read() as connection:
         found = Reader(connection).episode(plant, digest)
     return None if found is None else Inspected(digest, found.role, found.start_ns, found.end_ns, found.summary)
-
-
-async def _inspect(request: Request, parts: Parts, file: Received, description: dict[str, Json]) -> Inspected:
-    slots: asyncio.Semaphore = request.app.state.inspections
-    async with slots:
-        return await inspect_upload(file.path, description, parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s)
-
-
-def _ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected) -> Response:
-    parts.blobs.put(file.digest, file.path)
-
-    def act(writer: Writer) -> tuple[EpisodeRecord, bool]:
-        return ingest_episode(writer, plant, file.digest, file.size_bytes, inspected, stamp)
-
-    return create(parts, stamp, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)
 
 
 @router.get("", summary="List episodes")

@@ -9,25 +9,38 @@ from fastapi import APIRouter, Body, Path, Response
 
 from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
+from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.context import END_OF_TIME, Before, By, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import BlindtrialRequest, DiagnosisRequest, FitRequest, GateRequest, Job, JobWithReads, Page, page
+from trueup_service.http.schemas import (
+    BlindtrialRequest,
+    CalibrationRequest,
+    DiagnosisRequest,
+    FitRequest,
+    GateRequest,
+    Job,
+    JobWithReads,
+    Page,
+    page,
+)
 from trueup_service.registry.store import Reader, Writer
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
-JobRequest = Annotated[FitRequest | GateRequest | DiagnosisRequest | BlindtrialRequest, Body(discriminator="kind")]
+JobRequest = Annotated[FitRequest | GateRequest | DiagnosisRequest | BlindtrialRequest | CalibrationRequest, Body(discriminator="kind")]
 
 
 @router.post(
-    "/plants/{plant}/jobs", status_code=201, response_model=Job, summary="Submit a fit, a trial or a diagnosis", responses=there(Job)
+    "/plants/{plant}/jobs",
+    status_code=201,
+    response_model=Job,
+    summary="Submit a fit, a trial, a diagnosis or a calibration",
+    responses=there(Job),
 )
 def submit(parts: With, stamp: By, plant: PlantName, request: JobRequest, key: IdempotencyKey = None) -> Response:
     """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a trial held-out ones alone;
-    a diagnosis fits the former and compares on the latter.
+    a diagnosis fits the former and compares on the latter. A calibration makes a monitor of what serves, on healthy episodes.
     """
-    from trueup_service.actions.submit_job import SUBMIT  # noqa: PLC0415  (numpy: a server that only serves needs none)
-
     chosen, job = request.model_dump(exclude={"kind"}, exclude_none=True), uuid.uuid4().hex
     act = SUBMIT[request.kind]
     parts.queue.prepare()

@@ -1,0 +1,88 @@
+"""Telemetry: a live batch of samples as JSON, which becomes an episode like any other.
+
+    {"start_ns": "1760000000000000000", "t_s": [0.0, 0.02], "observations": {"q": [0.1, 0.2]}, "commands": {"u": [0.0, 0.5]},
+     "conditions": {"payload": "2 kg"}, "role": "telemetry"}
+
+`t_s` [s] counts from `start_ns` [ns since 1970, as text: JSON's numbers are too short]. Every channel of the plant has one value for
+each sample; conditions and role (telemetry or reference) may be left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, BinaryIO
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from trueup.episode.layout import Channel, Layout
+from trueup.episode.role import Role
+from trueup.episode.writer import write_episode
+from trueup.errors import NotAnEpisode
+
+ALLOWED = ("start_ns", "t_s", "observations", "commands", "conditions", "role")
+LATEST_NS = 2**62
+
+
+def telemetry_to_mcap(data: bytes, layout: Layout, out: BinaryIO) -> None:
+    """Write a batch as MCAP. Raises NotAnEpisode with the rule that it breaks."""
+    try:
+        batch = orjson.loads(data)
+    except orjson.JSONDecodeError as error:
+        raise NotAnEpisode(f"the batch is not JSON: {error}", rule="json", hint=HINT) from error
+    if not isinstance(batch, dict) or set(batch) - set(ALLOWED):
+        raise _refused(f"a batch holds {', '.join(ALLOWED)}, nothing else", "fields")
+    t_s = _numbers(batch.get("t_s"), "t_s")
+    if len(t_s) < 2 or not (np.diff(t_s) > 0.0).all():  # noqa: PLR2004  (one sample is no motion)
+        raise _refused("t_s needs two times at least, each later than the one before", "t_s")
+    start = _start_ns(batch.get("start_ns"))
+    role = batch.get("role", Role.TELEMETRY)
+    if role not in (Role.TELEMETRY, Role.REFERENCE):
+        raise _refused("the role of a batch is telemetry or reference", "role")
+    conditions = batch.get("conditions", {})
+    if not isinstance(conditions, dict) or not all(isinstance(v, str) for v in conditions.values()) or "role" in conditions:
+        raise _refused("conditions are names with text; the role stands beside them", "conditions")
+    write_episode(
+        out,
+        stamps_ns=start + np.rint(t_s * 1e9).astype(np.int64),
+        observations=_columns(batch.get("observations"), layout.observations, len(t_s), "observations"),
+        commands=_columns(batch.get("commands"), layout.commands, len(t_s), "commands"),
+        layout=layout,
+        role=Role(role),
+        conditions=conditions,
+    )
+
+
+HINT = "docs/continual.md shows a batch of telemetry."
+
+
+def _refused(message: str, rule: str) -> NotAnEpisode:
+    return NotAnEpisode(message, rule=rule, hint=HINT)
+
+
+def _start_ns(given: Any) -> int:
+    if isinstance(given, int) and not isinstance(given, bool):
+        given = str(given)
+    if not isinstance(given, str) or not given.isascii() or not given.isdigit() or int(given) > LATEST_NS:
+        raise _refused("start_ns is a whole number of nanoseconds since 1970, as text", "start_ns")
+    return int(given)
+
+
+def _numbers(given: Any, field: str) -> NDArray[np.float64]:
+    if not isinstance(given, list) or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in given):
+        raise _refused(f"{field} must be a list of numbers", field)
+    found = np.array(given, np.float64)
+    if not np.isfinite(found).all():
+        raise _refused(f"{field} must be a list of finite numbers", field)
+    return found
+
+
+def _columns(given: Any, channels: tuple[Channel, ...], samples: int, field: str) -> NDArray[np.float64]:
+    names = [c.name for c in channels]
+    if not isinstance(given, Mapping) or set(given) != set(names):
+        raise _refused(f"{field} must hold {', '.join(names)}, and nothing else", field)
+    columns = [_numbers(given[name], f"{field}.{name}") for name in names]
+    if {len(c) for c in columns} != {samples}:
+        raise _refused(f"every channel of {field} needs {samples} values, one for each time", field)
+    return np.stack(columns, axis=1)

@@ -1,0 +1,58 @@
+"""Ingest what was received: inspected in a process of its own, durable before the row, and shown to the plant's monitor."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from pathlib import Path
+
+from fastapi import Request, Response
+
+from trueup.canonical import Json
+from trueup.episode.role import WATCHED
+from trueup_service.actions import find
+from trueup_service.actions.ingest_episode import ingest_episode
+from trueup_service.actions.stamp import Stamp
+from trueup_service.actions.submit_job import submit_watch
+from trueup_service.http.context import create
+from trueup_service.http.schemas import Episode
+from trueup_service.http.uploads import Received
+from trueup_service.inspection import Inspected, inspect_upload
+from trueup_service.registry.records import EpisodeRecord
+from trueup_service.registry.store import Reader, Writer
+from trueup_service.wiring import Parts
+
+
+def description_of(parts: Parts, plant: str) -> dict[str, Json]:
+    """A plant's description. Raises NotFound."""
+    with parts.database.read() as connection:
+        return find.plant(Reader(connection), plant).document
+
+
+async def inspect(request: Request, parts: Parts, path: Path, description: dict[str, Json], *, telemetry: bool = False) -> Inspected:
+    """What a file holds, once there is a slot to look at it. Raises BadEpisode, InspectionFailed."""
+    slots: asyncio.Semaphore = request.app.state.inspections
+    settings = parts.settings
+    async with slots:
+        return await inspect_upload(path, description, settings.inspection_memory_bytes, settings.inspection_timeout_s, telemetry=telemetry)
+
+
+def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected) -> Response:
+    """Bytes first, then the row, its audit entry and the look that the monitor takes at it, in one transaction."""
+    parts.blobs.put(file.digest, file.path)
+    watched = inspected.role in WATCHED and _is_watched(parts, plant)
+    if watched:
+        parts.queue.prepare()
+
+    def act(writer: Writer) -> tuple[EpisodeRecord, bool]:
+        record, new = ingest_episode(writer, plant, file.digest, file.size_bytes, inspected, stamp)
+        if new and watched:
+            submit_watch(writer, parts.queue, uuid.uuid4().hex, plant, stamp)
+        return record, new
+
+    return create(parts, stamp, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)
+
+
+def _is_watched(parts: Parts, plant: str) -> bool:
+    with parts.database.read() as connection:
+        return Reader(connection).watching(plant) is not None

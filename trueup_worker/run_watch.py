@@ -1,0 +1,113 @@
+"""Run a look at new episodes: the plant's monitor follows them, in the order of their start, and says what changed if it alarms.
+
+Following is repeatable, and what it found is written down only if the monitor still stands where it began: of two such jobs at once one
+does nothing.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from trueup.canonical import Json
+from trueup.episode.mcap import read_episode
+from trueup.episode.role import WATCHED
+from trueup.monitor.change import Before, changed, onset
+from trueup.monitor.monitor import Monitor
+from trueup_service.actions import find
+from trueup_service.actions.record_watch import Followed, record_watch
+from trueup_service.actions.stamp import Stamp
+from trueup_service.actions.submit_job import submit_watch
+from trueup_service.registry.records import EpisodeRecord, JobRecord, Watch, Watching
+from trueup_service.registry.store import Reader, Writer
+from trueup_service.wiring import Parts
+from trueup_worker.inputs import read_plant, read_predictor
+from trueup_worker.progress import Progress
+
+AT_ONCE = 200  # episodes in one job; another follows if there are more
+HISTORY = 1000  # episodes before an alarm that are looked through for the beginning of the change
+
+
+def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
+    """Follow what the monitor has not seen."""
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        watching = reader.watching(job.plant)
+        if watching is None or watching.monitor != job.request["monitor"]:
+            return {"monitor": job.request["monitor"], "from": None, "seen": [], "kept": {}, "alarm": None}
+        monitor = Monitor.from_document(find.monitor(reader, job.plant, watching.monitor).document)
+        waiting = reader.unwatched(watching, WATCHED, AT_ONCE)
+        history = reader.watches(job.plant, watching.monitor, max(watching.sequence - HISTORY, 0), HISTORY)
+    with parts.database.write() as connection:
+        Writer(connection).add_reads(job.id, [e.digest for e in waiting], job.kind)
+    plant, predictor = read_plant(parts, job), read_predictor(parts, job, monitor.artifact)
+    channels = [c.name for c in plant.layout.observations]
+    kept: Mapping[str, Sequence[float]] = watching.kept  # type: ignore[assignment]
+    seen: list[dict[str, Any]] = []
+    alarm: dict[str, Any] | None = None
+    rows = [(w.episode, w.seen) for w in history]
+    progress.stage("following episodes", 0.0, 1.0)
+    for record in waiting:
+        kept, found = monitor.follow(kept, predictor, read_episode(parts.blobs.get(record.digest), plant.layout))
+        document = found.document(channels)
+        rows.append((record.digest, document))
+        seen.append({"episode": record.digest, "seen": document})
+        if found.alarms and alarm is None:
+            alarm = _alarm(parts, job.plant, monitor, channels, rows, record, document)
+        progress(len(seen) / len(waiting))
+    return {
+        "monitor": watching.monitor,
+        "from": watching.sequence,
+        "since": watching.since,
+        "seen": seen,
+        "kept": {name: list(state) for name, state in kept.items()},
+        "alarm": alarm,
+    }
+
+
+def _alarm(
+    parts: Parts,
+    plant: str,
+    monitor: Monitor,
+    channels: Sequence[str],
+    rows: Sequence[tuple[str, Mapping[str, Any]]],
+    at: EpisodeRecord,
+    document: Mapping[str, Any],
+) -> dict[str, Any]:
+    """What an alarm says: which detectors, since which episode, and what is different since then."""
+    rms = np.array([[seen["channels"][c]["rms"] for c in channels] for _, seen in rows])
+    begun = onset(rms)
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        episodes = [find.episode(reader, plant, digest) for digest, _ in rows[begun:]]
+    now = Before.of_summaries([e.summary for e in episodes])
+    found = changed(monitor.before, {c: rms[begun:, i] for i, c in enumerate(channels)}, now)
+    said: dict[str, Json] = {
+        "detectors": document["alarms"],
+        "since": episodes[0].digest,
+        "since_ns": str(min(e.start_ns for e in episodes)),
+        "episodes": len(episodes),
+        "change": found,
+    }
+    return {"episode": at.digest, "document": said}
+
+
+def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+    """The monitor has moved on, an alarm is raised, and what is left is looked at next."""
+    if outcome["from"] is not None:
+        before = Watching(job.plant, outcome["monitor"], outcome["since"], outcome["from"], {})
+        seen = [
+            Watch(job.plant, before.monitor, before.sequence + 1 + i, s["episode"], s["seen"], stamp.now)
+            for i, s in enumerate(outcome["seen"])
+        ]
+        followed = Followed(before, outcome["kept"], seen, outcome["alarm"])
+        record_watch(writer, parts.queue, followed, lambda: uuid.uuid4().hex, stamp)
+    submit_watch(writer, parts.queue, uuid.uuid4().hex, job.plant, stamp)
+
+
+def result(outcome: dict[str, Any]) -> dict[str, Json]:
+    """What the job answers with."""
+    return {"monitor": outcome["monitor"], "episodes": len(outcome["seen"]), "alarm": outcome["alarm"] is not None}
