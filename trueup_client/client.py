@@ -202,6 +202,35 @@ class Client:
         """Serve what served before, after its switchback test."""
         return Serving(**self._post(f"/v1/plants/{_name(plant)}/serving/rollback", {"expected_generation": expected_generation}))
 
+    # -- monitoring
+
+    def send_telemetry(self, plant: str, batch: Document) -> Document:
+        """Send a live batch: `start_ns` as text, `t_s`, `observations` and `commands` by channel; it becomes an episode that is watched."""
+        return self._post(f"/v1/plants/{_name(plant)}/telemetry", batch)
+
+    def monitor(self, plant: str) -> Document:
+        """Whether the model that serves is watched, and the alarm that is open."""
+        return self._get(f"/v1/plants/{_name(plant)}/monitor")
+
+    def monitors(self, plant: str) -> Iterator[Document]:
+        """Every monitor there was, the newest first, each with its calibration."""
+        return self._pages(f"/v1/plants/{_name(plant)}/monitors", "before")
+
+    def watches(self, plant: str, monitor: str) -> Iterator[Document]:
+        """What a monitor saw, episode by episode."""
+        return self._pages(f"/v1/plants/{_name(plant)}/monitors/{_name(monitor)}/watches", "after")
+
+    def alarms(self, plant: str) -> Iterator[Document]:
+        """Every alarm, the newest first."""
+        return self._pages(f"/v1/plants/{_name(plant)}/alarms", "before")
+
+    def alarm(self, plant: str, alarm: str) -> Document:
+        return self._get(f"/v1/plants/{_name(plant)}/alarms/{_name(alarm)}")
+
+    def close_alarm(self, plant: str, alarm: str, because: str) -> Document:
+        """Close an alarm, and say why; the next one may then be raised."""
+        return self._post(f"/v1/plants/{_name(plant)}/alarms/{_name(alarm)}/close", {"because": because})
+
     # -- audit
 
     def audit(self, plant: str | None = None) -> Iterator[Document]:

@@ -12,7 +12,7 @@ import uuid
 
 from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 
-from trueup_service.jobs import ENGINE_VERSION, QUEUE, WORKFLOW, migrate_engine, plain_url
+from trueup_service.jobs import ENGINE_VERSION, QUEUE, WORKFLOW, plain_url
 from trueup_service.wiring import Parts
 from trueup_worker.run_job import compute, finish
 from trueup_worker.takeover import FileLives, Lives, PostgresLives, watch
@@ -47,7 +47,7 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
 
 
 def _launch(parts: Parts, name: str) -> None:
-    migrate_engine(parts.settings.sqlalchemy_url)
+    parts.queue.prepare()  # a finished job may ask for another, in a transaction of its own
     config: DBOSConfig = {
         "name": "trueup",
         "system_database_url": plain_url(parts.settings.sqlalchemy_url),
