@@ -1,0 +1,135 @@
+"""Commands on what watches a plant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from trueup_cli.options import DEFAULT_URL, Json, Url, connect
+from trueup_cli.registry import run_job
+from trueup_cli.show import as_json, moment, out, table
+from trueup_client import Client
+
+LATEST = 12  # episodes in the table
+
+
+def calibrate(
+    plant: str,
+    *,
+    promise_h: Annotated[float, Parameter(help="Operating hours in which one false alarm is allowed, of all joints together")] = 100.0,
+    detectors: Annotated[str | None, Parameter(help="Comma-separated; default: all")] = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """Calibrate a monitor of what serves, on the plant's reference episodes; from then on it watches.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    """
+    client = connect(url)
+    request: dict[str, Any] = {"kind": "calibrate", "promise_h": promise_h, **({"detectors": detectors.split(",")} if detectors else {})}
+    found = run_job(client, plant, request, "calibrate")
+    if as_json_:
+        as_json(found)
+        return
+    monitor = next(m for m in client.monitors(plant) if m["digest"] == found["result"]["monitor"])
+    show_calibration(monitor["document"])
+
+
+def show_calibration(document: dict[str, Any]) -> None:
+    """Print what each detector was measured to keep, and what its promise rests on."""
+    of = document["figures"]["detectors"]
+    rows = []
+    for d in document["detectors"]:
+        f = of[d["detector"]]
+        low, high = f["alarms_per_h_ci95"]
+        said = f"{f['alarms_per_h']:.3g} [{low:.3g}, {high:.3g}]"
+        rows.append((d["detector"], d["level"], f"{f['promised_per_h']:.3g}", said, f"{f['exceedance']:.4f}", _delays(f["delays"])))
+    table("Monitor", ["detector", "level", "promised/h", "held out/h", "exceedance", "drifts found, median delay"], rows)
+    hours = document["figures"]["reference_h"]
+    out.print(f"reference: {hours:.2f} h; one false alarm in {document['promise_h']:g} h is promised, of all detectors and joints together")
+    if not document["figures"]["promise_shown"]:
+        out.print("[yellow]The reference is shorter than the promise: the levels rest on what is assumed of the tail.[/]")
+    for d in document["detectors"]:
+        out.print(f"[dim]{d['detector']}: {d['rests_on']}[/]")
+
+
+def _delays(delays: dict[str, Any]) -> str:
+    return "; ".join(f"{100 * d['found']:.0f} %" + (f", {d['median_s']:.0f} s" if d["median_s"] else "") for d in delays.values())
+
+
+def monitor(
+    plant: str,
+    *,
+    picture: Annotated[Path | None, Parameter(help="Write what the monitor saw as an SVG file")] = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """Say whether a plant's model is watched, what was seen last, and which alarm is open.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    """
+    client = connect(url)
+    state = client.monitor(plant)
+    watches = list(client.watches(plant, state["monitor"])) if state["monitor"] else []
+    if picture is not None and watches:
+        from trueup_cli.watch_picture import watch_picture
+
+        document = next(m for m in client.monitors(plant) if m["digest"] == state["monitor"])["document"]
+        picture.write_text(watch_picture(plant, document, watches))
+    if as_json_:
+        as_json(state)
+        return
+    out.print(f"{plant}: {'watched' if state['watches'] else 'not watched'}, {state['episodes']} episodes seen. {state['hint']}".rstrip())
+    if watches:
+        names = list(watches[0]["seen"]["channels"])
+        rows = [(w["sequence"], w["episode"][:12], moment(w["at"]), *_row(w["seen"], names)) for w in watches[-LATEST:]]
+        table("", ["", "episode", "seen", *(f"{n} error" for n in names), "alarms"], rows)
+    if state["alarm"]:
+        show_alarm(state["alarm"])
+
+
+def _row(seen: dict[str, Any], names: list[str]) -> tuple[object, ...]:
+    return *(round(seen["channels"][n]["rms"], 2) for n in names), "; ".join(f"{d}: {a['leading']}" for d, a in seen["alarms"].items())
+
+
+def alarms(
+    plant: str,
+    *,
+    close: Annotated[str | None, Parameter(help="Id of an alarm to close")] = None,
+    because: Annotated[str | None, Parameter(help="Why it is closed")] = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """List a plant's alarms, or close one.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    """
+    client: Client = connect(url)
+    found = [client.close_alarm(plant, close, because or "no reason was given")] if close is not None else list(client.alarms(plant))
+    if as_json_:
+        as_json(found)
+        return
+    for alarm in found:
+        show_alarm(alarm)
+    if not found:
+        out.print("no alarms")
+
+
+def show_alarm(alarm: dict[str, Any]) -> None:
+    """Print what changed, and what came of it."""
+    standing = f"closed: {alarm['closed_because']}" if alarm["closed_at"] else "[bold red]open[/]"
+    out.print(f"alarm [bold]{alarm['id']}[/] {moment(alarm['raised_at'])}, {standing}")
+    for name, at in alarm["document"]["detectors"].items():
+        out.print(f"  {name}: {at['leading']}")
+    for words in alarm["document"]["change"]["words"]:
+        out.print(f"  {words}")
+    waiting = "  no diagnosis yet: upload an adaptation and a validation episode recorded since the change began"
+    out.print(f"  diagnosis: job {alarm['job']}" if alarm["job"] else waiting)
