@@ -204,6 +204,14 @@ class Client:
 
     # -- monitoring
 
+    def declare_policy(self, plant: str, document: Document) -> Document:
+        """Declare what may happen without a person; it holds from then on."""
+        return self._post(f"/v1/plants/{_name(plant)}/policies", document)
+
+    def policy(self, plant: str) -> Document:
+        """The update policy that holds."""
+        return self._get(f"/v1/plants/{_name(plant)}/policy")
+
     def send_telemetry(self, plant: str, batch: Document) -> Document:
         """Send a live batch: `start_ns` as text, `t_s`, `observations` and `commands` by channel; it becomes an episode that is watched."""
         return self._post(f"/v1/plants/{_name(plant)}/telemetry", batch)

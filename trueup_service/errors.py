@@ -47,6 +47,13 @@ class Kept(TrueupError):
     hint = "Roll back or promote to change what serves; nothing has to be deleted for that."
 
 
+class HeldOutSpent(TrueupError):
+    """The held-out episodes were used as often as the gate allows."""
+
+    code = "held-out-spent"
+    hint = "Record a fresh episode with the role validation: whoever chooses by the same one again and again fits to it."
+
+
 class BadRequest(TrueupError):
     """The request cannot be understood."""
 

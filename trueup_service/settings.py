@@ -35,6 +35,7 @@ class Settings(BaseSettings):
     )
     job_poll_interval_s: float = Field(0.1, gt=0, description="Time between a worker's looks at the queue [s].")
     takeover_interval_s: float = Field(1.0, gt=0, description="Time between a worker's looks for dead workers [s].")
+    schedule_interval_s: float = Field(30.0, gt=0, description="Time between a worker's looks for validations that are due [s].")
     log_level: str = Field("INFO", description="Least severe level that is logged.")
 
     @cached_property

@@ -15,6 +15,7 @@ from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 from trueup_service.jobs import ENGINE_VERSION, QUEUE, WORKFLOW, plain_url
 from trueup_service.wiring import Parts
 from trueup_worker.run_job import compute, finish
+from trueup_worker.schedule import keep
 from trueup_worker.takeover import FileLives, Lives, PostgresLives, watch
 
 log = logging.getLogger("trueup.worker")
@@ -40,6 +41,7 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
     _launch(parts, name)
     log.info("working", extra={"worker": name})
     threading.Thread(target=watch, args=(parts.database, lives, name, parts.settings.takeover_interval_s, stop), daemon=True).start()
+    threading.Thread(target=keep, args=(parts, parts.settings.schedule_interval_s, stop), daemon=True).start()
     stop.wait()
     log.info("stopping", extra={"worker": name})
     DBOS.destroy(workflow_completion_timeout_sec=0)

@@ -15,6 +15,7 @@ from trueup_service.registry.records import JobRecord
 from trueup_service.registry.store import Writer
 from trueup_service.wiring import Parts
 from trueup_worker.code_identity import code_identity
+from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_episodes, read_plant, sources
 from trueup_worker.outputs import keep_arrays
 from trueup_worker.progress import Progress
@@ -44,8 +45,10 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
-    """The corrected model becomes the plant's next version."""
-    add_artifact(writer, job.plant, Artifact(outcome["manifest"].encode(), b""), job.id, stamp)
+    """The corrected model becomes the plant's next version, and is judged if a policy says so."""
+    artifact = Artifact(outcome["manifest"].encode(), b"")
+    add_artifact(writer, job.plant, artifact, job.id, stamp)
+    cycle_of(parts, writer, stamp).diagnosed(job, artifact.digest, outcome["report"]["verdict"])
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 from trueup.canonical import Json, digest_of
+from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.gate.decision import Gate
 from trueup.gate.judge import judge, run_trial
+from trueup.model.predictor import Predictor
 from trueup_service.actions import find
 from trueup_service.actions.record_decision import record_decision
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.actions.switchback import rehearse
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
+from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
 from trueup_worker.progress import Progress
 
@@ -30,12 +36,22 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     decision = judge(
         gate, trial, plant=plant.digest, candidate=request["candidate"], incumbent=request["incumbent"], generation=request["generation"]
     )
-    return {"decision": decision.document()}
+    return {"decision": decision.document(), "rehearsed": _rehearsed(parts, job, episodes, gate, candidate) if decision.accepted else {}}
+
+
+def _rehearsed(parts: Parts, job: JobRecord, episodes: Sequence[Episode], gate: Gate, candidate: Predictor) -> dict[str, Json]:
+    """The way back, tried before anybody goes forward."""
+    request: dict[str, Any] = job.request
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        back, registered = find.artifact(reader, job.plant, request["incumbent"]), find.plant_digest(reader, job.plant)
+    return rehearse(parts.blobs, back, registered, candidate, episodes[0], gate.scoring, time_text(datetime.now(UTC)))
 
 
 def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
-    """The decision stands in the registry."""
-    record_decision(writer, job.plant, outcome["decision"], job.id, stamp)
+    """The decision stands in the registry, and its candidate is promoted if a policy says so."""
+    decision = record_decision(writer, job.plant, outcome["decision"], job.id, stamp)
+    cycle_of(parts, writer, stamp).judged(decision, outcome["rehearsed"])
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

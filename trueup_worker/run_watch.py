@@ -20,10 +20,10 @@ from trueup.monitor.monitor import Monitor
 from trueup_service.actions import find
 from trueup_service.actions.record_watch import Followed, record_watch
 from trueup_service.actions.stamp import Stamp
-from trueup_service.actions.submit_job import submit_watch
 from trueup_service.registry.records import EpisodeRecord, JobRecord, Watch, Watching
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
+from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_plant, read_predictor
 from trueup_worker.progress import Progress
 
@@ -104,8 +104,8 @@ def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any
             for i, s in enumerate(outcome["seen"])
         ]
         followed = Followed(before, outcome["kept"], seen, outcome["alarm"])
-        record_watch(writer, parts.queue, followed, lambda: uuid.uuid4().hex, stamp)
-    submit_watch(writer, parts.queue, uuid.uuid4().hex, job.plant, stamp)
+        record_watch(writer, followed, uuid.uuid4().hex, stamp)
+    cycle_of(parts, writer, stamp).go_on(job.plant)
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

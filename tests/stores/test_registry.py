@@ -70,7 +70,7 @@ def promote(parts, plant, version, second):
     with parts.database.write() as connection:
         writer = Writer(connection)
         decision = decide(writer, plant, add_version(writer, plant, version))
-        return promote_decision(writer, plant, decision, writer.serving(plant).generation, at(second))
+        return promote_decision(writer, plant, decision, writer.serving(plant).generation, {}, at(second))
 
 
 def test_a_fresh_database_is_at_the_head_and_migrating_again_changes_nothing(parts):
@@ -144,7 +144,7 @@ def test_of_many_racing_promotions_one_wins(parts, plant):
         gate.wait()
         try:
             with parts.database.write() as connection:
-                return promote_decision(Writer(connection), plant, decision, 1, STAMP).generation
+                return promote_decision(Writer(connection), plant, decision, 1, {}, STAMP).generation
         except PointerMoved:
             return None
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -14,21 +15,30 @@ from trueup.fit.score import EVERY, FIRST, Score, Scoring
 from trueup.gate.rule import Rule, Verdict, rules
 
 SCHEMA = "trueup.gate/1"
+NEEDED = {"schema", "rules", "scoring"}
 DECISION_SCHEMA = "trueup.decision/1"
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Rules, all of which must pass, and the scoring they judge. Its digest freezes both. Raises BadGate without rules."""
+    """Rules, all of which must pass, and the scoring they judge. Its digest freezes them. Raises BadGate without rules.
+
+    `conditions` are those whose values make the cells of retained conditions. After `held_out_uses` trials an episode is spent: whoever
+    chooses among candidates by it again and again fits to it.
+    """
 
     rules: tuple[Rule, ...]
     scoring: Scoring
+    conditions: tuple[str, ...] = ()
+    held_out_uses: int | None = None
 
     def __post_init__(self) -> None:
         if not self.rules:
             raise BadGate("a gate without rules would pass everything")
         if not (np.isfinite(self.scoring.horizon_s) and self.scoring.horizon_s > 0.0) or self.scoring.windows not in (FIRST, EVERY):
             raise BadGate("a gate scores over a positive horizon, from the `first` window or from `every` one")
+        if self.held_out_uses is not None and self.held_out_uses < 1:
+            raise BadGate("a held-out episode must be good for one use at least")
 
     @cached_property
     def digest(self) -> str:
@@ -37,16 +47,25 @@ class Gate:
 
     def document(self) -> dict[str, Json]:
         """The gate as JSON."""
-        return {"schema": SCHEMA, "rules": [{"rule": r.name, **asdict(r)} for r in self.rules], "scoring": self.scoring.document()}  # type: ignore[call-overload]
+        return {
+            "schema": SCHEMA,
+            "rules": [{"rule": r.name, **asdict(r)} for r in self.rules],  # type: ignore[call-overload]
+            "scoring": self.scoring.document(),
+            **({"conditions": list(self.conditions)} if self.conditions else {}),
+            **({"held_out_uses": self.held_out_uses} if self.held_out_uses is not None else {}),
+        }
 
     @staticmethod
     def from_document(document: Mapping[str, Json]) -> Gate:
         """Read a gate. Raises BadGate."""
         try:
-            if document["schema"] != SCHEMA or set(document) != {"schema", "rules", "scoring"}:
-                raise BadGate(f"a gate holds schema ({SCHEMA}), rules and scoring, nothing else")
-            scoring = document["scoring"]
-            return Gate(tuple(_rule(r) for r in document["rules"]), Scoring(float(scoring["horizon_s"]), str(scoring["windows"])))  # type: ignore[union-attr,arg-type,index,call-overload]
+            if document["schema"] != SCHEMA or not NEEDED <= set(document) <= NEEDED | {"conditions", "held_out_uses"}:
+                raise BadGate(f"a gate holds schema ({SCHEMA}), rules, scoring, and if it likes conditions and held_out_uses, nothing else")
+            given: Any = document
+            scoring = Scoring(float(given["scoring"]["horizon_s"]), str(given["scoring"]["windows"]))
+            uses = given.get("held_out_uses")
+            conditions = tuple(str(c) for c in given.get("conditions", ()))
+            return Gate(tuple(_rule(r) for r in given["rules"]), scoring, conditions, None if uses is None else int(uses))
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise BadGate(f"the gate cannot be read: {error!r}") from error
 

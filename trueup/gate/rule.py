@@ -15,21 +15,28 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.errors import BadGate
 from trueup.fit.score import Score
+from trueup.gate.cells import Cell
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Scores of a candidate and of the incumbent on the same held-out episodes, named by digest. Raises BadGate without any."""
+    """Scores of a candidate and of the incumbent on the same held-out episodes, named by digest. Raises BadGate without any.
+
+    `cells` are the values of the gate's `conditions` under which each was recorded; without conditions all are of one.
+    """
 
     candidate: Score
     incumbent: Score
     episodes: tuple[str, ...]
+    cells: tuple[Cell, ...] = ()
+    conditions: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "cells", self.cells or ((),) * len(self.episodes))
         shapes = {a.shape for s in (self.candidate, self.incumbent) for a in (s.rollout, s.one_step)}
-        if not self.episodes or shapes != {(len(self.episodes),)}:
+        if not self.episodes or shapes != {(len(self.episodes),)} or len(self.cells) != len(self.episodes):
             raise BadGate("a trial needs scores of both predictors on one held-out episode at least")
 
 

@@ -13,8 +13,11 @@ from trueup_service.registry.records import ArtifactRecord, DecisionRecord, Move
 from trueup_service.registry.store import Reader, Writer
 
 
-def promote_decision(writer: Writer, plant: str, decision: str, expected_generation: int, stamp: Stamp) -> Move:
-    """The new position, at the decision's candidate. Raises PointerMoved, NotAccepted, NotFound."""
+def promote_decision(writer: Writer, plant: str, decision: str, expected_generation: int, rehearsed: dict[str, Json], stamp: Stamp) -> Move:
+    """The new position, at the decision's candidate; `rehearsed` is the record of the way back, tried before.
+
+    Raises PointerMoved, NotAccepted, NotFound.
+    """
     now = find.serving(writer, plant)
     made = find.decision(writer, plant, decision)
     judged = _judged(made)
@@ -31,7 +34,7 @@ def promote_decision(writer: Writer, plant: str, decision: str, expected_generat
         pointer.since,
         stamp.actor,
     )
-    return _move(writer, now, move, stamp, {"gate": made.gate})
+    return _move(writer, now, move, stamp, {"gate": made.gate, "rehearsed": rehearsed})
 
 
 def _judged(made: DecisionRecord) -> Judged:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from trueup.canonical import Json
 from trueup.episode.role import HEALTHY, HELD_OUT, WATCHED, Role
 from trueup.errors import BadGate, NotIdentifiable, RoleRefused
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
+from trueup_service.errors import HeldOutSpent
 from trueup_service.jobs import JobQueue
 from trueup_service.registry.records import EpisodeRecord, JobRecord, JobState
 from trueup_service.registry.store import Writer
@@ -28,14 +30,20 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
     """A trial of a candidate against what serves now, under a gate declared before. Raises RoleRefused, BadGate."""
     candidate = find.artifact(writer, plant, str(request["candidate"]))
     gate = find.gate(writer, plant, str(request["gate"]))
-    episodes = _episodes(writer, plant, request.get("episodes"), HELD_OUT)
-    if not episodes:
+    held_out = _episodes(writer, plant, request.get("episodes"), HELD_OUT)
+    if not held_out:
         raise BadGate("there is no held-out episode to judge on", hint="Upload one whose metadata says role = validation.")
+    uses: Any = gate.document.get("held_out_uses")
+    spent = [e.digest for e in held_out if uses is not None and writer.uses(e.digest, "gate") >= uses]
+    episodes = [e for e in held_out if e.digest not in spent]
+    if not episodes or (spent and request.get("episodes") is not None):
+        raise HeldOutSpent(f"{len(spent)} held-out episodes were used {uses} times, as often as the gate allows", spent=spent[:10])
     now = find.serving(writer, plant)
     frozen: dict[str, Json] = {
         "candidate": candidate.digest,
         "gate": gate.digest,
         "episodes": _digests(episodes),
+        **({"spent": list(spent)} if spent else {}),
         "incumbent": now.artifact,
         "generation": now.generation,
     }
@@ -86,7 +94,25 @@ def submit_watch(writer: Writer, queue: JobQueue, job: str, plant: str, stamp: S
     return _submit(writer, queue, job, plant, "watch", {"monitor": watching.monitor}, stamp)
 
 
+def submit_validation(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+    """A validation of what serves, on what was held out since it was promoted, beside what its promotion was judged on.
+
+    Raises NotIdentifiable where nothing was.
+    """
+    now = find.serving(writer, plant)
+    judged: Any = [] if now.decision is None else find.decision(writer, plant, now.decision).document["episodes"]
+    held_out = writer.episodes_of_role(plant, HELD_OUT)
+    new = [e for e in held_out if e.created_at > now.at and e.digest not in judged]
+    if not new:
+        raise NotIdentifiable(
+            "nothing was held out since this model serves", hint="Upload an episode whose metadata says role = validation."
+        )
+    frozen: dict[str, Json] = {"artifact": now.artifact, "episodes": [*judged, *_digests(new)], "new": list(_digests(new))}
+    return _submit(writer, queue, job, plant, "validate", frozen, stamp)
+
+
 SUBMIT = {
+    "validate": submit_validation,
     "calibrate": submit_calibration,
     "fit": submit_fit,
     "gate": submit_gate,

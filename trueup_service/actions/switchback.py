@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from math import isfinite
+from time import perf_counter
+from typing import Any
+
 from trueup.artifact.artifact import Artifact, unpack
 from trueup.canonical import Json
+from trueup.episode.episode import Episode
+from trueup.episode.mcap import read_episode
 from trueup.errors import TrueupError
+from trueup.fit.score import Scoring, score
+from trueup.gate.decision import Gate
+from trueup.model.predictor import Predictor
 from trueup_service.actions.add_artifact import require_plant
 from trueup_service.errors import SwitchbackFailed
 from trueup_service.registry.blobs import Blobs
@@ -27,3 +37,40 @@ def test_switchback(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> 
             f"version {record.version} cannot serve: {error.message}", cause=error.code, artifact=record.digest
         ) from error
     return {"artifact": record.digest, "loads": True, "digests_hold": True, "answers_probe": True, "fits_plant": True}
+
+
+def rehearse(
+    blobs: Blobs, back: ArtifactRecord, plant_digest: str, candidate: Predictor, probe: Episode, scoring: Scoring, now: str
+) -> dict[str, Json]:
+    """Try the way back before going forward: what serves now is loaded again and scored on a probe episode, beside the candidate.
+
+    The record says when, how long it took to be ready [s], and what going back would change. Raises SwitchbackFailed.
+    """
+    began = perf_counter()
+    tested = test_switchback(blobs, back, plant_digest)
+    predictor = unpack(load_artifact(blobs, back), back.digest)
+    seconds = perf_counter() - began
+    errors = {"back": predictor, "forward": candidate}
+    scored = {name: float(score(p, [probe], scoring).rollout[0]) for name, p in errors.items()}
+    return {
+        **tested,
+        "at": now,
+        "seconds": seconds,
+        "probe": probe.digest,
+        "rollout_error": {name: x if isfinite(x) else None for name, x in scored.items()},
+    }
+
+
+def rehearse_decision(
+    blobs: Blobs,
+    back: ArtifactRecord,
+    candidate: ArtifactRecord,
+    plant_digest: str,
+    decision: Mapping[str, Any],
+    gate: Mapping[str, Any],
+    now: str,
+) -> dict[str, Json]:
+    """The same for a decision that is to be promoted, on its first episode. Raises SwitchbackFailed."""
+    forward = unpack(load_artifact(blobs, candidate), candidate.digest)
+    probe = read_episode(blobs.get(decision["episodes"][0]), forward.plant.layout)
+    return rehearse(blobs, back, plant_digest, forward, probe, Gate.from_document(gate).scoring, now)

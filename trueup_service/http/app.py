@@ -12,7 +12,20 @@ from trueup import __version__
 from trueup_service.http import openapi, problems
 from trueup_service.http.limiting import Limiting
 from trueup_service.http.observing import Observing
-from trueup_service.http.routers import artifacts, audit, decisions, episodes, gates, jobs, monitors, operations, plants, serving, telemetry
+from trueup_service.http.routers import (
+    artifacts,
+    audit,
+    decisions,
+    episodes,
+    gates,
+    jobs,
+    monitors,
+    operations,
+    plants,
+    policies,
+    serving,
+    telemetry,
+)
 from trueup_service.http.serving_answers import ServingAnswers
 from trueup_service.wiring import Parts
 
@@ -38,7 +51,7 @@ def create_app(parts: Parts) -> FastAPI:
     app.state.parts = parts
     problems.install(app)
     openapi.install(app)
-    for module in (plants, episodes, telemetry, artifacts, gates, jobs, decisions, serving, monitors, audit, operations):
+    for module in (plants, episodes, telemetry, artifacts, gates, jobs, decisions, serving, monitors, policies, audit, operations):
         app.include_router(module.router)
     app.add_middleware(Limiting)
     app.add_middleware(Observing)

@@ -11,9 +11,9 @@ from fastapi import Request, Response
 from trueup.canonical import Json
 from trueup.episode.role import WATCHED
 from trueup_service.actions import find
+from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.ingest_episode import ingest_episode
 from trueup_service.actions.stamp import Stamp
-from trueup_service.actions.submit_job import submit_watch
 from trueup_service.http.context import create
 from trueup_service.http.schemas import Episode
 from trueup_service.http.uploads import Received
@@ -47,7 +47,7 @@ def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Receiv
     def act(writer: Writer) -> tuple[EpisodeRecord, bool]:
         record, new = ingest_episode(writer, plant, file.digest, file.size_bytes, inspected, stamp)
         if new and watched:
-            submit_watch(writer, parts.queue, uuid.uuid4().hex, plant, stamp)
+            Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).go_on(plant)
         return record, new
 
     return create(parts, stamp, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)

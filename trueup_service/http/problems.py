@@ -16,6 +16,7 @@ from starlette.exceptions import HTTPException
 from trueup import errors
 from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted
 from trueup.canonical import NotCanonical
+from trueup.gate.policy import BadPolicy
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
 from trueup_service import errors as service
 from trueup_service.registry.blobs import BlobMissing, StoreAway
@@ -47,6 +48,8 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.KeyReused: HTTPStatus.CONFLICT,
     service.DigestMismatch: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.TooLargeUpload: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    BadPolicy: HTTPStatus.UNPROCESSABLE_ENTITY,
+    service.HeldOutSpent: HTTPStatus.CONFLICT,
     service.Kept: HTTPStatus.CONFLICT,
     service.BadRequest: HTTPStatus.BAD_REQUEST,
     service.SwitchbackFailed: HTTPStatus.CONFLICT,

@@ -111,6 +111,17 @@ class JobWithReads(Job):
     reads: dict[str, str]
 
 
+class Policy(Answer):
+    """What may happen without a person, from `created_at` on until the next one."""
+
+    plant: str
+    sequence: int
+    digest: Digest
+    document: dict[str, Any]
+    created_at: Time
+    created_by: str
+
+
 class Monitor(Answer):
     """A calibrated monitor: its detectors with their levels, and what they were measured to keep."""
 
@@ -137,7 +148,7 @@ class Alarm(Answer):
 
     id: str
     plant: str
-    monitor: Digest
+    monitor: Digest | None
     artifact: Digest
     episode: Digest
     document: dict[str, Any]
@@ -250,6 +261,13 @@ class BlindtrialRequest(BaseModel):
     kind: Literal["blindtrial"]
     trials: int = Field(60, ge=1, le=2000, description="machines to draw; each takes as long as a diagnosis")
     episodes: list[Digest] | None = None
+
+
+class ValidationRequest(BaseModel):
+    """Compare what serves now on what was held out since its promotion with how right it was then."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["validate"]
 
 
 class CalibrationRequest(BaseModel):

@@ -154,11 +154,13 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRecord:
-    """An alarm: which monitor raised it on which episode, what changed, the diagnosis that it opened, and why it was closed."""
+    """An alarm: which monitor raised it, None for a scheduled validation, on which episode, what changed, the diagnosis that it opened, and
+    why it was closed.
+    """
 
     id: str
     plant: str
-    monitor: str
+    monitor: str | None
     artifact: str
     episode: str
     document: dict[str, Json]
@@ -167,6 +169,18 @@ class AlarmRecord:
     closed_at: str | None
     closed_by: str | None
     closed_because: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class PolicyRecord:
+    """An update policy; a plant's last one holds."""
+
+    plant: str
+    sequence: int
+    digest: str
+    document: dict[str, Json]
+    created_at: str
+    created_by: str
 
 
 @dataclass(frozen=True, slots=True)

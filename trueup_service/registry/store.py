@@ -30,6 +30,7 @@ from trueup_service.registry.records import (
     MonitorRecord,
     Move,
     PlantRecord,
+    PolicyRecord,
     Watch,
     Watching,
 )
@@ -186,6 +187,27 @@ class Reader:
         query = select(t.monitors).where(t.monitors.c.plant == plant, t.monitors.c.created_at < before)
         return self._all(MonitorRecord, query.order_by(t.monitors.c.created_at.desc(), t.monitors.c.digest).limit(limit))
 
+    def policy(self, plant: str) -> PolicyRecord | None:
+        """The policy that holds."""
+        query = select(t.policies).where(t.policies.c.plant == plant).order_by(t.policies.c.sequence.desc()).limit(1)
+        return self._one(PolicyRecord, query)
+
+    def policies(self, plant: str, after: int, limit: int) -> list[PolicyRecord]:
+        """Every policy there was, in order."""
+        query = select(t.policies).where(t.policies.c.plant == plant, t.policies.c.sequence > after)
+        return self._all(PolicyRecord, query.order_by(t.policies.c.sequence).limit(limit))
+
+    def policies_that_hold(self) -> list[PolicyRecord]:
+        """The policy of every plant that has one."""
+        last = select(t.policies.c.plant, func.max(t.policies.c.sequence).label("sequence")).group_by(t.policies.c.plant).subquery()
+        query = select(t.policies).join(last, (t.policies.c.plant == last.c.plant) & (t.policies.c.sequence == last.c.sequence))
+        return self._all(PolicyRecord, query.order_by(t.policies.c.plant))
+
+    def last_job(self, plant: str, kind: str) -> JobRecord | None:
+        """The newest job of a kind."""
+        query = select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.kind == kind)
+        return self._one(JobRecord, query.order_by(t.jobs.c.created_at.desc()).limit(1))
+
     def watching(self, plant: str) -> Watching | None:
         """Which monitor watches a plant, and where it stands."""
         return self._one(Watching, select(t.watching).where(t.watching.c.plant == plant))
@@ -319,6 +341,9 @@ class Writer(Reader):
 
     def add_monitor(self, record: MonitorRecord) -> None:
         self._add(t.monitors, asdict(record))
+
+    def add_policy(self, record: PolicyRecord) -> None:
+        self._add(t.policies, asdict(record))
 
     def watch_with(self, watching: Watching) -> None:
         """From now on a monitor watches its plant, in the place of any before."""

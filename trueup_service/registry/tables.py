@@ -175,7 +175,7 @@ alarms = Table(
     metadata,
     Column("id", ID, primary_key=True),
     Column("plant", NAME, ForeignKey("plants.name"), nullable=False),
-    Column("monitor", DIGEST, nullable=False),
+    Column("monitor", DIGEST),
     Column("artifact", DIGEST, nullable=False),
     Column("episode", DIGEST, nullable=False),
     Column("document", Text, nullable=False),
@@ -185,6 +185,17 @@ alarms = Table(
     Column("closed_by", Text),
     Column("closed_because", Text),
     Index(None, "plant", "raised_at"),
+)
+
+policies = Table(
+    "policies",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("sequence", Integer, primary_key=True, autoincrement=False),
+    Column("digest", DIGEST, nullable=False),
+    Column("document", Text, nullable=False),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
 )
 
 audit = Table(

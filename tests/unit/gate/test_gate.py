@@ -8,6 +8,7 @@ from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.errors import BadGate, RoleRefused
 from trueup.fit.score import Score, Scoring
+from trueup.gate.cells import cell_of, matrix
 from trueup.gate.decision import Gate, default_gate
 from trueup.gate.judge import judge, run_trial
 from trueup.gate.rule import Trial, rules
@@ -106,3 +107,37 @@ def test_one_worse_episode_is_found():
 def test_a_true_model_is_accepted():
     held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
     assert decide(run_trial(GATE, Identified(PLANT, (1.25, 0.62, 0.82)), Nominal(PLANT), held_out)).accepted
+
+
+def test_a_gate_with_conditions_and_a_budget_is_another_gate_and_says_so():
+    plain, more = Gate(GATE.rules, GATE.scoring), Gate(GATE.rules, GATE.scoring, ("payload", "speed"), 5)
+    assert "conditions" not in plain.document()
+    assert Gate.from_document(more.document()) == more
+    assert more.digest != plain.digest
+    for spoil in ({"held_out_uses": 0}, {"held_out_uses": "many"}, {"conditions": 3}):
+        with pytest.raises(BadGate):
+            Gate.from_document({**more.document(), **spoil})
+
+
+def test_a_covered_condition_that_gets_worse_rejects_and_is_named():
+    rule = rules()["retained_conditions"](1.1)
+    names = ("a" * 64, "b" * 64, "c" * 64)
+    cells, conditions = (("0", "slow"), ("2 kg", "slow"), ("2 kg", "slow")), ("payload", "speed")
+    ones = Score(np.ones(3), np.ones(3))
+    better = Trial(Score(np.array([0.1, 0.9, 1.25]), np.ones(3)), ones, names, cells, conditions)
+    assert rule(better).passed  # 1.075 of the cell's mean
+    worse = rule(Trial(Score(np.array([0.1, 1.0, 1.3]), np.ones(3)), ones, names, cells, conditions))
+    assert (worse.passed, worse.because) == (False, "worse in: payload 2 kg, speed slow")
+    assert worse.value == pytest.approx(1.15)
+
+
+def test_cells_that_no_episode_covers_are_told_as_not_covered():
+    cells = [("0", "slow"), ("2 kg", "fast")]
+    found = matrix(cells, ("payload", "speed"), np.array([0.5, np.nan]), np.ones(2))
+    assert [(row["cell"]["payload"], row["cell"]["speed"], row["episodes"], row["candidate"]) for row in found] == [
+        ("0", "fast", 0, None),
+        ("0", "slow", 1, 0.5),
+        ("2 kg", "fast", 1, None),
+        ("2 kg", "slow", 0, None),
+    ]
+    assert cell_of({"payload": "1"}, ("payload", "speed")) == ("1", "undeclared")

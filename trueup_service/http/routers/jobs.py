@@ -21,13 +21,16 @@ from trueup_service.http.schemas import (
     Job,
     JobWithReads,
     Page,
+    ValidationRequest,
     page,
 )
 from trueup_service.registry.store import Reader, Writer
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
-JobRequest = Annotated[FitRequest | GateRequest | DiagnosisRequest | BlindtrialRequest | CalibrationRequest, Body(discriminator="kind")]
+JobRequest = Annotated[
+    FitRequest | GateRequest | DiagnosisRequest | BlindtrialRequest | CalibrationRequest | ValidationRequest, Body(discriminator="kind")
+]
 
 
 @router.post(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
@@ -9,6 +10,7 @@ from starlette.concurrency import run_in_threadpool
 
 from trueup.errors import PointerMoved
 from trueup_service.actions import find
+from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.move_pointer import previous_artifact, promote_decision, roll_back_pointer
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import BadRequest
@@ -96,12 +98,35 @@ def _padded(at: str) -> str:
 async def promote(request: Request, parts: With, stamp: By, plant: PlantName, promotion: Promotion, key: IdempotencyKey = None) -> Serving:
     """Compare and swap: 409 if the pointer is not at `expected_generation`, or the decision was judged at another one."""
 
-    def act(writer: Writer) -> dict[str, Any]:
-        return document(promote_decision(writer, plant, promotion.decision, promotion.expected_generation, stamp))
-
-    moved = await run_in_threadpool(run_once, parts, stamp, f"promote/{plant}", key, promotion.model_dump(), act)
+    moved = await run_in_threadpool(_promote, parts, stamp, plant, promotion, key)
     request.app.state.answers.wake()
     return Serving(**moved)
+
+
+def _promote(parts: Parts, stamp: Stamp, plant: str, promotion: Promotion, key: str | None) -> dict[str, Any]:
+    """Try the way back outside any transaction, for it reads models; then move, if the pointer is still where it was tried."""
+    rehearsed = _rehearsed(parts, stamp, plant, promotion.decision)
+
+    def act(writer: Writer) -> dict[str, Any]:
+        move = promote_decision(writer, plant, promotion.decision, promotion.expected_generation, rehearsed, stamp)
+        Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).moved(move)
+        return document(move)
+
+    return run_once(parts, stamp, f"promote/{plant}", key, promotion.model_dump(), act)
+
+
+def _rehearsed(parts: Parts, stamp: Stamp, plant: str, decision: str) -> dict[str, Any]:
+    """The record of the way back from a decision's candidate; none where it cannot be promoted anyway. Raises SwitchbackFailed."""
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        made, serving = find.decision(reader, plant, decision), find.serving(reader, plant)
+        if not made.accepted or made.generation != serving.generation:
+            return {}
+        artifacts = find.artifact(reader, plant, made.incumbent), find.artifact(reader, plant, made.candidate)
+        registered, gate = find.plant_digest(reader, plant), find.gate(reader, plant, made.gate)
+    from trueup_service.actions.switchback import rehearse_decision  # noqa: PLC0415  (numpy: a server that only serves needs none)
+
+    return rehearse_decision(parts.blobs, *artifacts, registered, made.document, gate.document, stamp.now)
 
 
 @router.post("/rollback", summary="Serve what served before")
@@ -125,7 +150,9 @@ def _roll_back(parts: Parts, stamp: Stamp, plant: str, expected_generation: int,
     def act(writer: Writer) -> dict[str, Any]:
         if refused is not None:
             raise refused
-        return document(roll_back_pointer(writer, plant, expected_generation, tested, stamp))
+        move = roll_back_pointer(writer, plant, expected_generation, tested, stamp)
+        Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).moved(move)
+        return document(move)
 
     return run_once(parts, stamp, f"rollback/{plant}", key, {"expected_generation": expected_generation}, act)
 

@@ -1,4 +1,4 @@
-"""Monitors, what they watched, and their alarms."""
+"""Continual correction: monitors, what they watched, their alarms, and update policies."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -52,7 +52,7 @@ def upgrade() -> None:
         "alarms",
         sa.Column("id", sa.String(length=32), nullable=False),
         sa.Column("plant", sa.String(length=63), nullable=False),
-        sa.Column("monitor", sa.String(length=64), nullable=False),
+        sa.Column("monitor", sa.String(length=64), nullable=True),
         sa.Column("artifact", sa.String(length=64), nullable=False),
         sa.Column("episode", sa.String(length=64), nullable=False),
         sa.Column("document", sa.Text(), nullable=False),
@@ -63,5 +63,16 @@ def upgrade() -> None:
         sa.Column("closed_because", sa.Text(), nullable=True),
         sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_alarms_plant_plants")),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_alarms")),
+    )
+    op.create_table(
+        "policies",
+        sa.Column("plant", sa.String(length=63), nullable=False),
+        sa.Column("sequence", sa.Integer(), autoincrement=False, nullable=False),
+        sa.Column("digest", sa.String(length=64), nullable=False),
+        sa.Column("document", sa.Text(), nullable=False),
+        sa.Column("created_at", sa.String(length=27), nullable=False),
+        sa.Column("created_by", sa.Text(), nullable=False),
+        sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_policies_plant_plants")),
+        sa.PrimaryKeyConstraint("plant", "sequence", name=op.f("pk_policies")),
     )
     op.create_index(op.f("ix_alarms_plant_raised_at"), "alarms", ["plant", "raised_at"], unique=False)

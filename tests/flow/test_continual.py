@@ -1,0 +1,70 @@
+"""The cycle: a machine wears, and its model is corrected without anybody watching, never without evidence."""
+
+import pytest
+
+from tests.support.fleet import WORN, Fleet
+from trueup.episode.role import Role
+from trueup_client import Client, Problem
+
+PROMISE_H, REFERENCE = 2.0, 20
+
+
+@pytest.fixture(scope="module")
+def fleet(service, tmp_path_factory):
+    client = Client(service.url, actor="fleet")
+    found = Fleet(client, "wearing", tmp_path_factory.mktemp("fleet"))
+    found.commission()
+    yield found
+    client.close()
+
+
+def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_watched(fleet):
+    client, name = fleet.client, fleet.name
+    assert client.serving(name).version == 2
+    fleet.watch(REFERENCE, PROMISE_H)
+    fleet.let_go(promise_h=PROMISE_H, reference_episodes=REFERENCE)
+    fleet.visit(Role.ADAPTATION)
+    fleet.until(lambda: client.monitor(name)["episodes"] == 2, "two healthy episodes are seen")
+    assert list(client.alarms(name)) == []
+
+    fleet.friction *= WORN
+    fleet.visit(Role.ADAPTATION, Role.VALIDATION, Role.ADAPTATION, Role.VALIDATION)
+    fleet.until(lambda: client.serving(name).generation == 3, "a correction is promoted")
+    (alarm,) = client.alarms(name)
+    assert alarm["closed_because"] == "promoted: version 3 serves from generation 3 on"
+    decision = client.decision(name, client.serving(name).decision)
+    assert [v["rule"] for v in decision["document"]["verdicts"]] == ["rollout_improves", "retained_conditions"]
+    assert [c["cell"] for c in decision["document"]["figures"]["cells"]] == [{"travel": "long"}, {"travel": "short"}]
+    report = client.job(alarm["job"])["result"]["report"]
+    level = next(e for e in report["effects"] if e["effect"] in ("coulomb_friction", "stribeck_friction"))["estimate"]["level"]
+    assert level["value"] == pytest.approx(fleet.friction, rel=0.1)
+    moved = next(e for e in client.audit(name) if e["kind"] == "pointer:moved" and e["facts"]["generation"] == 3)
+    rehearsed = moved["facts"]["rehearsed"]
+    assert rehearsed["loads"]
+    assert rehearsed["seconds"] < 1.0
+    assert rehearsed["rollout_error"]["forward"] < rehearsed["rollout_error"]["back"]
+
+    assert not client.monitor(name)["watches"]
+    for _ in range(REFERENCE // 2):
+        fleet.visit(Role.REFERENCE)
+    fleet.until(lambda: client.monitor(name)["watches"], "the new model is watched")
+    before = client.monitor(name)["episodes"]
+    fleet.visit(Role.ADAPTATION)
+    fleet.until(lambda: client.monitor(name)["episodes"] >= before + 2, "it looks at what comes in")
+    assert client.monitor(name)["alarm"] is None
+
+
+def test_what_forgets_a_covered_condition_is_rejected_and_the_decision_says_which(service, tmp_path):
+    client = Client(service.url, actor="fleet")
+    fleet = Fleet(client, "forgetting", tmp_path)
+    fleet.commission()
+    fleet.friction *= WORN
+    fleet.visit(Role.VALIDATION, Role.VALIDATION)
+    decision = fleet.judge(fleet.forgetful())
+    verdicts = {v["rule"]: v for v in decision["document"]["verdicts"]}
+    assert not decision["accepted"]
+    assert not verdicts["retained_conditions"]["passed"]
+    assert verdicts["retained_conditions"]["because"] == "worse in: travel long"
+    with pytest.raises(Problem):
+        client.promote(fleet.name, decision["digest"], decision["generation"])
+    client.close()

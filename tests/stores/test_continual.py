@@ -1,0 +1,226 @@
+"""Monitors, alarms and policies in both storages: what they promise."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from tests.support.made import plant_document
+from trueup.episode.role import WATCHED
+from trueup.gate.policy import BadPolicy, UpdatePolicy
+from trueup_service.actions.add_monitor import add_monitor
+from trueup_service.actions.alarms import close_alarm, raise_alarm
+from trueup_service.actions.continue_cycle import Cycle
+from trueup_service.actions.declare_gate import declare_gate
+from trueup_service.actions.declare_policy import declare_policy
+from trueup_service.actions.record_watch import Followed, record_watch
+from trueup_service.actions.register_plant import register_plant
+from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.actions.submit_job import submit_gate
+from trueup_service.errors import Conflict, HeldOutSpent, NotFound
+from trueup_service.registry.records import EpisodeRecord, JobState, Watch
+from trueup_service.registry.store import Reader, Writer
+from trueup_worker.schedule import submit_due
+
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+FOUND = {"episode": "e" * 64, "document": {"since_ns": "0", "detectors": {}, "change": {"words": []}}}
+
+
+def at(second: float) -> Stamp:
+    return Stamp("tester", time_text(NOW + timedelta(seconds=second)))
+
+
+@pytest.fixture
+def parts(storage):
+    found = storage.build()
+    found.queue.prepare()
+    with found.database.write() as connection:
+        register_plant(Writer(connection), plant_document("p"), at(0))
+    yield found
+    found.close()
+
+
+def add_episode(parts, name: str, role: str, second: float, start_ns: int = 0) -> str:
+    digest = name * 64
+    summary = {"conditions": {}, "ranges": {}, "period_s": 0.1}
+    with parts.database.write() as connection:
+        Writer(connection).add_episode(EpisodeRecord("p", digest, 1, role, start_ns, start_ns, summary, at(second).now, "robot"))
+    return digest
+
+
+def add_monitor_of(parts, artifact: str, second: float) -> str:
+    document = {"artifact": artifact, "promise_h": 1.0, "made": second}
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        add_monitor(writer, "p", document, {"detector": [0.0]}, None, at(second).now, at(second))
+        return writer.watching("p").monitor
+
+
+def serving(parts) -> str:
+    with parts.database.read() as connection:
+        return Reader(connection).serving("p").artifact
+
+
+def jobs(parts) -> list[str]:
+    with parts.database.read() as connection:
+        return [j.kind for j in Reader(connection).jobs("p", "9999", 100)]
+
+
+def go_on(parts, second: float) -> None:
+    ids = iter(f"{i:032x}" for i in range(int(second * 100), 10**9))
+    with parts.database.write() as connection:
+        Cycle(Writer(connection), parts.queue, lambda: next(ids), at(second)).go_on("p")
+
+
+def finish(parts, kind: str, **result: object) -> None:
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        job = writer.last_job("p", kind)
+        writer.update_job(job.id, now=at(0).now, state=JobState.SUCCEEDED, result=result)
+
+
+def test_a_monitor_moves_on_once_over_what_it_has_not_seen(parts):
+    add_episode(parts, "a", "reference", 1)
+    monitor = add_monitor_of(parts, serving(parts), 2)
+    later, earlier = add_episode(parts, "b", "telemetry", 3, start_ns=9), add_episode(parts, "c", "adaptation", 4, start_ns=5)
+    add_episode(parts, "d", "test", 5)
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        before = writer.watching("p")
+        assert [e.digest for e in writer.unwatched(before, WATCHED, 10)] == [earlier, later]
+        seen = [Watch("p", monitor, i + 1, d, {"seconds": 1.0}, at(6).now) for i, d in enumerate([earlier, later])]
+        followed = Followed(before, {"detector": [1.5]}, seen, None)
+        assert record_watch(writer, followed, "0" * 32, at(6))
+        assert not record_watch(writer, followed, "1" * 32, at(6))
+        now = writer.watching("p")
+        assert (now.sequence, now.kept) == (2, {"detector": [1.5]})
+        assert writer.unwatched(now, WATCHED, 10) == []
+        assert [w.episode for w in writer.watches("p", monitor, 1, 10)] == [later]
+
+
+def test_while_an_alarm_is_open_no_other_is_raised(parts):
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        first = raise_alarm(writer, "0" * 32, "p", None, "a" * 64, FOUND, at(1))
+        assert raise_alarm(writer, "1" * 32, "p", None, "a" * 64, FOUND, at(2)) is None
+        close_alarm(writer, "p", first.id, "mended", at(3))
+        with pytest.raises(Conflict):
+            close_alarm(writer, "p", first.id, "again", at(4))
+        assert raise_alarm(writer, "2" * 32, "p", None, "a" * 64, FOUND, at(5)) is not None
+        with pytest.raises(NotFound):
+            close_alarm(writer, "q", first.id, "another's", at(6))
+
+
+def test_a_look_is_asked_for_once_and_not_of_a_monitor_of_another_model(parts):
+    add_monitor_of(parts, serving(parts), 2)
+    add_episode(parts, "b", "telemetry", 3)
+    go_on(parts, 4)
+    go_on(parts, 5)
+    assert jobs(parts) == ["watch"]
+    finish(parts, "watch")
+    add_monitor_of(parts, "f" * 64, 6)
+    add_episode(parts, "c", "telemetry", 7)
+    go_on(parts, 8)
+    assert jobs(parts) == ["watch"]
+
+
+def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_twice_as_much(parts):
+    add_episode(parts, "a", "adaptation", 1, start_ns=-5)  # from before the change
+    with parts.database.write() as connection:
+        raise_alarm(Writer(connection), "0" * 32, "p", None, "a" * 64, FOUND, at(2))
+    add_episode(parts, "b", "adaptation", 3, start_ns=1)
+    go_on(parts, 4)
+    assert jobs(parts) == []
+    add_episode(parts, "c", "validation", 5, start_ns=2)
+    go_on(parts, 6)
+    go_on(parts, 7)
+    assert jobs(parts) == ["diagnose"]
+    finish(parts, "diagnose", report={"verdict": "no_gap"})
+    add_episode(parts, "d", "adaptation", 8, start_ns=3)
+    go_on(parts, 9)
+    assert jobs(parts) == ["diagnose"]
+    add_episode(parts, "e", "validation", 10, start_ns=4)
+    go_on(parts, 11)
+    assert jobs(parts) == ["diagnose"] * 2
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        assert reader.job(reader.open_alarm("p").job).request["episodes"] == [d * 64 for d in "bcde"]
+    finish(parts, "diagnose", report={"verdict": "effect"}, artifact="f" * 64)
+    for i, d in enumerate("0123"):
+        add_episode(parts, d, "validation", 12 + i, start_ns=6 + i)
+    go_on(parts, 20)
+    assert jobs(parts) == ["diagnose"] * 2
+
+
+def test_a_policy_that_asks_leaves_every_step_to_a_person(parts):
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        gate, _ = declare_gate(writer, "p", None, at(1))
+        held, new = declare_policy(writer, "p", UpdatePolicy(gate.digest, on_alarm="ask").document(), at(2))
+        assert new
+        assert not declare_policy(writer, "p", held.document, at(3))[1]
+        raise_alarm(writer, "0" * 32, "p", None, "a" * 64, FOUND, at(4))
+    add_episode(parts, "b", "adaptation", 5)
+    add_episode(parts, "c", "validation", 6)
+    go_on(parts, 7)
+    assert jobs(parts) == []
+
+
+def test_a_policy_names_a_gate_that_was_declared(parts):
+    with parts.database.write() as connection, pytest.raises(NotFound):
+        declare_policy(Writer(connection), "p", UpdatePolicy("a" * 64).document(), at(1))
+
+
+def test_a_spent_held_out_episode_is_not_judged_on_again(parts):
+    spent, fresh = add_episode(parts, "a", "validation", 1), add_episode(parts, "b", "validation", 2)
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        default, _ = declare_gate(writer, "p", None, at(3))
+        gate, _ = declare_gate(writer, "p", {**default.document, "held_out_uses": 1}, at(3))
+        candidate = writer.serving("p").artifact
+        request = {"candidate": candidate, "gate": gate.digest}
+        used = submit_gate(writer, parts.queue, "1" * 32, "p", {**request, "episodes": [spent]}, at(4))
+        writer.add_reads(used.id, [spent], "gate")
+        left = submit_gate(writer, parts.queue, "2" * 32, "p", request, at(5))
+        assert (left.request["episodes"], left.request["spent"]) == ([fresh], [spent])
+        with pytest.raises(HeldOutSpent, match="1 held-out episodes were used 1 times"):
+            submit_gate(writer, parts.queue, "3" * 32, "p", {**request, "episodes": [spent, fresh]}, at(6))
+        writer.add_reads(left.id, [fresh], "gate")
+        with pytest.raises(HeldOutSpent):
+            submit_gate(writer, parts.queue, "4" * 32, "p", request, at(7))
+
+
+def test_validation_is_due_without_any_alarm_and_not_before_its_time(parts):
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        gate, _ = declare_gate(writer, "p", None, at(1))
+        declare_policy(writer, "p", UpdatePolicy(gate.digest, validate_every_h=1.0).document(), at(2))
+    assert submit_due(parts, NOW + timedelta(seconds=3)) == []  # nothing was held out since the model serves
+    add_episode(parts, "a", "validation", 4)
+    assert submit_due(parts, NOW + timedelta(seconds=5)) == ["p"]
+    assert submit_due(parts, NOW + timedelta(minutes=59)) == []
+    assert submit_due(parts, NOW + timedelta(minutes=61)) == ["p"]
+    assert jobs(parts) == ["validate"] * 2
+
+
+@pytest.mark.parametrize(
+    ("spoil", "field"),
+    [
+        ({"on_alarm": "panic"}, "on_alarm"),
+        ({"on_acceptance": "judge"}, "on_acceptance"),
+        ({"gate": "the best one"}, "gate"),
+        ({"gate": 7}, None),
+        ({"promise_h": 0.0}, "promise_h"),
+        ({"promise_h": "long"}, None),
+        ({"validate_every_h": float("nan")}, "promise_h"),
+        ({"reference_episodes": 1}, "promise_h"),
+        ({"schema": "other"}, "schema"),
+        ({"more": 1}, None),
+    ],
+)
+def test_a_policy_that_cannot_be_followed_is_refused(spoil, field):
+    sound = UpdatePolicy("a" * 64).document()
+    assert UpdatePolicy.from_document(sound).digest == replace(UpdatePolicy("a" * 64)).digest
+    with pytest.raises(BadPolicy) as refused:
+        UpdatePolicy.from_document({**sound, **spoil})
+    assert refused.value.facts.get("field") == field

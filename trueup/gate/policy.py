@@ -1,0 +1,69 @@
+"""Update policy: what may happen to a plant's model without a person, frozen by its digest as a gate is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+from trueup.canonical import Json, digest_of, is_digest
+from trueup.errors import TrueupError
+
+SCHEMA = "trueup.policy/1"
+ASK = "ask"
+CHOICES = {"on_alarm": (ASK, "diagnose"), "on_diagnosis": (ASK, "judge"), "on_acceptance": (ASK, "promote")}
+
+
+class BadPolicy(TrueupError):
+    """The update policy cannot be followed."""
+
+    code = "bad-policy"
+    hint = "A policy says ask, or diagnose, judge and promote, for its three steps, and names the gate that judges."
+
+
+@dataclass(frozen=True)
+class UpdatePolicy:
+    """The three steps that may go on by themselves, the gate that judges, and what a new model's monitor promises.
+
+    `on_alarm` ask or diagnose, `on_diagnosis` ask or judge, `on_acceptance` ask or promote. Raises BadPolicy.
+    """
+
+    gate: str
+    on_alarm: str = "diagnose"
+    on_diagnosis: str = "judge"
+    on_acceptance: str = ASK
+    promise_h: float = 100.0
+    reference_episodes: int = 20  # healthy ones, recorded since the change, before a new model's monitor is calibrated
+    validate_every_h: float | None = None
+
+    def __post_init__(self) -> None:
+        for step, allowed in CHOICES.items():
+            if getattr(self, step) not in allowed:
+                raise BadPolicy(f"{step} must be {' or '.join(allowed)}", field=step)
+        if not is_digest(self.gate):
+            raise BadPolicy("the gate must be named by its digest", field="gate")
+        hours = self.promise_h, self.promise_h if self.validate_every_h is None else self.validate_every_h
+        if not all(math.isfinite(h) and h > 0.0 for h in hours) or self.reference_episodes < 2:  # noqa: PLR2004  (halves)
+            raise BadPolicy("hours must be positive, and a reference needs two episodes at least", field="promise_h")
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the canonical document."""
+        return digest_of(self.document())
+
+    def document(self) -> dict[str, Json]:
+        """The policy as JSON."""
+        return {"schema": SCHEMA, **asdict(self)}
+
+    @staticmethod
+    def from_document(document: Mapping[str, Any]) -> UpdatePolicy:
+        """Read a policy. Raises BadPolicy."""
+        given = dict(document)
+        if given.pop("schema", None) != SCHEMA:
+            raise BadPolicy(f"the schema of a policy is {SCHEMA}", field="schema")
+        try:
+            return UpdatePolicy(**given)
+        except TypeError as error:
+            raise BadPolicy(f"the policy cannot be read: {error}") from error

@@ -1,0 +1,34 @@
+"""Raise an alarm, one at a time, and close it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from trueup.canonical import Json
+from trueup_service.actions import find
+from trueup_service.actions.stamp import Stamp
+from trueup_service.errors import Conflict
+from trueup_service.registry.records import AlarmRecord
+from trueup_service.registry.store import Writer
+
+
+def raise_alarm(
+    writer: Writer, name: str, plant: str, monitor: str | None, artifact: str, found: dict[str, Any], stamp: Stamp
+) -> AlarmRecord | None:
+    """The alarm; None, and nothing is done, while another is open: it is about the same model."""
+    if writer.open_alarm(plant) is not None:
+        return None
+    raised = AlarmRecord(name, plant, monitor, artifact, found["episode"], found["document"], None, stamp.now, None, None, None)
+    writer.add_alarm(raised)
+    facts: dict[str, Json] = {"monitor": monitor, "episode": raised.episode, "alarm": raised.document}
+    writer.append_audit(at=stamp.now, kind="alarm:raised", actor=stamp.actor, plant=plant, subject=name, facts=facts)
+    return raised
+
+
+def close_alarm(writer: Writer, plant: str, alarm: str, because: str, stamp: Stamp) -> AlarmRecord:
+    """Close an alarm, and say why. Raises NotFound, Conflict if it is closed already."""
+    found = find.alarm(writer, plant, alarm)
+    if not writer.update_alarm(alarm, closed_at=stamp.now, closed_by=stamp.actor, closed_because=because):
+        raise Conflict("the alarm is closed already", hint="Nothing is left to do.", closed_at=found.closed_at)
+    writer.append_audit(at=stamp.now, kind="alarm:closed", actor=stamp.actor, plant=plant, subject=alarm, facts={"because": because})
+    return find.alarm(writer, plant, alarm)

@@ -1,0 +1,34 @@
+"""Declare an update policy, which holds from then on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from trueup.gate.policy import UpdatePolicy
+from trueup_service.actions import find
+from trueup_service.actions.stamp import Stamp
+from trueup_service.registry.records import PolicyRecord
+from trueup_service.registry.store import Reader, Writer
+
+
+def declare_policy(writer: Writer, plant: str, document: Mapping[str, Any], stamp: Stamp) -> tuple[PolicyRecord, bool]:
+    """The policy, and whether it is another than held before. Raises BadPolicy, NotFound for a gate that is not declared."""
+    policy = UpdatePolicy.from_document(document)
+    find.gate(writer, plant, policy.gate)
+    writer.lock_plant(plant)
+    held = writer.policy(plant)
+    if held is not None and held.digest == policy.digest:
+        return held, False
+    record = PolicyRecord(plant, held.sequence + 1 if held else 1, policy.digest, policy.document(), stamp.now, stamp.actor)
+    writer.add_policy(record)
+    writer.append_audit(
+        at=stamp.now, kind="policy:declared", actor=stamp.actor, plant=plant, subject=policy.digest, facts={"policy": policy.document()}
+    )
+    return record, True
+
+
+def policy_of(reader: Reader, plant: str) -> UpdatePolicy | None:
+    """The policy that holds for a plant."""
+    held = reader.policy(plant)
+    return None if held is None else UpdatePolicy.from_document(held.document)

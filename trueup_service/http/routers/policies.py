@@ -1,0 +1,53 @@
+"""Update policies: what may happen to a plant's model without a person."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body, Query, Response
+
+from trueup_service.actions import find
+from trueup_service.actions.declare_policy import declare_policy
+from trueup_service.errors import NotFound
+from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.openapi import there
+from trueup_service.http.schemas import Page, Policy, page
+from trueup_service.registry.store import Reader
+
+router = APIRouter(prefix="/v1/plants/{plant}", tags=["policies"])
+
+
+@router.post("/policies", status_code=201, response_model=Policy, summary="Declare an update policy", responses=there(Policy))
+def declare(
+    parts: With,
+    stamp: By,
+    plant: PlantName,
+    document: Annotated[dict[str, Any], Body(description="A policy: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h, …")],
+    key: IdempotencyKey = None,
+) -> Response:
+    """It holds from now on; the ones before it stay on record."""
+    return create(parts, stamp, f"policies/{plant}", key, document, lambda w: declare_policy(w, plant, document, stamp), Policy)
+
+
+@router.get("/policies", summary="List the policies that held, in order")
+def list_policies(
+    parts: With, plant: PlantName, after: Annotated[int, Query(ge=0, le=2**31 - 1, description="sequence")] = 0, limit: Limit = 100
+) -> Page[Policy]:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.plant_digest(reader, plant)
+        found = reader.policies(plant, after, limit)
+    return page(Policy, found, limit, "sequence")
+
+
+@router.get("/policy", summary="Get the policy that holds")
+def get_policy(parts: With, plant: PlantName) -> Policy:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.plant_digest(reader, plant)
+        found = reader.policy(plant)
+    if found is None:
+        raise NotFound(
+            f"plant {plant!r} has no policy", noun="policy", name=plant, hint="Declare one; until then every step is a person's."
+        )
+    return Policy.model_validate(found)

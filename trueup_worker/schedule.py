@@ -1,0 +1,53 @@
+"""The schedule: validations that are due, whether anything alarmed or not."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import uuid
+from datetime import UTC, datetime, timedelta
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from trueup.errors import TrueupError
+from trueup.gate.policy import UpdatePolicy
+from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.actions.submit_job import submit_validation
+from trueup_service.registry.store import Reader, Writer
+from trueup_service.wiring import Parts
+
+log = logging.getLogger("trueup.worker")
+SCHEDULE = "schedule"  # the actor of what nobody asked for
+
+
+def keep(parts: Parts, interval_s: float, stop: threading.Event) -> None:
+    """Submit what is due, again and again."""
+    while not stop.wait(interval_s):
+        try:
+            submit_due(parts, datetime.now(UTC))
+        except SQLAlchemyError:
+            log.warning("the schedule could not be looked at", exc_info=True)
+
+
+def submit_due(parts: Parts, now: datetime) -> list[str]:
+    """Submit a validation of every plant whose policy wants one by now; their names."""
+    with parts.database.read() as connection:
+        held = [(p.plant, UpdatePolicy.from_document(p.document)) for p in Reader(connection).policies_that_hold()]
+    return [
+        plant for plant, policy in held if policy.validate_every_h is not None and _submitted(parts, plant, policy.validate_every_h, now)
+    ]
+
+
+def _submitted(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
+    stamp = Stamp(SCHEDULE, time_text(now))
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        writer.lock_plant(plant)  # another worker may look at the same time
+        last = writer.last_job(plant, "validate")
+        if last is not None and last.created_at > time_text(now - timedelta(hours=every_h)):
+            return False
+        try:
+            submit_validation(writer, parts.queue, uuid.uuid4().hex, plant, {}, stamp)
+        except TrueupError:
+            return False  # nothing was held out since: there is nothing to validate on
+        return True
