@@ -33,6 +33,7 @@ _COMMANDS = {
     "fetch": ("serving:fetch", "Fetch a model, every byte verified."),
     "diagnose": ("diagnose:run", "Say where the gap lies, which effect causes it, and how far it shrinks."),
     "blindtrial": ("blindtrial:run", "Hide effects in machines like yours and say how often the diagnosis is right."),
+    "excite": ("excite:excite", "Design a bounded excitation, safe under every model still in play."),
     "predict": ("predict:predict", "Roll a model out over an episode."),
     "audit": ("audit:audit", "Print or verify the audit log."),
     "replay": ("audit:replay", "Recompute a decision and say whether it agrees."),

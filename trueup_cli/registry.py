@@ -32,6 +32,9 @@ def upload(plant: str, *files: Path, url: Url = DEFAULT_URL, as_json_: Json = Fa
     if as_json_:
         as_json(found)
     else:
+        for path, episode in zip(paths, found, strict=True):
+            for warning in episode["summary"].get("collection", {}).get("warnings", []):
+                out.print(f"[yellow]{path.name}[/]: {warning}")
         table(
             "Episodes",
             ["file", "digest", "role", "samples", "seconds"],

@@ -97,15 +97,17 @@ def convert_file(path: Path, plant: dict[str, Json]) -> Path:
 
 def inspect_file(path: Path, plant: dict[str, Json]) -> Inspected:
     """The same in this process, without limits. Raises BadEpisode, BadPlant."""
+    from trueup.collect.measured import measured  # noqa: PLC0415
     from trueup.episode.mcap import read_episode_stream  # noqa: PLC0415  (numpy: the server that waits for the child needs none)
     from trueup.episode.summary import summarise  # noqa: PLC0415
     from trueup.model.plant import Plant  # noqa: PLC0415
 
-    layout = Plant.from_document(plant).layout
+    described = Plant.from_document(plant)
     with path.open("rb") as file:
-        episode = read_episode_stream(file, path.stat().st_size, layout)
+        episode = read_episode_stream(file, path.stat().st_size, described.layout)
     end_ns = episode.start_ns + round(float(episode.t_s[-1]) * 1e9)
-    return Inspected(episode.digest, str(episode.role), episode.start_ns, end_ns, summarise(episode))
+    summary = {**summarise(episode), "collection": measured(described, episode)}
+    return Inspected(episode.digest, str(episode.role), episode.start_ns, end_ns, summary)
 
 
 def main() -> None:

@@ -15,6 +15,20 @@ from trueup.model.plant import Plant
 
 def read_case(folder: Path) -> tuple[Plant, list[Episode]]:
     """The plant and every episode of a case folder, in the order of their file names. Raises BadPlant, BadEpisode."""
+    plant = read_plant(folder)
+    episodes = read_episodes(folder, plant)
+    if not episodes:
+        raise NotAnEpisode(f"{folder} holds no *.mcap episode", rule="samples")
+    return plant, episodes
+
+
+def read_episodes(folder: Path, plant: Plant) -> list[Episode]:
+    """Every episode of a case folder, in the order of their file names. Raises BadEpisode."""
+    return [_read(file, plant) for file in sorted(folder.glob("*.mcap"))]
+
+
+def read_plant(folder: Path) -> Plant:
+    """The plant of a case folder. Raises BadPlant."""
     description = folder / "plant.json"
     if not description.is_file():
         raise BadPlant(f"{folder} holds no plant.json", field="plant.json", hint="A case is a folder with plant.json and *.mcap episodes.")
@@ -22,11 +36,7 @@ def read_case(folder: Path) -> tuple[Plant, list[Episode]]:
         document = orjson.loads(description.read_bytes())
     except orjson.JSONDecodeError as error:
         raise BadPlant(f"{description} is not JSON: {error}", field="plant.json") from error
-    plant = Plant.from_document(resolved(document, folder))
-    files = sorted(folder.glob("*.mcap"))
-    if not files:
-        raise NotAnEpisode(f"{folder} holds no *.mcap episode", rule="samples")
-    return plant, [_read(file, plant) for file in files]
+    return Plant.from_document(resolved(document, folder))
 
 
 def _read(file: Path, plant: Plant) -> Episode:

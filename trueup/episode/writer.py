@@ -51,12 +51,15 @@ def write_episode(
     observations: NDArray[np.float64],
     commands: NDArray[np.float64],
     layout: Layout,
-    role: Role,
+    role: Role | None,
     conditions: Mapping[str, str],
     encoding: Encoding = Encoding.CDR,
     compression: CompressionType = CompressionType.ZSTD,
 ) -> None:
-    """Write `(samples, channels)` observations and as many commands, or one less, as JointState on the layout's topics."""
+    """Write `(samples, channels)` observations and as many commands, or one less, as JointState on the layout's topics.
+
+    Without a role it is a plan that nobody has recorded yet: commands alone, and no episode.
+    """
     writer = Writer(stream, compression=compression)
     writer.start(profile="ros2" if encoding is Encoding.CDR else "", library="trueup")
     name, schema_encoding, definition, encode = _FORMATS[encoding]()
@@ -68,7 +71,7 @@ def write_episode(
             if i < len(values):
                 data = encode(stamp, rows.joints, rows.fields(values[i]))
                 writer.add_message(channel, log_time=stamp, data=data, publish_time=stamp, sequence=i)
-    writer.add_metadata("episode", {"role": str(role), **conditions})
+    writer.add_metadata(*(("plan", dict(conditions)) if role is None else ("episode", {"role": str(role), **conditions})))
     writer.finish()  # type: ignore[no-untyped-call]
 
 

@@ -1,0 +1,1 @@
+"""How to record what is missing: excitations that stay inside the envelope, and what a recording covers."""

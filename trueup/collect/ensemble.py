@@ -1,0 +1,105 @@
+"""Ensemble: every model still in play, so that what is safe for one is asked of all.
+
+Members differ in the numbers that are not known: within a spread about the declared ones, or as a diagnosis left them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.model.block import BLOCK, kind
+from trueup.model.corrected import Corrected
+from trueup.model.hypothesis import Hypothesis, switches
+from trueup.model.plant import Plant
+from trueup.model.series import Scheme, refined, roll, unobserved
+
+Array = NDArray[np.float64]
+TWO_SIDED = 1.96  # standard deviations of a 95 % interval
+NUDGE = 1e-4  # of a number's spread, for derivatives
+LEAST = 1e-6  # of a number: a spread that rounding does not lose
+
+
+@dataclass(frozen=True)
+class Ensemble:
+    """Models of one plant: `centre` `(rows,)` of its block, and of each unknown number its name, row and standard deviation."""
+
+    plant: Plant
+    hypothesis: Hypothesis
+    scheme: Scheme
+    centre: Array
+    names: tuple[str, ...]
+    rows: tuple[int, ...]
+    spread: Array
+    low: Array
+
+    @staticmethod
+    def prior(plant: Plant, spread: float) -> Ensemble:
+        """The nominal model with each of its numbers within `spread` of itself, as a 95 % interval."""
+        centre = plant.block.nulls.copy()
+        centre[: len(plant.parameters)] = plant.parameters
+        chosen = [(i, n, v) for i, (n, v) in enumerate(plant.nominal.items()) if v != 0.0]
+        sizes = np.array([spread * abs(v) / TWO_SIDED for _, _, v in chosen])
+        rows = tuple(i for i, _, _ in chosen)
+        return Ensemble(plant, Hypothesis(), refined(plant), centre, tuple(n for _, n, _ in chosen), rows, sizes, _floor(centre, rows))
+
+    @staticmethod
+    def posterior(model: Corrected, report: Mapping[str, Any]) -> Ensemble:
+        """A corrected model with the intervals that its diagnosis reports. Raises KeyError, TypeError, ValueError."""
+        plant, centre = model.plant, np.array(model.values)
+        names: list[str] = []
+        rows: list[int] = []
+        sizes: list[float] = []
+        order = plant.dynamics.parameter_names
+        for name, found in report["parameters"].items():
+            names.append(name)
+            rows.append(order.index(name))
+            sizes.append(_deviation(found["ci95"]))
+        for term in model.hypothesis.effects:
+            told = next((e for e in report["effects"] if e["effect"] == kind(term).name), None)
+            for number, row in plant.block.rows_of(term).items():
+                estimate = told["estimate"].get(number) if told else None
+                if estimate and estimate["value"]:
+                    names.append(f"{kind(term).name} {number}")
+                    rows.append(row)
+                    sizes.append(abs(_deviation(estimate["ci95"]) / estimate["value"] * centre[row]))  # whatever unit it is told in
+        spread = np.maximum(np.array(sizes), LEAST * np.abs(centre[rows]))
+        return Ensemble(plant, model.hypothesis, model.scheme, centre, tuple(names), tuple(rows), spread, _floor(centre, rows))
+
+    def drawn(self, count: int, rng: np.random.Generator) -> Array:
+        """Members `(rows, count)`, the centre first; no number changes its sign."""
+        members = np.repeat(self.centre[:, None], count, axis=1)
+        rows = list(self.rows)
+        moved = self.centre[rows][:, None] + self.spread[:, None] * rng.standard_normal((len(rows), count))
+        sign = np.sign(self.centre[rows])[:, None]
+        members[rows] = sign * np.maximum(sign * moved, self.low[:, None])
+        members[:, 0] = self.centre
+        return members
+
+    def nudged(self, member: Array) -> Array:
+        """A member `(rows,)` and the same with each unknown number a little more, `(rows, 1 + numbers)`."""
+        lanes = np.repeat(member[:, None], 1 + len(self.rows), axis=1)
+        for lane, (row, size) in enumerate(zip(self.rows, self.spread, strict=True), 1):
+            lanes[row, lane] += NUDGE * size
+        return lanes
+
+    def responses(self, members: Array, t_s: Array, command: Array, start: Array) -> Array:
+        """States `(members, samples, 2 x joints)` of members `(rows, members)` under a command `(samples, joints)`, from `start`."""
+        plant, count = self.plant, members.shape[1]
+        padded = np.concatenate([members, np.repeat(members[:, :1], -count % BLOCK, axis=1)], axis=1)
+        series = unobserved(self.scheme, t_s, command, plant.command_scales, plant.timestep_s)
+        init = np.repeat(start[None, :, None], padded.shape[1], axis=2)
+        out = roll(series, plant.form, padded, switches(self.hypothesis, len(plant.joints)), init)
+        return np.ascontiguousarray(np.moveaxis(out[:, :, :count], 2, 0))
+
+
+def _deviation(interval: Any) -> float:
+    return float(interval[1] - interval[0]) / (2.0 * TWO_SIDED)
+
+
+def _floor(centre: Array, rows: tuple[int, ...] | list[int]) -> Array:
+    return LEAST * np.abs(centre[list(rows)])

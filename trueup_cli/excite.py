@@ -1,0 +1,137 @@
+"""`trueup excite`: design the experiment that is missing."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from cyclopts import Parameter
+from numpy.typing import NDArray
+
+from trueup.canonical import digest_of
+from trueup.collect.ensemble import Ensemble
+from trueup.collect.excitation import Bounds, Excitation, at_rest, design
+from trueup.diagnose.admission import admit
+from trueup.diagnose.case import read_episodes, read_plant
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
+from trueup.episode.writer import write_episode
+from trueup.errors import BadArtifact, NotIdentifiable
+from trueup.model.corrected import Corrected
+from trueup.model.plant import Plant
+from trueup.model.state import smoothed_states
+from trueup_cli.excite_picture import excite_picture
+from trueup_cli.model_folder import load_predictor
+from trueup_cli.show import out as screen
+from trueup_cli.show import progress, table
+
+Array = NDArray[np.float64]
+QUIET = 1e-3  # of the reporting scale: an observation's noise where no recording tells it
+
+
+def excite(
+    plant: Path,
+    *,
+    out: Path,
+    model: Annotated[Path | None, Parameter(help="What `trueup diagnose` wrote: its model, as uncertain as it says")] = None,
+    spread: Annotated[float, Parameter(help="Without a model: 95 %% interval of each nominal number, relatively")] = 0.3,
+    duration_s: Annotated[float, Parameter(help="Of the excitation, without the hold at its end [s]")] = 12.0,
+    band_hz: Annotated[
+        tuple[float, float] | None, Parameter(help="Lowest and highest frequency [Hz]; default: by duration and step")
+    ] = None,
+    rate: Annotated[float | None, Parameter(help="Largest change of a command [its unit / s]")] = None,
+    margin: Annotated[float, Parameter(help="Of the declared envelope, kept free under every model")] = 0.1,
+    seed: int = 0,
+) -> None:
+    """Design a bounded excitation that identifies a plant's numbers, safe under every model still in play.
+
+    Writes excitation.csv, .mcap (commands alone), .json and .svg.
+
+    Parameters
+    ----------
+    plant: case folder with plant.json, and any recordings
+    out: folder to write to
+    """
+    described = read_plant(plant)
+    episodes = [e for e in read_episodes(plant, described) if e.role is Role.ADAPTATION]
+    ensemble = _ensemble(described, model, spread)
+    hold, begin = _begins(described, episodes)
+    bounds = Bounds.of(described, duration_s, band_hz, rate, margin)
+    with progress("excite") as bar:
+        rest = at_rest(ensemble, begin, hold)
+        found = design(
+            ensemble, bounds, _noise(described, episodes), rest, hold, np.random.default_rng(seed), lambda stage, part: bar(part, stage)
+        )
+    document = {"schema": "trueup.excitation/1", "plant": described.name, "seed": seed, **found.document()}
+    _write(described, found, document, out)
+    _show(document)
+    screen.print(
+        f"in {out}: excitation.csv, excitation.mcap, excitation.svg; declare `excitation = {digest_of(document)[:12]}` when recorded"
+    )
+
+
+def _ensemble(plant: Plant, folder: Path | None, spread: float) -> Ensemble:
+    if folder is None:
+        return Ensemble.prior(plant, spread)
+    found = load_predictor(folder / "model")
+    if not isinstance(found, Corrected):
+        raise BadArtifact("the folder holds no corrected model", hint="Give the folder that `trueup diagnose --out` wrote.")
+    return Ensemble.posterior(found, json.loads((folder / "report.json").read_text()))
+
+
+def _begins(plant: Plant, episodes: list[Episode]) -> tuple[Array, Array]:
+    """The command that holds the machine, and a state to start from: none and rest of one joint, what was recorded first of a robot."""
+    joints = len(plant.joints)
+    if joints == 1:
+        return np.clip(np.zeros(1), *plant.limits), np.zeros(2)
+    if not episodes:
+        raise NotIdentifiable(
+            "a robot's rest is not known without a recording", hint="Put an adaptation episode that begins at rest into the case folder."
+        )
+    state = np.nan_to_num(smoothed_states(plant, episodes[0])[0])
+    state[joints:] = 0.0
+    return plant.applied(episodes[0].commands[0]), state
+
+
+def _noise(plant: Plant, episodes: list[Episode]) -> Array:
+    """Noise of each observation, as recorded, or a thousandth of its reporting scale."""
+    quiet = QUIET * plant.scales
+    if not episodes:
+        return quiet
+    measured = admit(plant, episodes).noise[plant.state_columns]
+    return np.where(np.isfinite(measured) & (measured > 0.0), measured, quiet)
+
+
+def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path) -> None:
+    out.mkdir(parents=True, exist_ok=True)
+    columns = found.command[:, [plant.joint_of(c) for c in plant.layout.commands]]
+    with (out / "excitation.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["t", *(c.name for c in plant.layout.commands)])
+        writer.writerows([repr(float(t)), *(repr(float(u)) for u in row)] for t, row in zip(found.t_s, columns, strict=True))
+    with (out / "excitation.mcap").open("wb") as mcap:
+        write_episode(
+            mcap,
+            stamps_ns=np.rint(found.t_s * 1e9).astype(np.int64),
+            observations=np.zeros((0, len(plant.layout.observations))),
+            commands=columns,
+            layout=plant.layout,
+            role=None,
+            conditions={"plant": plant.name, "excitation": digest_of(document)},
+        )
+    (out / "excitation.json").write_text(json.dumps(document, indent=1) + "\n")
+    (out / "excitation.svg").write_text(excite_picture(plant, found))
+
+
+def _show(document: dict[str, Any]) -> None:
+    ours, other = document["information"], document["random_of_same_energy"]
+    rows = [(name, width, other["half_widths"][name]) for name, width in ours["half_widths"].items()]
+    rows += [("rank", ours["rank"], other["rank"]), ("condition", ours["condition"], other["condition"])]
+    table("Half-widths of 95 % intervals", ["", "designed", "random, same energy"], rows)
+    used = document["envelope_used"]
+    room = "no envelope is declared" if used is None else f"at most {100 * used:.0f} % of the envelope is used"
+    said = f"{document['samples']} samples, {document['duration_s']:.4g} s; under {document['members']} models {room}"
+    screen.print(f"{said}, breaches: {document['breaches']}")

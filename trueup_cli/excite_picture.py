@@ -1,0 +1,59 @@
+"""A designed excitation as one SVG: the command, and the motion under every model still in play."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.collect.excitation import Excitation
+from trueup.model.plant import Plant
+from trueup_cli.drawing import PALE, SERIES, WIDTH, Panel, legend, nice, range_of, sheet, text
+
+Array = NDArray[np.float64]
+PANEL, GAP, TOP = 130, 54, 98
+BOUND = "#c23030"
+
+
+def excite_picture(plant: Plant, found: Excitation) -> str:
+    """The picture: one panel for each command and each observation, with limits and envelope as dashed lines."""
+    span = nice(0.0, float(found.t_s[-1]))
+    parts: list[str] = []
+    top = float(TOP)
+    for channel in plant.layout.commands:
+        values = found.command[:, plant.joint_of(channel)]
+        limits = channel.limits or (float(values.min()), float(values.max()))
+        panel = Panel(top, PANEL, span, nice(*range_of([values, np.array(limits)])))
+        parts += [
+            panel.frame(f"{channel.name} [{channel.unit}]"),
+            *(_level(panel, x) for x in limits),
+            panel.line(found.t_s, values, SERIES[0]),
+        ]
+        top += PANEL + GAP
+    for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
+        paths = found.paths[:, :, column]
+        bounds = plant.envelope.get(channel.name, ())
+        low, high = paths.min(axis=0), paths.max(axis=0)
+        panel = Panel(top, PANEL, span, nice(*range_of([low, high, np.array(bounds)])))
+        parts += [panel.frame(f"{channel.name} [{channel.unit}]", times=True), *(_level(panel, x) for x in bounds)]
+        parts += [_band(panel, found.t_s, low, high), panel.line(found.t_s, paths[0], SERIES[0], width=1.2)]
+        top += PANEL + GAP
+    parts += [
+        legend([("command; motion of the central model", SERIES[0]), ("limit, envelope", BOUND)], 78),
+        text(WIDTH / 2, top - 8, "time [s]", PALE, anchor="middle"),
+    ]
+    words = (
+        f"{len(found.paths)} models drawn anew, {found.breaches} breaches; {100 * found.bounds.margin:.0f} % of the envelope is kept free"
+    )
+    return sheet(f"{plant.name}: a bounded excitation", words, round(top + 10), parts)
+
+
+def _level(panel: Panel, value: float) -> str:
+    x, end, y = panel.x(0.0), WIDTH - 24, panel.y(value)
+    return f'<path d="M{x:.1f} {y:.1f}H{end}" stroke="{BOUND}" stroke-dasharray="5 4"/>'
+
+
+def _band(panel: Panel, t_s: Array, low: Array, high: Array) -> str:
+    every = max(1, len(t_s) // WIDTH)
+    there = [f"{panel.x(t):.1f} {panel.y(y):.1f}" for t, y in zip(t_s[::every], high[::every], strict=True)]
+    back = [f"{panel.x(t):.1f} {panel.y(y):.1f}" for t, y in zip(t_s[::-every], low[::-every], strict=True)]
+    return f'<path d="M{"L".join(there + back)}Z" fill="{SERIES[0]}" opacity="0.25"/>'
