@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.support.made import plant_document
+from tests.support.made import TRUE, plant_document
 from trueup.collect.ensemble import Ensemble
 from trueup.collect.excitation import AT_REST, Bounds, at_rest, design
 from trueup.diagnose.diagnosis import diagnose
@@ -14,7 +14,11 @@ from trueup.errors import NotAnEpisode, NotIdentifiable
 from trueup.model.plant import Plant
 from trueup_cli.excite import excite
 
-PLANT = Plant.from_document(plant_document())
+DOCUMENT = {
+    **plant_document(),
+    "nominal": {"family": "oscillator", "parameters": dict(zip("kcb", TRUE, strict=True)), "timestep_s": 0.05},
+}
+PLANT = Plant.from_document(DOCUMENT)
 NOISE = np.array([0.01, 0.02])
 
 
@@ -59,16 +63,16 @@ def test_the_same_seed_gives_the_same_excitation(found):
 
 
 def test_a_slower_drive_and_a_narrower_envelope_are_kept():
-    narrow = Plant.from_document({**plant_document(), "envelope": {"q": [-0.2, 0.2]}})
+    narrow = Plant.from_document({**DOCUMENT, "envelope": {"q": [-0.2, 0.2]}})
     made = designed(narrow, rate=2.0, duration_s=6.0)
     assert np.abs(made.paths[:, :, 0]).max() <= 0.18 + 1e-12
     assert np.abs(np.diff(made.command[:, 0])).max() <= 0.1 + 1e-12
 
 
 def test_without_an_envelope_the_command_limits_alone_bind():
-    free = Plant.from_document({k: v for k, v in plant_document().items() if k != "envelope"})
+    free = Plant.from_document({k: v for k, v in DOCUMENT.items() if k != "envelope"})
     made = designed(free, duration_s=6.0)
-    narrow = designed(Plant.from_document({**plant_document(), "envelope": {"q": [-0.3, 0.3]}}), duration_s=6.0)
+    narrow = designed(Plant.from_document({**DOCUMENT, "envelope": {"q": [-0.3, 0.3]}}), duration_s=6.0)
     assert made.document()["envelope_used"] is None
     assert made.information.half_widths["k"] < narrow.information.half_widths["k"]
 
