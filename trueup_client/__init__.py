@@ -8,7 +8,8 @@ client.fetch("emps", serving.artifact, "model")
 """
 
 from trueup_client.client import Client
+from trueup_client.freshness import Ages, Freshness
 from trueup_client.problem import Problem, Unreachable, Untrue
 from trueup_client.records import Serving
 
-__all__ = ["Client", "Problem", "Serving", "Unreachable", "Untrue"]
+__all__ = ["Ages", "Client", "Freshness", "Problem", "Serving", "Unreachable", "Untrue"]
