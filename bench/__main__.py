@@ -3,7 +3,7 @@
 import importlib
 import sys
 
-ALL = ("kernel", "footprint", "ingest", "serving", "registry", "scaled", "diagnosis", "robots", "drift", "excitation")
+ALL = ("kernel", "footprint", "ingest", "serving", "registry", "scaled", "diagnosis", "robots", "drift", "excitation", "continual")
 
 for name in sys.argv[1:] or ALL:
     importlib.import_module(f"bench.{name}").main()

@@ -77,11 +77,8 @@ def monitor(
     client = connect(url)
     state = client.monitor(plant)
     watches = list(client.watches(plant, state["monitor"])) if state["monitor"] else []
-    if picture is not None and watches:
-        from trueup_cli.watch_picture import watch_picture
-
-        document = next(m for m in client.monitors(plant) if m["digest"] == state["monitor"])["document"]
-        picture.write_text(watch_picture(plant, document, watches))
+    if picture is not None:
+        _draw(client, plant, picture)
     if as_json_:
         as_json(state)
         return
@@ -92,6 +89,19 @@ def monitor(
         table("", ["", "episode", "seen", *(f"{n} error" for n in names), "alarms"], rows)
     if state["alarm"]:
         show_alarm(state["alarm"])
+
+
+def _draw(client: Client, plant: str, to: Path) -> None:
+    from trueup_cli.watch_picture import Watched, watch_picture
+
+    monitors = reversed(list(client.monitors(plant)))
+    found = [
+        Watched(client.artifact(plant, m["artifact"])["version"], m["document"], list(client.watches(plant, m["digest"]))) for m in monitors
+    ]
+    if any(w.watches for w in found):
+        to.write_text(watch_picture(plant, found))
+    else:
+        out.print("nothing was watched yet: there is nothing to draw")
 
 
 def _row(seen: dict[str, Any], names: list[str]) -> tuple[object, ...]:

@@ -162,10 +162,10 @@ class Client:
         """What serves now."""
         return Serving(**self._get(f"/v1/plants/{_name(plant)}/serving"))
 
-    def watch(self, plant: str, wait_s: float = 30.0, answered: Callable[[], None] = lambda: None) -> Iterator[Serving]:
+    def watch(self, plant: str, wait_s: float = 30.0, confirmed: Callable[[], None] = lambda: None) -> Iterator[Serving]:
         """What serves now, then again at each move, for ever; each look waits up to `wait_s` [s] at the service.
 
-        A service that is away is asked again, ever less often; the watch goes on where it was. `answered` is called at every answer, also
+        A service that is away is asked again, ever less often; the watch goes on where it was. `confirmed` is called at every answer, also
         where nothing has changed. Raises Problem for a refusal.
         """
         tag, pause_s = "", FIRST_PAUSE_S
@@ -180,7 +180,7 @@ class Client:
                 pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
                 continue
             pause_s = FIRST_PAUSE_S
-            answered()
+            confirmed()
             if status != NOT_MODIFIED:
                 tag = answered["ETag"]
                 yield Serving(**json.loads(body))

@@ -44,7 +44,7 @@ class Freshness:
         self._last["observation"] = max(self._last["observation"], self._clock() - age_s)
 
     def confirmed(self) -> None:
-        """The service has said what serves: hand it to `Client.watch` as `answered`."""
+        """The service has said what serves: hand it to `Client.watch` as `confirmed`."""
         self._last["model"] = self._clock()
 
     def ages(self) -> Ages:

@@ -101,12 +101,12 @@ def test_a_monitor_moves_on_once_over_what_it_has_not_seen(parts):
 def test_while_an_alarm_is_open_no_other_is_raised(parts):
     with parts.database.write() as connection:
         writer = Writer(connection)
-        first = raise_alarm(writer, "0" * 32, "p", None, "a" * 64, FOUND, at(1))
-        assert raise_alarm(writer, "1" * 32, "p", None, "a" * 64, FOUND, at(2)) is None
+        first = raise_alarm(writer, "0" * 32, "p", None, serving(parts), FOUND, at(1))
+        assert raise_alarm(writer, "1" * 32, "p", None, serving(parts), FOUND, at(2)) is None
         close_alarm(writer, "p", first.id, "mended", at(3))
         with pytest.raises(Conflict):
             close_alarm(writer, "p", first.id, "again", at(4))
-        assert raise_alarm(writer, "2" * 32, "p", None, "a" * 64, FOUND, at(5)) is not None
+        assert raise_alarm(writer, "2" * 32, "p", None, serving(parts), FOUND, at(5)) is not None
         with pytest.raises(NotFound):
             close_alarm(writer, "q", first.id, "another's", at(6))
 
@@ -127,7 +127,7 @@ def test_a_look_is_asked_for_once_and_not_of_a_monitor_of_another_model(parts):
 def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_twice_as_much(parts):
     add_episode(parts, "a", "adaptation", 1, start_ns=-5)  # from before the change
     with parts.database.write() as connection:
-        raise_alarm(Writer(connection), "0" * 32, "p", None, "a" * 64, FOUND, at(2))
+        raise_alarm(Writer(connection), "0" * 32, "p", None, serving(parts), FOUND, at(2))
     add_episode(parts, "b", "adaptation", 3, start_ns=1)
     go_on(parts, 4)
     assert jobs(parts) == []
@@ -159,7 +159,7 @@ def test_a_policy_that_asks_leaves_every_step_to_a_person(parts):
         held, new = declare_policy(writer, "p", UpdatePolicy(gate.digest, on_alarm="ask").document(), at(2))
         assert new
         assert not declare_policy(writer, "p", held.document, at(3))[1]
-        raise_alarm(writer, "0" * 32, "p", None, "a" * 64, FOUND, at(4))
+        raise_alarm(writer, "0" * 32, "p", None, serving(parts), FOUND, at(4))
     add_episode(parts, "b", "adaptation", 5)
     add_episode(parts, "c", "validation", 6)
     go_on(parts, 7)

@@ -1,8 +1,9 @@
 """Monitor: detectors on one predictor's residuals, calibrated to one promise in robot time, with what they were measured to keep.
 
 The promise, one false alarm in so many operating hours, is of all joints and all detectors together: each of them gets an equal
-share. Half of the reference sets spread and levels; the other half, every second episode, measures what was set, and is what the
-conformal test ranks against.
+share. One half of the reference, drawn at random for recordings come in patterns, sets spread and levels; the other measures what
+was set, and is what the conformal test ranks against. Detectors that follow signatures need a longer reference than others: there are a
+hundred of them, and what is healthy for each must be known.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from trueup.monitor.signature import Signatures
 SCHEMA = "trueup.monitor/1"
 LONGEST_BLOCK = 5  # rollouts
 LEAST_BLOCKS = 8  # in either half of the reference
+LEAST_FOR_SIGNATURES = 40  # blocks of the half that sets levels
 SHORT = 0.1  # of the episodes may be shorter than a block, and then count for no more than single residuals
 
 
@@ -148,11 +150,10 @@ def calibrate(
 ) -> Monitor:
     """A monitor of a predictor, the one that `artifact` names, whose detectors together give one false alarm in `promise_h` [h].
 
-    `reference` are episodes in which the predictor was right; without `kinds` every detector there is takes part.
+    `reference` are episodes in which the predictor was right; without `kinds` every detector takes part that it is long enough for.
     Raises BadMonitor, NotIdentifiable where the reference is too short.
     """
-    chosen = kinds or tuple(detectors())
-    if not (np.isfinite(promise_h) and promise_h > 0.0) or set(chosen) - set(detectors()):
+    if not (np.isfinite(promise_h) and promise_h > 0.0) or set(kinds) - set(detectors()):
         raise BadMonitor("a monitor needs a positive promise in hours, and detectors that are known", detectors=", ".join(detectors()))
     episodes = sorted(reference, key=lambda e: (e.start_ns, e.digest))
     found: list[Missed] = []
@@ -161,17 +162,21 @@ def calibrate(
         progress("predicting healthy episodes", len(found) / len(episodes))
     if len(found) < 2:  # noqa: PLR2004  (halves)
         raise _too_short(len(found), 0)
-    healthy, signatures = Healthy.of(found[::2]), Signatures.of(predictor.plant, episodes)
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(found))
+    first, second = np.sort(order[::2]), np.sort(order[1::2])
+    healthy, signatures = Healthy.of([found[i] for i in first]), Signatures.of(predictor.plant, episodes)
     residuals = [measured(predictor, healthy, signatures, e, m) for e, m in zip(episodes, found, strict=True)]
     lengths = sorted(r.windows for r in residuals)
     windows = max(1, min(LONGEST_BLOCK, lengths[int(SHORT * len(lengths))]))
-    fitted, fresh = residuals[::2], residuals[1::2]
-    share_h = promise_h * len(chosen)
+    fitted, fresh = ([residuals[i] for i in half] for half in (first, second))
     parts = [b for r in fitted for b in blocks(r, windows)], [b for r in fresh for b in blocks(r, windows)]
     if min(len(p) for p in parts) < LEAST_BLOCKS:
         raise _too_short(len(episodes), sum(len(p) for p in parts))
+    long = len(parts[0]) >= LEAST_FOR_SIGNATURES
+    chosen = kinds or tuple(name for name, kind in detectors().items() if long or kind.follows == "channels")
+    share_h = promise_h * len(chosen)
     of = Reference(*parts, windows, float(np.mean([b.seconds for p in parts for b in p])), share_h)
-    rng = np.random.default_rng(seed)
     made: list[Detector] = []
     for name in chosen:
         made.append(detectors()[name].calibrate(of, rng))

@@ -63,7 +63,7 @@ class Signatures:
         """The residuals with what they have in common with each signature."""
         plant = predictor.plant
         base, hypothesis, scheme = _base(predictor)
-        lanes = [base, *(self._lane(plant, base, s) for s in self.signs)]
+        lanes = [base, *(self._lane(plant, base, hypothesis, i) for i in range(len(self.signs)))]
         block = np.stack(lanes + [base] * (-len(lanes) % BLOCK), axis=1)
         for sign in self.signs:
             hypothesis = hypothesis | sign.of if sign.start else hypothesis
@@ -80,11 +80,15 @@ class Signatures:
         starts = np.flatnonzero(np.diff(of.window, prepend=-1))
         return replace(residuals, evidence=np.stack([np.add.reduceat(x, starts) for x in (common, power)], axis=2))
 
-    def _lane(self, plant: Plant, base: Array, sign: Sign) -> Array:
-        if sign.start:
+    def _lane(self, plant: Plant, base: Array, acting: Hypothesis, index: int) -> Array:
+        """The model with a little more of one sign: begun where the effect does not act yet, else one of its numbers grown."""
+        sign = self.signs[index]
+        if sign.start and sign.of not in acting.effects:
             return begun(plant.block, base, self.scales[joint(sign.of)], sign.of, sign.start)
+        shape = index - [s.of for s in self.signs].index(sign.of)
+        rows = plant.block.rows(sign.of) if sign.start else (plant.dynamics.parameter_names.index(sign.of),)
         values = base.copy()
-        values[plant.dynamics.parameter_names.index(sign.of)] *= 1.0 + STEP
+        values[rows[shape % len(rows)]] *= 1.0 + STEP
         return values
 
     def names(self, plant: Plant) -> list[str]:

@@ -15,8 +15,8 @@ from trueup_service.registry.store import Writer
 def raise_alarm(
     writer: Writer, name: str, plant: str, monitor: str | None, artifact: str, found: dict[str, Any], stamp: Stamp
 ) -> AlarmRecord | None:
-    """The alarm; None, and nothing is done, while another is open: it is about the same model."""
-    if writer.open_alarm(plant) is not None:
+    """The alarm; None, and nothing is done, while another is open, or if it is about a model that serves no more."""
+    if writer.open_alarm(plant) is not None or find.serving(writer, plant).artifact != artifact:
         return None
     raised = AlarmRecord(name, plant, monitor, artifact, found["episode"], found["document"], None, stamp.now, None, None, None)
     writer.add_alarm(raised)

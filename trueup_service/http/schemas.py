@@ -278,7 +278,9 @@ class CalibrationRequest(BaseModel):
     promise_h: float = Field(
         100.0, gt=0, allow_inf_nan=False, description="operating hours in which one false alarm is allowed, of all joints"
     )
-    detectors: list[str] | None = Field(None, description="which detectors share the promise; null for all")
+    detectors: list[str] | None = Field(
+        None, description="which detectors share the promise; null for all that the reference is long enough for"
+    )
     episodes: list[Digest] | None = None
     seed: int = Field(0, ge=0, lt=2**32, description="of the resampling")
 

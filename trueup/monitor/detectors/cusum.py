@@ -25,6 +25,8 @@ SHIFT = 1.0  # of the mean, in healthy spreads, for which the tabular sum is the
 GROWTH = 1.5  # of the spread, for which the likelihood ratio is the best: less than twice
 NOTICED = 0.5  # of one channel's healthy power: the error has grown by a fifth where two are observed
 LEAST_POWER = 1e-12  # of a signature: the data show nothing of it
+SURE = 3.0  # standard errors of what the reference tells of a signature: smaller effects are not looked for
+CALM = 4.0  # that any sum of signatures may rise in a healthy block: what few windows show must not set the level for all
 MOST = 20.0  # that one window adds at most
 STREAMS, LENGTH = 256, 3000  # resampled futures, and blocks in each
 LEVELS = 16
@@ -139,7 +141,8 @@ class EffectCusum(Cusum):
     """Two sums of each signature, of the log likelihood ratio of residuals with that effect in them and without, one for each sign.
 
     The effect is as large as moves one channel by half of its healthy power, `amplitude` of its signature, beyond what a served model that
-    is not perfect has of it, `healthy`; `inflation` is how much more a sum of correlated residuals varies. All `(signatures,)`.
+    is not perfect has of it, `healthy`, and larger than what the reference leaves open of that; `inflation` is how much more a sum of
+    correlated residuals varies. All `(signatures,)`.
     """
 
     amplitude: tuple[float, ...]
@@ -167,14 +170,17 @@ class EffectCusum(Cusum):
 
     @staticmethod
     def calibrate(reference: Reference, rng: np.random.Generator) -> EffectCusum:
-        common, power = np.moveaxis(np.concatenate([b.evidence for b in reference.fitted]), 2, 0)
+        common, power = np.moveaxis(np.array([b.evidence.sum(axis=0) for b in reference.fitted]), 2, 0)  # of each block
         mean = np.maximum(power.mean(axis=0), LEAST_POWER)
         healthy = common.mean(axis=0) / mean
-        inflation = np.maximum(((common - healthy * power) ** 2).mean(axis=0) / mean, LEAST_POWER)
-        unseen = power.mean(axis=0) <= LEAST_POWER
-        amplitude = np.where(unseen, 0.0, np.sqrt(NOTICED / mean))
-        numbers = (tuple(map(float, x)) for x in (amplitude, inflation, healthy))
-        return calibrated(EffectCusum(0.0, *numbers), reference, rng)
+        varies = ((common - healthy * power) ** 2).mean(axis=0)
+        open_to = np.sqrt(varies / len(common)) / mean
+        noticed = np.sqrt(NOTICED * reference.windows / mean)
+        amplitude = np.where(power.mean(axis=0) > LEAST_POWER, np.maximum(noticed, 2.0 * SURE * open_to), 0.0)
+        plain = EffectCusum(0.0, _floats(amplitude), _floats(np.maximum(varies / mean, LEAST_POWER)), _floats(healthy))
+        rise = _summary(plain, reference.fitted).rise.max(axis=0).reshape(2, -1).max(axis=0)
+        calm = replace(plain, inflation=_floats(np.array(plain.inflation) * np.maximum(rise / CALM, 1.0)))
+        return calibrated(calm, reference, rng)
 
     def document(self) -> dict[str, Json]:
         return {"level": self.level, "amplitude": list(self.amplitude), "inflation": list(self.inflation), "healthy": list(self.healthy)}
@@ -183,6 +189,10 @@ class EffectCusum(Cusum):
     def restore(document: Mapping[str, Any]) -> EffectCusum:
         numbers = (tuple(float(x) for x in document[name]) for name in ("amplitude", "inflation", "healthy"))
         return EffectCusum(float(document["level"]), *numbers)
+
+
+def _floats(values: Array) -> tuple[float, ...]:
+    return tuple(float(x) for x in values)
 
 
 @dataclass(frozen=True)
