@@ -55,7 +55,7 @@ def watch_picture(plant: str, found: Sequence[Watched]) -> str:
             share = np.minimum([w["seen"]["highest"][d["detector"]] / d["level"] for w in watched.watches], MOST)
             parts.append(upper.line(times, share, colours[d["detector"]]))
         raised = [t for t, w in zip(times, watched.watches, strict=True) if w["seen"]["alarms"]]
-        parts += [f'<path d="M{upper.x(t):.1f} {TOP_PANEL[0]}l-5 -9h10z" fill="{ALARM}"/>' for t in raised]
+        parts += [f'<path d="M{upper.x(t):.1f} {upper.bottom + 4:.1f}l-5 9h10z" fill="{ALARM}"/>' for t in raised]
         parts += [lower.line(times, values, of_channel[c]) for c, values in errors.items()]
     episodes = sum(len(w.watches) for w in found)
     words = f"{episodes} episodes, {now:.2f} h; one false alarm in {found[-1].monitor['promise_h']:g} h is promised"
