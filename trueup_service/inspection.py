@@ -36,8 +36,16 @@ class Inspected:
     summary: dict[str, Json]
 
 
-async def inspect_upload(path: Path, plant: dict[str, Json], memory_bytes: int, timeout_s: float, *, telemetry: bool = False) -> Inspected:
-    """What the file holds as an episode of this plant; a batch of telemetry becomes the MCAP file `as_mcap(path)`.
+@dataclass(frozen=True, slots=True)
+class Against:
+    """What an upload is held against: the plant's description, and where the model that serves was fitted, as its manifest tells."""
+
+    plant: dict[str, Json]
+    coverage: list[Json]
+
+
+async def inspect_upload(path: Path, against: Against, memory_bytes: int, timeout_s: float, *, telemetry: bool = False) -> Inspected:
+    """What the file holds as an episode of a plant; a batch of telemetry becomes the MCAP file `as_mcap(path)`.
 
     Raises BadEpisode with the child's code and facts, InspectionFailed at a limit.
     """
@@ -52,7 +60,7 @@ async def inspect_upload(path: Path, plant: dict[str, Json], memory_bytes: int, 
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # a pool for each core would eat the address space
     )
     request = orjson.dumps(
-        {"plant": plant, "telemetry": telemetry, "memory_bytes": memory_bytes, "cpu_s": int(timeout_s) + CHILD_CPU_MARGIN_S}
+        {**asdict(against), "telemetry": telemetry, "memory_bytes": memory_bytes, "cpu_s": int(timeout_s) + CHILD_CPU_MARGIN_S}
     )
     try:
         out, err = await asyncio.wait_for(child.communicate(request), timeout_s)
@@ -95,18 +103,20 @@ def convert_file(path: Path, plant: dict[str, Json]) -> Path:
     return as_mcap(path)
 
 
-def inspect_file(path: Path, plant: dict[str, Json]) -> Inspected:
+def inspect_file(path: Path, against: Against) -> Inspected:
     """The same in this process, without limits. Raises BadEpisode, BadPlant."""
+    from trueup.collect.coverage import Coverage  # noqa: PLC0415
     from trueup.collect.measured import measured  # noqa: PLC0415
     from trueup.episode.mcap import read_episode_stream  # noqa: PLC0415  (numpy: the server that waits for the child needs none)
     from trueup.episode.summary import summarise  # noqa: PLC0415
     from trueup.model.plant import Plant  # noqa: PLC0415
 
-    described = Plant.from_document(plant)
+    described = Plant.from_document(against.plant)
     with path.open("rb") as file:
         episode = read_episode_stream(file, path.stat().st_size, described.layout)
     end_ns = episode.start_ns + round(float(episode.t_s[-1]) * 1e9)
-    summary = {**summarise(episode), "collection": measured(described, episode)}
+    fitted_on = [Coverage.from_document(c) for c in against.coverage]  # type: ignore[arg-type]
+    summary = {**summarise(episode), "collection": measured(described, episode, fitted_on)}
     return Inspected(episode.digest, str(episode.role), episode.start_ns, end_ns, summary)
 
 
@@ -119,7 +129,7 @@ def main() -> None:
     try:
         path = Path(sys.argv[1])
         held = convert_file(path, request["plant"]) if request["telemetry"] else path
-        answer: object = asdict(inspect_file(held, request["plant"]))
+        answer: object = asdict(inspect_file(held, Against(request["plant"], request["coverage"])))
     except TrueupError as error:
         answer = {"problem": {"code": error.code, "message": error.message, "hint": error.hint, "facts": error.facts}}
     sys.stdout.buffer.write(orjson.dumps(answer))

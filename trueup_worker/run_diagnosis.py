@@ -6,6 +6,7 @@ from typing import Any
 
 from trueup.artifact.artifact import Artifact, pack
 from trueup.canonical import Json, digest_of, digest_of_bytes
+from trueup.collect.coverage import coverage_of
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.page import sentence
 from trueup.episode.role import Role
@@ -34,6 +35,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     provenance: dict[str, Json] = {
         "origin": "diagnosis",
         "episodes": sources(episodes),
+        "coverage": [c.document() for c in coverage_of(plant, [e for e in episodes if e.role is Role.ADAPTATION])],
         "configuration": {"sha256": digest_of(job.request), "document": job.request},
         "code": code_identity(),
         "seed": seed,

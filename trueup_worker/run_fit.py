@@ -6,6 +6,7 @@ from typing import Any
 
 from trueup.artifact.artifact import Artifact, pack
 from trueup.canonical import Json, digest_of, digest_of_bytes
+from trueup.collect.coverage import coverage_of
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.fit.identify import identify
@@ -31,7 +32,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     episodes = read_episodes(parts, job, plant, (Role.ADAPTATION,), progress.stage("reading episodes", 0.0, 0.5))
     predictor, report = _fit(plant, episodes, job.request, progress.stage("fitting", 0.5, 0.95))
     progress.stage("packing", 0.95, 1.0)
-    artifact = pack(predictor, _provenance(job, episodes, report))
+    artifact = pack(predictor, _provenance(job, plant, episodes, report))
     return {"manifest": artifact.manifest.decode(), "arrays": keep_arrays(parts, artifact), "report": report}
 
 
@@ -43,10 +44,11 @@ def _fit(plant: Plant, episodes: list[Episode], request: dict[str, Any], progres
     return residual, {"method": "residual", **missed.document()}
 
 
-def _provenance(job: JobRecord, episodes: list[Episode], report: dict[str, Json]) -> dict[str, Json]:
+def _provenance(job: JobRecord, plant: Plant, episodes: list[Episode], report: dict[str, Json]) -> dict[str, Json]:
     return {
         "origin": "fit",
         "episodes": sources(episodes),
+        "coverage": [c.document() for c in coverage_of(plant, episodes)],
         "configuration": {"sha256": digest_of(job.request), "document": job.request},
         "code": code_identity(),
         "seed": SEED,

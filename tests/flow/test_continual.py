@@ -54,6 +54,14 @@ def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_wat
     assert client.monitor(name)["alarm"] is None
 
 
+def test_an_upload_says_where_it_goes_beyond_what_serves(fleet):
+    far = fleet.record(Role.VALIDATION, "long", size=1.6)
+    told = far["summary"]["collection"]
+    assert told["outside"]["joint"]["hull"] > 0.05
+    assert any("outside of what the serving model was fitted on" in w for w in told["warnings"])
+    assert told["excitation"]["rank"] == 3
+
+
 def test_what_forgets_a_covered_condition_is_rejected_and_the_decision_says_which(service, tmp_path):
     client = Client(service.url, actor="fleet")
     fleet = Fleet(client, "forgetting", tmp_path)

@@ -386,7 +386,7 @@ def test_an_artifact_tells_where_it_comes_from(client, plant, tmp_path):
     provenance = json.loads((folder / "manifest.json").read_text())["provenance"]
     assert provenance["episodes"] == [{"sha256": digest, "role": "adaptation", "conditions": {"stage": "MIL"}}]
     assert provenance["parent"] == nominal
-    assert set(provenance) == {"origin", "episodes", "configuration", "code", "seed", "parent", "report"}
+    assert set(provenance) == {"origin", "episodes", "coverage", "configuration", "code", "seed", "parent", "report"}
 
 
 # -- whoever asks

@@ -55,12 +55,12 @@ class Fleet:
         made = Machine("oscillator", K, C, B, 1.0)
         return made.having("coulomb_friction", {"level": self.friction}).having("cubic_stiffness", {"coefficient": CUBIC})
 
-    def record(self, role: Role, travel: str) -> dict:
+    def record(self, role: Role, travel: str, size: float = 1.0) -> dict:
         """Run the machine, and upload what was recorded."""
         self.recorded += 1
         rng = np.random.default_rng(self.recorded)
         shape = SHAPES[self.recorded % len(SHAPES)]
-        series = TRAVEL[travel] * planned(shape, round(SECONDS / STEP_S) + 51, STEP_S, rng)
+        series = size * TRAVEL[travel] * planned(shape, round(SECONDS / STEP_S) + 51, STEP_S, rng)
         found = run(self.machine(), series, STEP_S, 20, SIGMA, rng, warm_up=50)
         path = self.folder / f"{self.name}-{self.recorded}.mcap"
         stamps = T0_NS + self.recorded * 10**11 + np.rint(found.t_s * 1e9).astype(np.int64)

@@ -5,12 +5,14 @@ Nothing here refuses an episode: a recording that went wrong is worth keeping. W
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
+from trueup.collect.coverage import Coverage, compared
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.dynamics import CompiledFamily
@@ -26,13 +28,14 @@ WEAK = 30.0  # condition number of a design that amplifies noise much
 STILL = 0.05  # of the command's range: less is hardly an excitation
 
 
-def measured(plant: Plant, episode: Episode) -> dict[str, Json]:
-    """Conditions, envelope, excitation, and warnings in words."""
+def measured(plant: Plant, episode: Episode, fitted_on: Sequence[Coverage] = ()) -> dict[str, Json]:
+    """Conditions, envelope, excitation, how much of it lies where the serving model was `fitted_on`, and warnings in words."""
     warnings: list[str] = []
     found: dict[str, Json] = {
         "conditions": _conditions(episode, warnings),
         "envelope": _envelope(plant, episode, warnings),
         "excitation": _excitation(plant, episode, warnings),
+        "outside": compared(plant, episode, fitted_on, warnings) if fitted_on else None,
     }
     return {**found, "warnings": list(warnings)}
 

@@ -6,6 +6,7 @@ import asyncio
 import uuid
 from pathlib import Path
 
+import orjson
 from fastapi import Request, Response
 
 from trueup.canonical import Json
@@ -17,24 +18,29 @@ from trueup_service.actions.stamp import Stamp
 from trueup_service.http.context import create
 from trueup_service.http.schemas import Episode
 from trueup_service.http.uploads import Received
-from trueup_service.inspection import Inspected, inspect_upload
+from trueup_service.inspection import Against, Inspected, inspect_upload
 from trueup_service.registry.records import EpisodeRecord
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
 
 
-def description_of(parts: Parts, plant: str) -> dict[str, Json]:
-    """A plant's description. Raises NotFound."""
+def against(parts: Parts, plant: str) -> Against:
+    """What an upload to a plant is held against. Raises NotFound."""
     with parts.database.read() as connection:
-        return find.plant(Reader(connection), plant).document
+        reader = Reader(connection)
+        document = find.plant(reader, plant).document
+        serving = find.artifact(reader, plant, find.serving(reader, plant).artifact)
+    provenance: dict[str, Json] = orjson.loads(serving.manifest).get("provenance") or {}
+    coverage = provenance.get("coverage")
+    return Against(document, coverage if isinstance(coverage, list) else [])
 
 
-async def inspect(request: Request, parts: Parts, path: Path, description: dict[str, Json], *, telemetry: bool = False) -> Inspected:
+async def inspect(request: Request, parts: Parts, path: Path, held: Against, *, telemetry: bool = False) -> Inspected:
     """What a file holds, once there is a slot to look at it. Raises BadEpisode, InspectionFailed."""
     slots: asyncio.Semaphore = request.app.state.inspections
     settings = parts.settings
     async with slots:
-        return await inspect_upload(path, description, settings.inspection_memory_bytes, settings.inspection_timeout_s, telemetry=telemetry)
+        return await inspect_upload(path, held, settings.inspection_memory_bytes, settings.inspection_timeout_s, telemetry=telemetry)
 
 
 def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected) -> Response:

@@ -14,7 +14,7 @@ from trueup_service.actions import find
 from trueup_service.actions.stamp import time_text
 from trueup_service.errors import Kept
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With
-from trueup_service.http.ingesting import description_of, ingest, inspect
+from trueup_service.http.ingesting import against, ingest, inspect
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, page
 from trueup_service.http.serving_answers import document
@@ -36,10 +36,10 @@ async def upload(request: Request, parts: With, stamp: By, plant: PlantName, key
 
     All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again are the same episode.
     """
-    description = await run_in_threadpool(description_of, parts, plant)
+    held = await run_in_threadpool(against, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         known = await run_in_threadpool(_known, parts, plant, file.digest)
-        inspected = known or await inspect(request, parts, file.path, description)
+        inspected = known or await inspect(request, parts, file.path, held)
         return await run_in_threadpool(ingest, parts, stamp, plant, key, file, inspected)
 
 

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup_service.http.context import By, IdempotencyKey, PlantName, With
-from trueup_service.http.ingesting import description_of, ingest, inspect
+from trueup_service.http.ingesting import against, ingest, inspect
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode
 from trueup_service.http.uploads import Received, received
@@ -44,11 +44,11 @@ async def send(request: Request, parts: With, stamp: By, plant: PlantName, key: 
 
     Residuals begin anew with each batch, so a batch should be several horizons long. The same batch again is the same episode.
     """
-    description = await run_in_threadpool(description_of, parts, plant)
+    held = await run_in_threadpool(against, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         path = as_mcap(file.path)
         try:
-            inspected = await inspect(request, parts, file.path, description, telemetry=True)
+            inspected = await inspect(request, parts, file.path, held, telemetry=True)
             episode = Received(path, inspected.digest, path.stat().st_size)
             return await run_in_threadpool(ingest, parts, stamp, plant, key, episode, inspected)
         finally:
