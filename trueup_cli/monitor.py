@@ -83,6 +83,7 @@ def monitor(
         as_json(state)
         return
     out.print(f"{plant}: {'watched' if state['watches'] else 'not watched'}, {state['episodes']} episodes seen. {state['hint']}".rstrip())
+    watches = [w for w in watches if "channels" in w["seen"]]
     if watches:
         names = list(watches[0]["seen"]["channels"])
         rows = [(w["sequence"], w["episode"][:12], moment(w["at"]), *_row(w["seen"], names)) for w in watches[-LATEST:]]
@@ -98,7 +99,7 @@ def _draw(client: Client, plant: str, to: Path) -> None:
     found = [
         Watched(client.artifact(plant, m["artifact"])["version"], m["document"], list(client.watches(plant, m["digest"]))) for m in monitors
     ]
-    if any(w.watches for w in found):
+    if any("channels" in one["seen"] for w in found for one in w.watches):
         to.write_text(watch_picture(plant, found))
     else:
         out.print("nothing was watched yet: there is nothing to draw")

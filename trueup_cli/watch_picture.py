@@ -28,6 +28,7 @@ class Watched:
 
 def watch_picture(plant: str, found: Sequence[Watched]) -> str:
     """The picture of monitors one after the other, each in its own healthy spreads and levels."""
+    found = [Watched(w.version, w.monitor, [one for one in w.watches if "channels" in one["seen"]]) for w in found]
     found = [w for w in found if w.watches]
     detectors = list(dict.fromkeys(d["detector"] for w in found for d in w.monitor["detectors"]))
     channels = list(found[0].watches[0]["seen"]["channels"])

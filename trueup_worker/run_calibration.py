@@ -12,6 +12,7 @@ from trueup_service.actions.stamp import Stamp
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.store import Writer
 from trueup_service.wiring import Parts
+from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
 from trueup_worker.progress import Progress
 
@@ -39,6 +40,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
     """The monitor watches from when it was asked for."""
     add_monitor(writer, job.plant, outcome["monitor"], outcome["kept"], job.id, job.created_at, stamp)
+    cycle_of(parts, writer, stamp).go_on(job.plant)
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

@@ -51,7 +51,7 @@ def _rehearsed(parts: Parts, job: JobRecord, episodes: Sequence[Episode], gate: 
 def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
     """The decision stands in the registry, and its candidate is promoted if a policy says so."""
     decision = record_decision(writer, job.plant, outcome["decision"], job.id, stamp)
-    cycle_of(parts, writer, stamp).judged(decision, outcome["rehearsed"])
+    cycle_of(parts, writer, stamp).judged(job, decision, outcome["rehearsed"])
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

@@ -11,7 +11,8 @@ from datetime import UTC, datetime
 from types import ModuleType
 from typing import Any
 
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import InterfaceError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from trueup.canonical import Json
 from trueup.errors import TrueupError
@@ -68,21 +69,33 @@ def finish(parts: Parts, job_id: str, found: dict[str, Any]) -> str:
     """Close the job with what was computed."""
     with parts.database.read() as connection:
         job = find.job(Reader(connection), job_id)
-    kind, stamp = KINDS[job.kind], Stamp(job.created_by, _now())
-    state = JobState(found["state"])
+    stamp, state = Stamp(job.created_by, _now()), JobState(found["state"])
     if "outcome" not in found:
         _close(parts, job, state, found.get("problem", {}), stamp)
         return state
+    try:
+        _finish(parts, job, state, found["outcome"], stamp)
+    except (OperationalError, InterfaceError, PoolTimeout):
+        raise  # the database, not the job: the engine tries this step again
+    except Exception as error:
+        log.exception("the job could not be closed with what came of it", extra={"job": job_id})
+        state = JobState.FAILED
+        told = error if isinstance(error, TrueupError) else TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
+        _close(parts, job, state, _problem(told), stamp)
+    return state
+
+
+def _finish(parts: Parts, job: JobRecord, state: JobState, outcome: dict[str, Any], stamp: Stamp) -> None:
+    kind = KINDS[job.kind]
     with parts.database.write() as connection:
         finish_job(
             Writer(connection),
             job,
             state,
-            kind.result(found["outcome"]),
+            kind.result(outcome),
             stamp,
-            lambda w: kind.effects(parts, w, job, found["outcome"], stamp),
+            lambda w: kind.effects(parts, w, job, outcome, stamp),
         )
-    return state
 
 
 def _close(parts: Parts, job: JobRecord, state: JobState, problem: dict[str, Json], stamp: Stamp) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.episode.role import HELD_OUT
 from trueup.fit.score import EVERY, Scoring, score
+from trueup.gate.cells import cells_of
 from trueup_service.actions import find
 from trueup_service.actions.alarms import raise_alarm
 from trueup_service.actions.stamp import Stamp
@@ -37,7 +38,10 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     scoring = Scoring(plant.horizon_s, EVERY)
     errors = score(predictor, episodes, scoring).rollout
     new = np.array([e.digest in request["new"] for e in episodes])
-    before, now = errors[~new], errors[new]
+    cells = cells_of(episodes, request["conditions"])
+    both = {c for c, n in zip(cells, new, strict=True) if n} & {c for c, n in zip(cells, new, strict=True) if not n}
+    alike = np.array([c in both for c in cells]) if both else np.ones(len(cells), np.bool_)  # another task is no worse model
+    before, now = errors[~new & alike], errors[new & alike]
     with parts.database.read() as connection:
         first = min((find.episode(Reader(connection), job.plant, d) for d in request["new"]), key=lambda e: e.start_ns)
     return {"validation": _compared(before, now), "artifact": request["artifact"], "first": first.digest, "since_ns": str(first.start_ns)}
@@ -48,11 +52,11 @@ def _compared(before: Array, now: Array) -> dict[str, Json]:
     rng = np.random.default_rng(0)
     found: dict[str, Json] = {
         "episodes": len(now),
-        "error": float(now.mean()),
-        "error_before": float(before.mean()) if len(before) else None,
+        "error": float(now.mean()) if np.isfinite(now).all() else None,
+        "error_before": float(before.mean()) if len(before) and np.isfinite(before).all() else None,
     }
-    if not len(before) or not before.mean() > 0.0:
-        return {**found, "ratio": None, "ratio_ci95": None, "worse": False}
+    if found["error"] is None or not found["error_before"]:
+        return {**found, "ratio": None, "ratio_ci95": None, "worse": found["error"] is None}  # what runs away is worse than anything
     drawn = [x[rng.integers(0, len(x), (RESAMPLES, len(x)))].mean(axis=1) for x in (now, before)]
     ratios = drawn[0] / np.maximum(drawn[1], 1e-300)
     low, high = (float(np.quantile(ratios, q)) for q in (0.025, 0.975))
@@ -64,7 +68,10 @@ def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any
     found = outcome["validation"]
     if found["worse"] and find.serving(writer, job.plant).artifact == outcome["artifact"]:
         writer.lock_plant(job.plant)
-        words = f"held-out episodes are predicted {found['ratio']:.2g} times as badly as at its promotion"
+        ratio = found["ratio"]
+        words = (
+            "the model runs away" if ratio is None else f"held-out episodes are predicted {ratio:.2g} times as badly as at its promotion"
+        )
         document = {
             "detectors": {"scheduled_validation": {"at_s": 0.0, "leading": words}},
             "since": outcome["first"],

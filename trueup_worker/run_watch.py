@@ -15,11 +15,13 @@ import numpy as np
 from trueup.canonical import Json
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import WATCHED
+from trueup.errors import BadEpisode
 from trueup.monitor.change import Before, changed, onset
 from trueup.monitor.monitor import Monitor
 from trueup_service.actions import find
 from trueup_service.actions.record_watch import Followed, record_watch
 from trueup_service.actions.stamp import Stamp
+from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import EpisodeRecord, JobRecord, Watch, Watching
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
@@ -48,10 +50,14 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     kept: Mapping[str, Sequence[float]] = watching.kept  # type: ignore[assignment]
     seen: list[dict[str, Any]] = []
     alarm: dict[str, Any] | None = None
-    rows = [(w.episode, w.seen) for w in history]
+    rows = [(w.episode, w.seen) for w in history if "channels" in w.seen]
     progress.stage("following episodes", 0.0, 1.0)
     for record in waiting:
-        kept, found = monitor.follow(kept, predictor, read_episode(parts.blobs.get(record.digest), plant.layout))
+        try:
+            kept, found = monitor.follow(kept, predictor, read_episode(parts.blobs.get(record.digest), plant.layout))
+        except (BadEpisode, BlobMissing) as error:  # it is told, and does not keep the others from being looked at
+            seen.append({"episode": record.digest, "seen": {"not_followed": error.message, "seconds": 0.0, "alarms": {}}})
+            continue
         document = found.document(channels)
         rows.append((record.digest, document))
         seen.append({"episode": record.digest, "seen": document})
@@ -79,7 +85,7 @@ def _alarm(
 ) -> dict[str, Any]:
     """What an alarm says: which detectors, since which episode, and what is different since then."""
     rms = np.array([[seen["channels"][c]["rms"] for c in channels] for _, seen in rows])
-    begun = onset(rms)
+    begun = onset(rms, monitor.usual)
     with parts.database.read() as connection:
         reader = Reader(connection)
         episodes = [find.episode(reader, plant, digest) for digest, _ in rows[begun:]]
@@ -88,7 +94,7 @@ def _alarm(
     said: dict[str, Json] = {
         "detectors": document["alarms"],
         "since": episodes[0].digest,
-        "since_ns": str(min(e.start_ns for e in episodes)),
+        "since_ns": str(episodes[0].start_ns),
         "episodes": len(episodes),
         "change": found,
     }

@@ -7,8 +7,6 @@ import threading
 import uuid
 from datetime import UTC, datetime, timedelta
 
-from sqlalchemy.exc import SQLAlchemyError
-
 from trueup.errors import TrueupError
 from trueup.gate.policy import UpdatePolicy
 from trueup_service.actions.stamp import Stamp, time_text
@@ -25,17 +23,25 @@ def keep(parts: Parts, interval_s: float, stop: threading.Event) -> None:
     while not stop.wait(interval_s):
         try:
             submit_due(parts, datetime.now(UTC))
-        except SQLAlchemyError:
-            log.warning("the schedule could not be looked at", exc_info=True)
+        except Exception:
+            log.exception("the schedule could not be looked at")
 
 
 def submit_due(parts: Parts, now: datetime) -> list[str]:
     """Submit a validation of every plant whose policy wants one by now; their names."""
     with parts.database.read() as connection:
         held = [(p.plant, UpdatePolicy.from_document(p.document)) for p in Reader(connection).policies_that_hold()]
-    return [
-        plant for plant, policy in held if policy.validate_every_h is not None and _submitted(parts, plant, policy.validate_every_h, now)
-    ]
+    due = [(plant, policy.validate_every_h) for plant, policy in held if policy.validate_every_h is not None]
+    return [plant for plant, every_h in due if _tried(parts, plant, every_h, now)]
+
+
+def _tried(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
+    """One plant's trouble is no other's."""
+    try:
+        return _submitted(parts, plant, every_h, now)
+    except Exception:
+        log.exception("a validation that may be due could not be submitted", extra={"plant": plant})
+        return False
 
 
 def _submitted(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:

@@ -13,12 +13,13 @@ from trueup_service.actions.alarms import close_alarm, raise_alarm
 from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.declare_gate import declare_gate
 from trueup_service.actions.declare_policy import declare_policy
+from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.record_watch import Followed, record_watch
 from trueup_service.actions.register_plant import register_plant
 from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.actions.submit_job import submit_gate
 from trueup_service.errors import Conflict, HeldOutSpent, NotFound
-from trueup_service.registry.records import EpisodeRecord, JobState, Watch
+from trueup_service.registry.records import ArtifactRecord, EpisodeRecord, JobState, Watch
 from trueup_service.registry.store import Reader, Writer
 from trueup_worker.schedule import submit_due
 
@@ -61,6 +62,10 @@ def serving(parts) -> str:
         return Reader(connection).serving("p").artifact
 
 
+def serving_of(writer: Writer) -> str:
+    return writer.serving("p").artifact
+
+
 def jobs(parts) -> list[str]:
     with parts.database.read() as connection:
         return [j.kind for j in Reader(connection).jobs("p", "9999", 100)]
@@ -101,12 +106,12 @@ def test_a_monitor_moves_on_once_over_what_it_has_not_seen(parts):
 def test_while_an_alarm_is_open_no_other_is_raised(parts):
     with parts.database.write() as connection:
         writer = Writer(connection)
-        first = raise_alarm(writer, "0" * 32, "p", None, serving(parts), FOUND, at(1))
-        assert raise_alarm(writer, "1" * 32, "p", None, serving(parts), FOUND, at(2)) is None
+        first = raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(1))
+        assert raise_alarm(writer, "1" * 32, "p", None, serving_of(writer), FOUND, at(2)) is None
         close_alarm(writer, "p", first.id, "mended", at(3))
         with pytest.raises(Conflict):
             close_alarm(writer, "p", first.id, "again", at(4))
-        assert raise_alarm(writer, "2" * 32, "p", None, serving(parts), FOUND, at(5)) is not None
+        assert raise_alarm(writer, "2" * 32, "p", None, serving_of(writer), FOUND, at(5)) is not None
         with pytest.raises(NotFound):
             close_alarm(writer, "q", first.id, "another's", at(6))
 
@@ -127,7 +132,7 @@ def test_a_look_is_asked_for_once_and_not_of_a_monitor_of_another_model(parts):
 def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_twice_as_much(parts):
     add_episode(parts, "a", "adaptation", 1, start_ns=-5)  # from before the change
     with parts.database.write() as connection:
-        raise_alarm(Writer(connection), "0" * 32, "p", None, serving(parts), FOUND, at(2))
+        raise_alarm(writer := Writer(connection), "0" * 32, "p", None, serving_of(writer), FOUND, at(2))
     add_episode(parts, "b", "adaptation", 3, start_ns=1)
     go_on(parts, 4)
     assert jobs(parts) == []
@@ -159,7 +164,7 @@ def test_a_policy_that_asks_leaves_every_step_to_a_person(parts):
         held, new = declare_policy(writer, "p", UpdatePolicy(gate.digest, on_alarm="ask").document(), at(2))
         assert new
         assert not declare_policy(writer, "p", held.document, at(3))[1]
-        raise_alarm(writer, "0" * 32, "p", None, serving(parts), FOUND, at(4))
+        raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(4))
     add_episode(parts, "b", "adaptation", 5)
     add_episode(parts, "c", "validation", 6)
     go_on(parts, 7)
@@ -179,13 +184,11 @@ def test_a_spent_held_out_episode_is_not_judged_on_again(parts):
         gate, _ = declare_gate(writer, "p", {**default.document, "held_out_uses": 1}, at(3))
         candidate = writer.serving("p").artifact
         request = {"candidate": candidate, "gate": gate.digest}
-        used = submit_gate(writer, parts.queue, "1" * 32, "p", {**request, "episodes": [spent]}, at(4))
-        writer.add_reads(used.id, [spent], "gate")
+        submit_gate(writer, parts.queue, "1" * 32, "p", {**request, "episodes": [spent]}, at(4))
         left = submit_gate(writer, parts.queue, "2" * 32, "p", request, at(5))
         assert (left.request["episodes"], left.request["spent"]) == ([fresh], [spent])
-        with pytest.raises(HeldOutSpent, match="1 held-out episodes were used 1 times"):
+        with pytest.raises(HeldOutSpent, match="2 held-out episodes were used 1 times"):
             submit_gate(writer, parts.queue, "3" * 32, "p", {**request, "episodes": [spent, fresh]}, at(6))
-        writer.add_reads(left.id, [fresh], "gate")
         with pytest.raises(HeldOutSpent):
             submit_gate(writer, parts.queue, "4" * 32, "p", request, at(7))
 
@@ -196,8 +199,11 @@ def test_validation_is_due_without_any_alarm_and_not_before_its_time(parts):
         gate, _ = declare_gate(writer, "p", None, at(1))
         declare_policy(writer, "p", UpdatePolicy(gate.digest, validate_every_h=1.0).document(), at(2))
     assert submit_due(parts, NOW + timedelta(seconds=3)) == []  # nothing was held out since the model serves
-    add_episode(parts, "a", "validation", 4)
-    assert submit_due(parts, NOW + timedelta(seconds=5)) == ["p"]
+    for i, name in enumerate("abcd"):
+        add_episode(parts, name, "validation", 4 + 0.1 * i)
+    assert submit_due(parts, NOW + timedelta(seconds=5)) == []  # four differ by luck alone
+    add_episode(parts, "e", "validation", 5)
+    assert submit_due(parts, NOW + timedelta(seconds=6)) == ["p"]
     assert submit_due(parts, NOW + timedelta(minutes=59)) == []
     assert submit_due(parts, NOW + timedelta(minutes=61)) == ["p"]
     assert jobs(parts) == ["validate"] * 2
@@ -213,6 +219,7 @@ def test_validation_is_due_without_any_alarm_and_not_before_its_time(parts):
         ({"promise_h": 0.0}, "promise_h"),
         ({"promise_h": "long"}, None),
         ({"validate_every_h": float("nan")}, "promise_h"),
+        ({"validate_every_h": 1e9}, "promise_h"),
         ({"reference_episodes": 1}, "promise_h"),
         ({"schema": "other"}, "schema"),
         ({"more": 1}, None),
@@ -224,3 +231,72 @@ def test_a_policy_that_cannot_be_followed_is_refused(spoil, field):
     with pytest.raises(BadPolicy) as refused:
         UpdatePolicy.from_document({**sound, **spoil})
     assert refused.value.facts.get("field") == field
+
+
+def test_a_monitor_that_watches_again_goes_on_counting_where_it_was(parts):
+    monitor = add_monitor_of(parts, serving(parts), 1)
+    add_episode(parts, "a", "telemetry", 2)
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        seen = [Watch("p", monitor, 1, "a" * 64, {"seconds": 1.0}, at(3).now)]
+        record_watch(writer, Followed(writer.watching("p"), {}, seen, None), "0" * 32, at(3))
+    assert add_monitor_of(parts, serving(parts), 1) == monitor
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        assert reader.watching("p").sequence == 1
+        assert reader.unwatched(reader.watching("p"), WATCHED, 10) == []
+
+
+def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policys_gate(parts):
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        strict, _ = declare_gate(writer, "p", None, at(1))
+        lax, _ = declare_gate(writer, "p", {**strict.document, "rules": [{"rule": "rollout_improves", "ratio": 1e9}]}, at(1))
+        declare_policy(writer, "p", UpdatePolicy(strict.digest, on_acceptance="promote").document(), at(2))
+        raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(3))
+    for i, role in enumerate(["adaptation", "validation", "validation"]):
+        add_episode(parts, "bcd"[i], role, 4 + i, start_ns=1 + i)
+    go_on(parts, 8)
+    candidate = "f" * 64
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        writer.add_artifact(ArtifactRecord("p", 2, candidate, "corrected", "{}", None, None, at(9).now, "worker"))
+        cycle = Cycle(writer, parts.queue, lambda: "3" * 32, at(9))
+        cycle.diagnosed(writer.last_job("p", "diagnose"), candidate, "effect")
+        trial = writer.job(writer.open_alarm("p").trial)
+        assert (trial.kind, trial.request["gate"], trial.request["episodes"]) == ("gate", strict.digest, ["c" * 64, "d" * 64])
+        by_hand = submit_gate(writer, parts.queue, "9" * 32, "p", {"candidate": candidate, "gate": lax.digest}, at(10))
+    for job, gate, promoted in ((by_hand, lax, 1), (by_hand, strict, 1), (trial, lax, 1), (trial, strict, 2)):
+        with parts.database.write() as connection:
+            writer = Writer(connection)
+            now = writer.serving("p")
+            against = {"incumbent": now.artifact, "generation": now.generation, "episodes": trial.request["episodes"]}
+            document = {"gate": gate.digest, "candidate": candidate, "accepted": True, "by": job.id, **against}
+            made = record_decision(writer, "p", document, job.id, at(11))
+            Cycle(writer, parts.queue, lambda: "8" * 32, at(12)).judged(job, made, {"seconds": 0.0})
+            assert writer.serving("p").generation == promoted
+    with parts.database.read() as connection:
+        assert Reader(connection).open_alarm("p") is None
+
+
+def test_a_refused_trial_is_tried_again_with_twice_as_much(parts):
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        gate, _ = declare_gate(writer, "p", None, at(1))
+        declare_policy(writer, "p", UpdatePolicy(gate.digest).document(), at(2))
+        raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(3))
+    add_episode(parts, "b", "adaptation", 4, start_ns=1)
+    add_episode(parts, "c", "validation", 5, start_ns=2)
+    go_on(parts, 6)
+    finish(parts, "diagnose", report={"verdict": "effect"}, artifact="f" * 64)
+    with parts.database.write() as connection:
+        writer = Writer(connection)
+        writer.add_artifact(ArtifactRecord("p", 2, "f" * 64, "corrected", "{}", None, None, at(7).now, "worker"))
+        Cycle(writer, parts.queue, lambda: "7" * 32, at(7)).diagnosed(writer.last_job("p", "diagnose"), "f" * 64, "effect")
+    add_episode(parts, "d", "adaptation", 8, start_ns=3)
+    add_episode(parts, "e", "validation", 9, start_ns=4)
+    go_on(parts, 10)
+    assert jobs(parts).count("diagnose") == 1  # the trial is under way
+    finish(parts, "gate", accepted=False)
+    go_on(parts, 11)
+    assert jobs(parts).count("diagnose") == 2

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.collect.ensemble import NUDGE, TWO_SIDED, Ensemble
-from trueup.errors import NotIdentifiable
+from trueup.errors import BadPlant, NotIdentifiable
 from trueup.model.plant import Plant
 
 Array = NDArray[np.float64]
@@ -37,6 +37,7 @@ LONGEST_HOLD = 1.0  # times the excitation
 CHANGED = 0.3  # of the lines, at once
 TOUCH = 1e-9  # of a command: it is the hold
 SETTLED_S, SETTLED = 60.0, 1e-3  # within which time, and to which part of the largest speed, a machine is at rest
+SMALLEST = 0.01  # of the command's reach: less is no excitation
 SHRINK = 0.97
 CHECKED = 1000  # members drawn anew, under each of which the final command must hold
 RANDOM = 20  # random excitations of the same energy to compare with
@@ -64,6 +65,8 @@ class Bounds:
     @staticmethod
     def of(plant: Plant, duration_s: float, band_hz: tuple[float, float] | None, rate: float | None, margin: float) -> Bounds:
         """A plant's own. Without a rate a command may cross its range in a fifth of the shortest period of the band."""
+        if not 0.0 <= margin < 1.0 or not duration_s > 0.0:
+            raise BadPlant("an excitation needs a margin from 0 to below 1 and a positive duration", field="margin")
         joints = len(plant.joints)
         low, high = (np.where(plant.command_columns >= 0, bound[plant.command_columns], 0.0) for bound in plant.limits)
         band = band_hz or (1.0 / duration_s, min(0.1 / plant.timestep_s, 20.0 / duration_s))
@@ -372,6 +375,11 @@ def _checked(maker: _Maker, wave: _Wave, rng: np.random.Generator, progress: Cal
             if maker.inside(paths):
                 break
         size *= SHRINK
+        if size < SMALLEST:
+            raise NotIdentifiable(
+                "a model still in play leaves the envelope, or never rests, under the smallest excitation",
+                hint="Narrow the spread of the numbers, widen the envelope, or hold the machine where there is room.",
+            )
         progress("checking on members drawn anew", 0.5)
     t_s, command = found
     low, high = _declared(maker.bounds)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import product
+from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from trueup.canonical import Json
 from trueup.episode.episode import Episode
 
 UNDECLARED = "undeclared"
+MOST = 400  # cells of a matrix that is told whole: of a larger one those that are covered
 Cell = tuple[str, ...]
 
 
@@ -35,10 +37,14 @@ def told(cell: Cell, conditions: Sequence[str]) -> str:
 
 
 def matrix(cells: Sequence[Cell], conditions: Sequence[str], candidate: NDArray[np.float64], incumbent: NDArray[np.float64]) -> list[Json]:
-    """Every combination of the values that occur: its mean errors and how many episodes cover it, null and 0 where none does."""
+    """Every combination of the values that occur: its mean errors and how many episodes cover it, null and 0 where none does.
+
+    Of more than MOST combinations only those that are covered.
+    """
     values = [sorted({cell[i] for cell in cells}) for i in range(len(conditions))]
     rows: list[Json] = []
-    for cell in product(*values):
+    every = list(product(*values)) if prod(len(v) for v in values) <= MOST else sorted(set(cells))
+    for cell in every:
         inside = np.array([c == cell for c in cells])
         means = [float(x[inside].mean()) if inside.any() else None for x in (candidate, incumbent)]
         rows.append(

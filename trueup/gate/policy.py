@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ from trueup.errors import TrueupError
 
 SCHEMA = "trueup.policy/1"
 ASK = "ask"
+LONGEST_H = 1e5  # eleven years
 CHOICES = {"on_alarm": (ASK, "diagnose"), "on_diagnosis": (ASK, "judge"), "on_acceptance": (ASK, "promote")}
 
 
@@ -45,8 +45,10 @@ class UpdatePolicy:
         if not is_digest(self.gate):
             raise BadPolicy("the gate must be named by its digest", field="gate")
         hours = self.promise_h, self.promise_h if self.validate_every_h is None else self.validate_every_h
-        if not all(math.isfinite(h) and h > 0.0 for h in hours) or self.reference_episodes < 2:  # noqa: PLR2004  (halves)
-            raise BadPolicy("hours must be positive, and a reference needs two episodes at least", field="promise_h")
+        if not all(0.0 < h <= LONGEST_H for h in hours) or self.reference_episodes < 2:  # noqa: PLR2004  (halves)
+            raise BadPolicy(
+                "hours must be positive and no more than 100 000, and a reference needs two episodes at least", field="promise_h"
+            )
 
     @cached_property
     def digest(self) -> str:

@@ -53,12 +53,12 @@ class Verdict:
 
     def document(self) -> dict[str, Json]:
         """The same as JSON; a figure that is no number stands as null."""
-        value = self.value if np.isfinite(self.value) else None
+        value, threshold = (x if np.isfinite(x) else None for x in (self.value, self.threshold))
         return {
             "rule": self.rule,
             "passed": self.passed,
             "value": value,
-            "threshold": self.threshold,
+            "threshold": threshold,
             "unit": self.unit,
             "because": self.because,
         }

@@ -22,17 +22,15 @@ LEAST = 1e-300  # of a power, to divide by
 LOG_LEAST = -700.0  # whose exponential is no zero yet
 
 
-def achieved(
-    detector: Detector, judged: Detector, fresh: Sequence[Residuals], promise_h: float, rng: np.random.Generator
-) -> dict[str, Json]:
-    """Figures on healthy episodes that did not set the detector's level: exceedance and alarms an hour with intervals, delays of drifts.
+def achieved(detector: Detector, fresh: Sequence[Residuals], promise_h: float, rng: np.random.Generator) -> dict[str, Json]:
+    """Figures on healthy episodes that the detector does not know: exceedance and alarms an hour with intervals, delays of drifts.
 
-    `judged` is the same detector where it has read none of them.
+    Of an episode one alarm is counted at most.
     """
     hours = sum(r.seconds for r in fresh) / 3600.0
-    state, alarms = judged.begin(), 0
+    state, alarms = detector.begin(), 0
     for residuals in fresh:
-        found = judged.follow(state, residuals)
+        found = detector.follow(state, residuals)
         state, alarms = found.state, alarms + (found.alarm is not None)
     low, high = poisson_interval(alarms)
     shares = np.array([detector.exceedance(r) for r in fresh])

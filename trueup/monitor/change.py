@@ -68,18 +68,19 @@ class Before:
         return Before(ranges, float(document["period_s"]), {n: tuple(v) for n, v in document["conditions"].items()})
 
 
-def onset(rms: Array) -> int:
-    """The episode from which on errors grew, of the errors `(episodes, channels)` in healthy spreads up to an alarm: where the sum of what
-    speaks for growth was last nothing.
+def onset(rms: Array, usual: Sequence[tuple[float, float]]) -> int:
+    """The episode from which on errors grew, of the errors `(episodes, channels)` in healthy spreads up to an alarm.
 
-    Source: E. S. Page, Biometrika 41 (1954), on estimating the change.
+    Of each channel the sum of how far the logarithm of its error lies above what is usual, mean and standard deviation, and a margin; of
+    the channel with the largest sum where it was last nothing. Source: E. S. Page, Biometrika 41 (1954), on estimating the change.
     """
-    gathered, since = 0.0, 0
-    for i, row in enumerate(rms):
-        gathered = max(0.0, gathered + float(np.log(np.maximum(row.max(), 1e-9))) - GROWN)
-        if gathered == 0.0:
-            since = i + 1
-    return min(since, len(rms) - 1)
+    mean, spread = np.array(usual).T
+    above = np.log(np.maximum(rms, 1e-9)) - mean - np.maximum(spread, GROWN)
+    gathered, since = np.zeros(rms.shape[1]), np.zeros(rms.shape[1], np.int64)
+    for i, row in enumerate(above):
+        gathered = np.maximum(gathered + row, 0.0)
+        since[gathered == 0.0] = i + 1
+    return min(int(since[gathered.argmax()]), len(rms) - 1)
 
 
 def changed(reference: Before, channels: Mapping[str, Array], now: Before) -> dict[str, Json]:

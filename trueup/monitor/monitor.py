@@ -17,11 +17,11 @@ import numpy as np
 
 from trueup.canonical import Json, digest_of
 from trueup.episode.episode import Episode
-from trueup.errors import BadMonitor, NotIdentifiable
+from trueup.errors import BadMonitor, NotAnEpisode, NotIdentifiable
 from trueup.model.predictor import Predictor
 from trueup.monitor.achieved import achieved
 from trueup.monitor.change import Before
-from trueup.monitor.detector import Detector, Reference, State, detectors
+from trueup.monitor.detector import CAUTION, Detector, Reference, State, detectors
 from trueup.monitor.residuals import Healthy, Missed, Residuals, blocks, missed
 from trueup.monitor.signature import Signatures
 
@@ -29,6 +29,7 @@ SCHEMA = "trueup.monitor/1"
 LONGEST_BLOCK = 5  # rollouts
 LEAST_BLOCKS = 8  # in either half of the reference
 LEAST_FOR_SIGNATURES = 40  # blocks of the half that sets levels
+LEAST_ERROR = 1e-9  # of a healthy spread, to take the logarithm of
 SHORT = 0.1  # of the episodes may be shorter than a block, and then count for no more than single residuals
 
 
@@ -60,7 +61,8 @@ class Seen:
 class Monitor:
     """What follows one predictor on one plant. Frozen, and named by its digest.
 
-    `figures` is what the detectors were measured to keep, `reference` the digests of the healthy episodes, `before` what they were like.
+    `figures` is what the detectors were measured to keep, `reference` the digests of the healthy episodes, `before` what they were like;
+    `usual` is mean and standard deviation of the logarithm of each channel's error over healthy episodes.
     """
 
     plant: str
@@ -72,6 +74,7 @@ class Monitor:
     detectors: tuple[Detector, ...]
     reference: tuple[str, ...]
     before: Before
+    usual: tuple[tuple[float, float], ...]
     figures: Mapping[str, Json]
 
     def begin(self) -> dict[str, State]:
@@ -79,9 +82,12 @@ class Monitor:
         return {d.name: d.begin() for d in self.detectors}
 
     def follow(self, state: Mapping[str, Sequence[float]], predictor: Predictor, episode: Episode) -> tuple[dict[str, State], Seen]:
-        """One more episode: what is kept, and what was seen."""
-        residuals = measured(predictor, self.healthy, self.signatures, episode, missed(predictor, episode))
-        plant = predictor.plant
+        """One more episode: what is kept, and what was seen. Raises NotAnEpisode where it is too short for a rollout."""
+        plant, of = predictor.plant, missed(predictor, episode)
+        if not len(of.values):
+            raise NotAnEpisode(f"no rollout of {plant.horizon_s:g} s can start in this episode", rule="samples", digest=episode.digest)
+        looked_for = self.signatures if any(d.follows == "signatures" for d in self.detectors) else None
+        residuals = measured(predictor, self.healthy, looked_for, episode, of)
         channels, signs = [c.name for c in plant.layout.observations], self.signatures.names(plant)
         after: dict[str, State] = {}
         highest: dict[str, float] = {}
@@ -114,6 +120,7 @@ class Monitor:
             "detectors": [{"detector": d.name, "rests_on": d.rests_on, "guarantee": d.guarantee, **d.document()} for d in self.detectors],
             "reference": list(self.reference),
             "before": self.before.document(),
+            "usual": [list(u) for u in self.usual],
             "figures": dict(self.figures),
         }
 
@@ -133,6 +140,7 @@ class Monitor:
                 tuple(detectors()[d["detector"]].restore(d) for d in document["detectors"]),
                 tuple(document["reference"]),
                 Before.from_document(document["before"]),
+                tuple((float(mean), float(spread)) for mean, spread in document["usual"]),
                 document["figures"],
             )
         except (KeyError, TypeError, ValueError) as error:
@@ -160,6 +168,7 @@ def calibrate(
     for episode in episodes:
         found.append(missed(predictor, episode))
         progress("predicting healthy episodes", len(found) / len(episodes))
+    episodes, found = [e for e, m in zip(episodes, found, strict=True) if len(m.values)], [m for m in found if len(m.values)]
     if len(found) < 2:  # noqa: PLR2004  (halves)
         raise _too_short(len(found), 0)
     rng = np.random.default_rng(seed)
@@ -181,12 +190,11 @@ def calibrate(
     for name in chosen:
         made.append(detectors()[name].calibrate(of, rng))
         progress("setting levels", len(made) / len(chosen))
-    unread = [d.calibrate(replace(of, fresh=()), rng) if d.reads_fresh else d for d in made]
-    figures: dict[str, Json] = {d.name: {**achieved(d, u, fresh, share_h, rng)} for d, u in zip(made, unread, strict=True)}
+    figures: dict[str, Json] = {d.name: {**_judged(d, of, fresh, windows, share_h, rng)} for d in made}
     hours = sum(m.seconds for m in found) / 3600.0
     told: dict[str, Json] = {
         "reference_h": hours,
-        "promise_shown": bool(hours > promise_h),
+        "promise_shown": bool(hours / 2.0 > share_h / CAUTION),
         "block_s": of.block_s,
         "detectors": {**figures},
     }
@@ -200,13 +208,31 @@ def calibrate(
         tuple(made),
         tuple(e.digest for e in episodes),
         Before.of(episodes),
+        _usual(residuals),
         told,
     )
 
 
-def measured(predictor: Predictor, healthy: Healthy, signatures: Signatures, episode: Episode, of: Missed) -> Residuals:
-    """What was missed in one episode as detectors take it."""
-    return signatures.evidence(predictor, episode, of, healthy, healthy.residuals(of))
+def _judged(
+    detector: Detector, of: Reference, fresh: Sequence[Residuals], windows: int, promise_h: float, rng: np.random.Generator
+) -> dict[str, Json]:
+    """A detector's figures on the fresh half; one that reads that half is made of a part of it, and judged on the rest."""
+    if not detector.reads_fresh:
+        return achieved(detector, fresh, promise_h, rng)
+    read, rest = fresh[::2], fresh[1::2]
+    part = detector.calibrate(replace(of, fresh=[b for r in read for b in blocks(r, windows)]), rng)
+    return achieved(part, rest or fresh, promise_h, rng)
+
+
+def measured(predictor: Predictor, healthy: Healthy, signatures: Signatures | None, episode: Episode, of: Missed) -> Residuals:
+    """What was missed in one episode as detectors take it; without signatures nothing is looked for in it."""
+    residuals = healthy.residuals(of)
+    return residuals if signatures is None else signatures.evidence(predictor, episode, of, healthy, residuals)
+
+
+def _usual(residuals: Sequence[Residuals]) -> tuple[tuple[float, float], ...]:
+    errors = np.log(np.maximum([r.mean_and_rms()[1] for r in residuals], LEAST_ERROR))
+    return tuple((float(m), float(s)) for m, s in zip(errors.mean(axis=0), errors.std(axis=0), strict=True))
 
 
 def _too_short(episodes: int, found: int) -> NotIdentifiable:

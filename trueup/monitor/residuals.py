@@ -54,7 +54,11 @@ def missed(predictor: Predictor, episode: Episode) -> Missed:
     """What the predictor misses, from rollouts that start at each multiple of the plant's horizon."""
     plant, horizon_s = predictor.plant, predictor.plant.horizon_s
     begin_s = float(episode.t_s[known_from(plant, episode)])
-    windows = cut(plant, episode, starts_every(episode.t_s[:-1], horizon_s, begin_s))
+    starts = starts_every(episode.t_s[:-1], horizon_s, begin_s)
+    if not len(starts):  # a velocity that nobody observes needs a span of positions
+        nothing = np.zeros(0, np.int64)
+        return Missed(np.zeros((0, len(plant.scales))), np.zeros(0), nothing, nothing, np.zeros(0), nothing, float(episode.t_s[-1]))
+    windows = cut(plant, episode, starts)
     with np.errstate(over="ignore", invalid="ignore"):  # running away is an answer
         values = (predict_observations(predictor, windows) - episode.observations[windows.rows]) / plant.scales
     counts = windows.inside & (np.arange(windows.inside.shape[1]) > 0)
@@ -86,6 +90,8 @@ class Residuals:
 
     def mean_and_rms(self) -> tuple[list[float], list[float]]:
         """Mean and root mean square of each channel over the time of the episode, `(channels,)`."""
+        if not len(self.weight):
+            return [0.0] * self.values.shape[1], [0.0] * self.values.shape[1]
         share = self.weight / self.weight.sum()
         return [float(x) for x in share @ self.values], [float(x) for x in np.sqrt(share @ self.values**2)]
 

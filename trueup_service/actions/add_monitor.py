@@ -18,6 +18,6 @@ def add_monitor(
     writer.lock_plant(plant)
     if writer.monitor(plant, digest) is None:
         writer.add_monitor(MonitorRecord(plant, digest, document["artifact"], document, job, stamp.now, stamp.actor))
-    writer.watch_with(Watching(plant, digest, since, 0, kept))
+    writer.watch_with(Watching(plant, digest, since, writer.last_watch(plant, digest), kept))
     facts: dict[str, Json] = {"artifact": document["artifact"], "promise_h": document["promise_h"], "job": job}
     writer.append_audit(at=stamp.now, kind="monitor:calibrated", actor=stamp.actor, plant=plant, subject=digest, facts=facts)

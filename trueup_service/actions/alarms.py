@@ -18,7 +18,7 @@ def raise_alarm(
     """The alarm; None, and nothing is done, while another is open, or if it is about a model that serves no more."""
     if writer.open_alarm(plant) is not None or find.serving(writer, plant).artifact != artifact:
         return None
-    raised = AlarmRecord(name, plant, monitor, artifact, found["episode"], found["document"], None, stamp.now, None, None, None)
+    raised = AlarmRecord(name, plant, monitor, artifact, found["episode"], found["document"], None, None, stamp.now, None, None, None)
     writer.add_alarm(raised)
     facts: dict[str, Json] = {"monitor": monitor, "episode": raised.episode, "alarm": raised.document}
     writer.append_audit(at=stamp.now, kind="alarm:raised", actor=stamp.actor, plant=plant, subject=name, facts=facts)
@@ -27,6 +27,7 @@ def raise_alarm(
 
 def close_alarm(writer: Writer, plant: str, alarm: str, because: str, stamp: Stamp) -> AlarmRecord:
     """Close an alarm, and say why. Raises NotFound, Conflict if it is closed already."""
+    writer.lock_plant(plant)
     found = find.alarm(writer, plant, alarm)
     if not writer.update_alarm(alarm, closed_at=stamp.now, closed_by=stamp.actor, closed_because=because):
         raise Conflict("the alarm is closed already", hint="Nothing is left to do.", closed_at=found.closed_at)

@@ -1,6 +1,6 @@
 """Continue the cycle, as far as the plant's policy lets it go without a person.
 
-    an alarm is open       diagnose what was recorded since the change began; again once twice as much has been, if nothing was found
+    an alarm is open       diagnose what was recorded since the change began; again once twice as much has been, if that led nowhere
     a diagnosis ended      judge the corrected model by the policy's gate
     a candidate passed     promote it, and close the alarm
     the pointer moved      once enough healthy episodes came in, calibrate a monitor of what serves now
@@ -26,7 +26,7 @@ from trueup_service.actions.move_pointer import promote_decision
 from trueup_service.actions.stamp import Stamp
 from trueup_service.actions.submit_job import submit_calibration, submit_diagnosis, submit_gate, submit_watch
 from trueup_service.jobs import JobQueue
-from trueup_service.registry.records import FINAL, AlarmRecord, DecisionRecord, EpisodeRecord, JobRecord, JobState, Move
+from trueup_service.registry.records import FINAL, AlarmRecord, DecisionRecord, EpisodeRecord, JobRecord, JobState, Move, MoveKind
 from trueup_service.registry.store import Writer
 
 DIAGNOSED = {Role.ADAPTATION, Role.VALIDATION}
@@ -44,33 +44,36 @@ class Cycle:
     stamp: Stamp
 
     def go_on(self, plant: str) -> None:
-        """Do what is next after an episode came in or a monitor looked at some."""
+        """Do what is next after an episode came in, a monitor was calibrated or has looked at some."""
+        self.writer.lock_plant(plant)
         self._watch(plant)
         alarm = self.writer.open_alarm(plant)
         policy = policy_of(self.writer, plant)
         if alarm is not None and (policy is None or policy.on_alarm != ASK):
-            self._diagnose(alarm)
+            self._diagnose(alarm, policy)
 
     def diagnosed(self, job: JobRecord, candidate: str, verdict: str) -> None:
         """A diagnosis ended: judge its model, if the open alarm asked for it and the policy says so."""
-        alarm, policy = self._asked(job.plant, job.id)
-        if alarm is None or policy is None or policy.on_diagnosis == ASK or verdict == NOTHING:
+        self.writer.lock_plant(job.plant)
+        alarm, policy = self.writer.open_alarm(job.plant), policy_of(self.writer, job.plant)
+        if alarm is None or alarm.job != job.id or policy is None or policy.on_diagnosis == ASK or verdict == NOTHING:
             return
-        request: dict[str, Json] = {"candidate": candidate, "gate": policy.gate, "episodes": self._held_out(job.plant, alarm, policy)}
-        self._submitted(job.plant, lambda: submit_gate(self.writer, self.queue, self.new(), job.plant, request, self.stamp))
+        episodes: list[Json] = list(self._held_out(job, alarm, policy))
+        request: dict[str, Json] = {"candidate": candidate, "gate": policy.gate, "episodes": episodes}
+        trial = self.new()
+        if self._submitted(job.plant, lambda: submit_gate(self.writer, self.queue, trial, job.plant, request, self.stamp)):
+            self.writer.update_alarm(alarm.id, trial=trial)
 
-    def judged(self, decision: DecisionRecord, rehearsed: dict[str, Json]) -> None:
-        """A decision was made: promote its candidate, if the open alarm's diagnosis made it and the policy says so."""
-        plant, alarm = decision.plant, self.writer.open_alarm(decision.plant)
-        policy = policy_of(self.writer, plant)
-        if alarm is None or alarm.job is None or policy is None or policy.on_acceptance == ASK or not decision.accepted:
+    def judged(self, job: JobRecord, decision: DecisionRecord, rehearsed: dict[str, Json]) -> None:
+        """A trial ended: promote its candidate, if the cycle asked for this very trial, by the gate of the policy that holds."""
+        plant = decision.plant
+        self.writer.lock_plant(plant)
+        alarm, policy = self.writer.open_alarm(plant), policy_of(self.writer, plant)
+        if alarm is None or alarm.trial != job.id or policy is None or policy.on_acceptance == ASK:
             return
-        result: Any = find.job(self.writer, alarm.job).result or {}
-        if result.get("artifact") != decision.candidate or find.serving(self.writer, plant).generation != decision.generation:
+        if not decision.accepted or decision.gate != policy.gate or find.serving(self.writer, plant).generation != decision.generation:
             return
-        move = promote_decision(self.writer, plant, decision.digest, decision.generation, rehearsed, self.stamp)
-        self.moved(move)
-        self._watch(plant)
+        self.moved(promote_decision(self.writer, plant, decision.digest, decision.generation, rehearsed, self.stamp))
 
     def moved(self, move: Move) -> None:
         """Another model serves: the alarm was about the one before it."""
@@ -80,51 +83,68 @@ class Cycle:
             close_alarm(self.writer, move.plant, alarm.id, because, self.stamp)
 
     def _watch(self, plant: str) -> None:
-        """Let the monitor of what serves look at what is new; make one where the policy wants it and there is what it takes."""
-        serving, watching = find.serving(self.writer, plant).artifact, self.writer.watching(plant)
-        if watching is None or find.monitor(self.writer, plant, watching.monitor).artifact == serving:
+        """Let the monitor of what serves look at what is new; make one where the policy wants it and there is what it takes.
+
+        What is healthy for a new model is what came in since it serves and that it was neither made nor chosen by. After a rollback a
+        person says what is healthy: the change may still be there.
+        """
+        now, watching = find.serving(self.writer, plant), self.writer.watching(plant)
+        if watching is not None and find.monitor(self.writer, plant, watching.monitor).artifact == now.artifact:
             submit_watch(self.writer, self.queue, self.new(), plant, self.stamp)
             return
         policy, last = policy_of(self.writer, plant), self.writer.last_job(plant, "calibrate")
-        changes = [a for a in self.writer.alarms(plant, self.stamp.now + "~", 1) if a.closed_at is not None]
-        if policy is None or not changes or (last is not None and last.state not in FINAL):
+        if policy is None or now.kind != MoveKind.PROMOTED or (last is not None and last.state not in FINAL):
             return
-        healthy = _since(self.writer.episodes_of_role(plant, HEALTHY), changes[0])
-        tried: Any = [] if last is None or last.request.get("artifact") != serving else last.request["episodes"]
+        judged: Any = [] if now.decision is None else find.decision(self.writer, plant, now.decision).document["episodes"]
+        healthy = [e.digest for e in self.writer.episodes_of_role(plant, HEALTHY, came_in=now.at) if e.digest not in judged]
+        tried: Any = [] if last is None or last.request.get("artifact") != now.artifact else last.request["episodes"]
         if len(healthy) >= max(policy.reference_episodes, AGAIN * len(tried)):
-            request: dict[str, Json] = {"promise_h": policy.promise_h, "seed": 0, "episodes": [e.digest for e in healthy]}
+            request: dict[str, Json] = {"promise_h": policy.promise_h, "seed": 0, "episodes": list(healthy)}
             self._submitted(plant, lambda: submit_calibration(self.writer, self.queue, self.new(), plant, request, self.stamp))
 
-    def _diagnose(self, alarm: AlarmRecord) -> None:
+    def _diagnose(self, alarm: AlarmRecord, policy: UpdatePolicy | None) -> None:
         """Diagnose what was recorded since the change began: at once, or again when there is twice as much."""
-        found = _since(self.writer.episodes_of_role(alarm.plant, DIAGNOSED), alarm)
-        if {e.role for e in found} != DIAGNOSED:
+        found = self.writer.episodes_of_role(alarm.plant, DIAGNOSED, _since_ns(alarm))
+        if {e.role for e in found} != DIAGNOSED or not self._is_due(alarm, policy, len(found)):
             return
-        if alarm.job is not None:
-            job = find.job(self.writer, alarm.job)
-            result: Any = job.result or {}
-            before: Any = job.request["episodes"]
-            nothing = job.state != JobState.SUCCEEDED or result["report"]["verdict"] == NOTHING
-            if job.state not in FINAL or not nothing or len(found) < AGAIN * len(before):
-                return
         request: dict[str, Json] = {"episodes": [e.digest for e in found], "seed": 0}
         job = submit_diagnosis(self.writer, self.queue, self.new(), alarm.plant, request, self.stamp)
-        self.writer.update_alarm(alarm.id, job=job.id)
+        self.writer.update_alarm(alarm.id, job=job.id, trial=None)
 
-    def _asked(self, plant: str, job: str) -> tuple[AlarmRecord | None, UpdatePolicy | None]:
-        alarm = self.writer.open_alarm(plant)
-        return (alarm if alarm is not None and alarm.job == job else None), policy_of(self.writer, plant)
+    def _is_due(self, alarm: AlarmRecord, policy: UpdatePolicy | None, episodes: int) -> bool:
+        """Whether there was no diagnosis yet, or one that led nowhere and there is twice as much now."""
+        if alarm.job is None:
+            return True
+        job = find.job(self.writer, alarm.job)
+        trial = None if alarm.trial is None else find.job(self.writer, alarm.trial)
+        if job.state not in FINAL or (trial is not None and trial.state not in FINAL):
+            return False
+        result: Any = job.result or {}
+        judged: Any = {} if trial is None else trial.result or {}
+        found_nothing = job.state != JobState.SUCCEEDED or result["report"]["verdict"] == NOTHING
+        led_nowhere = policy is not None and policy.on_diagnosis != ASK and not judged.get("accepted")
+        return (found_nothing or led_nowhere) and episodes >= AGAIN * len(job.request["episodes"])  # type: ignore[arg-type]
 
-    def _held_out(self, plant: str, alarm: AlarmRecord, policy: UpdatePolicy) -> list[Json]:
-        """Of each cell of the gate's conditions what was recorded since the change; of a cell that was not visited since, what there is."""
-        conditions: Any = find.gate(self.writer, plant, policy.gate).document.get("conditions", [])
+    def _held_out(self, diagnosis: JobRecord, alarm: AlarmRecord, policy: UpdatePolicy) -> list[str]:
+        """What to judge on, of each cell of the gate's conditions: what was recorded since the change, or where nothing was, what there is.
+
+        What the diagnosis has not compared on is taken before what it has; what is spent is left out.
+        """
+        gate: Any = find.gate(self.writer, alarm.plant, policy.gate).document
         cells: dict[tuple[str, ...], list[EpisodeRecord]] = {}
-        for episode in self.writer.episodes_of_role(plant, HELD_OUT):
+        for episode in self.writer.episodes_of_role(alarm.plant, HELD_OUT):
+            if gate.get("held_out_uses") is not None and self.writer.uses(episode.digest, "gate") >= gate["held_out_uses"]:
+                continue
             declared: Any = episode.summary["conditions"]
-            cells.setdefault(tuple(declared.get(name, "") for name in conditions), []).append(episode)
-        return [e.digest for inside in cells.values() for e in (_since(inside, alarm) or inside)]
+            cells.setdefault(tuple(declared.get(name, "") for name in gate.get("conditions", [])), []).append(episode)
+        chosen: list[str] = []
+        for inside in cells.values():
+            new = [e for e in inside if e.start_ns >= _since_ns(alarm)] or inside
+            unseen = [e for e in new if e.digest not in diagnosis.request["episodes"]]  # type: ignore[operator]
+            chosen += [e.digest for e in unseen or new]
+        return chosen
 
-    def _submitted(self, plant: str, submit: Callable[[], object]) -> None:
+    def _submitted(self, plant: str, submit: Callable[[], object]) -> bool:
         """Ask for a job; where it cannot be, the log says why, and the cycle waits for a person or for more data."""
         try:
             submit()
@@ -137,9 +157,11 @@ class Cycle:
                 subject=error.code,
                 facts={"because": error.message},
             )
+            return False
+        return True
 
 
-def _since(episodes: list[EpisodeRecord], alarm: AlarmRecord) -> list[EpisodeRecord]:
-    """Those that were recorded since the change began."""
+def _since_ns(alarm: AlarmRecord) -> int:
+    """When the change began."""
     document: Any = alarm.document
-    return [e for e in episodes if e.start_ns >= int(document["since_ns"])]
+    return int(document["since_ns"])

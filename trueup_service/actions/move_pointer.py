@@ -18,6 +18,7 @@ def promote_decision(writer: Writer, plant: str, decision: str, expected_generat
 
     Raises PointerMoved, NotAccepted, NotFound.
     """
+    writer.lock_plant(plant)
     now = find.serving(writer, plant)
     made = find.decision(writer, plant, decision)
     judged = _judged(made)
@@ -57,6 +58,7 @@ def previous_artifact(reader: Reader, plant: str, expected_generation: int) -> t
 
 def roll_back_pointer(writer: Writer, plant: str, expected_generation: int, tested: dict[str, Json], stamp: Stamp) -> Move:
     """The new position, at the artifact that served before; `tested` is the record of its switchback test."""
+    writer.lock_plant(plant)
     now = find.serving(writer, plant)
     back, artifact = previous_artifact(writer, plant, expected_generation)
     pointer = roll_back(_pointer(now), artifact.digest, expected_generation, _later(now, stamp))

@@ -15,6 +15,8 @@ from trueup_service.jobs import JobQueue
 from trueup_service.registry.records import EpisodeRecord, JobRecord, JobState
 from trueup_service.registry.store import Writer
 
+LEAST_VALIDATED = 5  # episodes: of one, the error differs by luck alone by as much as an alarm takes
+
 
 def submit_fit(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
     """A fit of `method` from adaptation episodes: those named, or all there are now. Raises RoleRefused, NotIdentifiable."""
@@ -47,7 +49,9 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
         "incumbent": now.artifact,
         "generation": now.generation,
     }
-    return _submit(writer, queue, job, plant, "gate", frozen, stamp)
+    record = _submit(writer, queue, job, plant, "gate", frozen, stamp)
+    writer.add_reads(job, _digests(episodes), "gate")  # used from now on, so that many at once do not spend more than there is
+    return record
 
 
 def submit_diagnosis(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
@@ -97,17 +101,21 @@ def submit_watch(writer: Writer, queue: JobQueue, job: str, plant: str, stamp: S
 def submit_validation(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
     """A validation of what serves, on what was held out since it was promoted, beside what its promotion was judged on.
 
-    Raises NotIdentifiable where nothing was.
+    Raises NotIdentifiable where too little was: a few episodes differ by luck.
     """
     now = find.serving(writer, plant)
     judged: Any = [] if now.decision is None else find.decision(writer, plant, now.decision).document["episodes"]
-    held_out = writer.episodes_of_role(plant, HELD_OUT)
-    new = [e for e in held_out if e.created_at > now.at and e.digest not in judged]
-    if not new:
-        raise NotIdentifiable(
-            "nothing was held out since this model serves", hint="Upload an episode whose metadata says role = validation."
-        )
-    frozen: dict[str, Json] = {"artifact": now.artifact, "episodes": [*judged, *_digests(new)], "new": list(_digests(new))}
+    gate: Any = {} if now.decision is None else find.gate(writer, plant, find.decision(writer, plant, now.decision).gate).document
+    new = [e for e in writer.episodes_of_role(plant, HELD_OUT, came_in=now.at) if e.digest not in judged]
+    if len(new) < LEAST_VALIDATED:
+        hint = f"Upload {LEAST_VALIDATED} episodes with the role validation at least."
+        raise NotIdentifiable(f"only {len(new)} episodes were held out since this model serves", hint=hint)
+    frozen: dict[str, Json] = {
+        "artifact": now.artifact,
+        "episodes": [*judged, *_digests(new)],
+        "new": list(_digests(new)),
+        "conditions": gate.get("conditions", []),
+    }
     return _submit(writer, queue, job, plant, "validate", frozen, stamp)
 
 

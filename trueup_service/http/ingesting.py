@@ -46,7 +46,7 @@ async def inspect(request: Request, parts: Parts, path: Path, held: Against, *, 
 def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected) -> Response:
     """Bytes first, then the row, its audit entry and the look that the monitor takes at it, in one transaction."""
     parts.blobs.put(file.digest, file.path)
-    watched = inspected.role in WATCHED and _is_watched(parts, plant)
+    watched = inspected.role in WATCHED and _is_waited_for(parts, plant)
     if watched:
         parts.queue.prepare()
 
@@ -59,6 +59,8 @@ def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Receiv
     return create(parts, stamp, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)
 
 
-def _is_watched(parts: Parts, plant: str) -> bool:
+def _is_waited_for(parts: Parts, plant: str) -> bool:
+    """Whether anybody waits for episodes: a monitor, an alarm that wants a diagnosis, a policy that wants a monitor."""
     with parts.database.read() as connection:
-        return Reader(connection).watching(plant) is not None
+        reader = Reader(connection)
+        return any(of(plant) is not None for of in (reader.watching, reader.open_alarm, reader.policy))

@@ -144,7 +144,8 @@ class Watch(Answer):
 
 
 class Alarm(Answer):
-    """`document` says which detectors alarmed, since when, and what changed; `job` is the diagnosis that it opened, once it could."""
+    """`document` says which detectors alarmed, since when, and what changed; `job` is the diagnosis that it opened, once it could,
+    `trial` the gate that judged what that made."""
 
     id: str
     plant: str
@@ -153,6 +154,7 @@ class Alarm(Answer):
     episode: Digest
     document: dict[str, Any]
     job: str | None
+    trial: str | None
     raised_at: Time
     closed_at: Time | None
     closed_by: str | None

@@ -154,8 +154,8 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRecord:
-    """An alarm: which monitor raised it, None for a scheduled validation, on which episode, what changed, the diagnosis that it opened, and
-    why it was closed.
+    """An alarm: which monitor raised it, None for a scheduled validation, on which episode, what changed, the diagnosis that it opened,
+    the trial of what that made, and why it was closed.
     """
 
     id: str
@@ -165,6 +165,7 @@ class AlarmRecord:
     episode: str
     document: dict[str, Json]
     job: str | None
+    trial: str | None
     raised_at: str
     closed_at: str | None
     closed_by: str | None

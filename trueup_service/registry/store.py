@@ -88,9 +88,10 @@ class Reader:
         query = query if role is None else query.where(t.episodes.c.role == role)
         return self._all(EpisodeRecord, query.order_by(t.episodes.c.digest).limit(limit))
 
-    def episodes_of_role(self, plant: str, roles: Iterable[str]) -> list[EpisodeRecord]:
-        """Every episode of these roles, in the order of their start."""
-        query = select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.role.in_(list(roles)))
+    def episodes_of_role(self, plant: str, roles: Iterable[str], since_ns: int | None = None, came_in: str = "") -> list[EpisodeRecord]:
+        """Every episode of these roles that was recorded `since_ns` and came in after a time, in the order of their start."""
+        query = select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.role.in_(list(roles)), t.episodes.c.created_at > came_in)
+        query = query if since_ns is None else query.where(t.episodes.c.start_ns >= since_ns)
         return self._all(EpisodeRecord, query.order_by(t.episodes.c.start_ns, t.episodes.c.digest))
 
     def artifact(self, plant: str, digest: str) -> ArtifactRecord | None:
@@ -216,6 +217,11 @@ class Reader:
         """What a monitor saw, episode by episode, from behind a sequence number."""
         query = select(t.watches).where(t.watches.c.plant == plant, t.watches.c.monitor == monitor, t.watches.c.sequence > after)
         return self._all(Watch, query.order_by(t.watches.c.sequence).limit(limit))
+
+    def last_watch(self, plant: str, monitor: str) -> int:
+        """How many episodes a monitor has seen, also in an earlier time of watching."""
+        query = select(func.max(t.watches.c.sequence)).where(t.watches.c.plant == plant, t.watches.c.monitor == monitor)
+        return int(self.connection.scalar(query) or 0)
 
     def unwatched(self, of: Watching, roles: Iterable[str], limit: int) -> list[EpisodeRecord]:
         """Episodes that came in since a monitor watches and that it has not seen, in the order of their start."""
@@ -365,8 +371,8 @@ class Writer(Reader):
     def add_alarm(self, record: AlarmRecord) -> None:
         self._add(t.alarms, asdict(record))
 
-    def update_alarm(self, alarm: str, **values: str) -> bool:
-        """Give an open alarm its diagnosis, or close it; False if it is closed."""
+    def update_alarm(self, alarm: str, **values: str | None) -> bool:
+        """Give an open alarm its diagnosis or its trial, or close it; False if it is closed."""
         where = t.alarms.c.id == alarm, t.alarms.c.closed_at.is_(None)
         return self.connection.execute(update(t.alarms).where(*where).values(values)).rowcount == 1
 

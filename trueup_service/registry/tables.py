@@ -180,6 +180,7 @@ alarms = Table(
     Column("episode", DIGEST, nullable=False),
     Column("document", Text, nullable=False),
     Column("job", ID),
+    Column("trial", ID),
     Column("raised_at", AT, nullable=False),
     Column("closed_at", AT),
     Column("closed_by", Text),

@@ -141,3 +141,11 @@ def test_cells_that_no_episode_covers_are_told_as_not_covered():
         ("2 kg", "slow", 0, None),
     ]
     assert cell_of({"payload": "1"}, ("payload", "speed")) == ("1", "undeclared")
+
+
+def test_an_incumbent_that_runs_away_is_beaten_and_the_decision_can_be_written_down():
+    away = trial((0.5, 0.5), (np.inf, np.inf))
+    found = decide(away, Gate((rules()["rollout_improves"](), rules()["retained_conditions"]()), GATE.scoring))
+    assert found.accepted
+    assert [v["threshold"] for v in found.document()["verdicts"]] == [None, None]
+    assert len(found.digest) == 64

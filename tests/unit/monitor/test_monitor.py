@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.simulated import episode_of, plant_of
 from trueup.episode.role import Role
-from trueup.errors import BadMonitor, NotIdentifiable
+from trueup.errors import BadMonitor, NotAnEpisode, NotIdentifiable
 from trueup.model.predictor import Nominal
 from trueup.monitor.achieved import poisson_interval
 from trueup.monitor.change import Before, changed, onset
@@ -133,10 +133,27 @@ def test_blocks_are_whole_windows_of_one_episode(monitor):
     assert all(p.evidence.shape == (2, 2, 2) for p in parts)
 
 
-def test_onset_is_where_errors_began_to_grow():
-    grown = np.concatenate([np.full(10, 1.0), np.linspace(1.2, 3.0, 6)])[:, None]
-    assert onset(np.hstack([grown, np.ones_like(grown)])) == 10
-    assert onset(np.array([[1.0], [1.0]])) == 1
+def test_onset_is_where_errors_began_to_grow_whatever_the_other_channels_do():
+    usual = [(0.0, 0.15)] * 4
+    healthy = np.exp(np.random.default_rng(0).normal(0.0, 0.15, (300, 4)))
+    grown = healthy.copy()
+    grown[290:, 2] *= np.linspace(1.6, 3.0, 10)
+    assert abs(onset(grown, usual) - 290) <= 2
+    assert onset(np.array([[1.0], [1.0]]), usual[:1]) == 1
+
+
+def test_an_episode_too_short_for_a_rollout_is_refused_and_no_reference(reference):
+    positions = plant_of(BENCH, velocity=False)
+
+    def cut(e, n):
+        parts = {"observations": e.observations[:n, :1].copy(), "commands": e.commands[:n].copy(), "t_s": e.t_s[:n].copy()}
+        return replace(e, layout=positions.layout, **parts)
+
+    with pytest.raises(NotIdentifiable, match="too few"):
+        calibrate(Nominal(positions), "served", [cut(e, 5) for e in reference[:20]], 1.0)
+    made = calibrate(Nominal(positions), "served", [cut(e, None) for e in reference], 1.0, kinds=("quantile_run",))
+    with pytest.raises(NotAnEpisode):
+        made.follow(made.begin(), Nominal(positions), cut(reference[0], 5))
 
 
 def test_what_changed_tells_the_machine_from_its_task(reference):

@@ -21,6 +21,7 @@ from trueup.monitor.detector import Detector, Followed, Reference, State
 from trueup.monitor.residuals import Residuals, blocks
 
 Array = NDArray[np.float64]
+MOST = 2000  # blocks that are learnt beside the reference's before it begins with those again
 CERTAIN = 1.0 - 1e-4  # nearer to 1 the formula loses its digits; its limit is 1/2
 
 
@@ -48,6 +49,8 @@ class ConformalTest(Detector):
 
     def follow(self, state: State, residuals: Residuals) -> Followed:
         gathered, known = state[0], np.array(state[1:])
+        if len(known) > len(self.scores) + MOST:
+            known = np.array(self.scores)
         statistic, alarm = np.full(len(residuals.values), gathered), None
         end = 0
         for block in blocks(residuals, self.windows):

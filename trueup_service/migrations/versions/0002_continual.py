@@ -57,6 +57,7 @@ def upgrade() -> None:
         sa.Column("episode", sa.String(length=64), nullable=False),
         sa.Column("document", sa.Text(), nullable=False),
         sa.Column("job", sa.String(length=32), nullable=True),
+        sa.Column("trial", sa.String(length=32), nullable=True),
         sa.Column("raised_at", sa.String(length=27), nullable=False),
         sa.Column("closed_at", sa.String(length=27), nullable=True),
         sa.Column("closed_by", sa.Text(), nullable=True),
