@@ -27,6 +27,7 @@ _COMMANDS = {
     "calibrate": ("monitor:calibrate", "Calibrate a monitor of what serves, to a promise in operating hours."),
     "monitor": ("monitor:monitor", "Say whether a plant's model is watched, and what was seen."),
     "alarms": ("monitor:alarms", "List alarms, with what changed, or close one."),
+    "policy": ("monitor:policy", "Say or declare what may happen to a plant's model without a person."),
     "serving": ("serving:serving", "Say what serves, or what served when."),
     "promote": ("serving:promote", "Serve the candidate of an accepted decision."),
     "rollback": ("serving:rollback", "Serve what served before, after its switchback test."),

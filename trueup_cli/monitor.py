@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -132,6 +133,29 @@ def alarms(
         show_alarm(alarm)
     if not found:
         out.print("no alarms")
+
+
+def policy(
+    plant: str,
+    file: Path | None = None,
+    *,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """Say what may happen to a plant's model without a person, or declare it.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    file: policy as JSON: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h, reference_episodes, validate_every_h
+    """
+    client = connect(url)
+    found = client.policy(plant) if file is None else client.declare_policy(plant, json.loads(file.read_text()))
+    if as_json_:
+        as_json(found)
+        return
+    out.print(f"policy [bold]{found['digest']}[/], the {found['sequence']}. of {plant}, since {moment(found['created_at'])}")
+    table("", ["", ""], [(name, value) for name, value in found["document"].items() if name != "schema"])
 
 
 def show_alarm(alarm: dict[str, Any]) -> None:

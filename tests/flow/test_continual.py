@@ -3,6 +3,7 @@
 import pytest
 
 from tests.support.fleet import WORN, Fleet
+from tests.support.service import command
 from trueup.episode.role import Role
 from trueup_client import Client, Problem
 
@@ -18,7 +19,7 @@ def fleet(service, tmp_path_factory):
     client.close()
 
 
-def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_watched(fleet):
+def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_watched(fleet, service):
     client, name = fleet.client, fleet.name
     assert client.serving(name).version == 2
     fleet.watch(REFERENCE, PROMISE_H)
@@ -44,6 +45,7 @@ def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_wat
     assert rehearsed["seconds"] < 1.0
     assert rehearsed["rollout_error"]["forward"] < rehearsed["rollout_error"]["back"]
 
+    assert "promote" in command(service, "policy", name).stdout
     assert not client.monitor(name)["watches"]
     for _ in range(REFERENCE // 2):
         fleet.visit(Role.REFERENCE)

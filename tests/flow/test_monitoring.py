@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.made import T0_NS
+from tests.support.service import command
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
 from trueup.model.plant import Plant
@@ -77,7 +78,7 @@ def watched(service, tmp_path_factory):
     client.close()
 
 
-def test_a_drift_is_noticed_and_diagnosed(watched):
+def test_a_drift_is_noticed_and_diagnosed(watched, service):
     client, folder, calibrated = watched
     state = client.monitor("watched")
     assert (state["watches"], state["monitor"], state["alarm"]) == (True, calibrated["result"]["monitor"], None)
@@ -109,6 +110,11 @@ def test_a_drift_is_noticed_and_diagnosed(watched):
     assert kinds.count("monitor:calibrated") == 1
     assert kinds.count("alarm:raised") == 1
 
+    picture = folder / "monitor.svg"
+    said = command(service, "monitor", "watched", "--picture", str(picture)).stdout
+    assert "watched: watched, 6 episodes seen" in said
+    assert "q is predicted" in command(service, "alarms", "watched").stdout
+    assert picture.read_text().startswith("<svg")
     closed = client.close_alarm("watched", alarm["id"], "the brake was dragging; mended")
     assert closed["closed_by"] == "robot"
     with pytest.raises(Problem, match="closed already"):
