@@ -32,7 +32,7 @@ def main() -> None:
 
 
 def _cycle(client: Client, folder: Path) -> list[Figure]:
-    fleet = Fleet(client, "wearing", folder)
+    fleet = Fleet(client, "wearing", folder, {"rule": "tracking_no_worse", "slack": 1.1})
     fleet.commission()
     fleet.watch(REFERENCE, PROMISE_H)
     fleet.let_go(promise_h=PROMISE_H, reference_episodes=REFERENCE)
@@ -50,6 +50,8 @@ def _cycle(client: Client, folder: Path) -> list[Figure]:
     decision = client.decision(fleet.name, client.serving(fleet.name).decision)
     errors = decision["document"]["figures"]
     ratio = sum(errors["candidate"]["rollout"]) / sum(errors["incumbent"]["rollout"])
+    driven = errors["closed_loop"]
+    change, (low, high) = driven["change"], driven["change_ci95"]
     moved = next(e for e in client.audit(fleet.name) if e["kind"] == "pointer:moved" and e["facts"]["generation"] == 3)
     back_s = moved["facts"]["rehearsed"]["seconds"]
     while not client.monitor(fleet.name)["watches"] and fleet.recorded < recorded + 200:
@@ -63,6 +65,9 @@ def _cycle(client: Client, folder: Path) -> list[Figure]:
         Figure("from the wear to a promoted correction, nobody calling", f"{used} episodes, {seconds:.0f} s", "promoted", True),
         Figure("  what the alarm said", f"{next(iter(alarm['document']['detectors'].values()))['leading']}"),
         Figure("  held-out rollout error, corrected / before", f"{ratio:.2f}", "< 0.98", ratio < 0.98),
+        Figure(
+            "  closed loop, tracking error, change by the correction", f"{change:+.3f} [{low:+.3f}, {high:+.3f}]", "< +0.10", change < 0.1
+        ),
         Figure("  going back, rehearsed before [s]", f"{back_s:.3f}", "<= 1", back_s <= 1.0),
         Figure(
             "  watched again, and silent",

@@ -46,8 +46,9 @@ def plant_document(name: str) -> dict:
 class Fleet:
     """One plant of a service, and the machine behind it. Episodes are recorded one after another."""
 
-    def __init__(self, client: Client, name: str, folder: Path) -> None:
+    def __init__(self, client: Client, name: str, folder: Path, *rules: dict) -> None:
         self.client, self.name, self.folder = client, name, folder
+        self._gate = {**GATE, "rules": [*GATE["rules"], *rules]}
         self.friction, self.recorded = FRICTION, 0
         self.layout = Plant.from_document(plant_document(name)).layout
 
@@ -80,7 +81,7 @@ class Fleet:
         """Register, diagnose the first build, and promote what passes."""
         self.client.register_plant(plant_document(self.name))
         self.visit(Role.ADAPTATION, Role.ADAPTATION, Role.VALIDATION)
-        self.gate = self.client.declare_gate(self.name, GATE)["digest"]
+        self.gate = self.client.declare_gate(self.name, self._gate)["digest"]
         diagnosed = self.client.wait(self.client.submit(self.name, {"kind": "diagnose"})["id"])["result"]
         self.promote(diagnosed["artifact"])
 

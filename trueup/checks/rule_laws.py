@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from trueup.checks.law import require
+from trueup.control.closed_loop import Tracking
 from trueup.fit.score import Score
 from trueup.gate.rule import Rule, Trial
 
@@ -18,7 +19,12 @@ def _trials() -> Iterator[Trial]:
     names = tuple(f"{i:064x}" for i in range(EPISODES))
     for _ in range(TRIALS):
         candidate, incumbent = rng.lognormal(sigma=0.4, size=(2, 2, EPISODES))
-        yield Trial(Score(*candidate), Score(*incumbent), names)
+        yield _trial(Score(*candidate), Score(*incumbent), names)
+
+
+def _trial(candidate: Score, incumbent: Score, names: tuple[str, ...]) -> Trial:
+    """A trial whose runs in closed loop go as its rollouts do."""
+    return Trial(candidate, incumbent, names, tracking=Tracking(candidate.rollout, incumbent.rollout, (0.0, 0.0), 1.0))
 
 
 def the_same_trial_gives_the_same_verdict(rule: Rule) -> None:
@@ -32,11 +38,11 @@ def what_is_no_number_never_passes(rule: Rule) -> None:
     nan = np.full(EPISODES, np.nan)
     for trial in _trials():
         for candidate in (Score(nan, nan), Score(np.full(EPISODES, np.inf), np.full(EPISODES, np.inf))):
-            require(not rule(Trial(candidate, trial.incumbent, trial.episodes)).passed, "what is no number never passes", rule.name)
+            require(not rule(_trial(candidate, trial.incumbent, trial.episodes)).passed, "what is no number never passes", rule.name)
         for at in range(EPISODES):
             spoiled = Score(trial.candidate.rollout.copy(), trial.candidate.one_step.copy())
             spoiled.rollout[at] = spoiled.one_step[at] = np.nan
-            require(not rule(Trial(spoiled, trial.incumbent, trial.episodes)).passed, "what is no number never passes", rule.name)
+            require(not rule(_trial(spoiled, trial.incumbent, trial.episodes)).passed, "what is no number never passes", rule.name)
 
 
 def a_smaller_error_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
@@ -46,7 +52,7 @@ def a_smaller_error_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
         better = Score(
             trial.candidate.rollout * rng.uniform(0.1, 1.0, EPISODES), trial.candidate.one_step * rng.uniform(0.1, 1.0, EPISODES)
         )
-        kept = not rule(trial).passed or rule(Trial(better, trial.incumbent, trial.episodes)).passed
+        kept = not rule(trial).passed or rule(_trial(better, trial.incumbent, trial.episodes)).passed
         require(kept, "a smaller error never turns a pass into a refusal", rule.name)
 
 
@@ -54,8 +60,8 @@ def it_can_refuse_and_it_can_pass(rule: Rule) -> None:
     """A rule that always gives one answer is none."""
     trial = next(_trials())
     far, near = (Score(f * trial.incumbent.rollout, f * trial.incumbent.one_step) for f in (10.0, 0.1))
-    require(rule(Trial(near, trial.incumbent, trial.episodes)).passed, "it can pass", rule.name)
-    require(not rule(Trial(far, trial.incumbent, trial.episodes)).passed, "it can refuse", rule.name)
+    require(rule(_trial(near, trial.incumbent, trial.episodes)).passed, "it can pass", rule.name)
+    require(not rule(_trial(far, trial.incumbent, trial.episodes)).passed, "it can refuse", rule.name)
 
 
 LAWS = (

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class RandomShooting:
-    """Plans `sequences` of `steps` commands, uniform within ± `u_max`.
+    """Plans `sequences` of `steps` commands, uniform within ± `u_max`, each held for `hold` steps of the predictor.
 
     Cost: sum over the steps of (position after the step - reference)^2 + effort x u^2, the reference held.
     Source: A. Rao, A Survey of Numerical Methods for Optimal Control (2009), section on shooting; here without refinement.
@@ -25,6 +25,7 @@ class RandomShooting:
     sequences: int = 64
     steps: int = 8
     effort: float = 0.02
+    hold: int = 1  # steps of the predictor under each command
 
     def plan(self, state: Array, reference: float, rng: np.random.Generator) -> Array:
         """The issued command `(1,)` for a state `(states,)`."""
@@ -33,6 +34,7 @@ class RandomShooting:
         cost = np.zeros(self.sequences)
         for i in range(self.steps):
             issued = commands[:, i]
-            states = self.predictor.predict_batch(states, issued[:, None])
+            for _ in range(self.hold):
+                states = self.predictor.predict_batch(states, issued[:, None])
             cost += (states[:, 0] - reference) ** 2 + self.effort * issued**2
         return commands[np.argmin(cost), :1]

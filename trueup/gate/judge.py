@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from trueup.canonical import Json
+from trueup.control.closed_loop import Tracking, compare
 from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.errors import BadGate
@@ -12,6 +15,7 @@ from trueup.fit.score import score
 from trueup.gate.cells import cells_of, matrix
 from trueup.gate.decision import Decision, Gate, figures
 from trueup.gate.rule import Trial
+from trueup.model.corrected import Corrected
 from trueup.model.predictor import Predictor
 
 
@@ -24,16 +28,35 @@ def run_trial(
     for episode in episodes:
         episode.require(*HELD_OUT)
     scores = []
-    for share, predictor in ((0.5, candidate), (1.0, incumbent)):
+    driven = any(rule.closed_loop for rule in gate.rules)
+    for done, predictor in enumerate((candidate, incumbent), 1):
         scores.append(score(predictor, episodes, gate.scoring))
-        progress(share)
-    return Trial(scores[0], scores[1], tuple(e.digest for e in episodes), cells_of(episodes, gate.conditions), gate.conditions)
+        progress(done / (4.0 if driven else 2.0))
+    tracking = _driven(candidate, incumbent, episodes, lambda share: progress(0.5 + 0.5 * share)) if driven else None
+    named = tuple(e.digest for e in episodes)
+    return Trial(scores[0], scores[1], named, cells_of(episodes, gate.conditions), gate.conditions, tracking)
+
+
+def _driven(candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episode], progress: Callable[[float], None]) -> Tracking:
+    """Both in closed loop on the machine as it was diagnosed: as the candidate says, or if it is no diagnosis the incumbent.
+
+    Raises BadGate where neither is.
+    """
+    machine = next((p for p in (candidate, incumbent) if isinstance(p, Corrected)), None)
+    if machine is None:
+        hint = "Judge what a diagnosis made, or leave the rule out."
+        raise BadGate("nobody has diagnosed the machine on which to run in closed loop", hint=hint)
+    column = int(np.flatnonzero(machine.plant.state_columns == 0)[0])
+    travel = max(float(np.nanmax(np.abs(e.observations[:, column]))) for e in episodes)
+    return compare(machine, candidate, incumbent, travel, progress)
 
 
 def judge(gate: Gate, trial: Trial, *, plant: str, candidate: str, incumbent: str, generation: int) -> Decision:
     """Every rule's verdict on the trial; `candidate` and `incumbent` are artifact digests, `plant` the plant's."""
     verdicts = tuple(rule(trial) for rule in gate.rules)
     found: dict[str, Json] = {"candidate": figures(trial.candidate), "incumbent": figures(trial.incumbent)}
+    if trial.tracking is not None:
+        found["closed_loop"] = trial.tracking.document()
     if gate.conditions:
         found["cells"] = matrix(trial.cells, gate.conditions, trial.candidate.rollout, trial.incumbent.rollout)
     return Decision(plant, gate.digest, candidate, incumbent, generation, trial.episodes, verdicts, found)

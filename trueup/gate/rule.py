@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
+from trueup.control.closed_loop import Tracking
 from trueup.errors import BadGate
 from trueup.fit.score import Score
 from trueup.gate.cells import Cell
@@ -25,6 +26,7 @@ class Trial:
     """Scores of a candidate and of the incumbent on the same held-out episodes, named by digest. Raises BadGate without any.
 
     `cells` are the values of the gate's `conditions` under which each was recorded; without conditions all are of one.
+    `tracking` is how both did in closed loop, where a rule asks for it.
     """
 
     candidate: Score
@@ -32,6 +34,7 @@ class Trial:
     episodes: tuple[str, ...]
     cells: tuple[Cell, ...] = ()
     conditions: tuple[str, ...] = ()
+    tracking: Tracking | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cells", self.cells or ((),) * len(self.episodes))
@@ -68,6 +71,7 @@ class Rule(ABC):
     """A frozen dataclass whose one field bounds one figure. It answers; it never raises."""
 
     name: ClassVar[str]
+    closed_loop: ClassVar[bool] = False  # whether it judges runs in closed loop
 
     @abstractmethod
     def __call__(self, trial: Trial) -> Verdict:
