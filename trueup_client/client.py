@@ -204,6 +204,30 @@ class Client:
         """Serve what served before, after its switchback test."""
         return Serving(**self._post(f"/v1/plants/{_name(plant)}/serving/rollback", {"expected_generation": expected_generation}))
 
+    # -- evidence and channels
+
+    def add_evidence(self, plant: str, document: Document) -> Document:
+        """Add what was found of an artifact at a stage: artifact, stage, passed, shows, cannot_show, figures."""
+        return self._post(f"/v1/plants/{_name(plant)}/evidence", {"schema": "trueup.evidence/1", **document})
+
+    def evidence(self, plant: str, artifact: str) -> list[Document]:
+        """Everything that was found of an artifact, in order."""
+        items: list[Document] = self._get(f"/v1/plants/{_name(plant)}/artifacts/{_name(artifact)}/evidence")["items"]
+        return items
+
+    def declare_channel(self, plant: str, name: str, requires: list[str]) -> Document:
+        """Declare a channel of serving that requires passed evidence of these stages."""
+        return self._post(f"/v1/plants/{_name(plant)}/channels", {"name": name, "requires": requires})
+
+    def channel_serving(self, plant: str, channel: str) -> Document:
+        """What a channel serves now."""
+        return self._get(f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/serving")
+
+    def move_channel(self, plant: str, channel: str, artifact: str, expected_generation: int) -> Document:
+        """Serve an artifact on a channel, if the channel has not moved since; its first move expects generation 0."""
+        wanted = {"artifact": artifact, "expected_generation": expected_generation}
+        return self._post(f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/move", wanted)
+
     # -- monitoring
 
     def declare_policy(self, plant: str, document: Document) -> Document:

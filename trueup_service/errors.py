@@ -54,6 +54,20 @@ class HeldOutSpent(TrueupError):
     hint = "Record a fresh episode with the role validation: whoever chooses by the same one again and again fits to it."
 
 
+class EvidenceMissing(TrueupError):
+    """The channel requires evidence that the artifact has not."""
+
+    code = "evidence-missing"
+    hint = "Test it at the named stages, and POST what was found to …/evidence; or move a channel that requires less."
+
+
+class NeverServed(TrueupError):
+    """A channel serves only what the plant itself serves or has served."""
+
+    code = "never-served"
+    hint = "Judge the artifact by a gate and promote it first."
+
+
 class BadRequest(TrueupError):
     """The request cannot be understood."""
 

@@ -10,9 +10,12 @@ from trueup.canonical import Json, digest_of
 from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.gate.decision import Gate
+from trueup.gate.evidence import Evidence
 from trueup.gate.judge import judge, run_trial
+from trueup.gate.rule import rules
 from trueup.model.predictor import Predictor
 from trueup_service.actions import find
+from trueup_service.actions.add_evidence import add_evidence
 from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.actions.switchback import rehearse
@@ -51,7 +54,24 @@ def _rehearsed(parts: Parts, job: JobRecord, episodes: Sequence[Episode], gate: 
 def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
     """The decision stands in the registry, and its candidate is promoted if a policy says so."""
     decision = record_decision(writer, job.plant, outcome["decision"], job.id, stamp)
+    driven: Any = outcome["decision"]["figures"].get("closed_loop")
+    if driven is not None:
+        add_evidence(writer, job.plant, _evidence(outcome["decision"], driven), job.id, stamp)
     cycle_of(parts, writer, stamp).judged(job, decision, outcome["rehearsed"])
+
+
+def _evidence(decision: dict[str, Any], driven: dict[str, Any]) -> dict[str, Any]:
+    """Runs in closed loop as evidence of the candidate: passed if no rule on them refused."""
+    judged = [v["passed"] for v in decision["verdicts"] if rules()[v["rule"]].closed_loop]
+    figures = {k: v for k, v in driven.items() if k not in ("stage", "shows", "cannot_show")}
+    return Evidence(
+        decision["candidate"],
+        driven["stage"],
+        all(judged),
+        driven["shows"],
+        driven["cannot_show"],
+        {**figures, "decision": digest_of(decision), "against": decision["incumbent"]},
+    ).document()
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.collect.coverage import Coverage, compared
 from trueup.episode.episode import Episode
-from trueup.episode.role import Role
+from trueup.episode.role import STAGES, Role
 from trueup.model.dynamics import CompiledFamily
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
-STAGES = ("MIL", "SIL", "PIL", "HIL", "physical")
 ON_A_MACHINE = ("HIL", "physical")
 CONDITIONS = ("stage", "envelope", "safeguards", "supervisor", "stop_criterion", "excitation")
 SINGULAR = 1e-6  # of the regressors with columns of unit length

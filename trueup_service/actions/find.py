@@ -8,6 +8,7 @@ from trueup_service.errors import NotFound
 from trueup_service.registry.records import (
     AlarmRecord,
     ArtifactRecord,
+    ChannelRecord,
     DecisionRecord,
     EpisodeRecord,
     GateRecord,
@@ -52,6 +53,10 @@ def monitor(reader: Reader, plant: str, digest: str) -> MonitorRecord:
 def alarm(reader: Reader, plant: str, name: str) -> AlarmRecord:
     found = reader.alarm(name)
     return _found(found if found is not None and found.plant == plant else None, "alarm", name)
+
+
+def channel(reader: Reader, plant: str, name: str) -> ChannelRecord:
+    return _found(reader.channel(plant, name), "channel", name)
 
 
 def any_decision(reader: Reader, digest: str) -> DecisionRecord:

@@ -15,6 +15,7 @@ from trueup_service.http.observing import Observing
 from trueup_service.http.routers import (
     artifacts,
     audit,
+    channels,
     decisions,
     episodes,
     gates,
@@ -37,6 +38,11 @@ and the serving pointer moves (`POST â€¦/serving/promote`) or goes back (`POST â
 Errors are `application/problem+json` with a stable `code` and a `hint`. Every POST takes an `Idempotency-Key`."""
 
 
+ROUTERS = (
+    plants, episodes, telemetry, artifacts, gates, jobs, decisions, serving, monitors, policies, channels, audit, operations,
+)  # fmt: skip
+
+
 def create_app(parts: Parts) -> FastAPI:
     """The service over these parts."""
 
@@ -51,7 +57,7 @@ def create_app(parts: Parts) -> FastAPI:
     app.state.parts = parts
     problems.install(app)
     openapi.install(app)
-    for module in (plants, episodes, telemetry, artifacts, gates, jobs, decisions, serving, monitors, policies, audit, operations):
+    for module in ROUTERS:
         app.include_router(module.router)
     app.add_middleware(Limiting)
     app.add_middleware(Observing)

@@ -16,6 +16,7 @@ from starlette.exceptions import HTTPException
 from trueup import errors
 from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted
 from trueup.canonical import NotCanonical
+from trueup.gate.evidence import BadEvidence
 from trueup.gate.policy import BadPolicy
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
 from trueup_service import errors as service
@@ -48,6 +49,9 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.KeyReused: HTTPStatus.CONFLICT,
     service.DigestMismatch: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.TooLargeUpload: HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    BadEvidence: HTTPStatus.UNPROCESSABLE_ENTITY,
+    service.EvidenceMissing: HTTPStatus.CONFLICT,
+    service.NeverServed: HTTPStatus.CONFLICT,
     BadPolicy: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.HeldOutSpent: HTTPStatus.CONFLICT,
     service.Kept: HTTPStatus.CONFLICT,

@@ -111,6 +111,57 @@ class JobWithReads(Job):
     reads: dict[str, str]
 
 
+class Evidence(Answer):
+    """What was found of an artifact at a stage, with its scope."""
+
+    plant: str
+    digest: Digest
+    artifact: Digest
+    stage: str
+    passed: bool
+    document: dict[str, Any]
+    job: str | None
+    created_at: Time
+    created_by: str
+
+
+class ChannelDeclaration(BaseModel):
+    """A channel of serving, and the stages whose passed evidence it requires."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$")
+    requires: list[Literal["MIL", "SIL", "PIL", "HIL", "physical"]] = []
+
+
+class Channel(Answer):
+    plant: str
+    name: str
+    requires: list[str]
+    created_at: Time
+    created_by: str
+
+
+class ChannelPosition(Answer):
+    """What a channel serves, and the evidence that it rests on."""
+
+    plant: str
+    channel: str
+    generation: int
+    artifact: Digest
+    version: int
+    evidence: list[Digest]
+    at: Time
+    actor: str
+
+
+class ChannelMove(BaseModel):
+    """Serve an artifact on a channel, if the channel is still at `expected_generation`; 0 before its first."""
+
+    model_config = ConfigDict(extra="forbid")
+    artifact: Digest
+    expected_generation: int = Field(ge=0, le=2**31 - 1)
+
+
 class Policy(Answer):
     """What may happen without a person, from `created_at` on until the next one."""
 

@@ -185,6 +185,46 @@ class PolicyRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class EvidenceRecord:
+    """What was found of an artifact at a stage."""
+
+    plant: str
+    digest: str
+    artifact: str
+    stage: str
+    passed: bool
+    document: dict[str, Json]
+    job: str | None
+    created_at: str
+    created_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelRecord:
+    """A channel of serving, and the stages whose evidence it requires of what it serves."""
+
+    plant: str
+    name: str
+    requires: list[str]
+    created_at: str
+    created_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelMove:
+    """One position of a channel, and the evidence that it rests on, by digest."""
+
+    plant: str
+    channel: str
+    generation: int
+    artifact: str
+    version: int
+    evidence: list[str]
+    at: str
+    actor: str
+
+
+@dataclass(frozen=True, slots=True)
 class Move:
     """One position of a serving pointer. `back_to` is the generation whose artifact a rollback would serve."""
 

@@ -22,8 +22,11 @@ from trueup_service.registry.records import (
     FINAL,
     AlarmRecord,
     ArtifactRecord,
+    ChannelMove,
+    ChannelRecord,
     DecisionRecord,
     EpisodeRecord,
+    EvidenceRecord,
     GateRecord,
     JobRecord,
     JobState,
@@ -36,7 +39,7 @@ from trueup_service.registry.records import (
 )
 
 R = TypeVar("R")
-_JSON = {"document", "summary", "request", "result", "facts", "kept", "seen"}
+_JSON = {"document", "summary", "request", "result", "facts", "kept", "seen", "requires", "evidence"}
 
 # Statements of the busiest paths, built once: building one costs about as much as running it.
 _BY_PLANT: BindParameter[str] = bindparam("plant")
@@ -204,6 +207,31 @@ class Reader:
         query = select(t.policies).join(last, (t.policies.c.plant == last.c.plant) & (t.policies.c.sequence == last.c.sequence))
         return self._all(PolicyRecord, query.order_by(t.policies.c.plant))
 
+    def evidence(self, plant: str, digest: str) -> EvidenceRecord | None:
+        return self._one(EvidenceRecord, select(t.evidence).where(t.evidence.c.plant == plant, t.evidence.c.digest == digest))
+
+    def evidence_of(self, plant: str, artifact: str) -> list[EvidenceRecord]:
+        """Everything that was found of an artifact, in order."""
+        query = select(t.evidence).where(t.evidence.c.plant == plant, t.evidence.c.artifact == artifact)
+        return self._all(EvidenceRecord, query.order_by(t.evidence.c.created_at, t.evidence.c.digest))
+
+    def channel(self, plant: str, name: str) -> ChannelRecord | None:
+        return self._one(ChannelRecord, select(t.channels).where(t.channels.c.plant == plant, t.channels.c.name == name))
+
+    def channels(self, plant: str, after: str, limit: int) -> list[ChannelRecord]:
+        query = select(t.channels).where(t.channels.c.plant == plant, t.channels.c.name > after)
+        return self._all(ChannelRecord, query.order_by(t.channels.c.name).limit(limit))
+
+    def channel_move(self, plant: str, channel: str) -> ChannelMove | None:
+        """Where a channel stands, None if it never served."""
+        query = select(t.channel_moves).where(t.channel_moves.c.plant == plant, t.channel_moves.c.channel == channel)
+        return self._one(ChannelMove, query.order_by(t.channel_moves.c.generation.desc()).limit(1))
+
+    def has_served(self, plant: str, artifact: str) -> bool:
+        """Whether the plant's own pointer ever stood at an artifact."""
+        query = select(t.moves.c.generation).where(t.moves.c.plant == plant, t.moves.c.artifact == artifact)
+        return self.connection.scalar(query.limit(1)) is not None
+
     def last_job(self, plant: str, kind: str) -> JobRecord | None:
         """The newest job of a kind."""
         query = select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.kind == kind)
@@ -347,6 +375,15 @@ class Writer(Reader):
 
     def add_monitor(self, record: MonitorRecord) -> None:
         self._add(t.monitors, asdict(record))
+
+    def add_evidence(self, record: EvidenceRecord) -> None:
+        self._add(t.evidence, asdict(record))
+
+    def add_channel(self, record: ChannelRecord) -> None:
+        self._add(t.channels, asdict(record))
+
+    def move_channel(self, move: ChannelMove) -> None:
+        self._add(t.channel_moves, asdict(move))
 
     def add_policy(self, record: PolicyRecord) -> None:
         self._add(t.policies, asdict(record))

@@ -199,6 +199,45 @@ policies = Table(
     Column("created_by", Text, nullable=False),
 )
 
+evidence = Table(
+    "evidence",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("digest", DIGEST, primary_key=True),
+    Column("artifact", DIGEST, nullable=False),
+    Column("stage", String(16), nullable=False),
+    Column("passed", Boolean, nullable=False),
+    Column("document", Text, nullable=False),
+    Column("job", ID),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+    Index(None, "plant", "artifact"),
+)
+
+channels = Table(
+    "channels",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("name", NAME, primary_key=True),
+    Column("requires", Text, nullable=False),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+)
+
+channel_moves = Table(
+    "channel_moves",
+    metadata,
+    Column("plant", NAME, primary_key=True),
+    Column("channel", NAME, primary_key=True),
+    Column("generation", Integer, primary_key=True, autoincrement=False),
+    Column("artifact", DIGEST, nullable=False),
+    Column("version", Integer, nullable=False),
+    Column("evidence", Text, nullable=False),
+    Column("at", AT, nullable=False),
+    Column("actor", Text, nullable=False),
+    ForeignKeyConstraint(["plant", "channel"], ["channels.plant", "channels.name"]),
+)
+
 audit = Table(
     "audit",
     metadata,

@@ -76,4 +76,44 @@ def upgrade() -> None:
         sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_policies_plant_plants")),
         sa.PrimaryKeyConstraint("plant", "sequence", name=op.f("pk_policies")),
     )
+    op.create_table(
+        "evidence",
+        sa.Column("plant", sa.String(length=63), nullable=False),
+        sa.Column("digest", sa.String(length=64), nullable=False),
+        sa.Column("artifact", sa.String(length=64), nullable=False),
+        sa.Column("stage", sa.String(length=16), nullable=False),
+        sa.Column("passed", sa.Boolean(), nullable=False),
+        sa.Column("document", sa.Text(), nullable=False),
+        sa.Column("job", sa.String(length=32), nullable=True),
+        sa.Column("created_at", sa.String(length=27), nullable=False),
+        sa.Column("created_by", sa.Text(), nullable=False),
+        sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_evidence_plant_plants")),
+        sa.PrimaryKeyConstraint("plant", "digest", name=op.f("pk_evidence")),
+    )
+    op.create_index(op.f("ix_evidence_plant_artifact"), "evidence", ["plant", "artifact"], unique=False)
+    op.create_table(
+        "channels",
+        sa.Column("plant", sa.String(length=63), nullable=False),
+        sa.Column("name", sa.String(length=63), nullable=False),
+        sa.Column("requires", sa.Text(), nullable=False),
+        sa.Column("created_at", sa.String(length=27), nullable=False),
+        sa.Column("created_by", sa.Text(), nullable=False),
+        sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_channels_plant_plants")),
+        sa.PrimaryKeyConstraint("plant", "name", name=op.f("pk_channels")),
+    )
+    op.create_table(
+        "channel_moves",
+        sa.Column("plant", sa.String(length=63), nullable=False),
+        sa.Column("channel", sa.String(length=63), nullable=False),
+        sa.Column("generation", sa.Integer(), autoincrement=False, nullable=False),
+        sa.Column("artifact", sa.String(length=64), nullable=False),
+        sa.Column("version", sa.Integer(), nullable=False),
+        sa.Column("evidence", sa.Text(), nullable=False),
+        sa.Column("at", sa.String(length=27), nullable=False),
+        sa.Column("actor", sa.Text(), nullable=False),
+        sa.ForeignKeyConstraint(
+            ["plant", "channel"], ["channels.plant", "channels.name"], name=op.f("fk_channel_moves_plant_channel_channels")
+        ),
+        sa.PrimaryKeyConstraint("plant", "channel", "generation", name=op.f("pk_channel_moves")),
+    )
     op.create_index(op.f("ix_alarms_plant_raised_at"), "alarms", ["plant", "raised_at"], unique=False)

@@ -1,0 +1,89 @@
+"""Channels of serving require evidence, and evidence says what it cannot show."""
+
+import uuid
+
+import pytest
+
+from tests.support.made import plant_document
+from trueup_client import Problem
+
+SCOPE = {"shows": "tracks a sine on the bench", "cannot_show": "payloads, heat, and other arms"}
+
+
+@pytest.fixture
+def plant(client):
+    name = f"channels-{uuid.uuid4().hex[:12]}"
+    client.register_plant(plant_document(name))
+    return name
+
+
+def refused(act):
+    with pytest.raises(Problem) as found:
+        act()
+    return found.value.code
+
+
+def test_a_channel_serves_only_with_passed_evidence_of_every_stage_that_it_requires(client, plant):
+    artifact = client.serving(plant).artifact
+    assert client.declare_channel(plant, "field", ["physical", "HIL"])["requires"] == ["HIL", "physical"]
+    assert refused(lambda: client.channel_serving(plant, "field")) == "not-found"
+    assert refused(lambda: client.move_channel(plant, "field", artifact, 0)) == "evidence-missing"
+    evidence = {"artifact": artifact, "figures": {"rms_m": 0.01}, **SCOPE}
+    client.add_evidence(plant, {**evidence, "stage": "HIL", "passed": True})
+    failed = client.add_evidence(plant, {**evidence, "stage": "physical", "passed": False})
+    with pytest.raises(Problem) as missing:
+        client.move_channel(plant, "field", artifact, 0)
+    assert missing.value.facts["stages"] == ["physical"]
+    passed = client.add_evidence(plant, {**evidence, "stage": "physical", "passed": True})
+    moved = client.move_channel(plant, "field", artifact, 0)
+    assert (moved["generation"], moved["version"]) == (1, 1)
+    assert moved["evidence"][1] == passed["digest"] != failed["digest"]
+    assert client.channel_serving(plant, "field")["artifact"] == artifact
+    assert refused(lambda: client.move_channel(plant, "field", artifact, 0)) == "pointer-moved"
+    assert [e["stage"] for e in client.evidence(plant, artifact)] == ["HIL", "physical", "physical"]
+    kinds = [e["kind"] for e in client.audit(plant)]
+    assert (kinds.count("evidence:added"), kinds.count("channel:declared"), kinds.count("channel:moved")) == (3, 1, 1)
+
+
+def test_what_was_failed_after_it_was_passed_is_failed(client, plant):
+    artifact = client.serving(plant).artifact
+    client.declare_channel(plant, "staging", ["SIL"])
+    evidence = {"artifact": artifact, "stage": "SIL", "figures": {}, **SCOPE}
+    client.add_evidence(plant, {**evidence, "passed": True})
+    client.add_evidence(plant, {**evidence, "passed": False})
+    assert refused(lambda: client.move_channel(plant, "staging", artifact, 0)) == "evidence-missing"
+
+
+def test_a_channel_never_goes_before_the_plant_itself(client, plant, tmp_path):
+    from trueup.artifact.artifact import pack
+    from trueup.model.plant import Plant
+    from trueup.model.predictor import Identified
+
+    made = pack(Identified(Plant.from_document(plant_document(plant)), (1.2, 0.6, 0.8)), {"origin": "by hand"})
+    added = client.add_artifact(plant, made.manifest, made.arrays)
+    client.declare_channel(plant, "staging", [])
+    assert refused(lambda: client.move_channel(plant, "staging", added["digest"], 0)) == "never-served"
+    assert client.move_channel(plant, "staging", client.serving(plant).artifact, 0)["evidence"] == []
+
+
+def test_what_a_channel_requires_never_changes(client, plant):
+    client.declare_channel(plant, "field", ["HIL"])
+    assert client.declare_channel(plant, "field", ["HIL"])["requires"] == ["HIL"]
+    assert refused(lambda: client.declare_channel(plant, "field", [])) == "conflict"
+    assert refused(lambda: client.declare_channel(plant, "field", ["hope"])) == "invalid-request"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "field"),
+    [({"stage": "lab"}, "stage"), ({"cannot_show": "  "}, "cannot_show"), ({"passed": "yes"}, "passed"), ({"artifact": "it"}, "artifact")],
+)
+def test_evidence_without_its_scope_is_refused(client, plant, spoil, field):
+    sound = {"artifact": client.serving(plant).artifact, "stage": "SIL", "passed": True, "figures": {}, **SCOPE}
+    with pytest.raises(Problem) as found:
+        client.add_evidence(plant, {**sound, **spoil})
+    assert (found.value.code, found.value.facts["field"]) == ("bad-evidence", field)
+
+
+def test_evidence_of_an_artifact_that_is_not_here_is_refused(client, plant):
+    sound = {"artifact": "a" * 64, "stage": "SIL", "passed": True, "figures": {}, **SCOPE}
+    assert refused(lambda: client.add_evidence(plant, sound)) == "not-found"

@@ -1,0 +1,92 @@
+"""Evidence of artifacts at the stages of the test ladder, and the channels of serving that require it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body, Path, Query, Response
+
+from trueup_service.actions import find
+from trueup_service.actions.add_evidence import add_evidence
+from trueup_service.actions.channels import declare_channel, move_channel
+from trueup_service.errors import NotFound
+from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create, run_once
+from trueup_service.http.openapi import there
+from trueup_service.http.schemas import Channel, ChannelDeclaration, ChannelMove, ChannelPosition, Evidence, Page, page
+from trueup_service.registry.store import Reader
+
+router = APIRouter(prefix="/v1/plants/{plant}", tags=["channels"])
+ChannelName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A channel's name")]
+
+
+@router.post("/evidence", status_code=201, response_model=Evidence, summary="Add evidence of an artifact", responses=there(Evidence))
+def add(
+    parts: With,
+    stamp: By,
+    plant: PlantName,
+    document: Annotated[dict[str, Any], Body(description="Evidence: schema, artifact, stage, passed, shows, cannot_show, figures")],
+    key: IdempotencyKey = None,
+) -> Response:
+    """It is kept as it is said: by whom stands beside it, and what it cannot show is part of it."""
+    return create(parts, stamp, f"evidence/{plant}", key, document, lambda w: add_evidence(w, plant, document, None, stamp), Evidence)
+
+
+@router.get("/artifacts/{digest}/evidence", summary="List the evidence of an artifact")
+def list_evidence(parts: With, plant: PlantName, digest: DigestPath) -> Page[Evidence]:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.artifact(reader, plant, digest)
+        return Page(items=[Evidence.model_validate(e) for e in reader.evidence_of(plant, digest)])
+
+
+@router.post("/channels", status_code=201, response_model=Channel, summary="Declare a channel of serving", responses=there(Channel))
+def declare(parts: With, stamp: By, plant: PlantName, channel: ChannelDeclaration, key: IdempotencyKey = None) -> Response:
+    """What it requires never changes."""
+    request = channel.model_dump()
+
+    return create(
+        parts,
+        stamp,
+        f"channels/{plant}",
+        key,
+        request,
+        lambda w: declare_channel(w, plant, channel.name, channel.requires, stamp),
+        Channel,
+    )
+
+
+@router.get("/channels", summary="List channels")
+def list_channels(parts: With, plant: PlantName, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100) -> Page[Channel]:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.plant_digest(reader, plant)
+        found = reader.channels(plant, after, limit)
+    return page(Channel, found, limit, "name")
+
+
+@router.get("/channels/{channel}/serving", summary="What a channel serves now")
+def serving(parts: With, plant: PlantName, channel: ChannelName) -> ChannelPosition:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.channel(reader, plant, channel)
+        found = reader.channel_move(plant, channel)
+    if found is None:
+        raise NotFound(f"channel {channel!r} serves nothing yet", noun="position", name=channel, hint="Move it to an artifact that serves.")
+    return ChannelPosition.model_validate(found)
+
+
+@router.post("/channels/{channel}/move", summary="Serve an artifact on a channel")
+def move(
+    parts: With, stamp: By, plant: PlantName, channel: ChannelName, wanted: ChannelMove, key: IdempotencyKey = None
+) -> ChannelPosition:
+    """409 if the channel is elsewhere, the artifact never served the plant itself, or evidence of a required stage is missing or failed."""
+    moved = run_once(
+        parts,
+        stamp,
+        f"channels/{plant}/{channel}",
+        key,
+        wanted.model_dump(),
+        lambda w: asdict(move_channel(w, plant, channel, wanted.artifact, wanted.expected_generation, stamp)),
+    )
+    return ChannelPosition(**moved)
