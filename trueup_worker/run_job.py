@@ -11,8 +11,7 @@ from datetime import UTC, datetime
 from types import ModuleType
 from typing import Any
 
-from sqlalchemy.exc import InterfaceError, OperationalError, SQLAlchemyError
-from sqlalchemy.exc import TimeoutError as PoolTimeout
+from sqlalchemy.exc import DataError, SQLAlchemyError
 
 from trueup.canonical import Json
 from trueup.errors import TrueupError
@@ -75,14 +74,21 @@ def finish(parts: Parts, job_id: str, found: dict[str, Any]) -> str:
         return state
     try:
         _finish(parts, job, state, found["outcome"], stamp)
-    except (OperationalError, InterfaceError, PoolTimeout):
-        raise  # the database, not the job: the engine tries this step again
-    except Exception as error:
-        log.exception("the job could not be closed with what came of it", extra={"job": job_id})
-        state = JobState.FAILED
-        told = error if isinstance(error, TrueupError) else TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
-        _close(parts, job, state, _problem(told), stamp)
+    except SQLAlchemyError as error:
+        if not isinstance(error, DataError):
+            raise  # the database, not the job: the engine tries this step again
+        state = _failed(parts, job, error, stamp)
+    except Exception as error:  # noqa: BLE001  (whatever it is, the job must end)
+        state = _failed(parts, job, error, stamp)
     return state
+
+
+def _failed(parts: Parts, job: JobRecord, error: Exception, stamp: Stamp) -> JobState:
+    """Close a job whose outcome cannot be written down."""
+    log.error("the job could not be closed with what came of it", extra={"job": job.id}, exc_info=error)
+    told = error if isinstance(error, TrueupError) else TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
+    _close(parts, job, JobState.FAILED, _problem(told), stamp)
+    return JobState.FAILED
 
 
 def _finish(parts: Parts, job: JobRecord, state: JobState, outcome: dict[str, Any], stamp: Stamp) -> None:

@@ -265,7 +265,7 @@ def test_detectors(law, name, calibrated):
     law(calibrated[name])
 
 
-class _Forgetful(QuantileRun):
+class _Amnesic(QuantileRun):
     name = "forgetful"
 
     def document(self):
@@ -273,7 +273,7 @@ class _Forgetful(QuantileRun):
 
     @staticmethod
     def restore(document):
-        return _Forgetful(document["level"], document["run"])
+        return _Amnesic(document["level"], document["run"])
 
 
 class _Late(QuantileRun):
@@ -307,7 +307,7 @@ class _Deaf(QuantileRun):
 
 
 @pytest.mark.parametrize(
-    ("law", "kind"), list(zip(detector_laws.LAWS, (_Forgetful, _Late, _Foreseeing, _Nervous, _Deaf), strict=True)), ids=lambda x: x.__name__
+    ("law", "kind"), list(zip(detector_laws.LAWS, (_Amnesic, _Late, _Foreseeing, _Nervous, _Deaf), strict=True)), ids=lambda x: x.__name__
 )
 def test_a_planted_fault_in_a_detector_is_caught(law, kind, calibrated):
     healthy = calibrated["quantile_run"]
