@@ -1,9 +1,9 @@
 """Monitor: detectors on one predictor's residuals, calibrated to one promise in robot time, with what they were measured to keep.
 
 The promise, one false alarm in so many operating hours, is of all joints and all detectors together: each of them gets an equal
-share. One half of the reference, drawn at random for recordings come in patterns, sets spread and levels; the other measures what
-was set, and is what the conformal test ranks against. Detectors that follow signatures need a longer reference than others: there are a
-hundred of them, and what is healthy for each must be known.
+share. One half of the reference, drawn at random for recordings come in patterns, sets the spread, and levels that are measured on
+the other; the levels that are used then come from both. The other half is also what the conformal test ranks against. Detectors that
+follow signatures need a longer reference than others: there are a hundred of them, and what is healthy for each must be known.
 """
 
 from __future__ import annotations
@@ -186,9 +186,11 @@ def calibrate(
     chosen = kinds or tuple(name for name, kind in detectors().items() if long or kind.follows == "channels")
     share_h = promise_h * len(chosen)
     of = Reference(*parts, windows, float(np.mean([b.seconds for p in parts for b in p])), share_h)
+    whole = replace(of, fitted=[*of.fitted, *of.fresh])
     made: list[Detector] = []
     for name in chosen:
-        made.append(detectors()[name].calibrate(of, rng))
+        kind = detectors()[name]
+        made.append(kind.calibrate(of if kind.reads_fresh else whole, rng))
         progress("setting levels", len(made) / len(chosen))
     figures: dict[str, Json] = {d.name: {**_judged(d, of, fresh, windows, share_h, rng)} for d in made}
     hours = sum(m.seconds for m in found) / 3600.0
@@ -216,9 +218,11 @@ def calibrate(
 def _judged(
     detector: Detector, of: Reference, fresh: Sequence[Residuals], windows: int, promise_h: float, rng: np.random.Generator
 ) -> dict[str, Json]:
-    """A detector's figures on the fresh half; one that reads that half is made of a part of it, and judged on the rest."""
+    """A detector's figures on the fresh half, made of the other alone; one that reads the fresh half is made of a part of it, and judged
+    on the rest.
+    """
     if not detector.reads_fresh:
-        return achieved(detector, fresh, promise_h, rng)
+        return achieved(detector.calibrate(of, rng), fresh, promise_h, rng)
     read, rest = fresh[::2], fresh[1::2]
     part = detector.calibrate(replace(of, fresh=[b for r in read for b in blocks(r, windows)]), rng)
     return achieved(part, rest or fresh, promise_h, rng)
