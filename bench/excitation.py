@@ -54,19 +54,13 @@ def main() -> None:
 
 
 def _widths(ensemble: Ensemble, truth: np.ndarray, command: np.ndarray) -> np.ndarray:
-    return widths(_fisher(ensemble, truth, command))
+    return widths(ensemble.fisher(truth, np.arange(len(command)) * DT_S, command, np.zeros(2), NOISE))
 
 
 def _random(ensemble: Ensemble, truth: np.ndarray, samples: int) -> np.ndarray:
     """Mean width over random excitations of so many samples."""
     drawn = [excitation(samples, np.random.default_rng(i))[:, None] for i in range(RANDOM // 10)]
     return np.mean([_widths(ensemble, truth, u) for u in drawn], axis=0)
-
-
-def _fisher(ensemble: Ensemble, truth: np.ndarray, command: np.ndarray) -> np.ndarray:
-    states = ensemble.responses(ensemble.nudged(truth), np.arange(len(command)) * DT_S, command, np.zeros(2))
-    moved = ((states[1:] - states[:1]) / 1e-4 / NOISE).reshape(len(ensemble.rows), -1)
-    return moved @ moved.T
 
 
 if __name__ == "__main__":

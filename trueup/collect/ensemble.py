@@ -96,6 +96,15 @@ class Ensemble:
         out = roll(series, plant.form, padded, switches(self.hypothesis, len(plant.joints)), init)
         return np.ascontiguousarray(np.moveaxis(out[:, :, :count], 2, 0))
 
+    def fisher(self, member: Array, t_s: Array, command: Array, start: Array, noise: Array) -> Array:
+        """What a command tells of a member's unknown numbers, each in units of its own spread, `(numbers, numbers)`.
+
+        `noise` `(observations,)` is the standard deviation of each observation's noise.
+        """
+        states = self.responses(self.nudged(member), t_s, command, start)[:, :, self.plant.state_columns]
+        moved = ((states[1:] - states[:1]) / NUDGE / noise).reshape(len(self.rows), -1)
+        return np.asarray(moved @ moved.T)
+
 
 def _deviation(interval: Any) -> float:
     return float(interval[1] - interval[0]) / (2.0 * TWO_SIDED)

@@ -18,7 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.collect.ensemble import NUDGE, TWO_SIDED, Ensemble
+from trueup.collect.ensemble import TWO_SIDED, Ensemble
 from trueup.errors import BadPlant, NotIdentifiable
 from trueup.model.plant import Plant
 
@@ -338,10 +338,7 @@ class _Maker:
 
     def fisher(self, member: Array, t_s: Array, command: Array) -> Array:
         """Information on the unknown numbers, each in units of its own spread, `(numbers, numbers)`."""
-        plant = self.ensemble.plant
-        states = self.ensemble.responses(self.ensemble.nudged(member), t_s, command, self.start)[:, :, plant.state_columns]
-        moved = ((states[1:] - states[:1]) / NUDGE / self.noise).reshape(len(self.ensemble.rows), -1)
-        return np.asarray(moved @ moved.T)
+        return self.ensemble.fisher(member, t_s, command, self.start, self.noise)
 
     def information(self, fisher: Array) -> Information:
         """The same as intervals."""
