@@ -42,8 +42,11 @@ def audit(
     else:
         table(
             "Audit log",
-            ["#", "at", "what", "subject", "actor"],
-            [(e["sequence"], moment(e["at"]), e["kind"], e["subject"][:12], e["actor"]) for e in entries],
+            ["#", "at", "what", "operation", "subject", "actor"],
+            [
+                (e["sequence"], moment(e["at"]), e["kind"], e["facts"].get("operation") or "", e["subject"][:12], e["actor"])
+                for e in entries
+            ],
         )
 
 

@@ -12,10 +12,13 @@ from cyclopts import Parameter
 from numpy.typing import NDArray
 
 from trueup.canonical import digest_of
-from trueup.collect.ensemble import Ensemble
-from trueup.collect.excitation import Bounds, Excitation, at_rest, design
+from trueup.collect.bounds import Bounds
+from trueup.collect.ensemble import Ensemble, InPlay
+from trueup.collect.excitation import Excitation, at_rest, identification, splitting
+from trueup.collect.goal import Separation
 from trueup.diagnose.admission import admit
 from trueup.diagnose.case import read_episodes, read_plant
+from trueup.diagnose.probe import DETECTABLE
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
@@ -37,6 +40,7 @@ def excite(
     *,
     out: Path,
     model: Annotated[Path | None, Parameter(help="What `trueup diagnose` wrote: its model, as uncertain as it says")] = None,
+    split: Annotated[bool, Parameter(help="Tell the model's effects from the alternatives that the diagnosis left", negative="")] = False,
     spread: Annotated[float, Parameter(help="Without a model: 95 %% interval of each nominal number, relatively")] = 0.3,
     duration_s: Annotated[float, Parameter(help="Of the excitation, without the hold at its end [s]")] = 12.0,
     band_hz: Annotated[
@@ -46,7 +50,7 @@ def excite(
     margin: Annotated[float, Parameter(help="Of the declared envelope, kept free under every model")] = 0.1,
     seed: int = 0,
 ) -> None:
-    """Design a bounded excitation that identifies a plant's numbers, safe under every model still in play.
+    """Design a bounded excitation that identifies a plant's numbers, or splits explanations, safe under every model still in play.
 
     Writes excitation.csv, .mcap (commands alone), .json and .svg.
 
@@ -57,29 +61,49 @@ def excite(
     """
     described = read_plant(plant)
     episodes = [e for e in read_episodes(plant, described) if e.role is Role.ADAPTATION]
-    ensemble = _ensemble(described, model, spread)
+    play, report = _in_play(described, model, spread)
+    if split and len(play.ensembles) == 1:
+        raise _nothing_to_split(report)
     hold, begin = _begins(described, episodes)
     bounds = Bounds.of(described, duration_s, band_hz, rate, margin)
     with progress("excite") as bar:
-        rest = at_rest(ensemble, begin, hold)
-        found = design(
-            ensemble, bounds, _noise(described, episodes), rest, hold, np.random.default_rng(seed), lambda stage, part: bar(part, stage)
+        rest = at_rest(play.ensembles[0], begin, hold)
+        found = (splitting if split else identification)(
+            play, bounds, _noise(described, episodes), rest, hold, np.random.default_rng(seed), lambda stage, part: bar(part, stage)
         )
-    document = {"schema": "trueup.excitation/1", "plant": described.name, "seed": seed, **found.document()}
+    if isinstance(found.information, Separation) and found.information.least < DETECTABLE:
+        raise NotIdentifiable(
+            f"no command within the bounds parts the alternatives by {DETECTABLE:g} standard errors, at best {found.information.least:.1f}",
+            hint="Allow a longer duration, a wider band or envelope; or add a sensor at the joint, or another load.",
+        )
+    goal = "split" if split else "identify"
+    document = {"schema": "trueup.excitation/1", "plant": described.name, "goal": goal, "seed": seed, **found.document()}
     _write(described, found, document, out)
-    _show(document)
+    _show(found)
     screen.print(
         f"in {out}: excitation.csv, excitation.mcap, excitation.svg; declare `excitation = {digest_of(document)[:12]}` when recorded"
     )
 
 
-def _ensemble(plant: Plant, folder: Path | None, spread: float) -> Ensemble:
+def _in_play(plant: Plant, folder: Path | None, spread: float) -> tuple[InPlay, dict[str, Any]]:
+    """Every model that may still be right, the answer of a diagnosis first, and its report."""
     if folder is None:
-        return Ensemble.prior(plant, spread)
+        return InPlay((Ensemble.prior(plant, spread),)), {}
     found = load_predictor(folder / "model")
     if not isinstance(found, Corrected):
         raise BadArtifact("the folder holds no corrected model", hint="Give the folder that `trueup diagnose --out` wrote.")
-    return Ensemble.posterior(found, json.loads((folder / "report.json").read_text()))
+    report = json.loads((folder / "report.json").read_text())
+    return InPlay((Ensemble.posterior(found, report), *Ensemble.alternatives(found.plant, report))), report
+
+
+def _nothing_to_split(report: dict[str, Any]) -> NotIdentifiable:
+    if not report:
+        return NotIdentifiable("there are no alternatives to split without a diagnosis", hint="Give its folder with --model.")
+    why = (report.get("next_experiment") or {}).get("why")
+    return NotIdentifiable(
+        "the diagnosis left no alternatives that a command could split",
+        hint=why or "Its answer is unique: leave out --split to sharpen its numbers.",
+    )
 
 
 def _begins(plant: Plant, episodes: list[Episode]) -> tuple[Array, Array]:
@@ -126,12 +150,9 @@ def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path)
     (out / "excitation.svg").write_text(excite_picture(plant, found))
 
 
-def _show(document: dict[str, Any]) -> None:
-    ours, other = document["information"], document["random_of_same_energy"]
-    rows = [(name, width, other["half_widths"][name]) for name, width in ours["half_widths"].items()]
-    rows += [("rank", ours["rank"], other["rank"]), ("condition", ours["condition"], other["condition"])]
-    table("Half-widths of 95 % intervals", ["", "designed", "random, same energy"], rows)
-    used = document["envelope_used"]
-    room = "no envelope is declared" if used is None else f"at most {100 * used:.0f} % of the envelope is used"
-    said = f"{document['samples']} samples, {document['duration_s']:.4g} s; under {document['members']} models {room}"
-    screen.print(f"{said}, breaches: {document['breaches']}")
+def _show(found: Excitation) -> None:
+    others = dict(found.random.rows())
+    table(found.title, ["", "designed", "random, same energy"], [(name, value, others[name]) for name, value in found.information.rows()])
+    room = f"at most {100 * found.used:.0f} % of the envelope is used" if np.isfinite(found.used) else "no envelope is declared"
+    said = f"{len(found.t_s)} samples, {found.t_s[-1]:.4g} s; under {len(found.paths)} models {room}"
+    screen.print(f"{said}, breaches: {found.breaches}")

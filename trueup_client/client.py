@@ -168,22 +168,13 @@ class Client:
         A service that is away is asked again, ever less often; the watch goes on where it was. `confirmed` is called at every answer, also
         where nothing has changed. Raises Problem for a refusal.
         """
-        tag, pause_s = "", FIRST_PAUSE_S
-        while True:
-            try:
-                headers = {"If-None-Match": tag} if tag else {}
-                status, answered, body = self._to.tagged(
-                    "GET", f"/v1/plants/{_name(plant)}/serving?wait_s={wait_s:g}", lambda: None, headers
-                )
-            except Unreachable:
-                time.sleep(pause_s)
-                pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
-                continue
-            pause_s = FIRST_PAUSE_S
-            confirmed()
-            if status != NOT_MODIFIED:
-                tag = answered["ETag"]
-                yield Serving(**json.loads(body))
+        return (Serving(**found) for found in self._watched(f"/v1/plants/{_name(plant)}/serving", wait_s, confirmed))
+
+    def watch_channel(
+        self, plant: str, channel: str, wait_s: float = 30.0, confirmed: Callable[[], None] = lambda: None
+    ) -> Iterator[Document]:
+        """The same of a channel, which must have served something."""
+        return self._watched(f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/serving", wait_s, confirmed)
 
     def history(self, plant: str) -> Iterator[Serving]:
         """Every position of the pointer, in order."""
@@ -218,6 +209,9 @@ class Client:
     def declare_channel(self, plant: str, name: str, requires: list[str]) -> Document:
         """Declare a channel of serving that requires passed evidence of these stages."""
         return self._post(f"/v1/plants/{_name(plant)}/channels", {"name": name, "requires": requires})
+
+    def channels(self, plant: str) -> Iterator[Document]:
+        return self._pages(f"/v1/plants/{_name(plant)}/channels", "after")
 
     def channel_serving(self, plant: str, channel: str) -> Document:
         """What a channel serves now."""
@@ -290,6 +284,22 @@ class Client:
     def _post(self, path: str, body: Document | None) -> Document:
         found: Document = self._to.json("POST", path, body, {"Idempotency-Key": uuid.uuid4().hex})
         return found
+
+    def _watched(self, path: str, wait_s: float, confirmed: Callable[[], None]) -> Iterator[Document]:
+        tag, pause_s = "", FIRST_PAUSE_S
+        while True:
+            try:
+                headers = {"If-None-Match": tag} if tag else {}
+                status, answered, body = self._to.tagged("GET", f"{path}?wait_s={wait_s:g}", lambda: None, headers)
+            except Unreachable:
+                time.sleep(pause_s)
+                pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+                continue
+            pause_s = FIRST_PAUSE_S
+            confirmed()
+            if status != NOT_MODIFIED:
+                tag = answered["ETag"]
+                yield json.loads(body)
 
     def _send(self, method: str, path: str, body: Callable[[], bytes | _Watched], headers: dict[str, str]) -> Document:
         found: Document = json.loads(self._to.whole(method, path, body, headers))

@@ -40,6 +40,10 @@ def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_wat
     level = next(e for e in report["effects"] if e["effect"] in ("coulomb_friction", "stribeck_friction"))["estimate"]["level"]
     assert level["value"] == pytest.approx(fleet.friction, rel=0.1)
     moved = next(e for e in client.audit(name) if e["kind"] == "pointer:moved" and e["facts"]["generation"] == 3)
+    assert operations(client.audit(name)) == {
+        "plant:registered": {None}, "job:submitted": {"monitoring", "model correction"}, "alarm:raised": {"monitoring"},
+        "decision:made": {"model correction"}, "pointer:moved": {"model correction"}, "artifact:added": {"model correction"},
+    }  # fmt: skip
     rehearsed = moved["facts"]["rehearsed"]
     assert rehearsed["loads"]
     assert rehearsed["seconds"] < 1.0
@@ -78,3 +82,12 @@ def test_what_forgets_a_covered_condition_is_rejected_and_the_decision_says_whic
     with pytest.raises(Problem):
         client.promote(fleet.name, decision["digest"], decision["generation"])
     client.close()
+
+
+def operations(entries):
+    """Which of the four operations entries of each of these kinds were."""
+    found = {}
+    for entry in entries:
+        found.setdefault(entry["kind"], set()).add(entry["facts"].get("operation"))
+    kinds = ("plant:registered", "job:submitted", "alarm:raised", "decision:made", "pointer:moved", "artifact:added")
+    return {kind: found[kind] for kind in kinds}

@@ -1,11 +1,18 @@
 """Channels of serving require evidence, and evidence says what it cannot show."""
 
+import itertools
+import json
+import queue
+import threading
+import time
 import uuid
 
 import pytest
 
+from tests.http.test_http import problem, request
 from tests.support.made import plant_document
-from trueup_client import Problem
+from tests.support.service import command
+from trueup_client import Client, Problem
 
 SCOPE = {"shows": "tracks a sine on the bench", "cannot_show": "payloads, heat, and other arms"}
 
@@ -43,6 +50,38 @@ def test_a_channel_serves_only_with_passed_evidence_of_every_stage_that_it_requi
     assert [e["stage"] for e in client.evidence(plant, artifact)] == ["HIL", "physical", "physical"]
     kinds = [e["kind"] for e in client.audit(plant)]
     assert (kinds.count("evidence:added"), kinds.count("channel:declared"), kinds.count("channel:moved")) == (3, 1, 1)
+
+
+def test_a_robot_on_a_channel_hears_of_its_moves_at_once(client, plant, service):
+    artifact = client.serving(plant).artifact
+    client.declare_channel(plant, "staging", [])
+    client.move_channel(plant, "staging", artifact, 0)
+    heard, began = queue.Queue(), time.monotonic()
+
+    def follow():
+        robot = Client(service.url)
+        for position in itertools.islice(robot.watch_channel(plant, "staging", wait_s=25.0), 2):
+            heard.put(position["generation"])
+        robot.close()
+
+    following = threading.Thread(target=follow)
+    following.start()
+    assert heard.get(timeout=20.0) == 1
+    client.move_channel(plant, "staging", artifact, 1)
+    assert heard.get(timeout=20.0) == 2
+    assert time.monotonic() - began < 20.0  # before its wait of 25 s is over
+    following.join(20.0)
+
+
+def test_a_channel_that_did_not_move_is_not_sent_again(plant, client, service):
+    client.declare_channel(plant, "field", [])
+    client.move_channel(plant, "field", client.serving(plant).artifact, 0)
+    there = f"/v1/plants/{plant}/channels/field/serving"
+    status, headers, _ = request(service, "GET", there)
+    assert (status, headers["etag"]) == (200, '"1"')
+    assert request(service, "GET", there, If_None_Match='"1"')[0] == 304
+    assert problem(service, "GET", f"{there}?wait_s=-1")[1] == "bad-request"
+    assert problem(service, "GET", f"/v1/plants/{plant}/channels/other/serving")[:2] == (404, "not-found")
 
 
 def test_what_was_failed_after_it_was_passed_is_failed(client, plant):
@@ -87,3 +126,21 @@ def test_evidence_without_its_scope_is_refused(client, plant, spoil, field):
 def test_evidence_of_an_artifact_that_is_not_here_is_refused(client, plant):
     sound = {"artifact": "a" * 64, "stage": "SIL", "passed": True, "figures": {}, **SCOPE}
     assert refused(lambda: client.add_evidence(plant, sound)) == "not-found"
+
+
+def test_the_commands_add_evidence_and_release_on_a_channel(service, client, plant, tmp_path):
+    told = tmp_path / "hil.json"
+    told.write_text(json.dumps({"stage": "HIL", "passed": True, "figures": {"jitter_ms": 0.3}, **SCOPE}))
+    assert "no channels" in command(service, "channels", plant).stdout
+    command(service, "channels", plant, "--declare", "field", "--requires", "HIL")
+    refused = command(service, "release", plant, "field", check=False)
+    assert refused.returncode == 1
+    assert "evidence-missing" in refused.stderr
+    assert "no evidence" in command(service, "evidence", plant).stdout
+    said = command(service, "evidence", plant, "--add", str(told)).stdout
+    assert "HIL" in said
+    assert SCOPE["cannot_show"] in said
+    assert "generation 1" in command(service, "release", plant, "field").stdout
+    (found,) = json.loads(command(service, "channels", plant, "--json").stdout)
+    assert (found["requires"], found["serving"]["version"]) == (["HIL"], 1)
+    assert command(service, "release", plant, "fields", check=False).returncode == 1

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.block import BLOCK, kind
+from trueup.model.block import BLOCK, joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.plant import Plant
@@ -60,7 +60,8 @@ class Ensemble:
             rows.append(order.index(name))
             sizes.append(_deviation(found["ci95"]))
         for term in model.hypothesis.effects:
-            told = next((e for e in report["effects"] if e["effect"] == kind(term).name), None)
+            where = plant.joint_name(joint(term))
+            told = next((e for e in report["effects"] if (e["effect"], e.get("joint", where)) == (kind(term).name, where)), None)
             for number, row in plant.block.rows_of(term).items():
                 estimate = told["estimate"].get(number) if told else None
                 if estimate and estimate["value"]:
@@ -70,15 +71,25 @@ class Ensemble:
         spread = np.maximum(np.array(sizes), LEAST * np.abs(centre[rows]))
         return Ensemble(plant, model.hypothesis, model.scheme, centre, tuple(names), tuple(rows), spread, _floor(centre, rows))
 
+    @staticmethod
+    def alternatives(plant: Plant, report: Mapping[str, Any]) -> tuple[Ensemble, ...]:
+        """Those that a diagnosis could not tell from its answer, each as it was fitted. Raises KeyError, TypeError, ValueError."""
+        left = report["evidence"].get("alternatives", [])
+        return tuple(Ensemble.posterior(Corrected.restore(plant, {**a["model"], "gain": [], "nearest": None}, {}), a) for a in left)
+
     def drawn(self, count: int, rng: np.random.Generator) -> Array:
         """Members `(rows, count)`, the centre first; no number changes its sign."""
-        members = np.repeat(self.centre[:, None], count, axis=1)
-        rows = list(self.rows)
-        moved = self.centre[rows][:, None] + self.spread[:, None] * rng.standard_normal((len(rows), count))
-        sign = np.sign(self.centre[rows])[:, None]
-        members[rows] = sign * np.maximum(sign * moved, self.low[:, None])
+        members = self.moved(np.repeat(self.centre[:, None], count, axis=1), rng.standard_normal((len(self.rows), count)))
         members[:, 0] = self.centre
         return members
+
+    def moved(self, members: Array, by: Array) -> Array:
+        """Members `(rows, …)` with their unknown numbers moved `by` `(numbers, …)` spreads, none over zero."""
+        rows, wide = list(self.rows), (-1, *(1,) * (by.ndim - 1))
+        sign = np.sign(self.centre[rows]).reshape(wide)
+        moved = members.copy()
+        moved[rows] = sign * np.maximum(sign * (members[rows] + self.spread.reshape(wide) * by), self.low.reshape(wide))
+        return moved
 
     def nudged(self, member: Array) -> Array:
         """A member `(rows,)` and the same with each unknown number a little more, `(rows, 1 + numbers)`."""
@@ -88,11 +99,14 @@ class Ensemble:
         return lanes
 
     def responses(self, members: Array, t_s: Array, command: Array, start: Array) -> Array:
-        """States `(members, samples, 2 x joints)` of members `(rows, members)` under a command `(samples, joints)`, from `start`."""
+        """States `(members, samples, 2 x joints)` of members `(rows, members)` under a command `(samples, joints)`, from one
+        `start` `(2 x joints,)` or from one each, `(2 x joints, members)`.
+        """
         plant, count = self.plant, members.shape[1]
         padded = np.concatenate([members, np.repeat(members[:, :1], -count % BLOCK, axis=1)], axis=1)
         series = unobserved(self.scheme, t_s, command, plant.command_scales, plant.timestep_s)
-        init = np.repeat(start[None, :, None], padded.shape[1], axis=2)
+        each = np.broadcast_to(start if start.ndim > 1 else start[:, None], (len(start), count))
+        init = np.concatenate([each, np.repeat(each[:, :1], padded.shape[1] - count, axis=1)], axis=1)[None]
         out = roll(series, plant.form, padded, switches(self.hypothesis, len(plant.joints)), init)
         return np.ascontiguousarray(np.moveaxis(out[:, :, :count], 2, 0))
 
@@ -104,6 +118,21 @@ class Ensemble:
         states = self.responses(self.nudged(member), t_s, command, start)[:, :, self.plant.state_columns]
         moved = ((states[1:] - states[:1]) / NUDGE / noise).reshape(len(self.rows), -1)
         return np.asarray(moved @ moved.T)
+
+
+@dataclass(frozen=True)
+class InPlay:
+    """Ensembles of one plant: those of an answer and of every alternative that nothing has ruled out."""
+
+    ensembles: tuple[Ensemble, ...]
+
+    def drawn(self, count: int, rng: np.random.Generator) -> tuple[Array, ...]:
+        """Members of each, `(rows, members)`, at least `count` together."""
+        return tuple(e.drawn(-(-count // len(self.ensembles)), rng) for e in self.ensembles)
+
+    def responses(self, members: tuple[Array, ...], t_s: Array, command: Array, start: Array) -> Array:
+        """States of all of them, `(members, samples, 2 x joints)`."""
+        return np.concatenate([e.responses(m, t_s, command, start) for e, m in zip(self.ensembles, members, strict=True)])
 
 
 def _deviation(interval: Any) -> float:

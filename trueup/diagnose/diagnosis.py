@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from trueup.canonical import Json
 from trueup.diagnose.admission import admit
 from trueup.diagnose.decide import Choice, decide, yardstick
-from trueup.diagnose.explain import bounds, estimates, parameter_table, shares
+from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore, polished
 from trueup.diagnose.filtering import corrected
 from trueup.diagnose.locate import locate
@@ -82,6 +82,7 @@ def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress:
         nominal=nominal,
         gap=gap,
         effects=estimates(best.fit, choice.winner.fit, search.fitter, plant, shares(search, choice, nominal)),
+        alternatives=[alternative(plant, search, rival) for rival in choice.rivals],
         patch=changes,
         parameters=parameter_table(plant, search.fitter.directions, best.fit, choice.winner.fit),
         excluded=excluded,

@@ -15,6 +15,7 @@ from trueup.diagnose.search import RESOLUTION, Candidate, Search, has_already
 from trueup.episode.layout import Field
 from trueup.fit.rollout_fit import Directions, Fitter, RolloutFit, Screening, in_parallel
 from trueup.model.block import joint, kind
+from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Effect, Number, Scale, effects
 from trueup.model.plant import Plant
@@ -182,6 +183,17 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
     back = {n: max(search.fitted(winner.hypothesis.without(n), winner).misfit - winner.misfit, 0.0) for n in winner.hypothesis.effects}
     scale = max(whole, sum(back.values()), 1e-12)
     return {name: comes_back / scale for name, comes_back in back.items()}
+
+
+def alternative(plant: Plant, search: Search, rival: Candidate) -> Json:
+    """A composition that cannot be told from the answer as it was fitted: its model, its estimates, and the nominal form's numbers."""
+    model = Corrected(plant, rival.hypothesis, tuple(float(x) for x in rival.fit.values), search.adaptation[0].scheme)
+    described = model.description()
+    return {
+        "model": {name: described[name] for name in ("parameters", "effects", "scheme")},
+        "effects": estimates(rival.fit, rival.fit, search.fitter, plant, {}),
+        "parameters": parameter_table(plant, search.fitter.directions, rival.fit, rival.fit),
+    }
 
 
 def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:

@@ -36,6 +36,7 @@ def report(
     nominal: RolloutFit,
     gap: Gap,
     effects: list[Json],
+    alternatives: Sequence[Json],
     patch: Patch,
     parameters: Mapping[str, Json],
     excluded: Sequence[Bound],
@@ -58,7 +59,7 @@ def report(
         "plant": plant.name,
         "verdict": str(verdict),
         "effects": list(named),
-        "indistinguishable": [[*(told(plant, t) for t in a), *extra] for a in alternatives(choice, len(plant.joints))],
+        "indistinguishable": [[*(told(plant, t) for t in a), *extra] for a in indistinguishable(choice, len(plant.joints))],
         "excluded": [b.document() for b in excluded],
         "not_excited": [b.document() for b in unexcited],
         "parameters": dict(parameters),
@@ -69,6 +70,7 @@ def report(
         "evidence": {
             "episodes": [{"sha256": e.digest, "role": str(e.role)} for e in episodes],
             "hypotheses": _hypotheses(plant, search, choice, nominal),
+            "alternatives": list(alternatives),
             "noise": {c.name: float(admission.noise[i]) for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)},
             "uses_of_validation": len(search.found),
             "unexplained": choice.left,
@@ -94,7 +96,7 @@ def _named(entry: Mapping[str, Json]) -> Json:
     return {"effect": entry["effect"], "joint": entry["joint"]} if "joint" in entry else entry["effect"]
 
 
-def alternatives(choice: Choice, joints: int = 1) -> list[list[str]]:
+def indistinguishable(choice: Choice, joints: int = 1) -> list[list[str]]:
     """Compositions that cannot be told from the answer, those of the same law among them."""
     if choice.verdict is not Verdict.EFFECT:
         return []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from trueup.artifact.artifact import Artifact
 from trueup.canonical import Json
 from trueup.errors import BadArtifact
+from trueup.ledger.operation import of_artifact
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.registry.records import ArtifactRecord
@@ -33,7 +34,13 @@ def add_artifact(writer: Writer, plant: str, artifact: Artifact, job: str | None
         stamp.actor,
     )
     writer.add_artifact(record)
-    facts: dict[str, Json] = {"version": version, "kind": record.kind, "arrays": record.arrays, "job": job}
+    facts: dict[str, Json] = {
+        "version": version,
+        "kind": record.kind,
+        "operation": of_artifact(record.kind, document["predictor"]),
+        "arrays": record.arrays,
+        "job": job,
+    }
     writer.append_audit(at=stamp.now, kind="artifact:added", actor=stamp.actor, plant=plant, subject=artifact.digest, facts=facts)
     return record, True
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from trueup.canonical import Json, digest_of
+from trueup.ledger.operation import Operation
 from trueup_service.actions.stamp import Stamp
 from trueup_service.registry.records import MonitorRecord, Watching
 from trueup_service.registry.store import Writer
@@ -19,5 +20,10 @@ def add_monitor(
     if writer.monitor(plant, digest) is None:
         writer.add_monitor(MonitorRecord(plant, digest, document["artifact"], document, job, stamp.now, stamp.actor))
     writer.watch_with(Watching(plant, digest, since, writer.last_watch(plant, digest), kept))
-    facts: dict[str, Json] = {"artifact": document["artifact"], "promise_h": document["promise_h"], "job": job}
+    facts: dict[str, Json] = {
+        "operation": Operation.MONITORING,
+        "artifact": document["artifact"],
+        "promise_h": document["promise_h"],
+        "job": job,
+    }
     writer.append_audit(at=stamp.now, kind="monitor:calibrated", actor=stamp.actor, plant=plant, subject=digest, facts=facts)

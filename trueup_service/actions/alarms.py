@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from trueup.canonical import Json
+from trueup.ledger.operation import Operation
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import Conflict
@@ -20,7 +21,7 @@ def raise_alarm(
         return None
     raised = AlarmRecord(name, plant, monitor, artifact, found["episode"], found["document"], None, None, stamp.now, None, None, None)
     writer.add_alarm(raised)
-    facts: dict[str, Json] = {"monitor": monitor, "episode": raised.episode, "alarm": raised.document}
+    facts: dict[str, Json] = {"operation": Operation.MONITORING, "monitor": monitor, "episode": raised.episode, "alarm": raised.document}
     writer.append_audit(at=stamp.now, kind="alarm:raised", actor=stamp.actor, plant=plant, subject=name, facts=facts)
     return raised
 
@@ -31,5 +32,6 @@ def close_alarm(writer: Writer, plant: str, alarm: str, because: str, stamp: Sta
     found = find.alarm(writer, plant, alarm)
     if not writer.update_alarm(alarm, closed_at=stamp.now, closed_by=stamp.actor, closed_because=because):
         raise Conflict("the alarm is closed already", hint="Nothing is left to do.", closed_at=found.closed_at)
-    writer.append_audit(at=stamp.now, kind="alarm:closed", actor=stamp.actor, plant=plant, subject=alarm, facts={"because": because})
+    facts: dict[str, Json] = {"operation": Operation.MONITORING, "because": because}
+    writer.append_audit(at=stamp.now, kind="alarm:closed", actor=stamp.actor, plant=plant, subject=alarm, facts=facts)
     return find.alarm(writer, plant, alarm)

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from trueup.canonical import Json
 from trueup.episode.role import STAGES
 from trueup.errors import PointerMoved
+from trueup.ledger.operation import Operation
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import BadRequest, Conflict, EvidenceMissing, NeverServed
@@ -60,6 +61,6 @@ def move_channel(writer: Writer, plant: str, name: str, artifact: str, expected_
     at = max(before.at, stamp.now) if before else stamp.now
     move = ChannelMove(plant, name, generation + 1, artifact, wanted.version, evidence, at, stamp.actor)
     writer.move_channel(move)
-    facts: dict[str, Json] = {"channel": name, "generation": move.generation, "evidence": list(evidence)}
+    facts: dict[str, Json] = {"operation": Operation.CORRECTION, "channel": name, "generation": move.generation, "evidence": list(evidence)}
     writer.append_audit(at=stamp.now, kind="channel:moved", actor=stamp.actor, plant=plant, subject=artifact, facts=facts)
     return move

@@ -8,6 +8,7 @@ from trueup_service.errors import NotFound
 from trueup_service.registry.records import (
     AlarmRecord,
     ArtifactRecord,
+    ChannelMove,
     ChannelRecord,
     DecisionRecord,
     EpisodeRecord,
@@ -57,6 +58,14 @@ def alarm(reader: Reader, plant: str, name: str) -> AlarmRecord:
 
 def channel(reader: Reader, plant: str, name: str) -> ChannelRecord:
     return _found(reader.channel(plant, name), "channel", name)
+
+
+def channel_move(reader: Reader, plant: str, name: str) -> ChannelMove:
+    channel(reader, plant, name)
+    found = reader.channel_move(plant, name)
+    if found is None:
+        raise NotFound(f"channel {name!r} serves nothing yet", noun="position", name=name, hint="Move it to an artifact that serves.")
+    return found
 
 
 def any_decision(reader: Reader, digest: str) -> DecisionRecord:

@@ -24,6 +24,12 @@ def finish_job(
     ):
         return False
     effects(writer)
-    facts: dict[str, Json] = {"kind": job.kind, "state": str(state), "reads": dict(writer.job_reads(job.id)), "result": result}
+    facts: dict[str, Json] = {
+        "kind": job.kind,
+        "operation": job.operation,
+        "state": str(state),
+        "reads": dict(writer.job_reads(job.id)),
+        "result": result,
+    }
     writer.append_audit(at=stamp.now, kind="job:finished", actor=stamp.actor, plant=job.plant, subject=job.id, facts=facts)
     return True

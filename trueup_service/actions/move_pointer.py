@@ -6,6 +6,7 @@ from typing import Any
 
 from trueup.canonical import Json, digest_of
 from trueup.errors import BrokenChain
+from trueup.ledger.operation import Operation
 from trueup.ledger.pointer import Judged, NothingToRollBackTo, ServingPointer, promote, require_generation, roll_back
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
@@ -78,7 +79,14 @@ def roll_back_pointer(writer: Writer, plant: str, expected_generation: int, test
 
 def _move(writer: Writer, before: Move, move: Move, stamp: Stamp, facts: dict[str, Json]) -> Move:
     writer.move_serving(move)
-    moved: dict[str, Json] = {"move": move.kind, "generation": move.generation, "from": before.artifact, "decision": move.decision, **facts}
+    moved: dict[str, Json] = {
+        "operation": Operation.CORRECTION,
+        "move": move.kind,
+        "generation": move.generation,
+        "from": before.artifact,
+        "decision": move.decision,
+        **facts,
+    }
     writer.append_audit(at=stamp.now, kind="pointer:moved", actor=stamp.actor, plant=move.plant, subject=move.artifact, facts=moved)
     return move
 

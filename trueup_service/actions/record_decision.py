@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from trueup.canonical import digest_of
+from trueup.canonical import Json, digest_of
+from trueup.ledger.operation import Operation
 from trueup_service.actions.stamp import Stamp
 from trueup_service.registry.records import DecisionRecord
 from trueup_service.registry.store import Writer
@@ -20,7 +21,6 @@ def record_decision(writer: Writer, plant: str, document: dict[str, Any], job: s
     parts = document["gate"], document["candidate"], document["incumbent"], document["generation"], document["accepted"]
     record = DecisionRecord(digest, plant, *parts, document, job, stamp.now, stamp.actor)
     writer.add_decision(record)
-    writer.append_audit(
-        at=stamp.now, kind="decision:made", actor=stamp.actor, plant=plant, subject=digest, facts={"decision": document, "job": job}
-    )
+    facts: dict[str, Json] = {"operation": Operation.CORRECTION, "decision": document, "job": job}
+    writer.append_audit(at=stamp.now, kind="decision:made", actor=stamp.actor, plant=plant, subject=digest, facts=facts)
     return record

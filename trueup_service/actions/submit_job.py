@@ -152,6 +152,11 @@ def _submit(writer: Writer, queue: JobQueue, job: str, plant: str, kind: str, fr
     writer.add_job(record)
     queue.enqueue(writer.connection, job)
     writer.append_audit(
-        at=stamp.now, kind="job:submitted", actor=stamp.actor, plant=plant, subject=job, facts={"kind": kind, "request": frozen}
+        at=stamp.now,
+        kind="job:submitted",
+        actor=stamp.actor,
+        plant=plant,
+        subject=job,
+        facts={"kind": kind, "operation": record.operation, "request": frozen},
     )
     return record

@@ -90,11 +90,13 @@ class Gate(Answer):
 
 
 class Job(Answer):
-    """`progress` runs from 0 to 1. `result` is what came of it, or a problem with `code`, `detail` and `hint`."""
+    """`progress` runs from 0 to 1. `result` is what came of it, or a problem with `code`, `detail` and `hint`. `operation` says whether it
+    monitors, identifies parameters or corrects a model; nothing here adapts a control policy."""
 
     id: str
     plant: str
     kind: str
+    operation: str
     request: dict[str, Any]
     state: str
     progress: float

@@ -9,7 +9,7 @@ read each time.
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import orjson
@@ -19,6 +19,8 @@ from trueup_service.actions import find
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import Move
 from trueup_service.registry.store import Reader
+
+Asked = tuple[str, str | None]  # a plant, and one of its channels or None for its own pointer
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,26 +59,26 @@ class ServingAnswers:
     def __init__(self, database: Database, watch_interval_s: float) -> None:
         self._database = database
         self._interval_s = watch_interval_s
-        self._kept: dict[str, ServingAnswer] = {}
+        self._kept: dict[Asked, ServingAnswer] = {}
         self._counter = database.change_counter()
         self._moved = asyncio.Event()
 
-    async def now(self, plant: str) -> ServingAnswer:
+    async def now(self, asked: Asked) -> ServingAnswer:
         """What serves. Raises NotFound."""
         if self._counter is None:
-            return await run_in_threadpool(self._read, plant)
+            return await run_in_threadpool(self._read, asked)
         if self._counter.moved():
             self._kept.clear()
-        answer = self._kept.get(plant)
+        answer = self._kept.get(asked)
         if answer is None:
-            answer = self._kept[plant] = self._read(plant)
+            answer = self._kept[asked] = self._read(asked)
         return answer
 
-    async def after(self, plant: str, etag: str, wait_s: float) -> ServingAnswer:
+    async def after(self, asked: Asked, etag: str, wait_s: float) -> ServingAnswer:
         """What serves once its tag is another than `etag`, or what serves after `wait_s` [s]."""
         clock = asyncio.get_running_loop().time
         deadline = clock() + wait_s
-        while matches((answer := await self.now(plant)).etag, etag) and (left := deadline - clock()) > 0 and not self.closing:
+        while matches((answer := await self.now(asked)).etag, etag) and (left := deadline - clock()) > 0 and not self.closing:
             await self._next_look(min(left, self._interval_s))
         return answer
 
@@ -91,8 +93,15 @@ class ServingAnswers:
         except TimeoutError:
             return
 
-    def _read(self, plant: str) -> ServingAnswer:
+    def _read(self, asked: Asked) -> ServingAnswer:
+        plant, channel = asked
         with self._database.glance() as connection:
-            move = find.serving(Reader(connection), plant)
-        etag = f'"{move.generation}"'
-        return ServingAnswer(etag, orjson.dumps(document(move)), {"ETag": etag, "Cache-Control": "no-cache"})
+            reader = Reader(connection)
+            if channel is None:
+                move = find.serving(reader, plant)
+                told, generation = document(move), move.generation
+            else:
+                at = find.channel_move(reader, plant, channel)
+                told, generation = asdict(at), at.generation
+        etag = f'"{generation}"'
+        return ServingAnswer(etag, orjson.dumps(told), {"ETag": etag, "Cache-Control": "no-cache"})

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from trueup.canonical import Json
+from trueup.ledger.operation import Operation, of_job
 
 
 class JobState(StrEnum):
@@ -97,6 +98,11 @@ class JobRecord:
     created_at: str
     created_by: str
     updated_at: str
+
+    @property
+    def operation(self) -> Operation:
+        """Which of the four it is."""
+        return of_job(self.kind, self.request)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from tests.support.made import TRUE, plant_document
-from trueup.collect.ensemble import Ensemble
-from trueup.collect.excitation import AT_REST, Bounds, at_rest, design
+from trueup.collect.bounds import Bounds
+from trueup.collect.ensemble import Ensemble, InPlay
+from trueup.collect.excitation import at_rest, identification
+from trueup.collect.wave import AT_REST
 from trueup.diagnose.diagnosis import diagnose
 from trueup.episode.mcap import read_episode
 from trueup.errors import NotAnEpisode, NotIdentifiable
@@ -25,8 +27,14 @@ NOISE = np.array([0.01, 0.02])
 def designed(plant=PLANT, spread=0.02, seed=0, duration_s=8.0, **bounds):
     chosen = {"band_hz": None, "rate": None, "margin": 0.1, **bounds}
     ensemble = Ensemble.prior(plant, spread)
-    return design(
-        ensemble, Bounds.of(plant, duration_s, **chosen), NOISE, np.zeros(2), np.zeros(1), np.random.default_rng(seed), effort=0.2
+    return identification(
+        InPlay((ensemble,)),
+        Bounds.of(plant, duration_s, **chosen),
+        NOISE,
+        np.zeros(2),
+        np.zeros(1),
+        np.random.default_rng(seed),
+        effort=0.2,
     )
 
 

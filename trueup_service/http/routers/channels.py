@@ -5,19 +5,21 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Path, Query, Response
+from fastapi import APIRouter, Body, Path, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
 
 from trueup_service.actions import find
 from trueup_service.actions.add_evidence import add_evidence
 from trueup_service.actions.channels import declare_channel, move_channel
-from trueup_service.errors import NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create, run_once
 from trueup_service.http.openapi import there
+from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas import Channel, ChannelDeclaration, ChannelMove, ChannelPosition, Evidence, Page, page
-from trueup_service.registry.store import Reader
+from trueup_service.registry.store import Reader, Writer
 
 router = APIRouter(prefix="/v1/plants/{plant}", tags=["channels"])
 ChannelName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A channel's name")]
+CHANNEL = {"name": "channel", "in": "path", "required": True, "schema": {"type": "string"}, "description": "A channel's name"}
 
 
 @router.post("/evidence", status_code=201, response_model=Evidence, summary="Add evidence of an artifact", responses=there(Evidence))
@@ -65,28 +67,27 @@ def list_channels(parts: With, plant: PlantName, after: Annotated[str, Query(max
     return page(Channel, found, limit, "name")
 
 
-@router.get("/channels/{channel}/serving", summary="What a channel serves now")
-def serving(parts: With, plant: PlantName, channel: ChannelName) -> ChannelPosition:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.channel(reader, plant, channel)
-        found = reader.channel_move(plant, channel)
-    if found is None:
-        raise NotFound(f"channel {channel!r} serves nothing yet", noun="position", name=channel, hint="Move it to an artifact that serves.")
-    return ChannelPosition.model_validate(found)
+@router.get(
+    "/channels/{channel}/serving",
+    summary="What a channel serves now",
+    response_model=ChannelPosition,
+    responses=UNCHANGED,
+    openapi_extra={"parameters": [PLANT, CHANNEL, *ASKED]},
+)
+async def serving(request: Request) -> Response:
+    """As of the plant's own pointer: with `If-None-Match` and `wait_s` it answers at the channel's next move, or 304."""
+    return await polled(request, request.path_params["plant"], request.path_params["channel"])
 
 
 @router.post("/channels/{channel}/move", summary="Serve an artifact on a channel")
-def move(
-    parts: With, stamp: By, plant: PlantName, channel: ChannelName, wanted: ChannelMove, key: IdempotencyKey = None
+async def move(
+    request: Request, parts: With, stamp: By, plant: PlantName, channel: ChannelName, wanted: ChannelMove, key: IdempotencyKey = None
 ) -> ChannelPosition:
     """409 if the channel is elsewhere, the artifact never served the plant itself, or evidence of a required stage is missing or failed."""
-    moved = run_once(
-        parts,
-        stamp,
-        f"channels/{plant}/{channel}",
-        key,
-        wanted.model_dump(),
-        lambda w: asdict(move_channel(w, plant, channel, wanted.artifact, wanted.expected_generation, stamp)),
-    )
+
+    def act(writer: Writer) -> dict[str, Any]:
+        return asdict(move_channel(writer, plant, channel, wanted.artifact, wanted.expected_generation, stamp))
+
+    moved = await run_in_threadpool(run_once, parts, stamp, f"channels/{plant}/{channel}", key, wanted.model_dump(), act)
+    request.app.state.answers.wake()
     return ChannelPosition(**moved)

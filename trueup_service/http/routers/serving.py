@@ -13,10 +13,10 @@ from trueup_service.actions import find
 from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.move_pointer import previous_artifact, promote_decision, roll_back_pointer
 from trueup_service.actions.stamp import Stamp
-from trueup_service.errors import BadRequest
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, run_once
+from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas import Page, Promotion, Rollback, Serving
-from trueup_service.http.serving_answers import ServingAnswers, document, matches
+from trueup_service.http.serving_answers import document
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
 
@@ -24,50 +24,12 @@ router = APIRouter(prefix="/v1/plants/{plant}/serving", tags=["serving"])
 AtTime = Annotated[
     str | None, Query(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z$", description="UTC, ISO 8601: only what was live then")
 ]
-POLL: dict[str, Any] = {
-    "parameters": [
-        {"name": "plant", "in": "path", "required": True, "schema": {"type": "string"}, "description": "A plant's name"},
-        {
-            "name": "wait_s",
-            "in": "query",
-            "schema": {"type": "number", "minimum": 0, "default": 0},
-            "description": "With If-None-Match: wait this long for a change [s]",
-        },
-        {"name": "If-None-Match", "in": "header", "schema": {"type": "string"}, "description": "The tag of the answer that the caller has"},
-    ]
-}
 
 
-@router.get(
-    "",
-    summary="What is serving now",
-    response_model=Serving,
-    responses={304: {"description": "Still what If-None-Match names"}},
-    openapi_extra=POLL,
-)
+@router.get("", summary="What is serving now", response_model=Serving, responses=UNCHANGED, openapi_extra={"parameters": [PLANT, *ASKED]})
 async def now(request: Request) -> Response:
-    """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` it answers at the next move, or 304.
-
-    Fleets poll this route: its parameters are read by hand, which halves what an answer costs.
-    """
-    state = request.app.state
-    answers: ServingAnswers = state.answers
-    plant, tag = request.path_params["plant"], request.headers.get("if-none-match")
-    wait_s = _wait_s(request, state.parts.settings.long_poll_limit_s) if request.scope["query_string"] else 0.0
-    answer = await answers.after(plant, tag, wait_s) if tag and wait_s else await answers.now(plant)
-    if tag and matches(answer.etag, tag):
-        return Response(status_code=304, headers=answer.headers)
-    return Response(answer.body, media_type="application/json", headers=answer.headers)
-
-
-def _wait_s(request: Request, limit_s: float) -> float:
-    try:
-        wait_s = float(request.query_params.get("wait_s", "0"))
-    except ValueError:
-        wait_s = -1.0
-    if not wait_s >= 0.0:  # nan is not
-        raise BadRequest("wait_s must be a number of seconds, 0 or more")
-    return min(wait_s, limit_s)
+    """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` it answers at the next move, or 304."""
+    return await polled(request, request.path_params["plant"])
 
 
 @router.get("/history", summary="What served when")

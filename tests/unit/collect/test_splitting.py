@@ -1,0 +1,99 @@
+"""Experiments that split what a diagnosis left: the alternatives stand in its report, and the machine's answer parts them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.simulated import episode_of, episodes_of, plant_of
+from trueup.collect.bounds import Bounds
+from trueup.collect.ensemble import Ensemble, InPlay
+from trueup.collect.excitation import splitting
+from trueup.diagnose.diagnosis import diagnose
+from trueup.episode.role import Role
+from trueup.errors import NotIdentifiable
+from trueup.simulate.machine import run
+from trueup.simulate.trial import draw, draw_bench
+from trueup_cli.diagnose import write
+from trueup_cli.excite import excite
+
+
+@pytest.fixture(scope="module")
+def undecided():
+    """A saturation in recordings so short and noisy that heat explains them as well."""
+    rng = np.random.default_rng(109)
+    bench = replace(draw_bench("A1", rng), duration_s=3.0, noise=0.05)
+    trial = draw(bench, ["saturation"], True, rng, gaps=(0.1, 0.3))
+    plant = plant_of(bench)
+    episodes = episodes_of(plant, trial)
+    return plant, bench, trial, episodes, diagnose(plant, episodes)
+
+
+@pytest.fixture(scope="module")
+def designed(undecided):
+    plant, _, trial, _, found = undecided
+    play = InPlay((Ensemble.posterior(found.predictor, found.document), *Ensemble.alternatives(plant, found.document)))
+    bounds = Bounds.of(plant, 6.0, None, None, 0.1)
+    return splitting(play, bounds, trial.sigma, np.zeros(2), np.zeros(1), np.random.default_rng(0), effort=0.1)
+
+
+def test_the_report_holds_every_alternative_as_it_was_fitted(undecided):
+    plant, _, _, _, found = undecided
+    assert found.document["indistinguishable"] == [["thermal_derating"]]
+    (left,) = Ensemble.alternatives(plant, json.loads(json.dumps(found.document)))
+    (rival,) = found.choice.rivals
+    assert left.hypothesis == rival.hypothesis
+    assert left.centre == pytest.approx(rival.fit.values)
+    assert {"k", "c", "b", "thermal_derating loss"} <= set(left.names)
+
+
+def test_it_parts_the_alternatives_better_than_a_random_one_and_is_safe_under_both(undecided, designed):
+    plant = undecided[0]
+    assert designed.information.alternatives == (("thermal_derating",),)
+    assert designed.information.least > 1.2 * designed.random.least
+    assert (len(designed.paths), designed.breaches) == (1000, 0)
+    low, high = plant.envelope["q"]
+    assert low < designed.paths[:, :, 0].min() < designed.paths[:, :, 0].max() < high
+    assert designed.document()["information"]["separation"][0]["from"] == ["thermal_derating"]
+
+
+def test_what_the_machine_answers_leaves_one_explanation(undecided, designed):
+    plant, bench, trial, episodes, _ = undecided
+    rng = np.random.default_rng(1)
+    more = [
+        episode_of(plant, run(trial.machine, designed.command[:, 0], bench.timestep_s, bench.parts, tuple(trial.sigma), rng), role, role)
+        for role in (Role.ADAPTATION, Role.VALIDATION)
+    ]
+    found = diagnose(plant, [*episodes, *more])
+    assert [e["effect"] for e in found.document["effects"]] == ["saturation"]
+    assert found.document["indistinguishable"] == []
+
+
+def test_without_alternatives_there_is_nothing_to_split(undecided, tmp_path):
+    plant, _, _, episodes, found = undecided
+    (tmp_path / "plant.json").write_text(json.dumps(plant.document))
+    with pytest.raises(NotIdentifiable, match="without a diagnosis") as refused:
+        excite(tmp_path, out=tmp_path / "out", split=True)
+    assert "--model" in refused.value.hint
+    write(found, episodes, tmp_path / "found")
+    report = json.loads((tmp_path / "found" / "report.json").read_text())
+    report["evidence"]["alternatives"] = []
+    report["next_experiment"] = {"why": "No command parts them: log the motor current."}
+    (tmp_path / "found" / "report.json").write_text(json.dumps(report))
+    with pytest.raises(NotIdentifiable, match="left no alternatives") as refused:
+        excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True)
+    assert "motor current" in refused.value.hint
+
+
+def test_the_command_writes_the_experiment(undecided, tmp_path, capsys, monkeypatch):
+    plant, _, _, episodes, found = undecided
+    monkeypatch.setattr("trueup.collect.excitation.TRIED", 8)
+    monkeypatch.setattr("trueup.collect.excitation.IMPROVED", 4)
+    (tmp_path / "plant.json").write_text(json.dumps(plant.document))
+    write(found, episodes, tmp_path / "found")
+    excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True, duration_s=8.0)
+    document = json.loads((tmp_path / "out" / "excitation.json").read_text())
+    assert document["goal"] == "split"
+    assert document["information"]["separation"][0]["standard_errors"] > 4.0
+    assert "thermal_derating" in capsys.readouterr().out

@@ -1,0 +1,26 @@
+"""Which of the four an operation is."""
+
+import pytest
+
+from trueup.ledger.operation import JOBS, Operation, of_artifact, of_job
+from trueup.model.kinds import KINDS
+from trueup_service.actions.submit_job import SUBMIT
+
+
+@pytest.mark.parametrize("kind", [*SUBMIT, "watch"])
+def test_every_job_is_one_of_the_four(kind):
+    assert of_job(kind, {}) is JOBS[kind]
+    assert Operation.ADAPTATION not in JOBS.values()  # the controller is never changed
+
+
+def test_a_fit_that_keeps_the_form_identifies():
+    assert of_job("fit", {"method": "identify"}) == "parameter identification"
+    assert of_job("fit", {"method": "residual"}) == "model correction"
+
+
+def test_an_artifact_is_what_it_changes():
+    found = {kind: of_artifact(kind, {"effects": [{"effect": "cogging"}]}) for kind in KINDS}
+    assert found["nominal"] is None
+    assert found["identified"] == "parameter identification"
+    assert found["residual"] == found["corrected"] == found["blind"] == found["conditioned"] == "model correction"
+    assert of_artifact("corrected", {"effects": []}) == "parameter identification"

@@ -1,0 +1,168 @@
+"""Wave: a multisine made into a command that is bounded, safe under every model in play, and ends at rest.
+
+Cut off at the command's limits and slowed to its rate, it rises from rest, ends in a brake that is fitted to the members, and a hold until
+every one of them is at rest; it is as large as the envelope, less a margin, allows under every member.
+Source: J. Swevers et al., IEEE Transactions on Robotics and Automation 13 (1997), on periodic excitation of robots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from trueup.collect.bounds import Bounds
+from trueup.collect.ensemble import InPlay
+
+Array = NDArray[np.float64]
+LINES = 14  # of a multisine
+RISE = 0.08  # of the excitation, from rest
+BRAKE = 0.25  # of the excitation, at its end
+BRAKED_BY = 3  # members of each ensemble that the brake is fitted to
+KNOTS = 5  # of the brake
+BRAKED = 3  # times it is fitted, for its limits cut some of it off
+NUDGED = 1e-3  # of the command's reach: how much a tent is pushed to see what it moves
+CUT = (1.0, 2.0, 4.0)  # times the limit before a wave is cut off there
+HALVINGS = 7
+AT_REST = 0.05  # of the largest speed under any member
+LONGEST_HOLD = 1.0  # times the excitation
+CHANGED = 0.3  # of the lines, at once
+TOUCH = 1e-9  # of a command: it is the hold
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Lines `(joints, LINES)` of a multisine: frequencies [Hz], phases, sizes; and where it is cut off, in limits."""
+
+    hertz: Array
+    phases: Array
+    sizes: Array
+    cut: float
+
+    def changed(self, rng: np.random.Generator, by: float) -> Wave:
+        """The same, a little different."""
+        some = rng.random(self.phases.shape) < CHANGED
+        return Wave(
+            self.hertz,
+            np.where(some, self.phases + by * np.pi * rng.standard_normal(self.phases.shape), self.phases),
+            np.where(some, np.abs(self.sizes + by * rng.standard_normal(self.sizes.shape)), self.sizes),
+            float(rng.choice(CUT)) if rng.random() < by / 2.0 else self.cut,
+        )
+
+
+@njit(cache=True)
+def _followed(wanted, begin, step):  # type: ignore[no-untyped-def]
+    """A command `(samples, joints)` followed from `begin` by no more than `step` a sample."""
+    slow = np.empty_like(wanted)
+    for j in range(wanted.shape[1]):
+        now = begin[j]
+        for i in range(wanted.shape[0]):
+            now += min(max(wanted[i, j] - now, -step[j]), step[j])
+            slow[i, j] = now
+    return slow
+
+
+@dataclass(frozen=True)
+class Maker:
+    """Makes commands of waves for machines at rest in the state `start` `(2 x joints,)` under the command `hold` `(joints,)`."""
+
+    play: InPlay
+    bounds: Bounds
+    start: Array
+    hold: Array
+    members: tuple[Array, ...]
+
+    @property
+    def period_s(self) -> float:
+        """From sample to sample [s]."""
+        return self.play.ensembles[0].plant.timestep_s
+
+    def draw(self, rng: np.random.Generator) -> Wave:
+        """A wave by chance."""
+        low, high = self.bounds.band_hz
+        joints = len(self.hold)
+        lines = np.linspace(low, high, LINES)[None, :] * np.ones((joints, 1))
+        return Wave(lines, rng.uniform(0.0, 2.0 * np.pi, lines.shape), rng.exponential(1.0, lines.shape), float(rng.choice(CUT)))
+
+    def made(self, wave: Wave) -> tuple[Array, Array, float] | None:
+        """Times, the largest safe command, and its size; None where even the smallest leaves the envelope."""
+        low, high = 0.0, 1.0
+        found = self.sized(wave, high)
+        if found is not None:
+            return (*found, high)
+        for _ in range(HALVINGS):
+            size = 0.5 * (low + high)
+            tried = self.sized(wave, size)
+            if tried is None:
+                high = size
+            else:
+                low, found = size, tried
+        return None if found is None else (*found, low)
+
+    def sized(self, wave: Wave, size: float) -> tuple[Array, Array] | None:
+        """The command of one size with its brake and hold, None where a member leaves the envelope or does not come to rest."""
+        b, period = self.bounds, self.period_s
+        n = round(b.duration_s / period) + 1
+        active = n - round(BRAKE * n)
+        t = np.asarray(np.arange(n) * period, np.float64)
+        lines = np.sin(2.0 * np.pi * wave.hertz[:, :, None] * t + wave.phases[:, :, None])
+        wave_form = np.einsum("jl,jlt->tj", wave.sizes, lines) / np.linalg.norm(wave.sizes, axis=1)
+        rise = np.minimum(t / max(RISE * b.duration_s, period), 1.0)[:, None]
+        reach = np.minimum(b.high - self.hold, self.hold - b.low)
+        shaped = np.clip(wave.cut * rise * wave_form, -1.0, 1.0) * size * reach
+        shaped[active:] = 0.0
+        command = self._slowed(self.hold + shaped)
+        command = self._braked(t, command, active)
+        return self._held(t, command)
+
+    def _slowed(self, command: Array) -> Array:
+        """The command within its limits and its rate, beginning at the hold."""
+        wanted = np.ascontiguousarray(np.clip(command, self.bounds.low, self.bounds.high))
+        return np.asarray(_followed(wanted, self.hold, self.bounds.rate * self.period_s))
+
+    def _braked(self, t: Array, command: Array, active: int) -> Array:
+        """The command with an end that brings the members nearest to rest: least squares on the tents of the brake."""
+        n, joints = len(t), len(self.hold)
+        knots = np.linspace(active, n - 1, KNOTS + 2)
+        tents = np.stack([np.interp(np.arange(n), knots, np.eye(KNOTS + 2)[i]) for i in range(1, KNOTS + 1)])
+        some = tuple(m[:, :BRAKED_BY] for m in self.members)
+        reach = np.maximum(self.bounds.high - self.bounds.low, 1e-12)
+        ended = self._ends(some, t, command)
+        columns = []
+        for j in range(joints):
+            for tent in tents:
+                pushed = command.copy()
+                pushed[:, j] += NUDGED * reach[j] * tent
+                columns.append((self._ends(some, t, pushed) - ended) / NUDGED)
+        moves = np.array(columns).T
+        size = 1e-3 * np.linalg.norm(moves) + 1e-12
+        penalised = np.vstack([moves, size * np.eye(len(columns))])
+        for again in range(BRAKED):
+            by = np.linalg.lstsq(penalised, np.append(-ended, np.zeros(len(columns))), rcond=None)[0]
+            command = self._slowed(command + np.einsum("jk,kt->tj", by.reshape(joints, KNOTS) * reach[:, None], tents))
+            if again + 1 < BRAKED:
+                ended = self._ends(some, t, command)
+        return command
+
+    def _ends(self, members: tuple[Array, ...], t: Array, command: Array) -> Array:
+        """How far members end from where they began, velocities in the time of the brake, `(members x 2 x joints,)`."""
+        joints = len(self.hold)
+        last = self.play.responses(members, t, command, self.start)[:, -1] - self.start
+        last[:, joints:] *= BRAKE * self.bounds.duration_s / 3.0
+        return np.nan_to_num(last, nan=1e6, posinf=1e6, neginf=-1e6).ravel()
+
+    def _held(self, t: Array, command: Array) -> tuple[Array, Array] | None:
+        """The command with as long a hold as every member needs to come to rest, if none leaves the envelope."""
+        more = round(LONGEST_HOLD * self.bounds.duration_s / self.period_s)
+        times = np.asarray(np.arange(len(t) + more) * self.period_s, np.float64)
+        whole = self._slowed(np.concatenate([command, np.repeat(self.hold[None, :], more, axis=0)]))
+        paths = self.play.responses(self.members, times, whole, self.start)
+        if not self.bounds.inside(paths):
+            return None
+        speed = np.abs(paths[:, :, paths.shape[2] // 2 :]).max(axis=(0, 2))
+        moving = np.flatnonzero(speed > AT_REST * speed.max())
+        still = np.flatnonzero((np.abs(whole - self.hold) > TOUCH).any(axis=1))
+        end = max(int(moving[-1]) if len(moving) else 0, int(still[-1]) if len(still) else 0) + 2
+        return None if end > len(times) else (times[:end], whole[:end])

@@ -1,0 +1,45 @@
+"""Operation: which of four things a job or an entry of the log is, so that nobody takes one for another.
+
+Monitoring changes nothing. Parameter identification finds the numbers of a form that is kept; model correction changes the form, or which
+model serves. Policy adaptation would change the controller: nothing here does, and a log that holds one was not written by this service.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+
+from trueup.canonical import Json
+
+
+class Operation(StrEnum):
+    """What is done, and to what."""
+
+    MONITORING = "monitoring"
+    IDENTIFICATION = "parameter identification"
+    CORRECTION = "model correction"
+    ADAPTATION = "policy adaptation"
+
+
+JOBS: Mapping[str, Operation] = {
+    "fit": Operation.CORRECTION,
+    "diagnose": Operation.CORRECTION,
+    "gate": Operation.CORRECTION,
+    "calibrate": Operation.MONITORING,
+    "watch": Operation.MONITORING,
+    "validate": Operation.MONITORING,
+    "blindtrial": Operation.MONITORING,
+}
+
+
+def of_job(kind: str, request: Mapping[str, Json]) -> Operation:
+    """A job's operation: of fits, the one that keeps the form identifies."""
+    return Operation.IDENTIFICATION if request.get("method") == "identify" else JOBS[kind]
+
+
+def of_artifact(kind: str, model: Json) -> Operation | None:
+    """What made an artifact, by what it holds: other numbers alone, or another form; None where it is the nominal model."""
+    if kind == "nominal":
+        return None
+    kept = kind == "identified" or (kind == "corrected" and isinstance(model, Mapping) and not model.get("effects"))
+    return Operation.IDENTIFICATION if kept else Operation.CORRECTION
