@@ -3,7 +3,20 @@
 import importlib
 import sys
 
-ALL = ("kernel", "footprint", "ingest", "serving", "registry", "scaled", "diagnosis", "robots", "drift", "excitation", "continual")
+ALL = (
+    "kernel",
+    "footprint",
+    "ingest",
+    "serving",
+    "registry",
+    "scaled",
+    "diagnosis",
+    "robots",
+    "drift",
+    "excitation",
+    "splitting",
+    "continual",
+)
 
 for name in sys.argv[1:] or ALL:
     importlib.import_module(f"bench.{name}").main()

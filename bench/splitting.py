@@ -55,16 +55,6 @@ def main() -> None:
         ours += _is(answers[0][0], effect)
         theirs += _is(answers[1][0], effect)
         breached += answers[0][1]
-        print(
-            effect,
-            [e["effect"] for e in found.document["effects"]],
-            found.document["indistinguishable"],
-            made.information.rows(),
-            made.random.rows(),
-            [([e["effect"] for e in a.document["effects"]], a.document["indistinguishable"]) for a, _ in answers],
-            answers[0][1],
-            flush=True,
-        )
         if tried == MACHINES:
             break
     figures = [

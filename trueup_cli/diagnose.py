@@ -38,7 +38,7 @@ def run(case: Path, *, out: Path, seed: int = 0) -> None:
     print(sentence(found.document))
     for push in pushed(found.document):
         print(f"Something outside pushes, as a contact does: {push}. Leave it out: a contact is not simulated.")
-    if found.document["evidence"]["alternatives"]:
+    if found.choice.rivals:
         print(f"What would part the explanations: trueup excite {case} --model {out} --split --out {out / 'experiment'}")
     print("   ".join(f"{what}: {where}" for what, where in files.items()))
 

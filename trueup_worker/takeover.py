@@ -15,19 +15,26 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 
-from dbos import DBOS
+from dbos import DBOS, SetWorkflowID
 from sqlalchemy import Connection, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from trueup_service.jobs import QUEUE
+from trueup.canonical import Json
+from trueup_service.actions.finish_job import finish_job
+from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.jobs import ENGINE_VERSION, QUEUE
 from trueup_service.locks import try_lock
 from trueup_service.registry.database import Database
-from trueup_service.registry.records import FINAL
-from trueup_service.registry.store import Reader
+from trueup_service.registry.records import FINAL, JobRecord, JobState
+from trueup_service.registry.store import Reader, Writer
 
 log = logging.getLogger("trueup.worker")
+
+AGAIN = "-"  # between a job and the number of an attempt after its first
+ATTEMPTS = 5  # each of which the engine tried for a minute
 
 
 class Lives(ABC):
@@ -115,12 +122,45 @@ def _resume(job: str, dead: str) -> str:
 
 
 def revive(database: Database) -> list[str]:
-    """Put back what the engine gave up on, such as a job that could not be closed while the database was away; the jobs' ids."""
+    """Begin again what the engine gave up on, at the step that failed, such as a job that could not be closed while the database was
+    away; the jobs' ids. What is given up on ATTEMPTS times fails.
+    """
     given_up = DBOS.list_workflows(status="ERROR", load_input=False, load_output=False)
-    with database.read() as connection:
-        reader = Reader(connection)
-        open_jobs = [w.workflow_id for w in given_up if (job := reader.job(w.workflow_id)) is not None and job.state not in FINAL]
-    return [_resume(job, "none: given up on") for job in open_jobs]
+    revived = []
+    for job in sorted({w.workflow_id.split(AGAIN)[0] for w in given_up}):
+        with database.read() as connection:
+            found = Reader(connection).job(job)
+        if found is None or found.state in FINAL:
+            continue
+        attempts = DBOS.list_workflows(workflow_id_prefix=job, load_input=False, load_output=False)
+        if any(a.status != "ERROR" for a in attempts):
+            continue
+        if len(attempts) >= ATTEMPTS:
+            _fail(database, found)
+        else:
+            _begin_again(job, len(attempts))
+            revived.append(job)
+    return revived
+
+
+def _begin_again(job: str, attempts: int) -> None:
+    """One more attempt under a name that only one worker can take."""
+    steps = DBOS.list_workflow_steps(job)
+    failed = next((s["function_id"] for s in steps if s["error"] is not None), len(steps) + 1)
+    with SetWorkflowID(f"{job}{AGAIN}{attempts}"):
+        DBOS.fork_workflow(job, failed, application_version=ENGINE_VERSION, queue_name=QUEUE)
+    log.warning("begun again", extra={"job": job, "attempt": attempts + 1})
+
+
+def _fail(database: Database, job: JobRecord) -> None:
+    problem: dict[str, Json] = {
+        "code": "given-up",
+        "detail": f"the job engine gave up {ATTEMPTS} times",
+        "hint": "Read the worker's log, then submit the job again.",
+    }
+    with database.write() as connection:
+        finish_job(Writer(connection), job, JobState.FAILED, {"problem": problem}, Stamp(job.created_by, time_text(datetime.now(UTC))))
+    log.error("given up", extra={"job": job.id})
 
 
 def watch(database: Database, lives: Lives, own: str, interval_s: float, stop: threading.Event) -> None:

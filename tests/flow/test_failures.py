@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+import sqlalchemy as sa
 
 from tests.support.made import T0_NS, episode_bytes, mcap_bytes, plant_document, save
 from tests.support.service import Service, kill
@@ -80,6 +81,38 @@ def test_a_living_worker_takes_over_by_itself(lone, long_episode):
     again = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
     assert client.wait(job)["state"] == client.wait(again)["state"] == "succeeded"
     assert count(client, "job:finished") == 2
+
+
+def given_up_on(service, job, times=1):
+    """As the job engine leaves what it tried in vain, in the database itself."""
+    engine = service.storage.build().database.engine
+    schema = "dbos" if engine.dialect.name == "postgresql" else None
+    status = sa.Table("workflow_status", sa.MetaData(), schema=schema, autoload_with=engine)
+    with engine.begin() as connection:
+        connection.execute(status.update().where(status.c.workflow_uuid == job).values(status="ERROR"))
+        row = connection.execute(status.select().where(status.c.workflow_uuid == job)).mappings().one()
+        for attempt in range(1, times):
+            connection.execute(status.insert().values({**row, "workflow_uuid": f"{job}-{attempt}"}))
+    engine.dispose()
+
+
+def test_what_the_engine_gave_up_on_is_begun_again(lone, long_episode):
+    service, client = lone
+    job = begun(client, long_episode)
+    given_up_on(service, job, times=2)
+    service.start_worker()
+    assert client.wait(job)["state"] == "succeeded"
+    assert (count(client, "artifact:added"), count(client, "job:finished")) == (1, 1)
+
+
+def test_what_it_gives_up_on_again_and_again_fails_and_says_so(lone, long_episode):
+    service, client = lone
+    job = begun(client, long_episode)
+    given_up_on(service, job, times=5)
+    service.start_worker()
+    until(lambda: client.job(job)["state"] == "failed")
+    assert client.job(job)["result"]["problem"]["code"] == "given-up"
+    assert count(client, "artifact:added") == 0
 
 
 def test_a_running_job_can_be_cancelled(lone, long_episode):

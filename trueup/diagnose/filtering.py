@@ -30,6 +30,8 @@ from trueup.model.state import smoothed_states
 Array = NDArray[np.float64]
 DOUBLINGS = 24  # of the time over which a filter settles: from one sample to days
 LEAST, MOST = -7.0, 5.0  # decades of the motion's acceleration: a force that is random in each second, or wanders so far in one
+SETTLED = 1e-10  # of a standard deviation squared: a covariance that stands still
+LOST = 1e10  # of the motion's square: no covariance that is worth a gain
 COARSE = 2.0  # decades between the first sizes that are tried
 FINEST = 0.4
 BEGINNING = 24  # samples until the steady gain is used
@@ -185,8 +187,11 @@ def _steady(a: Array, information: Array, drive: Array) -> Array:
         later = p + onward.T @ known @ onward
         gathered = gathered + onward @ shared @ gathered @ onward.T
         onward = onward @ shared @ onward
-        if np.allclose(later, p, rtol=1e-12, atol=0.0):
+        size = np.sqrt(np.maximum(np.diag(later), 0.0))
+        if (np.abs(later - p) <= SETTLED * size[:, None] * size).all():
             break
+        if not (np.abs(later) < LOST).all():
+            break  # of a hardly disturbed unstable motion rounding grows without end: what is left is tried, and loses
         p = later
     return p
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, computed_field
+
+from trueup.ledger.operation import Operation, of_job
 
 T = TypeVar("T")
 A = TypeVar("A", bound="Answer")
@@ -96,7 +98,6 @@ class Job(Answer):
     id: str
     plant: str
     kind: str
-    operation: str
     request: dict[str, Any]
     state: str
     progress: float
@@ -105,6 +106,12 @@ class Job(Answer):
     created_at: Time
     created_by: str
     updated_at: Time
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def operation(self) -> Operation:
+        """Which of the four it is."""
+        return of_job(self.kind, self.request)
 
 
 class JobWithReads(Job):
