@@ -22,7 +22,7 @@ from trueup.chapter.data import (
     drive,
     excitation,
 )
-from trueup.control.estimator import bring_forward
+from trueup.control.estimator import Estimator
 from trueup.control.loop import Deployed, Run, run_loop
 from trueup.control.planner import RandomShooting
 from trueup.control.watchdog import inject_sensor_failure
@@ -41,6 +41,7 @@ PLANNER_SEED, MONITOR_SEED = 7, 4242
 TICKS = 200
 REFERENCE = 0.55 * np.sin(2.0 * np.pi * 0.15 * (DT_S * np.arange(TICKS)))
 DELAYS = (0, 1, 2, 3, 5, 8)
+IRREGULAR = (3, 0, 5, 2, 8, 1)  # delays in turn: what is seen comes late, irregularly and out of order
 HORIZONS = (1, 10, 50, 200)
 
 
@@ -108,15 +109,14 @@ def _stability() -> Table:
     )
 
 
-def _loop(predictor: Predictor, parameters: tuple[float, ...], delay: int = 0, u_max: float = U_MAX, *, forward: bool = False) -> Run:
-    estimate = (lambda seen, issued: bring_forward(predictor, seen, issued)) if forward else None
+def _loop(predictor: Predictor, parameters: tuple[float, ...], *delays: int, u_max: float = U_MAX, forward: bool = False) -> Run:
     return run_loop(
         Deployed(PLANT, parameters, u_max),
         RandomShooting(predictor, u_max),
         REFERENCE,
         np.random.default_rng(PLANNER_SEED),
-        delay,
-        estimate,
+        delays or (0,),
+        Estimator(predictor) if forward else None,
     )
 
 
@@ -127,7 +127,10 @@ def _closed_loop(predictors: Mapping[str, Predictor]) -> list[Table]:
         "deployment + sensor delay of 3": (DEPLOYMENT, 3, U_MAX),
         "deployment + u_max 0.5": (DEPLOYMENT, 0, 0.5),
     }
-    runs = {regime: {name: _loop(p, *setting) for name, p in predictors.items()} for regime, setting in regimes.items()}
+    runs = {
+        regime: {name: _loop(p, setting[0], setting[1], u_max=setting[2]) for name, p in predictors.items()}
+        for regime, setting in regimes.items()
+    }
     errors = {regime: {name: run.tracking_error(REFERENCE) for name, run in row.items()} for regime, row in runs.items()}
     breaches = {regime: {name: run.breaches(PLANT) for name, run in row.items()} for regime, row in runs.items()}
     return [Table("Tracking error", errors), Table("Envelope breaches", breaches)]
@@ -138,9 +141,10 @@ def _delay_sweep(predictors: Mapping[str, Predictor]) -> Table:
     rows: dict[str, dict[str, Value]] = {
         f"delay {d}": {name: _loop(p, DEPLOYMENT, d).tracking_error(REFERENCE) for name, p in chosen.items()} for d in DELAYS
     }
-    for delay in DELAYS:
-        rows[f"delay {delay}"] |= {
-            f"{name}, brought forward": _loop(p, DEPLOYMENT, delay, forward=True).tracking_error(REFERENCE) for name, p in chosen.items()
+    rows["delays in turn"] = {name: _loop(p, DEPLOYMENT, *IRREGULAR).tracking_error(REFERENCE) for name, p in chosen.items()}
+    for row, delays in zip(rows.values(), [*((d,) for d in DELAYS), IRREGULAR], strict=True):
+        row |= {
+            f"{name}, brought forward": _loop(p, DEPLOYMENT, *delays, forward=True).tracking_error(REFERENCE) for name, p in chosen.items()
         }
     return Table("Delay sweep", rows)
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
+from trueup.control.estimator import Estimator, transport_delay_s
 from trueup.control.loop import Run
 from trueup.control.planner import RandomShooting
 from trueup.errors import NotIdentifiable
@@ -108,7 +109,10 @@ def compare(
 
 
 def _run(machine: Corrected, planner: RandomShooting, reference: Array, every: int, rng: np.random.Generator) -> Run:
-    """One run from rest: the planner sees what the machine's sensors show, and the machine remembers what its effects remember."""
+    """One run from rest: the planner sees what the machine's sensors show, and the machine remembers what its effects remember.
+
+    What was seen is brought forward through the commands under way, over the delay that the planner's own model knows of.
+    """
     plant = machine.plant
     samples = len(reference) * every + 1
     t_s = np.asarray(np.arange(samples) * plant.timestep_s, np.float64)
@@ -116,9 +120,14 @@ def _run(machine: Corrected, planner: RandomShooting, reference: Array, every: i
     on, init = switches(machine.hypothesis, 1), np.zeros((1, 2, BLOCK))
     issued, applied = np.zeros((len(reference), 1)), np.zeros((samples, 1))
     states = np.zeros((len(reference) + 1, 2))
-    for tick, target in enumerate(reference):
-        issued[tick] = planner.plan(states[tick], float(target), rng)
+    estimator, late_s = Estimator(planner.predictor), transport_delay_s(planner.predictor)
+    ahead = round(late_s / (every * plant.timestep_s))  # ticks until a command shows
+    for tick in range(len(reference)):
         now, then = tick * every, (tick + 1) * every
+        estimator.observed(t_s[now], states[tick])
+        aim = float(reference[min(tick + ahead, len(reference) - 1)])
+        issued[tick] = planner.plan(estimator.state(t_s[now] + late_s), aim, rng)
+        estimator.commanded(t_s[now] + late_s, issued[tick])
         applied[now : then + 1] = plant.applied(issued[tick])
         series = unobserved(machine.scheme, t_s[: then + 1], applied[: then + 1], plant.command_scales, plant.timestep_s)
         with np.errstate(over="ignore", invalid="ignore"):  # a loop that runs away ends as inf, and no rule passes that

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.control.estimator import Estimator
 from trueup.control.planner import RandomShooting
 from trueup.model.plant import Plant
 
 Array = NDArray[np.float64]
-Estimate = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,18 +54,24 @@ def run_loop(
     planner: RandomShooting,
     reference: Array,
     rng: np.random.Generator,
-    delay: int = 0,
-    estimate: Estimate | None = None,
+    delays: Sequence[int] = (0,),
+    estimator: Estimator | None = None,
 ) -> Run:
-    """Run from rest; at tick t the controller sees the state of tick max(0, t - delay) [ticks].
+    """Run from rest; at tick t the controller sees the state of tick max(0, t - delay) [ticks], one delay or, in turn, several.
 
-    `estimate` turns that state and the commands issued since, `(states,)` and `(delay, commands)`, into the state to plan from.
+    An `estimator` is told what is seen, when it was and what is issued, and is asked for the state to plan from.
     """
+    period = deployed.plant.timestep_s
     states = np.zeros((len(reference) + 1, 2 * deployed.plant.dynamics.joints))
     issued = np.zeros((len(reference), 1))
     for t, target in enumerate(reference):
-        seen_at = max(0, t - delay)
-        seen = states[seen_at] if estimate is None else estimate(states[seen_at], issued[seen_at:t])
+        seen_at = max(0, t - delays[t % len(delays)])
+        seen = states[seen_at]
+        if estimator is not None:
+            estimator.observed(seen_at * period, seen)
+            seen = estimator.state(t * period)
         issued[t] = planner.plan(seen, float(target), rng)
+        if estimator is not None:
+            estimator.commanded(t * period, issued[t])
         states[t + 1] = deployed.update(states[t], issued[t])
     return Run(states, issued)
