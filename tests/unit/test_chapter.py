@@ -23,11 +23,6 @@ def test_a_published_digit_comes_out_of_the_run(tables, table, row, column, digi
 def test_the_nominal_curve_of_the_delay_sweep_falls(tables):
     errors = [row["nominal"] for name, row in tables["Delay sweep"].items() if name.startswith("delay ")]
     assert errors == sorted(errors, reverse=True)
-
-
-def test_brought_forward_by_the_corrected_model_no_delay_changes_anything(tables):
-    errors = [row["residual, brought forward"] for row in tables["Delay sweep"].values()]
-    assert errors == pytest.approx([errors[0]] * len(errors), rel=1e-4)
     assert len(errors) == 6
 
 
@@ -37,8 +32,8 @@ def test_the_monitors_threshold_is_exactly_zero(tables):
 
 def test_an_exact_model_that_brings_the_observation_forward_undoes_the_delay(tables):
     without = tables["Delay sweep"]["delay 0"]["residual"]
-    for delay in (1, 2, 3, 5, 8):
-        assert tables["Delay sweep"][f"delay {delay}"]["residual, brought forward"] == pytest.approx(without, rel=1e-6)
+    for row in tables["Delay sweep"].values():  # the last of them late in turn, and out of order
+        assert row["residual, brought forward"] == pytest.approx(without, rel=1e-6)
 
 
 def test_the_identification_has_full_rank(tables):
