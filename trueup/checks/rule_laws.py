@@ -24,7 +24,7 @@ def _trials() -> Iterator[Trial]:
 
 def _trial(candidate: Score, incumbent: Score, names: tuple[str, ...]) -> Trial:
     """A trial whose runs in closed loop go as its rollouts do."""
-    return Trial(candidate, incumbent, names, tracking=Tracking(candidate.rollout, incumbent.rollout, (0.0, 0.0), 1.0))
+    return Trial(candidate, incumbent, names, tracking=Tracking(candidate.rollout, incumbent.rollout, (0.0, 0.0), (1.0,)))
 
 
 def the_same_trial_gives_the_same_verdict(rule: Rule) -> None:

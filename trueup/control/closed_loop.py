@@ -1,13 +1,13 @@
-"""Closed loop: does a better prediction track better? The fixed planner drives a simulated machine with one model and with another.
+"""Closed loop: does a better prediction track better? A fixed planner drives a simulated machine with one model and with another.
 
-Both drive the same machine, follow the same references, and draw the same commands: what differs is the model that the planner
+Both drive the same machine, follow the same references, and draw the same: what differs is the model that the planner
 rolls out. Stage MIL: it shows what the models do to this planner on this machine as simulated, and nothing of hardware, of time on a
 computer, or of what the simulated machine leaves out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 
@@ -17,13 +17,16 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.control.estimator import Estimator, transport_delay_s
 from trueup.control.loop import Run
-from trueup.control.planner import RandomShooting
+from trueup.control.planner import Linearised, Planner, RandomShooting
+from trueup.episode.episode import Episode
 from trueup.errors import NotIdentifiable
 from trueup.model.block import BLOCK
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import switches
+from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 from trueup.model.series import roll, unobserved
+from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 TICKS = 200
@@ -32,18 +35,42 @@ TURNS = (0.15, 0.3, 0.6)  # of the reference in a horizon: the chapter's is the 
 SEEDS = 4
 SHARE = 0.6  # of the envelope, or of the travel that was recorded
 EFFORT = 0.066  # of the squared amplitude, for the whole command: the chapter's 0.02 at its amplitude of 0.55
+BEGINS = 0.2  # of the amplitude: where a robot's joints begin
 RESAMPLES = 1000
 CANNOT = "hardware, the time that a controller's computer takes, and whatever the simulated machine leaves out"
 
 
 @dataclass(frozen=True)
+class Travelled:
+    """How far each joint has been recorded, `low` and `high` `(joints,)`, and how fast, `speed` `(joints,)`."""
+
+    low: Array
+    high: Array
+    speed: Array
+
+    @staticmethod
+    def of(plant: Plant, episodes: Sequence[Episode]) -> Travelled:
+        """In episodes; a single joint is taken to go as far to either side."""
+        joints = len(plant.joints)
+        states = np.concatenate([smoothed_states(plant, e) for e in episodes])
+        positions, speed = states[:, :joints], np.nanmax(np.abs(states[:, joints:]), axis=0)
+        if joints == 1:
+            far = np.nanmax(np.abs(positions), axis=0)
+            return Travelled(-far, far, speed)
+        return Travelled(np.nanmin(positions, axis=0), np.nanmax(positions, axis=0), speed)
+
+
+@dataclass(frozen=True)
 class Tracking:
-    """Mean squared tracking errors of paired runs `(scenarios x seeds,)` with a candidate and with the incumbent, and breaches' shares."""
+    """Tracking errors of paired runs `(scenarios x seeds,)` with a candidate and with the incumbent, and breaches' shares.
+
+    An error is a mean square, of a robot in squares of each joint's `amplitude` `(joints,)`.
+    """
 
     candidate: Array
     incumbent: Array
     breaches: tuple[float, float]
-    amplitude: float
+    amplitude: tuple[float, ...]
 
     def document(self) -> dict[str, Json]:
         """Both means, the paired difference with a bootstrap interval, relative to the incumbent's, breaches, and what this can show."""
@@ -62,7 +89,7 @@ class Tracking:
         return {
             "stage": "MIL",
             "runs": len(self.candidate),
-            "amplitude": self.amplitude,
+            "amplitude": self.amplitude[0] if len(self.amplitude) == 1 else list(self.amplitude),
             **told,
             "change_ci95": [low, high] if isfinite(low) and isfinite(high) else None,
             "breaches": {"candidate": self.breaches[0], "incumbent": self.breaches[1]},
@@ -75,58 +102,85 @@ def compare(
     machine: Corrected,
     candidate: Predictor,
     incumbent: Predictor,
-    travel: float,
+    travelled: Travelled,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Tracking:
-    """Paired runs of both models on a machine that a diagnosis described; `travel` is how far its joint has been recorded.
+    """Paired runs of both models on a machine that a diagnosis described, as far as it has been recorded and its envelope allows.
 
-    Raises NotIdentifiable for a machine of several joints: the fixed planner drives one.
+    Raises NotIdentifiable where a joint is not commanded.
     """
-    plant = machine.plant
-    if len(plant.joints) != 1 or plant.command_columns[0] < 0:
-        raise NotIdentifiable("the fixed planner drives one joint", hint="Leave closed-loop rules out of the gates of robots.")
-    position = plant.layout.observations[int(np.flatnonzero(plant.state_columns == 0)[0])].name
-    low, high = plant.envelope.get(position, (-travel, travel))
+    plant, joints = machine.plant, len(machine.plant.joints)
+    if (plant.command_columns < 0).any():
+        raise NotIdentifiable("a joint without a command cannot follow anything", hint="Leave closed-loop rules out of this plant's gates.")
+    low, high = _allowed(plant, travelled)
     middle, amplitude = (low + high) / 2.0, SHARE * (high - low) / 2.0
     every = max(1, round(plant.horizon_s / TICKS_A_HORIZON / plant.timestep_s))
     t_s = np.arange(TICKS) * every * plant.timestep_s
-    limit = float(np.min(np.abs(plant.limits)))
+    fastest = 1.0 if joints == 1 else min(1.0, _slowest(amplitude, travelled.speed) * plant.horizon_s / TURNS[-1])
     errors: dict[str, list[float]] = {"candidate": [], "incumbent": []}
     outside: dict[str, list[float]] = {"candidate": [], "incumbent": []}
     models: Mapping[str, Predictor] = {"candidate": candidate, "incumbent": incumbent}
     total = len(TURNS) * SEEDS * len(models)
     for turns in TURNS:
-        reference = middle + amplitude * np.sin(2.0 * np.pi * turns / plant.horizon_s * t_s)
+        wave = np.sin(2.0 * np.pi * fastest * turns / plant.horizon_s * t_s)
+        reference = middle + amplitude * wave[:, None]
         for seed in range(SEEDS):
             for name, model in models.items():
-                planner = RandomShooting(model, limit, effort=EFFORT * amplitude**2 / limit**2, hold=every)
-                run = _run(machine, planner, reference, every, np.random.default_rng(seed))
-                errors[name].append(run.tracking_error(reference))
+                rng = np.random.default_rng(seed)
+                begin = np.zeros(2 * joints)
+                if joints > 1:  # what chance decides of a planner that does not draw
+                    begin[:joints] = middle + BEGINS * amplitude * rng.uniform(-1.0, 1.0, joints)
+                run = _run(machine, _planner(model, amplitude, every), reference, every, begin, rng)
+                errors[name].append(run.tracking_error(reference, np.ones(1) if joints == 1 else amplitude))
                 outside[name].append(run.breaches(plant))
                 progress(sum(len(e) for e in errors.values()) / total)
     shares = float(np.mean(outside["candidate"])), float(np.mean(outside["incumbent"]))
-    return Tracking(np.array(errors["candidate"]), np.array(errors["incumbent"]), shares, amplitude)
+    return Tracking(np.array(errors["candidate"]), np.array(errors["incumbent"]), shares, tuple(map(float, amplitude)))
 
 
-def _run(machine: Corrected, planner: RandomShooting, reference: Array, every: int, rng: np.random.Generator) -> Run:
+def _allowed(plant: Plant, travelled: Travelled) -> tuple[Array, Array]:
+    """The range of each joint's references, `(joints,)` each: of one joint its envelope, of a robot's what was recorded of it, too."""
+    low, high = travelled.low.copy(), travelled.high.copy()
+    for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
+        if column < len(plant.joints) and channel.name in plant.envelope:
+            near, far = plant.envelope[channel.name]
+            one = len(plant.joints) == 1
+            low[column], high[column] = (near, far) if one else (max(near, low[column]), min(far, high[column]))
+    return low, high
+
+
+def _slowest(amplitude: Array, speed: Array) -> float:
+    """The frequency [Hz] at which no joint goes faster than it was recorded."""
+    return float(np.min(speed / (2.0 * np.pi * np.maximum(amplitude, 1e-12))))
+
+
+def _planner(model: Predictor, amplitude: Array, every: int) -> Planner:
+    if len(amplitude) > 1:
+        return Linearised(model, tuple(map(float, amplitude)), hold=every)
+    limit = float(np.min(np.abs(model.plant.limits)))
+    return RandomShooting(model, limit, effort=EFFORT * float(amplitude[0]) ** 2 / limit**2, hold=every)
+
+
+def _run(machine: Corrected, planner: Planner, reference: Array, every: int, begin: Array, rng: np.random.Generator) -> Run:
     """One run from rest: the planner sees what the machine's sensors show, and the machine remembers what its effects remember.
 
     What was seen is brought forward through the commands under way, over the delay that the planner's own model knows of.
     """
-    plant = machine.plant
+    plant, joints = machine.plant, len(machine.plant.joints)
     samples = len(reference) * every + 1
     t_s = np.asarray(np.arange(samples) * plant.timestep_s, np.float64)
     lanes = np.repeat(np.array(machine.values)[:, None], BLOCK, axis=1)
-    on, init = switches(machine.hypothesis, 1), np.zeros((1, 2, BLOCK))
-    issued, applied = np.zeros((len(reference), 1)), np.zeros((samples, 1))
-    states = np.zeros((len(reference) + 1, 2))
+    on, init = switches(machine.hypothesis, joints), np.repeat(begin[None, :, None], BLOCK, axis=2)
+    issued, applied = np.zeros((len(reference), len(plant.layout.commands))), np.zeros((samples, joints))
+    states = np.zeros((len(reference) + 1, 2 * joints))
+    states[0] = begin
     estimator, late_s = Estimator(planner.predictor), transport_delay_s(planner.predictor)
-    ahead = round(late_s / (every * plant.timestep_s))  # ticks until a command shows
+    ticks = np.arange(len(reference)) + late_s / (every * plant.timestep_s)  # when what is commanded shows
+    aims = np.stack([np.interp(ticks, np.arange(len(reference)), r) for r in reference.T], axis=1)
     for tick in range(len(reference)):
         now, then = tick * every, (tick + 1) * every
         estimator.observed(t_s[now], states[tick])
-        aim = float(reference[min(tick + ahead, len(reference) - 1)])
-        issued[tick] = planner.plan(estimator.state(t_s[now] + late_s), aim, rng)
+        issued[tick] = planner.plan(estimator.state(t_s[now] + late_s), aims[tick:], rng)
         estimator.commanded(t_s[now] + late_s, issued[tick])
         applied[now : then + 1] = plant.applied(issued[tick])
         series = unobserved(machine.scheme, t_s[: then + 1], applied[: then + 1], plant.command_scales, plant.timestep_s)

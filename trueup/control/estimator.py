@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.errors import NotIdentifiable
+from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.predictor import Predictor
 
@@ -73,8 +74,8 @@ class Estimator:
     def _rolled(self, state: Array, issued: Array, seconds: float) -> Array:
         """The state `(1, states)` after a while under one command."""
         steps = int(seconds / self._step + WHOLE)
-        for _ in range(steps):
-            state = self.predictor.predict_batch(state, issued)
+        if steps:
+            state = self.predictor.course(state, issued, steps)[:, -1]
         rest = seconds - steps * self._step
         return self.predictor.predict_batch(state, issued, rest) if rest > WHOLE * self._step else state
 
@@ -87,8 +88,11 @@ class Estimator:
 
 
 def transport_delay_s(predictor: Predictor) -> float:
-    """How long after its issue a command shows by a predictor's own account [s]: the delays of its drive and its sensor."""
+    """How long after its issue a command shows by a predictor's own account [s]: the delays of drive and sensor that all joints share."""
     if not isinstance(predictor, Corrected):
         return 0.0
-    plant = predictor.plant
-    return sum(predictor.values[plant.block.rows_of(t)["delay"]] for t in predictor.hypothesis.effects if t in DELAYS)
+    delays = [0.0] * len(predictor.plant.joints)
+    for term in predictor.hypothesis.effects:
+        if kind(term).name in DELAYS:
+            delays[joint(term)] += predictor.values[predictor.plant.block.rows_of(term)["delay"]]
+    return min(delays)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.control.estimator import Estimator
-from trueup.control.planner import RandomShooting
+from trueup.control.planner import Planner
 from trueup.model.plant import Plant
 
 Array = NDArray[np.float64]
@@ -22,9 +22,9 @@ class Run:
     states: Array
     issued: Array
 
-    def tracking_error(self, reference: Array) -> float:
-        """Mean squared distance of the position after each tick from the reference at that tick."""
-        return float(np.mean((self.states[1:, 0] - reference) ** 2))
+    def tracking_error(self, reference: Array, scale: Array | float = 1.0) -> float:
+        """Mean squared distance of the positions after each tick from the reference `(ticks, joints)` then, in squares of a scale."""
+        return float(np.mean(((self.states[1:, : reference.shape[1]] - reference) / scale) ** 2))
 
     def breaches(self, plant: Plant) -> float:
         """Share of the states outside the declared envelope."""
@@ -51,7 +51,7 @@ class Deployed:
 
 def run_loop(
     deployed: Deployed,
-    planner: RandomShooting,
+    planner: Planner,
     reference: Array,
     rng: np.random.Generator,
     delays: Sequence[int] = (0,),
@@ -63,14 +63,14 @@ def run_loop(
     """
     period = deployed.plant.timestep_s
     states = np.zeros((len(reference) + 1, 2 * deployed.plant.dynamics.joints))
-    issued = np.zeros((len(reference), 1))
-    for t, target in enumerate(reference):
+    issued = np.zeros((len(reference), len(deployed.plant.layout.commands)))
+    for t in range(len(reference)):
         seen_at = max(0, t - delays[t % len(delays)])
         seen = states[seen_at]
         if estimator is not None:
             estimator.observed(seen_at * period, seen)
             seen = estimator.state(t * period)
-        issued[t] = planner.plan(seen, float(target), rng)
+        issued[t] = planner.plan(seen, reference[t:], rng)
         if estimator is not None:
             estimator.commanded(t * period, issued[t])
         states[t + 1] = deployed.update(states[t], issued[t])

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from trueup.canonical import Json
-from trueup.control.closed_loop import Tracking, compare
+from trueup.control.closed_loop import Tracking, Travelled, compare
 from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.errors import BadGate
@@ -46,9 +44,7 @@ def _driven(candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episo
     if machine is None:
         hint = "Judge what a diagnosis made, or leave the rule out."
         raise BadGate("nobody has diagnosed the machine on which to run in closed loop", hint=hint)
-    column = int(np.flatnonzero(machine.plant.state_columns == 0)[0])
-    travel = max(float(np.nanmax(np.abs(e.observations[:, column]))) for e in episodes)
-    return compare(machine, candidate, incumbent, travel, progress)
+    return compare(machine, candidate, incumbent, Travelled.of(machine.plant, episodes), progress)
 
 
 def judge(gate: Gate, trial: Trial, *, plant: str, candidate: str, incumbent: str, generation: int) -> Decision:

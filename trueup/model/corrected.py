@@ -60,12 +60,23 @@ class Corrected(Predictor):
             moved = _step(self, self.plant.dynamics.family, moved, applied[:, 0], span / self.scheme.parts)
         return moved
 
+    def course(self, states: Array, issued: Array, steps: int) -> Array:
+        """Of a tree compiled as a whole, with what its effects remember meanwhile."""
+        if isinstance(self.plant.dynamics, CompiledFamily):
+            return super().course(states, issued, steps)
+        applied, t_s = self.plant.applied(issued), np.asarray(np.arange(steps + 1) * self.plant.timestep_s, np.float64)
+        return np.stack([self._held(state, u, t_s)[1:] for state, u in zip(states, applied, strict=True)])
+
     def _stepped(self, state: Array, applied: Array, h_s: float) -> Array:
-        """One state a step further, compiled; what delays a command has none before it to show."""
+        """One state a step further."""
+        return np.asarray(self._held(state, applied, np.array([0.0, h_s]))[1])
+
+    def _held(self, state: Array, applied: Array, t_s: Array) -> Array:
+        """States at times from one on, compiled; what delays a command has none before it to show."""
         acting = Hypothesis(tuple(t for t in self.hypothesis.effects if not kind(t).delays() and kind(t).port is not Port.OBSERVATION))
-        s = unobserved(self.scheme, np.array([0.0, h_s]), np.stack([applied, applied]), self.plant.command_scales, h_s)
+        s = unobserved(self.scheme, t_s, np.tile(applied, (len(t_s), 1)), self.plant.command_scales, float(t_s[1]))
         init = np.repeat(state[None, :, None], BLOCK, axis=2)
-        return np.asarray(roll(s, self.plant.form, self._lanes(), switches(acting, len(self.plant.joints)), init)[1, :, 0])
+        return np.asarray(roll(s, self.plant.form, self._lanes(), switches(acting, len(self.plant.joints)), init)[:, :, 0])
 
     def rollout(self, windows: Windows) -> Array:
         plant, joints = self.plant, len(self.plant.joints)

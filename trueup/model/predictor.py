@@ -45,6 +45,14 @@ class Predictor(ABC):
         They are `h_s` [s] later, one length for all or `(n,)`; the declared step if None.
         """
 
+    def course(self, states: Array, issued: Array, steps: int) -> Array:
+        """States `(n, steps, states)` after each of some declared steps from `(n, states)`, commands `(n, commands)` held."""
+        found = []
+        for _ in range(steps):
+            states = self.predict_batch(states, issued)
+            found.append(states)
+        return np.stack(found, axis=1)
+
     @abstractmethod
     def rollout(self, windows: Windows) -> Array:
         """States `(windows, samples, states)` at the windows' samples, from their initial states on issued commands alone."""
@@ -70,6 +78,17 @@ class Physical(Predictor):
 
     def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
         return self.plant.update(states, issued, self.parameters, h_s)
+
+    def course(self, states: Array, issued: Array, steps: int) -> Array:
+        """Of a tree compiled."""
+        plant = self.plant
+        if len(plant.joints) == 1:
+            return super().course(states, issued, steps)
+        applied = np.repeat(plant.applied(issued)[:, None, :], steps + 1, axis=1)
+        runs = np.ones(applied.shape[:2], np.int64)
+        runs[:, -1] = 0
+        h_s = np.full(applied.shape[:2], plant.timestep_s)
+        return np.asarray(plant.dynamics.rollout(np.array([self.parameters]), states, applied, h_s, runs)[0, :, 1:])
 
     def rollout(self, windows: Windows) -> Array:
         applied = self.plant.applied(windows.issued)

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from tests.support.made import TRUE, episode_bytes, plant_document
-from trueup.control.closed_loop import CANNOT, SEEDS, TURNS, Tracking, compare
+from tests.support.robots import arm_plant
+from trueup.control.closed_loop import CANNOT, SEEDS, TURNS, Tracking, Travelled, compare
+from trueup.control.estimator import transport_delay_s
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.errors import BadGate, NotIdentifiable
@@ -14,6 +16,7 @@ from trueup.fit.score import Scoring
 from trueup.gate.decision import Gate
 from trueup.gate.judge import judge, run_trial
 from trueup.gate.rule import rules
+from trueup.model.block import term
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
@@ -36,8 +39,13 @@ def corrected(parameters, plant=PLANT, **effects):
 MACHINE = corrected(TRUE)
 
 
+def went(far):
+    """A joint that was recorded so far to either side."""
+    return Travelled(np.array([-far]), np.array([far]), np.array([1.0]))
+
+
 def test_the_same_model_twice_tracks_the_same_to_the_last_digit():
-    found = compare(MACHINE, MACHINE, corrected(TRUE), 0.5)
+    found = compare(MACHINE, MACHINE, corrected(TRUE), went(0.5))
     assert np.array_equal(found.candidate, found.incumbent)
     assert len(found.candidate) == SEEDS * len(TURNS)
     document = found.document()
@@ -47,21 +55,21 @@ def test_the_same_model_twice_tracks_the_same_to_the_last_digit():
 
 def test_a_model_that_is_wrong_about_its_drive_tracks_worse():
     weak = Identified(PLANT, (1.25, 0.62, -0.82))  # it believes that the drive pulls the other way
-    found = compare(MACHINE, weak, MACHINE, 0.5)
+    found = compare(MACHINE, weak, MACHINE, went(0.5))
     assert found.candidate.mean() > 2.0 * found.incumbent.mean()
     assert found.document()["change_ci95"][0] > 0.0
 
 
 def test_the_envelope_says_how_far_the_reference_goes_and_breaches_are_counted():
-    assert compare(MACHINE, MACHINE, MACHINE, 99.0).amplitude == pytest.approx(0.6 * 0.9)
+    assert compare(MACHINE, MACHINE, MACHINE, went(99.0)).amplitude == (pytest.approx(0.6 * 0.9),)
     tight = Plant.from_document({**plant_document(), "envelope": {"q": [-0.9, 0.9], "v": [-0.01, 0.01]}})
     machine = corrected(TRUE, tight)
-    assert compare(machine, machine, machine, 0.5).breaches[0] > 0.5
+    assert compare(machine, machine, machine, went(0.5)).breaches[0] > 0.5
 
 
 def test_what_the_machine_remembers_is_remembered_from_tick_to_tick():
     lazy = corrected(TRUE, actuator_lag={"time_constant": 0.4})
-    alone, behind = compare(MACHINE, MACHINE, MACHINE, 0.5), compare(lazy, MACHINE, MACHINE, 0.5)
+    alone, behind = compare(MACHINE, MACHINE, MACHINE, went(0.5)), compare(lazy, MACHINE, MACHINE, went(0.5))
     assert behind.candidate.mean() > 1.2 * alone.candidate.mean()
 
 
@@ -72,7 +80,7 @@ def test_a_gate_can_refuse_a_better_prediction_that_tracks_worse():
     found = run_trial(gate, MACHINE, Nominal(PLANT), [episode], seen.append)
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(1.0)
-    worse = replace(found, tracking=Tracking(found.tracking.incumbent * 1.2, found.tracking.incumbent, (0.0, 0.0), 0.5))
+    worse = replace(found, tracking=Tracking(found.tracking.incumbent * 1.2, found.tracking.incumbent, (0.0, 0.0), (0.5,)))
     breaching = replace(found, tracking=replace(found.tracking, candidate=found.tracking.incumbent, breaches=(0.1, 0.0)))
     for trial, passed in ((worse, False), (breaching, False), (replace(found, tracking=None), False)):
         verdicts = {v.rule: v for v in judge(gate, trial, plant="p", candidate="c", incumbent="i", generation=1).verdicts}
@@ -89,16 +97,66 @@ def test_without_a_diagnosed_machine_nothing_is_run():
         run_trial(gate, Identified(PLANT, TRUE), Nominal(PLANT), [episode])
 
 
-def test_a_robot_is_refused_for_the_planner_drives_one_joint(tmp_path):
-    from tests.support.robots import arm_plant
+@pytest.fixture
+def arm(tmp_path, monkeypatch):
+    monkeypatch.setattr("trueup.control.closed_loop.SEEDS", 1)
+    return arm_plant(tmp_path)
 
-    arm = arm_plant(tmp_path)
-    machine = corrected(arm.parameters, arm)
-    with pytest.raises(NotIdentifiable, match="one joint"):
-        compare(machine, machine, machine, 0.5)
+
+def of_arm(plant, *effects):
+    values, hypothesis = plant.block.nulls.copy(), Hypothesis()
+    values[: len(plant.parameters)] = plant.parameters
+    for name, at, number, value in effects:
+        hypothesis = hypothesis | term(name, at)
+        values[plant.block.rows_of(term(name, at))[number]] = value
+    return Corrected(plant, hypothesis, tuple(map(float, values)), DECLARED)
+
+
+REACHED = Travelled(np.array([-0.6, -0.5]), np.array([0.6, 0.7]), np.array([2.0, 2.5]))
+
+
+def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm):
+    machine = of_arm(arm, ("coulomb_friction", 1, "level", 3.0))
+    found = compare(machine, machine, Nominal(arm), REACHED)
+    assert found.candidate.mean() < 0.5 * found.incumbent.mean()
+    assert found.candidate.max() < 0.002  # of the amplitude's square
+    document = found.document()
+    assert document["change_ci95"][1] < 0.0
+    assert document["amplitude"] == pytest.approx([0.36, 0.36])
+
+
+def test_an_arms_references_are_no_faster_than_it_was_recorded(arm):
+    machine = of_arm(arm)
+    slow = Travelled(REACHED.low, REACHED.high, np.array([0.2, 2.5]))
+    calm, brisk = compare(machine, machine, machine, slow), compare(machine, machine, machine, REACHED)
+    assert calm.candidate.mean() < brisk.candidate.mean()
+    tight = Plant.from_document({**arm.document, "envelope": {"q_elbow": [0.0, 0.2]}})
+    assert compare(of_arm(tight), of_arm(tight), of_arm(tight), REACHED).amplitude == pytest.approx((0.36, 0.06))
+
+
+def test_a_delay_that_all_joints_share_is_planned_over(arm):
+    both = of_arm(arm, *(("actuator_delay", j, "delay", 0.06) for j in range(2)))
+    assert transport_delay_s(both) == pytest.approx(0.06)
+    assert transport_delay_s(of_arm(arm, ("actuator_delay", 0, "delay", 0.06))) == 0.0
+    found = compare(both, both, Nominal(arm), REACHED)
+    assert found.candidate.mean() < 0.5 * found.incumbent.mean()
+
+
+def test_a_course_is_the_steps_one_by_one(arm):
+    states, commands = np.array([[0.1, -0.2, 0.3, 0.0], [0.0, 0.0, 0.0, 0.1]]), np.array([[1.0, 0.5], [-2.0, 0.0]])
+    for predictor in (Nominal(arm), of_arm(arm, ("quadratic_drag", 0, "coefficient", 0.2))):
+        one = predictor.predict_batch(states, commands)
+        two = predictor.predict_batch(one, commands)
+        assert predictor.course(states, commands, 2) == pytest.approx(np.stack([one, two], axis=1), abs=1e-9)
+
+
+def test_a_joint_that_nobody_commands_is_refused(arm):
+    passive = Plant.from_document({**arm.document, "commands": arm.document["commands"][:1]})
+    with pytest.raises(NotIdentifiable, match="without a command"):
+        compare(of_arm(passive), of_arm(passive), of_arm(passive), REACHED)
 
 
 def test_runs_that_run_away_can_be_written_down_and_never_pass():
-    found = Tracking(np.array([np.inf, 1.0]), np.ones(2), (0.0, 0.0), 1.0)
+    found = Tracking(np.array([np.inf, 1.0]), np.ones(2), (0.0, 0.0), (1.0,))
     assert found.document()["candidate"] is None
     assert found.document()["change_ci95"] is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.made import TRUE, plant_document
-from tests.unit.control.test_closed_loop import MACHINE, corrected
+from tests.unit.control.test_closed_loop import MACHINE, corrected, went
 from trueup.control.closed_loop import compare
 from trueup.control.estimator import Estimator, transport_delay_s
 from trueup.control.loop import Deployed, run_loop
@@ -75,7 +75,7 @@ def test_it_forgets_what_is_past():
 
 @pytest.mark.parametrize("delays", [(3,), (8,), (3, 0, 5, 2, 8, 1)])
 def test_with_a_right_model_late_sensors_cost_nothing(delays):
-    reference = 0.3 * np.sin(0.05 * np.arange(120))
+    reference = 0.3 * np.sin(0.05 * np.arange(120))[:, None]
 
     def error(delays, estimator):
         run = run_loop(Deployed(PLANT, TRUE, 1.0), RandomShooting(MODEL, 1.0), reference, np.random.default_rng(0), delays, estimator)
@@ -90,6 +90,6 @@ def test_a_model_that_knows_the_delay_tracks_better():
     late = corrected(TRUE, actuator_delay={"delay": 0.5})
     assert transport_delay_s(late) == 0.5
     assert transport_delay_s(Nominal(PLANT)) == transport_delay_s(MACHINE) == 0.0
-    found = compare(late, late, MACHINE, 0.5)
+    found = compare(late, late, MACHINE, went(0.5))
     assert found.candidate.mean() < 0.8 * found.incumbent.mean()
     assert found.document()["change_ci95"][1] < 0.0
