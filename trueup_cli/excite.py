@@ -69,7 +69,7 @@ def excite(
     with progress("excite") as bar:
         rest = at_rest(play.ensembles[0], begin, hold)
         found = (splitting if split else identification)(
-            play, bounds, _noise(described, episodes), rest, hold, np.random.default_rng(seed), lambda stage, part: bar(part, stage)
+            play, bounds, _noise(described, episodes, report), rest, hold, np.random.default_rng(seed), lambda stage, part: bar(part, stage)
         )
     if isinstance(found.information, Separation) and found.information.least < DETECTABLE:
         raise NotIdentifiable(
@@ -120,13 +120,14 @@ def _begins(plant: Plant, episodes: list[Episode]) -> tuple[Array, Array]:
     return plant.applied(episodes[0].commands[0]), state
 
 
-def _noise(plant: Plant, episodes: list[Episode]) -> Array:
-    """Noise of each observation, as recorded, or a thousandth of its reporting scale."""
+def _noise(plant: Plant, episodes: list[Episode], report: dict[str, Any]) -> Array:
+    """Noise of each observation, as recorded, or a thousandth of its reporting scale; and as much as the model leaves unexplained."""
+    left = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0)) if report else 1.0
     quiet = QUIET * plant.scales
     if not episodes:
-        return quiet
+        return quiet * left
     measured = admit(plant, episodes).noise[plant.state_columns]
-    return np.where(np.isfinite(measured) & (measured > 0.0), measured, quiet)
+    return left * np.where(np.isfinite(measured) & (measured > 0.0), measured, quiet)
 
 
 def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path) -> None:

@@ -35,16 +35,28 @@ def excite_picture(plant: Plant, found: Excitation) -> str:
         low, high = paths.min(axis=0), paths.max(axis=0)
         panel = Panel(top, PANEL, span, nice(*range_of([low, high, np.array(bounds)])))
         parts += [panel.frame(f"{channel.name} [{channel.unit}]", times=True), *(_level(panel, x) for x in bounds)]
-        parts += [_band(panel, found.t_s, low, high), panel.line(found.t_s, paths[0], SERIES[0], width=1.2)]
+        parts += [_band(panel, found.t_s, low, high), *_centres(panel, found, paths)]
         top += PANEL + GAP
     parts += [
-        legend([("command; motion of the central model", SERIES[0]), ("limit, envelope", BOUND)], 78),
+        legend([*zip(_names(found), SERIES, strict=False), ("limit, envelope", BOUND)], 78),
         text(WIDTH / 2, top - 8, "time [s]", PALE, anchor="middle"),
     ]
     words = (
         f"{len(found.paths)} models drawn anew, {found.breaches} breaches; {100 * found.bounds.margin:.0f} % of the envelope is kept free"
     )
     return sheet(f"{plant.name}: a bounded excitation", words, round(top + 10), parts)
+
+
+def _names(found: Excitation) -> list[str]:
+    """What the lines of each composition are called."""
+    names = list(found.central)
+    return [f"command; {names[0]}" if len(names) > 1 else "command; motion of the central model", *names[1:]]
+
+
+def _centres(panel: Panel, found: Excitation, paths: Array) -> list[str]:
+    """The central motion of each composition, the answer's above the others."""
+    lines = [panel.line(found.t_s, paths[i], colour, width=1.2) for i, colour in zip(found.central.values(), SERIES, strict=False)]
+    return lines[::-1]
 
 
 def _level(panel: Panel, value: float) -> str:

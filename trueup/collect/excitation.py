@@ -18,6 +18,7 @@ from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.goal import Goal, Identification, Splitting, Told
 from trueup.collect.wave import Maker, Wave
 from trueup.errors import NotIdentifiable
+from trueup.model.block import kind
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -35,8 +36,9 @@ SHARE = 0.45  # of the limit: root mean square of a random excitation to compare
 class Excitation:
     """A designed command `(samples, joints)` at `t_s` [s], from the state `start`, with what it promises.
 
-    `paths` `(members, samples, 2 x joints)` are the motions under members drawn anew; `breaches` how many of them leave the declared
-    envelope; `information` is what it tells, `random` what random excitations of the same energy do.
+    `paths` `(members, samples, 2 x joints)` are the motions under members drawn anew, of which `central` says where those of each
+    composition begin, its central one first; `breaches` is how many leave the declared envelope; `information` is what it tells,
+    `random` what random excitations of the same energy do.
     """
 
     title: str
@@ -46,6 +48,7 @@ class Excitation:
     information: Told
     random: Told
     paths: Array
+    central: dict[str, int]
     breaches: int
     used: float
     bounds: Bounds
@@ -121,8 +124,7 @@ def splitting(
 ) -> Excitation:
     """The same, to tell the first ensemble from each of the others, whichever is right."""
     maker = Maker(play, bounds, start, hold, play.drawn(MEMBERS, rng))
-    goal = Splitting(play.ensembles, noise, start, tuple(m[:, :JUDGED] for m in maker.members))
-    return _designed(maker, goal, rng, progress, effort)
+    return _designed(maker, Splitting(play.ensembles, noise, start), rng, progress, effort)
 
 
 def _designed(maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress, effort: float) -> Excitation:
@@ -130,14 +132,14 @@ def _designed(maker: Maker, goal: Goal, rng: np.random.Generator, progress: Prog
     tried, improved = max(1, round(effort * TRIED)), round(effort * IMPROVED)
     for i in range(tried):
         wave = maker.draw(rng)
-        value = _worth(maker, goal, wave)
+        value = _worth(maker, goal, wave, best[0] if best else -np.inf)
         if best is None or value > best[0]:
             best = value, wave
         progress("drawing waves", (i + 1) / tried)
     assert best is not None
     for i in range(improved):
         wave = best[1].changed(rng, 0.5 * (1.0 - i / improved) + 0.05)
-        value = _worth(maker, goal, wave)
+        value = _worth(maker, goal, wave, best[0])
         best = (value, wave) if value > best[0] else best
         progress("improving the best", (i + 1) / improved)
     if not np.isfinite(best[0]):
@@ -148,9 +150,9 @@ def _designed(maker: Maker, goal: Goal, rng: np.random.Generator, progress: Prog
     return _checked(maker, goal, best[1], rng, progress)
 
 
-def _worth(maker: Maker, goal: Goal, wave: Wave) -> float:
+def _worth(maker: Maker, goal: Goal, wave: Wave, above: float) -> float:
     made = maker.made(wave)
-    return -np.inf if made is None else goal.value(made[0], made[1])
+    return -np.inf if made is None else goal.value(made[0], made[1], above)
 
 
 def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, progress: Progress) -> Excitation:
@@ -180,4 +182,10 @@ def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, pro
     progress("comparing with random ones", 0.9)
     others = [maker.bounds.random(maker.hold, command, rng) for _ in range(RANDOM)]
     told, random = goal.told(t_s, [command]), goal.told(t_s, others)
-    return Excitation(goal.title, t_s, command, maker.start, told, random, paths, int(outside.sum()), used, maker.bounds)
+    begins = np.cumsum([0, *(m.shape[1] for m in fresh)])
+    central = {_named(e): int(first) for e, first in zip(maker.play.ensembles, begins, strict=False)}
+    return Excitation(goal.title, t_s, command, maker.start, told, random, paths, central, int(outside.sum()), used, maker.bounds)
+
+
+def _named(ensemble: Ensemble) -> str:
+    return " + ".join(kind(t).name for t in ensemble.hypothesis.effects) or "no effect"

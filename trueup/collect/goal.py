@@ -23,8 +23,10 @@ from trueup.model.block import kind
 Array = NDArray[np.float64]
 SINGULAR = 1e-12  # of a scaled information matrix
 RANK = 1e-10
-GIVEN_WAY = 8  # steps in which a rival's numbers are refitted
-STEPS = (1.0, 0.5, 0.2, 0.05)  # of a Gauss-Newton step
+GIVEN_WAY, TRIES = 30, 6  # steps in which a rival's numbers are refitted, and lengths of each
+DAMPED, MORE = 0.1, 4.0  # of a unit of information: the first damping, and how it grows and falls
+GAIN = 1e-3  # of the distance: a step that brings less is the last
+NOTHING = 1e-300
 
 
 class Told(ABC):
@@ -45,8 +47,10 @@ class Goal(ABC):
     title: str
 
     @abstractmethod
-    def value(self, t_s: Array, command: Array) -> float:
-        """How good a command is, as a logarithm; minus infinity where it tells nothing."""
+    def value(self, t_s: Array, command: Array, above: float = -np.inf) -> float:
+        """How good a command is, as a logarithm; minus infinity where it tells nothing. Once it is known not to be `above` something, any
+        value that is not is as good.
+        """
 
     @abstractmethod
     def told(self, t_s: Array, commands: Sequence[Array]) -> Told:
@@ -101,7 +105,7 @@ class Identification(Goal):
         random = [widths(np.mean([goal._fisher(m, t_s, u) for u in commands], axis=0) / len(t_s)) for m in judged.T]
         return Identification(ensemble, noise, start, judged, np.array(random))
 
-    def value(self, t_s: Array, command: Array) -> float:
+    def value(self, t_s: Array, command: Array, above: float = -np.inf) -> float:
         """For the number that gains least, on the mean over members."""
         ratios = [widths(self._fisher(m, t_s, command) / len(t_s)) / by for m, by in zip(self.judged.T, self.random, strict=True)]
         return -2.0 * float(np.mean(np.log(np.max(ratios, axis=1))))
@@ -135,25 +139,24 @@ class Separation(Told):
 
 @dataclass(frozen=True)
 class Splitting(Goal):
-    """To tell a diagnosis' answer, the first of `ensembles`, from each of its alternatives, whichever is right.
-
-    `judged` are members of each that the machine may be, `(rows, members)`.
-    """
+    """To tell a diagnosis' answer, the first of `ensembles`, from each of its alternatives, whichever is right."""
 
     ensembles: tuple[Ensemble, ...]
     noise: Array
     start: Array
-    judged: tuple[Array, ...]
     title = "Standard errors from the answer"
 
-    def value(self, t_s: Array, command: Array) -> float:
-        """Of the alternative that is told worst, with numbers that give way as far as they are linear."""
-        apart = [self._apart(truth, rival, t_s, command) for truth, rival in self._pairs()]
-        return float(np.log(max(min(apart), 1e-300)))
+    def value(self, t_s: Array, command: Array, above: float = -np.inf) -> float:
+        """Of the alternative that is told worst."""
+        least = np.inf
+        for truth, rival in self._pairs():
+            least = min(least, self._apart(truth, rival, t_s, command, float(np.exp(above))))
+            if np.log(max(least, NOTHING)) <= above:
+                break
+        return float(np.log(max(least, NOTHING)))
 
     def told(self, t_s: Array, commands: Sequence[Array]) -> Separation:
-        """With the rival's numbers refitted."""
-        found = np.mean([[self._refitted(t, r, t_s, u) for t, r in self._pairs()] for u in commands], axis=0)
+        found = np.mean([[self._apart(t, r, t_s, u) for t, r in self._pairs()] for u in commands], axis=0)
         least = found.reshape(-1, 2).min(axis=1)
         names = tuple(tuple(kind(t).name for t in e.hypothesis.effects) for e in self.ensembles[1:])
         return Separation(names, tuple(map(float, least)))
@@ -162,35 +165,33 @@ class Splitting(Goal):
         """Which may be the truth, and which is then the rival: for each alternative both."""
         return list(chain.from_iterable(((0, other), (other, 0)) for other in range(1, len(self.ensembles))))
 
-    def _apart(self, truth: int, rival: int, t_s: Array, command: Array) -> float:
-        """The least distance over members, the rival's linear."""
-        seen = self._seen(truth, self.judged[truth], t_s, command)
-        expected, columns = self._tangent(rival, self.ensembles[rival].centre, self.start, t_s, command)
-        if not (np.isfinite(seen).all() and np.isfinite(columns).all()):
-            return 0.0
-        differ = (seen - expected).T
-        left = differ - columns @ np.linalg.lstsq(columns, differ, rcond=RANK)[0]
-        return float(np.linalg.norm(left, axis=0).min())
+    def _apart(self, truth: int, rival: int, t_s: Array, command: Array, enough: float = 0.0) -> float:
+        """The distance from the central model of one, after the other's numbers and start were fitted to it; or one that is `enough`.
 
-    def _refitted(self, truth: int, rival: int, t_s: Array, command: Array) -> float:
-        """The distance from the central model of one, after the other's numbers and start were fitted to it."""
+        Levenberg's and Marquardt's steps: the shape of a law bends the way, and undamped ones stop far from its end.
+        """
         ensemble = self.ensembles[rival]
         seen = self._seen(truth, self.ensembles[truth].centre[:, None], t_s, command)[0]
-        member, start = ensemble.centre, self.start
+        member, start, damping = ensemble.centre, self.start, DAMPED
         left = float(np.linalg.norm(seen - self._seen(rival, member[:, None], t_s, command)[0]))
         for _ in range(GIVEN_WAY):
             expected, columns = self._tangent(rival, member, start, t_s, command)
-            by = np.linalg.lstsq(columns, seen - expected, rcond=RANK)[0]
-            for step in STEPS:
-                moved, begun = (
-                    ensemble.moved(member, step * by[: len(ensemble.rows)]),
-                    start + step * by[len(ensemble.rows) :] * self._unit(),
-                )
-                now = float(np.linalg.norm(seen - self._seen(rival, moved[:, None], t_s, command, begun)[0]))
+            size = np.linalg.norm(columns, axis=0) + NOTHING
+            if not (np.isfinite(columns).all() and left > enough):
+                break
+            power, pull = (columns / size).T @ (columns / size), (columns / size).T @ (seen - expected)
+            for _ in range(TRIES):
+                by = np.linalg.solve(power + damping * np.eye(len(power)), pull) / size
+                moved = ensemble.moved(member, by[: len(ensemble.rows)]), start + by[len(ensemble.rows) :] * self._unit()
+                now = float(np.linalg.norm(seen - self._seen(rival, moved[0][:, None], t_s, command, moved[1])[0]))
                 if now < left:
-                    member, start, left = moved, begun, now
                     break
+                damping *= MORE
             else:
+                break
+            gained, left, damping = left - now, now, damping / MORE
+            member, start = moved
+            if gained < GAIN * left:
                 break
         return left
 

@@ -73,6 +73,7 @@ def report(
             "alternatives": list(alternatives),
             "noise": {c.name: float(admission.noise[i]) for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)},
             "uses_of_validation": len(search.found),
+            "misfit": _finite(choice.winner.misfit),
             "unexplained": choice.left,
             **({"not_simulated": _left_out(plant)} if plant.family == "mjcf" else {}),
             "seed": seed,
