@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
+from rich.markup import escape
 
 from trueup_cli.options import DEFAULT_URL, Json, Url, connect
 from trueup_cli.show import as_json, moment, out, table
@@ -32,7 +33,9 @@ def evidence(
     client = connect(url)
     of = artifact or client.serving(plant).artifact
     if add is not None:
-        client.add_evidence(plant, {"artifact": of, **json.loads(add.read_text())})
+        document = json.loads(add.read_text())
+        of = document.get("artifact", of) if artifact is None else of
+        client.add_evidence(plant, {**document, "artifact": of})
     found = client.evidence(plant, of)
     if as_json_:
         as_json(found)
@@ -45,7 +48,7 @@ def evidence(
     ]
     table(f"Evidence of {of[:12]}", ["stage", "", "at", "by", "shows"], rows)
     for e in found:
-        out.print(f"[dim]{e['stage']} cannot show: {e['document']['cannot_show']}[/]")
+        out.print(f"[dim]{e['stage']} cannot show: {escape(e['document']['cannot_show'])}[/]")
 
 
 def channels(

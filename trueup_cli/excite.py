@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from trueup.canonical import digest_of
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
-from trueup.collect.excitation import Excitation, at_rest, identification, splitting
+from trueup.collect.excitation import DETECTABLE, Excitation, at_rest, identification, splitting
 from trueup.collect.goal import Separation
 from trueup.diagnose.admission import admit
 from trueup.diagnose.case import read_episodes, read_plant
-from trueup.diagnose.probe import DETECTABLE
+from trueup.diagnose.twins import how_to_part
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
@@ -32,6 +32,7 @@ from trueup_cli.show import out as screen
 from trueup_cli.show import progress, table
 
 Array = NDArray[np.float64]
+ELSEWHERE = "add another sensor at the joint, or another load"
 QUIET = 1e-3  # of the reporting scale: an observation's noise where no recording tells it
 
 
@@ -71,15 +72,19 @@ def excite(
         found = (splitting if split else identification)(
             play, bounds, _noise(described, episodes, report), rest, hold, np.random.default_rng(seed), lambda stage, part: bar(part, stage)
         )
-    if isinstance(found.information, Separation) and found.information.least < DETECTABLE:
+    if isinstance(found.information, Separation) and max(found.information.standard_errors) < DETECTABLE:
         raise NotIdentifiable(
-            f"no command within the bounds parts the alternatives by {DETECTABLE:g} standard errors, at best {found.information.least:.1f}",
-            hint="Allow a longer duration, a wider band or envelope; or add a sensor at the joint, or another load.",
+            f"no command that was tried within the bounds parts the alternatives by {DETECTABLE:g} standard errors, at best "
+            f"{max(found.information.standard_errors):.1f}",
+            hint="; or ".join(_otherwise(play, found.information)) + "; or allow a longer duration, a wider band or envelope.",
         )
     goal = "split" if split else "identify"
     document = {"schema": "trueup.excitation/1", "plant": described.name, "goal": goal, "seed": seed, **found.document()}
     _write(described, found, document, out)
     _show(found)
+    if isinstance(found.information, Separation):
+        for how in _otherwise(play, found.information):
+            screen.print(f"Not parted: {how}.")
     screen.print(
         f"in {out}: excitation.csv, excitation.mcap, excitation.svg; declare `excitation = {digest_of(document)[:12]}` when recorded"
     )
@@ -96,10 +101,20 @@ def _in_play(plant: Plant, folder: Path | None, spread: float) -> tuple[InPlay, 
     return InPlay((Ensemble.posterior(found, report), *Ensemble.alternatives(found.plant, report))), report
 
 
+def _otherwise(play: InPlay, told: Separation) -> list[str]:
+    """What would part each alternative that the experiment does not."""
+    answer, *others = (e.hypothesis for e in play.ensembles)
+    apart = zip(others, told.alternatives, told.standard_errors, strict=True)
+    short = [(other, " + ".join(names)) for other, names, x in apart if x < DETECTABLE]
+    return [f"for {names}, {how_to_part(answer, other) or ELSEWHERE}" for other, names in short]
+
+
 def _nothing_to_split(report: dict[str, Any]) -> NotIdentifiable:
     if not report:
         return NotIdentifiable("there are no alternatives to split without a diagnosis", hint="Give its folder with --model.")
     why = (report.get("next_experiment") or {}).get("why")
+    if report["indistinguishable"] and "alternatives" not in report["evidence"]:
+        why = "Its report does not keep the alternatives as they were fitted: diagnose again."
     return NotIdentifiable(
         "the diagnosis left no alternatives that a command could split",
         hint=why or "Its answer is unique: leave out --split to sharpen its numbers.",
@@ -121,13 +136,16 @@ def _begins(plant: Plant, episodes: list[Episode]) -> tuple[Array, Array]:
 
 
 def _noise(plant: Plant, episodes: list[Episode], report: dict[str, Any]) -> Array:
-    """Noise of each observation, as recorded, or a thousandth of its reporting scale; and as much as the model leaves unexplained."""
-    left = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0)) if report else 1.0
+    """Noise of each observation: as the diagnosis found it, with what its answer leaves unexplained; else as recorded, or QUIET."""
     quiet = QUIET * plant.scales
+    if report:
+        found = np.array([report["evidence"]["noise"][c.name] for c in plant.layout.observations], float)
+        left = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0))
+        return np.asarray(left * np.where(np.isfinite(found) & (found > 0.0), found, quiet))
     if not episodes:
-        return quiet * left
+        return quiet
     measured = admit(plant, episodes).noise[plant.state_columns]
-    return left * np.where(np.isfinite(measured) & (measured > 0.0), measured, quiet)
+    return np.where(np.isfinite(measured) & (measured > 0.0), measured, quiet)
 
 
 def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path) -> None:

@@ -32,7 +32,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
                 actor=job.created_by,
                 plant=job.plant,
                 subject=job.id,
-                facts={"commitments": commitments},
+                facts={"operation": job.operation, "commitments": commitments},
             )
 
     trials = int(request["trials"])

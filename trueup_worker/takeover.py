@@ -20,7 +20,7 @@ from pathlib import Path
 
 from dbos import DBOS, SetWorkflowID
 from sqlalchemy import Connection, text
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
 from trueup.canonical import Json
 from trueup_service.actions.finish_job import finish_job
@@ -138,17 +138,21 @@ def revive(database: Database) -> list[str]:
         if len(attempts) >= ATTEMPTS:
             _fail(database, found)
         else:
-            _begin_again(job, len(attempts))
+            last = max(attempts, key=lambda a: (a.created_at or 0, len(a.workflow_id), a.workflow_id))
+            try:
+                _begin_again(job, last.workflow_id, len(attempts))
+            except IntegrityError:
+                continue  # another worker was quicker
             revived.append(job)
     return revived
 
 
-def _begin_again(job: str, attempts: int) -> None:
+def _begin_again(job: str, last: str, attempts: int) -> None:
     """One more attempt under a name that only one worker can take."""
-    steps = DBOS.list_workflow_steps(job)
+    steps = DBOS.list_workflow_steps(last)
     failed = next((s["function_id"] for s in steps if s["error"] is not None), len(steps) + 1)
     with SetWorkflowID(f"{job}{AGAIN}{attempts}"):
-        DBOS.fork_workflow(job, failed, application_version=ENGINE_VERSION, queue_name=QUEUE)
+        DBOS.fork_workflow(last, failed, application_version=ENGINE_VERSION, queue_name=QUEUE)
     log.warning("begun again", extra={"job": job, "attempt": attempts + 1})
 
 

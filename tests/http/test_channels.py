@@ -11,10 +11,11 @@ import pytest
 
 from tests.http.test_http import problem, request
 from tests.support.made import plant_document
-from tests.support.service import command
+from tests.support.service import Service, command
+from tests.support.storage import embedded
 from trueup_client import Client, Problem
 
-SCOPE = {"shows": "tracks a sine on the bench", "cannot_show": "payloads, heat, and other arms"}
+SCOPE = {"shows": "tracks a sine on the bench", "cannot_show": "payloads above 2 [kg], heat, and [/opt] arms"}
 
 
 @pytest.fixture
@@ -52,7 +53,16 @@ def test_a_channel_serves_only_with_passed_evidence_of_every_stage_that_it_requi
     assert (kinds.count("evidence:added"), kinds.count("channel:declared"), kinds.count("channel:moved")) == (3, 1, 1)
 
 
-def test_a_robot_on_a_channel_hears_of_its_moves_at_once(client, plant, service):
+def test_a_robot_on_a_channel_hears_of_its_moves_at_once(tmp_path):
+    """A server that looks by itself only every half minute answers at the move."""
+    with Service(embedded(tmp_path), watch_interval_s=30).running(worker=False) as service:
+        client = Client(service.url)
+        plant = client.register_plant(plant_document("p"))["name"]
+        follow_a_channel(service, client, plant)
+        client.close()
+
+
+def follow_a_channel(service, client, plant):
     artifact = client.serving(plant).artifact
     client.declare_channel(plant, "staging", [])
     client.move_channel(plant, "staging", artifact, 0)

@@ -59,17 +59,18 @@ class Ensemble:
             names.append(name)
             rows.append(order.index(name))
             sizes.append(_deviation(found["ci95"]))
-        for term in model.hypothesis.effects:
+        smooth = Hypothesis(tuple(t for t in model.hypothesis.effects if not kind(t).counted))  # what rounds is in the noise
+        for term in smooth.effects:
             where = plant.joint_name(joint(term))
             told = next((e for e in report["effects"] if (e["effect"], e.get("joint", where)) == (kind(term).name, where)), None)
             for number, row in plant.block.rows_of(term).items():
                 estimate = told["estimate"].get(number) if told else None
                 if estimate and estimate["value"]:
-                    names.append(f"{kind(term).name} {number}")
+                    names.append(f"{written(plant, term)} {number}")
                     rows.append(row)
                     sizes.append(abs(_deviation(estimate["ci95"]) / estimate["value"] * centre[row]))  # whatever unit it is told in
         spread = np.maximum(np.array(sizes), LEAST * np.abs(centre[rows]))
-        return Ensemble(plant, model.hypothesis, model.scheme, centre, tuple(names), tuple(rows), spread, _floor(centre, rows))
+        return Ensemble(plant, smooth, model.scheme, centre, tuple(names), tuple(rows), spread, _floor(centre, rows))
 
     @staticmethod
     def alternatives(plant: Plant, report: Mapping[str, Any]) -> tuple[Ensemble, ...]:
@@ -86,7 +87,7 @@ class Ensemble:
     def moved(self, members: Array, by: Array) -> Array:
         """Members `(rows, …)` with their unknown numbers moved `by` `(numbers, …)` spreads, none over zero."""
         rows, wide = list(self.rows), (-1, *(1,) * (by.ndim - 1))
-        sign = np.sign(self.centre[rows]).reshape(wide)
+        sign = np.where(self.centre[rows] < 0.0, -1.0, 1.0).reshape(wide)
         moved = members.copy()
         moved[rows] = sign * np.maximum(sign * (members[rows] + self.spread.reshape(wide) * by), self.low.reshape(wide))
         return moved
@@ -133,6 +134,11 @@ class InPlay:
     def responses(self, members: tuple[Array, ...], t_s: Array, command: Array, start: Array) -> Array:
         """States of all of them, `(members, samples, 2 x joints)`."""
         return np.concatenate([e.responses(m, t_s, command, start) for e, m in zip(self.ensembles, members, strict=True)])
+
+
+def written(plant: Plant, term: str) -> str:
+    """A term's effect, with its joint where there are several."""
+    return f"{kind(term).name} at {plant.joint_name(joint(term))}" if len(plant.joints) > 1 else kind(term).name
 
 
 def _deviation(interval: Any) -> float:

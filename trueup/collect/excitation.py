@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.collect.bounds import Bounds
-from trueup.collect.ensemble import Ensemble, InPlay
+from trueup.collect.ensemble import Ensemble, InPlay, written
 from trueup.collect.goal import Goal, Identification, Splitting, Told
 from trueup.collect.wave import Maker, Wave
 from trueup.errors import NotIdentifiable
-from trueup.model.block import kind
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -28,6 +27,8 @@ SETTLED_S, SETTLED = 60.0, 1e-3  # within which time, and to which part of the l
 SMALLEST = 0.01  # of the command's reach: less is no excitation
 SHRINK = 0.97
 CHECKED = 1000  # members drawn anew, under each of which the final command must hold
+DETECTABLE = 4.0  # standard errors between two predictions, over the whole experiment
+ALONE = 0.3  # of the effort, to see whether anything parts an alternative
 RANDOM = 20  # random excitations of the same energy to compare with
 SHARE = 0.45  # of the limit: root mean square of a random excitation to compare with while designing
 
@@ -122,12 +123,33 @@ def splitting(
     progress: Progress = lambda _stage, _part: None,
     effort: float = 1.0,
 ) -> Excitation:
-    """The same, to tell the first ensemble from each of the others, whichever is right."""
+    """The same, to tell the first ensemble from each of the others, whichever is right.
+
+    An alternative that no command parts by DETECTABLE standard errors is told, and does not keep the others from being parted.
+    """
     maker = Maker(play, bounds, start, hold, play.drawn(MEMBERS, rng))
-    return _designed(maker, Splitting(play.ensembles, noise, start), rng, progress, effort)
+    every = Splitting(play.ensembles, noise, start)
+    found = _designed(maker, every, rng, progress, effort)
+    answer, *others = play.ensembles
+    short = [e for e, x in zip(others, every.told(found.t_s, [found.command]).standard_errors, strict=True) if x < DETECTABLE]
+    if not short or len(others) == 1:
+        return found
+    alone = [Splitting((answer, e), noise, start) for e in short]
+    hopeless = [g.ensembles[1] for g in alone if not _parts(g, _designed(maker, g, rng, progress, ALONE * effort))]
+    parted = tuple(e for e in others if not any(e is h for h in hopeless))
+    if not hopeless or not parted:
+        return found
+    return _designed(maker, Splitting((answer, *parted), noise, start), rng, progress, effort, every)
 
 
-def _designed(maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress, effort: float) -> Excitation:
+def _parts(goal: Splitting, found: Excitation) -> bool:
+    return goal.told(found.t_s, [found.command]).least >= DETECTABLE
+
+
+def _designed(
+    maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress, effort: float, tells: Goal | None = None
+) -> Excitation:
+    """The best excitation for a goal; `tells` is the goal by which it is reported, if that is another."""
     best: tuple[float, Wave] | None = None
     tried, improved = max(1, round(effort * TRIED)), round(effort * IMPROVED)
     for i in range(tried):
@@ -142,12 +164,12 @@ def _designed(maker: Maker, goal: Goal, rng: np.random.Generator, progress: Prog
         value = _worth(maker, goal, wave, best[0])
         best = (value, wave) if value > best[0] else best
         progress("improving the best", (i + 1) / improved)
-    if not np.isfinite(best[0]):
+    if best[0] == -np.inf:
         raise NotIdentifiable(
             "no excitation within the bounds tells the numbers apart",
             hint="Allow a longer duration, a wider band or envelope, or leave out numbers that this machine cannot show.",
         )
-    return _checked(maker, goal, best[1], rng, progress)
+    return _checked(maker, tells or goal, best[1], rng, progress)
 
 
 def _worth(maker: Maker, goal: Goal, wave: Wave, above: float) -> float:
@@ -188,4 +210,4 @@ def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, pro
 
 
 def _named(ensemble: Ensemble) -> str:
-    return " + ".join(kind(t).name for t in ensemble.hypothesis.effects) or "no effect"
+    return " + ".join(written(ensemble.plant, t) for t in ensemble.hypothesis.effects) or "no effect"

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.collect.ensemble import NUDGE, TWO_SIDED, Ensemble
-from trueup.model.block import kind
+from trueup.collect.ensemble import NUDGE, TWO_SIDED, Ensemble, written
 
 Array = NDArray[np.float64]
 SINGULAR = 1e-12  # of a scaled information matrix
@@ -102,8 +101,8 @@ class Identification(Goal):
     def of(ensemble: Ensemble, noise: Array, start: Array, judged: Array, t_s: Array, commands: Sequence[Array]) -> Identification:
         """Beside the random `commands`; noise `(observations,)` is a standard deviation."""
         goal = Identification(ensemble, noise, start, judged, np.ones((judged.shape[1], len(ensemble.rows))))
-        random = [widths(np.mean([goal._fisher(m, t_s, u) for u in commands], axis=0) / len(t_s)) for m in judged.T]
-        return Identification(ensemble, noise, start, judged, np.array(random))
+        random = np.array([widths(goal._mean(m, t_s, commands) / len(t_s)) for m in judged.T])
+        return Identification(ensemble, noise, start, judged, np.where(np.isfinite(random), random, 1.0))
 
     def value(self, t_s: Array, command: Array, above: float = -np.inf) -> float:
         """For the number that gains least, on the mean over members."""
@@ -111,7 +110,12 @@ class Identification(Goal):
         return -2.0 * float(np.mean(np.log(np.max(ratios, axis=1))))
 
     def told(self, t_s: Array, commands: Sequence[Array]) -> Information:
-        return Information.of(self.ensemble, np.mean([self._fisher(self.ensemble.centre, t_s, u) for u in commands], axis=0))
+        return Information.of(self.ensemble, self._mean(self.ensemble.centre, t_s, commands))
+
+    def _mean(self, member: Array, t_s: Array, commands: Sequence[Array]) -> Array:
+        """The mean information of those commands under which the member does not run away, `(numbers, numbers)`."""
+        found = [f for u in commands if np.isfinite(f := self._fisher(member, t_s, u)).all()]
+        return np.mean(found, axis=0) if found else np.zeros((len(self.ensemble.rows),) * 2)
 
     def _fisher(self, member: Array, t_s: Array, command: Array) -> Array:
         return self.ensemble.fisher(member, t_s, command, self.start, self.noise)
@@ -158,7 +162,7 @@ class Splitting(Goal):
     def told(self, t_s: Array, commands: Sequence[Array]) -> Separation:
         found = np.mean([[self._apart(t, r, t_s, u) for t, r in self._pairs()] for u in commands], axis=0)
         least = found.reshape(-1, 2).min(axis=1)
-        names = tuple(tuple(kind(t).name for t in e.hypothesis.effects) for e in self.ensembles[1:])
+        names = tuple(tuple(written(e.plant, t) for t in e.hypothesis.effects) for e in self.ensembles[1:])
         return Separation(names, tuple(map(float, least)))
 
     def _pairs(self) -> list[tuple[int, int]]:
@@ -168,7 +172,8 @@ class Splitting(Goal):
     def _apart(self, truth: int, rival: int, t_s: Array, command: Array, enough: float = 0.0) -> float:
         """The distance from the central model of one, after the other's numbers and start were fitted to it; or one that is `enough`.
 
-        Levenberg's and Marquardt's steps: the shape of a law bends the way, and undamped ones stop far from its end.
+        Levenberg's and Marquardt's steps: the shape of a law bends the way, and undamped ones stop far from its end. Where a model runs
+        away nothing is known, and the distance is none.
         """
         ensemble = self.ensembles[rival]
         seen = self._seen(truth, self.ensembles[truth].centre[:, None], t_s, command)[0]
@@ -193,7 +198,7 @@ class Splitting(Goal):
             member, start = moved
             if gained < GAIN * left:
                 break
-        return left
+        return left if np.isfinite(left) else 0.0
 
     def _tangent(self, which: int, member: Array, start: Array, t_s: Array, command: Array) -> tuple[Array, Array]:
         """What a member predicts `(samples x observations,)`, and how that moves with each number and state of its start."""

@@ -35,6 +35,8 @@ TURNS = (0.15, 0.3, 0.6)  # of the reference in a horizon: the chapter's is the 
 SEEDS = 4
 SHARE = 0.6  # of the envelope, or of the travel that was recorded
 EFFORT = 0.066  # of the squared amplitude, for the whole command: the chapter's 0.02 at its amplitude of 0.55
+FAST = 0.99  # of the recorded speeds are no higher than the highest: one glitch is none
+MOVED = 20.0  # times what noise moves a joint
 BEGINS = 0.2  # of the amplitude: where a robot's joints begin
 RESAMPLES = 1000
 CANNOT = "hardware, the time that a controller's computer takes, and whatever the simulated machine leaves out"
@@ -42,22 +44,25 @@ CANNOT = "hardware, the time that a controller's computer takes, and whatever th
 
 @dataclass(frozen=True)
 class Travelled:
-    """How far each joint has been recorded, `low` and `high` `(joints,)`, and how fast, `speed` `(joints,)`."""
+    """How far each joint has been recorded, `low` and `high` `(joints,)`, how fast, `speed` `(joints,)`, and which of them `moved`."""
 
     low: Array
     high: Array
     speed: Array
+    moved: NDArray[np.bool_]
 
     @staticmethod
     def of(plant: Plant, episodes: Sequence[Episode]) -> Travelled:
         """In episodes; a single joint is taken to go as far to either side."""
         joints = len(plant.joints)
         states = np.concatenate([smoothed_states(plant, e) for e in episodes])
-        positions, speed = states[:, :joints], np.nanmax(np.abs(states[:, joints:]), axis=0)
+        positions, speed = states[:, :joints], np.nanquantile(np.abs(states[:, joints:]), FAST, axis=0)
         if joints == 1:
             far = np.nanmax(np.abs(positions), axis=0)
-            return Travelled(-far, far, speed)
-        return Travelled(np.nanmin(positions, axis=0), np.nanmax(positions, axis=0), speed)
+            return Travelled(-far, far, speed, np.ones(1, np.bool_))
+        low, high = np.nanmin(positions, axis=0), np.nanmax(positions, axis=0)
+        shakes = np.nanstd(np.diff(positions, n=2, axis=0), axis=0)  # what noise alone moves from sample to sample
+        return Travelled(low, high, speed, (high > low) & (high - low > MOVED * shakes))
 
 
 @dataclass(frozen=True)
@@ -112,11 +117,18 @@ def compare(
     plant, joints = machine.plant, len(machine.plant.joints)
     if (plant.command_columns < 0).any():
         raise NotIdentifiable("a joint without a command cannot follow anything", hint="Leave closed-loop rules out of this plant's gates.")
+    if not travelled.moved.any():
+        raise NotIdentifiable("no joint of the robot moved", hint="Hold out an episode in which the joints move.")
     low, high = _allowed(plant, travelled)
-    middle, amplitude = (low + high) / 2.0, SHARE * (high - low) / 2.0
+    middle, amplitude = (low + high) / 2.0, SHARE * np.where(travelled.moved, (high - low) / 2.0, 0.0)
+    scale = np.where(travelled.moved, amplitude, amplitude[travelled.moved].mean())  # what never moved is held still
     every = max(1, round(plant.horizon_s / TICKS_A_HORIZON / plant.timestep_s))
     t_s = np.arange(TICKS) * every * plant.timestep_s
-    fastest = 1.0 if joints == 1 else min(1.0, _slowest(amplitude, travelled.speed) * plant.horizon_s / TURNS[-1])
+    fastest = (
+        1.0
+        if joints == 1
+        else min(1.0, _slowest(amplitude[travelled.moved], travelled.speed[travelled.moved]) * plant.horizon_s / TURNS[-1])
+    )
     errors: dict[str, list[float]] = {"candidate": [], "incumbent": []}
     outside: dict[str, list[float]] = {"candidate": [], "incumbent": []}
     models: Mapping[str, Predictor] = {"candidate": candidate, "incumbent": incumbent}
@@ -130,8 +142,8 @@ def compare(
                 begin = np.zeros(2 * joints)
                 if joints > 1:  # what chance decides of a planner that does not draw
                     begin[:joints] = middle + BEGINS * amplitude * rng.uniform(-1.0, 1.0, joints)
-                run = _run(machine, _planner(model, amplitude, every), reference, every, begin, rng)
-                errors[name].append(run.tracking_error(reference, np.ones(1) if joints == 1 else amplitude))
+                run = _run(machine, _planner(model, scale, every), reference, every, begin, rng)
+                errors[name].append(run.tracking_error(reference, np.ones(1) if joints == 1 else scale))
                 outside[name].append(run.breaches(plant))
                 progress(sum(len(e) for e in errors.values()) / total)
     shares = float(np.mean(outside["candidate"])), float(np.mean(outside["incumbent"]))
@@ -151,14 +163,14 @@ def _allowed(plant: Plant, travelled: Travelled) -> tuple[Array, Array]:
 
 def _slowest(amplitude: Array, speed: Array) -> float:
     """The frequency [Hz] at which no joint goes faster than it was recorded."""
-    return float(np.min(speed / (2.0 * np.pi * np.maximum(amplitude, 1e-12))))
+    return float(np.min(speed / (2.0 * np.pi * amplitude)))
 
 
-def _planner(model: Predictor, amplitude: Array, every: int) -> Planner:
-    if len(amplitude) > 1:
-        return Linearised(model, tuple(map(float, amplitude)), hold=every)
+def _planner(model: Predictor, scale: Array, every: int) -> Planner:
+    if len(scale) > 1:
+        return Linearised(model, tuple(map(float, scale)), hold=every)
     limit = float(np.min(np.abs(model.plant.limits)))
-    return RandomShooting(model, limit, effort=EFFORT * float(amplitude[0]) ** 2 / limit**2, hold=every)
+    return RandomShooting(model, limit, effort=EFFORT * float(scale[0]) ** 2 / limit**2, hold=every)
 
 
 def _run(machine: Corrected, planner: Planner, reference: Array, every: int, begin: Array, rng: np.random.Generator) -> Run:

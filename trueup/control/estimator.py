@@ -27,7 +27,8 @@ WHOLE = 1e-6  # of a step: stamps that far from a whole number of steps are on i
 class Estimator:
     """Feed it what was observed and what was commanded, each with the time for which it holds; ask it for the state at any later time.
 
-    A command acts from its time until the next one's; what was before the first is taken to be the first.
+    A command acts from its time until the next one's; what was before the first is taken to be the first. Observations are states: what a
+    model's effects remember beyond them (a lag, play, heat) begins anew where it is rolled on from.
     """
 
     predictor: Predictor
@@ -37,8 +38,8 @@ class Estimator:
     _commands: dict[float, Array] = field(default_factory=dict)
 
     def observed(self, at_s: float, state: Array) -> bool:
-        """The state `(states,)` at a time [s]; False, and nothing changes, if a later one is known."""
-        if at_s < self._stamp_s:
+        """The state `(states,)` at a time [s]; False, and nothing changes, if a later one is known or it is not all finite."""
+        if at_s < self._stamp_s or not np.isfinite(state).all():
             return False
         self._stamp_s, self._seen = at_s, np.array(state, float)
         self._forget()
@@ -51,7 +52,7 @@ class Estimator:
         self._commands[from_s] = np.array(issued, float)
 
     def state(self, at_s: float) -> Array:
-        """The state `(states,)` at a time [s], not before the last observation. Raises NotIdentifiable before there is any."""
+        """The state `(states,)` at a time [s], at the last observation's if that is later. Raises NotIdentifiable before there is any."""
         if self._seen is None:
             raise NotIdentifiable("nothing has been observed yet", hint="Feed the estimator an observation before it is asked.")
         state, now = self._seen[None, :], self._stamp_s

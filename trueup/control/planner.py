@@ -13,6 +13,7 @@ from trueup.model.predictor import Predictor
 Array = NDArray[np.float64]
 
 
+SHORTER = (1.0, 0.5, 0.2)  # of a step
 NUDGES = (0.2, 0.05, 0.02)  # of a command's range, for derivatives: wide ones first, for dry friction hides narrow ones
 
 
@@ -58,7 +59,7 @@ class Linearised(Planner):
     """Plans the one command that, held over `steps` x `hold` steps of the predictor, brings every joint nearest to its coming references.
 
     Cost: sum over steps and joints of ((position - reference) / scale)^2 + effort x (command / its range)^2, by steps of
-    Gauss and Newton on the predictor's differences, cut off at the limits; the best of them is issued.
+    Gauss and Newton on the predictor's differences, between the limits.
     Source: the receding horizon of J. B. Rawlings, D. Q. Mayne, Model Predictive Control (2009), with one move.
     """
 
@@ -70,23 +71,45 @@ class Linearised(Planner):
 
     def plan(self, state: Array, reference: Array, rng: np.random.Generator) -> Array:
         low, high = self.predictor.plant.limits
-        reach, nudged = high - low, np.vstack([np.zeros(len(low)), np.eye(len(low))])
+        reach, eye = high - low, np.eye(len(low))
         wanted = reference[np.minimum(np.arange(self.steps), len(reference) - 1)] / self.scale
-        about = best = np.clip(np.zeros(len(low)), low, high)
-        least, penalty = np.inf, np.sqrt(self.effort) * np.eye(len(low))
-        for nudge in (*NUDGES, 0.0):  # the last looks at what the one before it found
-            commands = (about + nudge * reach * nudged) if nudge else about[None, :]
-            positions = self._positions(np.repeat(state[None, :], len(commands), axis=0), commands)
-            off = np.append((wanted - positions[0]).ravel(), penalty @ (-about / reach))
-            if not np.isfinite(positions).all() or off @ off > least:
+        penalty = np.sqrt(self.effort) * eye
+        best = np.clip(np.zeros(len(low)), low, high)
+        off = self._off(state, best[None, :], wanted)[0]
+        for nudge in NUDGES:
+            inwards = np.where(best + nudge * reach > high, -nudge, nudge)
+            moved = self._off(state, best + inwards[:, None] * reach * eye, wanted)
+            columns = np.vstack([((off - moved) / inwards[:, None]).T, penalty])
+            if not np.isfinite(columns).all():
                 break
-            best, least = about, float(off @ off)
-            if nudge:
-                columns = np.vstack([((positions[1:] - positions[0]) / nudge).reshape(len(low), -1).T, penalty])
-                about = np.clip(about + reach * np.linalg.lstsq(columns, off, rcond=None)[0], low, high)
+            to = _bounded(columns, np.append(off, penalty @ (-best / reach)), (low - best) / reach, (high - best) / reach)
+            tried = best + np.array(SHORTER)[:, None] * to * reach
+            found = self._off(state, tried, wanted)
+            costs = np.nan_to_num((found**2).sum(axis=1), nan=np.inf) + self.effort * ((tried / reach) ** 2).sum(axis=1)
+            if costs.min() < off @ off + self.effort * float(((best / reach) ** 2).sum()):
+                best, off = tried[np.argmin(costs)], found[np.argmin(costs)]
         return np.asarray(best)
+
+    def _off(self, state: Array, commands: Array, wanted: Array) -> Array:
+        """How far positions are from what is wanted, in the joints' scales, under commands `(rows, commands)`, `(rows, steps x joints)`."""
+        positions = self._positions(np.repeat(state[None, :], len(commands), axis=0), commands)
+        return np.asarray((wanted - positions).reshape(len(commands), -1))
 
     def _positions(self, states: Array, commands: Array) -> Array:
         """Scaled positions `(rows, steps, joints)` under commands `(rows, commands)` that are held."""
         course = self.predictor.course(states, commands, self.steps * self.hold)
         return np.asarray(course[:, self.hold - 1 :: self.hold, : len(self.scale)] / self.scale)
+
+
+def _bounded(columns: Array, target: Array, low: Array, high: Array) -> Array:
+    """Least squares `(commands,)` between bounds: what leaves them is held there, and the others are solved for again."""
+    found, free = np.zeros(len(low)), np.ones(len(low), bool)
+    while free.any():
+        rest = target - columns[:, ~free] @ found[~free]
+        found[free] = np.linalg.lstsq(columns[:, free], rest, rcond=None)[0]
+        beyond = free & ((found < low) | (found > high))
+        if not beyond.any():
+            break
+        found = np.clip(found, low, high)
+        free &= ~beyond
+    return found

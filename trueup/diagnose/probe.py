@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
+from trueup.collect.excitation import DETECTABLE
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
 from trueup.diagnose.search import Candidate, Search
@@ -28,7 +29,6 @@ from trueup.model.series import Series, integral_of, roll, unobserved
 
 Array = NDArray[np.float64]
 DURATION_S = 6.0
-DETECTABLE = 4.0  # standard errors between two predictions, over the whole experiment
 RATES_HZ = (0.15, 0.4, 1.0, 2.5)
 SIZES = (0.25, 0.5, 0.95)  # of the command's limit
 PART = 0.3  # of the largest command that was recorded of a robot's joint

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
+from typing import Any
 
 from trueup.canonical import Json
 
@@ -41,5 +42,13 @@ def of_artifact(kind: str, model: Json) -> Operation | None:
     """What made an artifact, by what it holds: other numbers alone, or another form; None where it is the nominal model."""
     if kind == "nominal":
         return None
-    kept = kind == "identified" or (kind == "corrected" and isinstance(model, Mapping) and not model.get("effects"))
+    from trueup.model.effect import effects  # noqa: PLC0415  (numpy: a server that only serves needs none)
+
+    form = [e for e in _effects(model) if not effects()[e].counted]  # what is counted in samples is the sensor's
+    kept = kind == "identified" or (kind == "corrected" and not form)
     return Operation.IDENTIFICATION if kept else Operation.CORRECTION
+
+
+def _effects(model: Json) -> list[str]:
+    found: Any = model.get("effects", []) if isinstance(model, Mapping) else []
+    return [str(e["effect"]) for e in found]

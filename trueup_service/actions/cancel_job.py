@@ -17,6 +17,11 @@ def cancel_job(writer: Writer, job: str, stamp: Stamp) -> JobRecord:
     stage = "cancelled" if state == JobState.CANCELLED else "cancelling"
     if writer.update_job(job, now=stamp.now, state=state, stage=stage, only_from=found.state):
         writer.append_audit(
-            at=stamp.now, kind="job:cancelled", actor=stamp.actor, plant=found.plant, subject=job, facts={"was": found.state}
+            at=stamp.now,
+            kind="job:cancelled",
+            actor=stamp.actor,
+            plant=found.plant,
+            subject=job,
+            facts={"operation": found.operation, "was": found.state},
         )
     return find.job(writer, job)

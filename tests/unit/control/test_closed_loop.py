@@ -9,6 +9,9 @@ from tests.support.made import TRUE, episode_bytes, plant_document
 from tests.support.robots import arm_plant
 from trueup.control.closed_loop import CANNOT, SEEDS, TURNS, Tracking, Travelled, compare
 from trueup.control.estimator import transport_delay_s
+from trueup.control.loop import Run
+from trueup.control.planner import Linearised
+from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.errors import BadGate, NotIdentifiable
@@ -41,7 +44,7 @@ MACHINE = corrected(TRUE)
 
 def went(far):
     """A joint that was recorded so far to either side."""
-    return Travelled(np.array([-far]), np.array([far]), np.array([1.0]))
+    return Travelled(np.array([-far]), np.array([far]), np.array([1.0]), np.ones(1, bool))
 
 
 def test_the_same_model_twice_tracks_the_same_to_the_last_digit():
@@ -112,7 +115,7 @@ def of_arm(plant, *effects):
     return Corrected(plant, hypothesis, tuple(map(float, values)), DECLARED)
 
 
-REACHED = Travelled(np.array([-0.6, -0.5]), np.array([0.6, 0.7]), np.array([2.0, 2.5]))
+REACHED = Travelled(np.array([-0.6, -0.5]), np.array([0.6, 0.7]), np.array([2.0, 2.5]), np.ones(2, bool))
 
 
 def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm):
@@ -125,13 +128,56 @@ def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm):
     assert document["amplitude"] == pytest.approx([0.36, 0.36])
 
 
-def test_an_arms_references_are_no_faster_than_it_was_recorded(arm):
+def test_an_arms_references_are_no_faster_and_no_further_than_it_was_recorded(arm, monkeypatch):
+    asked = []
+
+    def noted(machine, planner, reference, every, begin, rng):
+        asked.append(np.abs(np.gradient(reference, every * arm.timestep_s, axis=0)).max(axis=0))
+        return Run(np.zeros((len(reference) + 1, 4)), np.zeros((len(reference), 2)))
+
+    monkeypatch.setattr("trueup.control.closed_loop._run", noted)
     machine = of_arm(arm)
-    slow = Travelled(REACHED.low, REACHED.high, np.array([0.2, 2.5]))
-    calm, brisk = compare(machine, machine, machine, slow), compare(machine, machine, machine, REACHED)
-    assert calm.candidate.mean() < brisk.candidate.mean()
+    compare(machine, machine, machine, replace(REACHED, speed=np.array([0.2, 2.5])))
+    assert np.max(asked, axis=0)[0] == pytest.approx(0.2, rel=0.01)
     tight = Plant.from_document({**arm.document, "envelope": {"q_elbow": [0.0, 0.2]}})
     assert compare(of_arm(tight), of_arm(tight), of_arm(tight), REACHED).amplitude == pytest.approx((0.36, 0.06))
+
+
+def test_a_joint_that_never_moved_is_held_still_and_counts_for_nothing(arm):
+    machine = of_arm(arm)
+    still = replace(REACHED, low=np.array([-0.6, 0.1]), high=np.array([0.6, 0.1]), moved=np.array([True, False]))
+    found = compare(machine, machine, machine, still)
+    assert found.amplitude == pytest.approx((0.36, 0.0))
+    assert found.candidate.max() < 0.005
+    with pytest.raises(NotIdentifiable, match="no joint"):
+        compare(machine, machine, machine, replace(REACHED, moved=np.zeros(2, bool)))
+
+
+def test_what_moved_is_told_from_what_noise_moves(arm):
+    rng, t_s = np.random.default_rng(0), np.arange(500) * arm.timestep_s
+    q = np.stack([0.5 * np.sin(3.0 * t_s), 0.1 + 4e-4 * rng.standard_normal(500)], axis=1)
+    v = np.stack([1.5 * np.cos(3.0 * t_s), np.zeros(500)], axis=1)
+    v[77, 0] = 40.0  # one glitch
+    went = Travelled.of(arm, [Episode(t_s, np.zeros((500, 2)), np.hstack([q, v]), arm.layout, Role.VALIDATION, {}, 0, "d")])
+    assert went.moved.tolist() == [True, False]
+    assert went.speed[0] == pytest.approx(1.5, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("state", "reference"),
+    [([0.0, 0.0, 0.0, 0.0], [-0.6, 0.3]), ([-0.2, 0.35, -0.2, -0.05], [-0.79, 0.19]), ([0.0, 0.0, 0.0, 0.0], [0.1, 0.0])],
+)
+def test_the_plan_is_as_good_as_the_best_of_a_grid_between_the_limits(arm, state, reference):
+    planner = Linearised(Nominal(arm), (0.1, 0.1), hold=3)
+    wanted = np.repeat(np.array([reference]), 8, axis=0)
+
+    def cost(commands):
+        off = planner._off(np.array(state), commands, wanted / planner.scale)
+        return (off**2).sum(axis=1) + planner.effort * ((commands / 50.0) ** 2).sum(axis=1)
+
+    grid = np.stack(np.meshgrid(np.linspace(-25, 25, 41), np.linspace(-25, 25, 41)), axis=-1).reshape(-1, 2)
+    found = planner.plan(np.array(state), wanted, np.random.default_rng(0))
+    assert cost(found[None, :])[0] <= 1.02 * cost(grid).min() + 1e-3
 
 
 def test_a_delay_that_all_joints_share_is_planned_over(arm):

@@ -46,11 +46,11 @@ def test_a_late_observation_is_brought_forward_through_the_commands_since(seen):
 def test_what_arrives_out_of_order_changes_nothing():
     estimator = fed([20])
     assert estimator.observed(12 * DT, np.array([9.0, 9.0])) is False
+    assert estimator.observed(30 * DT, np.array([np.nan, 0.0])) is False
     assert estimator.state(40 * DT) == pytest.approx(STATES[40], abs=1e-12)
 
 
 def test_stamps_between_samples_take_shorter_steps():
-    """A finer step of the same law: the estimate between two samples lies between what half steps and whole ones say."""
     estimator = fed([10])
     between = estimator.state(10.5 * DT)
     half = MODEL.predict_batch(STATES[10][None, :], COMMANDS[10][None, :], 0.5 * DT)[0]

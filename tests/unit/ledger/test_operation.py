@@ -6,10 +6,15 @@ from trueup.ledger.operation import JOBS, Operation, of_artifact, of_job
 from trueup.model.kinds import KINDS
 from trueup_service.actions.submit_job import SUBMIT
 
+OPERATIONS = {
+    "fit": "model correction", "diagnose": "model correction", "gate": "model correction", "calibrate": "monitoring", "watch": "monitoring",
+    "validate": "monitoring", "blindtrial": "monitoring",
+}  # fmt: skip
+
 
 @pytest.mark.parametrize("kind", [*SUBMIT, "watch"])
 def test_every_job_is_one_of_the_four(kind):
-    assert of_job(kind, {}) is JOBS[kind]
+    assert of_job(kind, {}) == OPERATIONS[kind]
     assert Operation.ADAPTATION not in JOBS.values()  # the controller is never changed
 
 
@@ -24,3 +29,4 @@ def test_an_artifact_is_what_it_changes():
     assert found["identified"] == "parameter identification"
     assert found["residual"] == found["corrected"] == found["blind"] == found["conditioned"] == "model correction"
     assert of_artifact("corrected", {"effects": []}) == "parameter identification"
+    assert of_artifact("corrected", {"effects": [{"effect": "sensor_quantization"}]}) == "parameter identification"
