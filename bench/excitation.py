@@ -15,7 +15,7 @@ from tests.support.simulated import episode_of
 from trueup.chapter.data import DEPLOYMENT, DT_S, PLANT, drive, excitation
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import TWO_SIDED, Ensemble, InPlay
-from trueup.collect.excitation import identification
+from trueup.collect.excitation import Setting, identification
 from trueup.collect.goal import widths
 from trueup.episode.role import Role
 from trueup.fit.identify import identify
@@ -45,7 +45,9 @@ def main() -> None:
     truth[:3] = DEPLOYMENT
     figures = []
     for duration_s in DURATIONS_S:
-        found = identification(InPlay((ensemble,)), Bounds.of(PLANT, duration_s, None, None, 0.1), NOISE, np.zeros(2), np.zeros(1), rng)
+        found = identification(
+            Setting(InPlay((ensemble,)), Bounds.of(PLANT, duration_s, None, None, 0.1), NOISE, np.zeros(2), np.zeros(1)), rng
+        )
         ours = _widths(ensemble, truth, found.command)
         needed = next(n for n in range(len(found.t_s), 40 * len(found.t_s), 10) if (_random(ensemble, truth, n) <= ours).all())
         ratio = len(found.t_s) / needed

@@ -14,7 +14,7 @@ from bench.report import Figure, show
 from tests.support.simulated import episode_of, episodes_of, plant_of
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
-from trueup.collect.excitation import Excitation, splitting
+from trueup.collect.excitation import Excitation, Setting, splitting
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.probe import DETECTABLE
 from trueup.episode.episode import Episode
@@ -82,7 +82,8 @@ def _undecided(rng: np.random.Generator) -> tuple[Bench, str, Plant, Trial, list
 
 
 def _designed(plant: Plant, play: InPlay, trial: Trial, rng: np.random.Generator) -> Excitation:
-    made = splitting(play, Bounds.of(plant, SECONDS, None, None, 0.1), trial.sigma, np.zeros(2), np.zeros(1), rng, effort=0.25)
+    setting = Setting(play, Bounds.of(plant, SECONDS, None, None, 0.1), trial.sigma, np.zeros(2), np.zeros(1))
+    made = splitting(setting, rng, effort=0.25)
     if made.information.least < DETECTABLE:  # type: ignore[attr-defined]
         raise NotIdentifiable("no command parts them")
     return made

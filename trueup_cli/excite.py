@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from trueup.canonical import digest_of
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
-from trueup.collect.excitation import DETECTABLE, Excitation, at_rest, identification, splitting
+from trueup.collect.excitation import DETECTABLE, Excitation, Setting, at_rest, identification, splitting
 from trueup.collect.goal import Separation
 from trueup.diagnose.admission import admit
 from trueup.diagnose.case import read_episodes, read_plant
@@ -69,9 +69,9 @@ def excite(
     bounds = Bounds.of(described, duration_s, band_hz, rate, margin)
     with progress("excite") as bar:
         rest = at_rest(play.ensembles[0], begin, hold)
-        found = (splitting if split else identification)(
-            play, bounds, _noise(described, episodes, report), rest, hold, np.random.default_rng(seed), lambda stage, part: bar(part, stage)
-        )
+        setting = Setting(play, bounds, _noise(described, episodes, report), rest, hold)
+        act = splitting if split else identification
+        found = act(setting, np.random.default_rng(seed), lambda stage, part: bar(part, stage))
     if isinstance(found.information, Separation) and max(found.information.standard_errors) < DETECTABLE:
         raise NotIdentifiable(
             f"no command that was tried within the bounds parts the alternatives by {DETECTABLE:g} standard errors, at best "

@@ -7,7 +7,7 @@ under members drawn anew, and compared with random excitations of the same energ
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,23 @@ DETECTABLE = 4.0  # standard errors between two predictions, over the whole expe
 ALONE = 0.3  # of the effort, to see whether anything parts an alternative
 RANDOM = 20  # random excitations of the same energy to compare with
 SHARE = 0.45  # of the limit: root mean square of a random excitation to compare with while designing
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is excited: the models in play, its bounds, each observation's noise `(observations,)` as a standard deviation, and the state
+    `start` `(2 x joints,)` in which it rests under the command `hold` `(joints,)`.
+    """
+
+    play: InPlay
+    bounds: Bounds
+    noise: Array
+    start: Array
+    hold: Array
+
+    def maker(self, rng: np.random.Generator) -> Maker:
+        """What makes waves that are safe in it."""
+        return Maker(self.play, self.bounds, self.start, self.hold, self.play.drawn(MEMBERS, rng))
 
 
 @dataclass(frozen=True)
@@ -90,56 +107,39 @@ def at_rest(ensemble: Ensemble, start: Array, hold: Array) -> Array:
 
 
 def identification(
-    play: InPlay,
-    bounds: Bounds,
-    noise: Array,
-    start: Array,
-    hold: Array,
-    rng: np.random.Generator,
-    progress: Progress = lambda _stage, _part: None,
-    effort: float = 1.0,
+    setting: Setting, rng: np.random.Generator, progress: Progress = lambda _stage, _part: None, effort: float = 1.0
 ) -> Excitation:
-    """The excitation that tells the numbers of the first ensemble, of a plant at rest in the state `start` `(2 x joints,)` under the
-    command `hold` `(joints,)`.
+    """The excitation that tells the numbers of the first ensemble; `effort` scales how many waves are tried.
 
-    `noise` `(observations,)` is the standard deviation of each observation's noise; `effort` scales how many waves are tried. Raises
-    NotIdentifiable where no wave is safe.
+    Raises NotIdentifiable where no wave is safe.
     """
-    maker = Maker(play, bounds, start, hold, play.drawn(MEMBERS, rng))
+    maker, bounds, hold = setting.maker(rng), setting.bounds, setting.hold
     t_s = np.asarray(np.arange(round(bounds.duration_s / maker.period_s) + 1) * maker.period_s, np.float64)
     even = np.tile(hold + SHARE * np.minimum(bounds.high - hold, hold - bounds.low), (len(t_s), 1))
     drawn = [bounds.random(hold, even, rng) for _ in range(RANDOM)]
-    goal = Identification.of(play.ensembles[0], noise, start, maker.members[0][:, :JUDGED], t_s, drawn)
+    goal = Identification.of(setting.play.ensembles[0], setting.noise, setting.start, maker.members[0][:, :JUDGED], t_s, drawn)
     return _designed(maker, goal, rng, progress, effort)
 
 
 def splitting(
-    play: InPlay,
-    bounds: Bounds,
-    noise: Array,
-    start: Array,
-    hold: Array,
-    rng: np.random.Generator,
-    progress: Progress = lambda _stage, _part: None,
-    effort: float = 1.0,
+    setting: Setting, rng: np.random.Generator, progress: Progress = lambda _stage, _part: None, effort: float = 1.0
 ) -> Excitation:
     """The same, to tell the first ensemble from each of the others, whichever is right.
 
     An alternative that no command parts by DETECTABLE standard errors is told, and does not keep the others from being parted.
     """
-    maker = Maker(play, bounds, start, hold, play.drawn(MEMBERS, rng))
-    every = Splitting(play.ensembles, noise, start)
+    maker, every = setting.maker(rng), Splitting(setting.play.ensembles, setting.noise, setting.start)
     found = _designed(maker, every, rng, progress, effort)
-    answer, *others = play.ensembles
+    answer, *others = setting.play.ensembles
     short = [e for e, x in zip(others, every.told(found.t_s, [found.command]).standard_errors, strict=True) if x < DETECTABLE]
     if not short or len(others) == 1:
         return found
-    alone = [Splitting((answer, e), noise, start) for e in short]
+    alone = [replace(every, ensembles=(answer, e)) for e in short]
     hopeless = [g.ensembles[1] for g in alone if not _parts(g, _designed(maker, g, rng, progress, ALONE * effort))]
     parted = tuple(e for e in others if not any(e is h for h in hopeless))
     if not hopeless or not parted:
         return found
-    return _designed(maker, Splitting((answer, *parted), noise, start), rng, progress, effort, every)
+    return _designed(maker, replace(every, ensembles=(answer, *parted)), rng, progress, effort, every)
 
 
 def _parts(goal: Splitting, found: Excitation) -> bool:

@@ -8,7 +8,7 @@ import pytest
 from tests.support.made import TRUE, plant_document
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
-from trueup.collect.excitation import at_rest, identification
+from trueup.collect.excitation import Setting, at_rest, identification
 from trueup.collect.wave import AT_REST
 from trueup.diagnose.diagnosis import diagnose
 from trueup.episode.mcap import read_episode
@@ -27,15 +27,8 @@ NOISE = np.array([0.01, 0.02])
 def designed(plant=PLANT, spread=0.02, seed=0, duration_s=8.0, **bounds):
     chosen = {"band_hz": None, "rate": None, "margin": 0.1, **bounds}
     ensemble = Ensemble.prior(plant, spread)
-    return identification(
-        InPlay((ensemble,)),
-        Bounds.of(plant, duration_s, **chosen),
-        NOISE,
-        np.zeros(2),
-        np.zeros(1),
-        np.random.default_rng(seed),
-        effort=0.2,
-    )
+    setting = Setting(InPlay((ensemble,)), Bounds.of(plant, duration_s, **chosen), NOISE, np.zeros(2), np.zeros(1))
+    return identification(setting, np.random.default_rng(seed), effort=0.2)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from tests.support.made import TRUE, plant_document
 from tests.support.simulated import episode_of, episodes_of, plant_of
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
-from trueup.collect.excitation import splitting
+from trueup.collect.excitation import Setting, splitting
 from trueup.collect.goal import Splitting
 from trueup.diagnose.diagnosis import diagnose
 from trueup.episode.role import Role
@@ -41,7 +41,7 @@ def designed(undecided):
     plant, _, trial, _, found = undecided
     play = InPlay((Ensemble.posterior(found.predictor, found.document), *Ensemble.alternatives(plant, found.document)))
     bounds = Bounds.of(plant, 6.0, None, None, 0.1)
-    return splitting(play, bounds, trial.sigma, np.zeros(2), np.zeros(1), np.random.default_rng(0), effort=0.1)
+    return splitting(Setting(play, bounds, trial.sigma, np.zeros(2), np.zeros(1)), np.random.default_rng(0), effort=0.1)
 
 
 def test_the_report_holds_every_alternative_as_it_was_fitted(undecided):
@@ -158,7 +158,7 @@ def test_an_alternative_that_no_command_parts_does_not_spoil_the_others():
     twin = ensemble(PLANT, TRUE, sensor_bias={"bias": 0.1 / TRUE[0]})
     other = ensemble(PLANT, TRUE, quadratic_drag={"coefficient": 0.4})
     rest = np.array([0.1 / TRUE[0], 0.0])
-    found = splitting(InPlay((answer, twin, other)), BOUNDS, NOISE, rest, np.zeros(1), np.random.default_rng(0), effort=0.1)
+    found = splitting(Setting(InPlay((answer, twin, other)), BOUNDS, NOISE, rest, np.zeros(1)), np.random.default_rng(0), effort=0.1)
     alike, parted = found.information.standard_errors
     assert alike < 4.0 < parted
     assert found.information.alternatives == (("sensor_bias",), ("quadratic_drag",))
