@@ -1,9 +1,10 @@
 """Monitor: detectors on one predictor's residuals, calibrated to one promise in robot time, with what they were measured to keep.
 
 The promise, one false alarm in so many operating hours, is of all joints and all detectors together: each of them gets an equal
-share. One half of the reference, drawn at random for recordings come in patterns, sets the spread, and levels that are measured on
-the other; the levels that are used then come from both. The other half is also what the conformal test ranks against. Detectors that
-follow signatures need a longer reference than others: there are a hundred of them, and what is healthy for each must be known.
+share. One half of the reference, drawn at random within each kind of episodes for recordings come in patterns, sets the spread, and
+levels that are measured on the other; the levels that are used then come from both. The other half is also what the conformal test
+ranks against. Detectors that follow signatures need a longer reference than others: there are a hundred of them, and what is healthy for
+each must be known.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from trueup.canonical import Json, digest_of
 from trueup.episode.episode import Episode
@@ -27,6 +29,7 @@ from trueup.monitor.signature import Signatures
 
 SCHEMA = "trueup.monitor/1"
 LONGEST_BLOCK = 5  # rollouts
+COMES_AGAIN = 4  # episodes of each value of a condition, on the mean; one that is always another says nothing of kinds
 LEAST_BLOCKS = 8  # in either half of the reference
 LEAST_FOR_SIGNATURES = 40  # blocks of the half that sets levels
 LEAST_ERROR = 1e-9  # of a healthy spread, to take the logarithm of
@@ -172,8 +175,7 @@ def calibrate(
     if len(found) < 2:  # noqa: PLR2004  (halves)
         raise _too_short(len(found), 0)
     rng = np.random.default_rng(seed)
-    order = rng.permutation(len(found))
-    first, second = np.sort(order[::2]), np.sort(order[1::2])
+    first, second = _halves(episodes, rng)
     healthy, signatures = Healthy.of([found[i] for i in first]), Signatures.of(predictor.plant, episodes)
     residuals = [measured(predictor, healthy, signatures, e, m) for e, m in zip(episodes, found, strict=True)]
     lengths = sorted(r.windows for r in residuals)
@@ -213,6 +215,15 @@ def calibrate(
         _usual(residuals),
         told,
     )
+
+
+def _halves(episodes: Sequence[Episode], rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Two halves by chance, each with as many episodes of every kind: of every combination of declared conditions that come again."""
+    names = sorted({name for e in episodes for name in e.conditions})
+    again = [n for n in names if len({e.conditions.get(n) for e in episodes}) <= len(episodes) / COMES_AGAIN]
+    kinds = [tuple(str(e.conditions.get(n)) for n in again) for e in episodes]
+    order = sorted(rng.permutation(len(episodes)), key=lambda i: kinds[i])
+    return np.sort(np.array(order[::2])), np.sort(np.array(order[1::2]))
 
 
 def _judged(

@@ -12,7 +12,7 @@ from trueup.model.predictor import Nominal
 from trueup.monitor.achieved import poisson_interval
 from trueup.monitor.change import Before, changed, onset
 from trueup.monitor.detector import detectors
-from trueup.monitor.monitor import Monitor, calibrate
+from trueup.monitor.monitor import Monitor, _halves, calibrate
 from trueup.monitor.residuals import blocks, missed
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, run
@@ -40,6 +40,15 @@ def recorded(of, seed, seconds=8.0, role=Role.REFERENCE):
 @pytest.fixture(scope="module")
 def reference():
     return [recorded(machine(), i) for i in range(60)]
+
+
+def test_halves_have_as_much_of_every_kind_and_take_no_pattern(reference):
+    rare = [replace(e, conditions={"payload": "2 kg" if i < 6 else "none", "run": str(i)}) for i, e in enumerate(reference)]
+    for seed in range(20):
+        first, second = _halves(rare, np.random.default_rng(seed))
+        assert sorted([*first, *second]) == list(range(60))
+        assert [sum(rare[i].conditions["payload"] == "2 kg" for i in half) for half in (first, second)] == [3, 3]
+    assert len({tuple(_halves(rare, np.random.default_rng(seed))[0]) for seed in range(20)}) == 20
 
 
 @pytest.fixture(scope="module")
