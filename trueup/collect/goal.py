@@ -169,6 +169,7 @@ class Splitting(Goal):
         """Which may be the truth, and which is then the rival: for each alternative both."""
         return list(chain.from_iterable(((0, other), (other, 0)) for other in range(1, len(self.ensembles))))
 
+    @np.errstate(over="ignore", invalid="ignore")  # what runs away is told at the end
     def _apart(self, truth: int, rival: int, t_s: Array, command: Array, enough: float = 0.0) -> float:
         """The distance from the central model of one, after the other's numbers and start were fitted to it; or one that is `enough`.
 
