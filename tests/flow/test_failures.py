@@ -87,12 +87,13 @@ def given_up_on(service, job, times=1):
     """As the job engine leaves what it tried in vain, in the database itself."""
     engine = service.storage.build().database.engine
     schema = "dbos" if engine.dialect.name == "postgresql" else None
-    status = sa.Table("workflow_status", sa.MetaData(), schema=schema, autoload_with=engine)
+    status, given = (sa.Table(name, sa.MetaData(), schema=schema, autoload_with=engine) for name in ("workflow_status", "workflow_input"))
     with engine.begin() as connection:
         connection.execute(status.update().where(status.c.workflow_uuid == job).values(status="ERROR"))
-        row = connection.execute(status.select().where(status.c.workflow_uuid == job)).mappings().one()
-        for attempt in range(1, times):
-            connection.execute(status.insert().values({**row, "workflow_uuid": f"{job}-{attempt}"}))
+        for table in (status, given):
+            rows = connection.execute(table.select().where(table.c.workflow_uuid == job)).mappings().all()
+            for attempt in range(1, times):
+                connection.execute(table.insert(), [{**row, "workflow_uuid": f"{job}-{attempt}"} for row in rows])
     engine.dispose()
 
 
@@ -101,7 +102,7 @@ def test_what_the_engine_gave_up_on_is_begun_again(lone, long_episode):
     job = begun(client, long_episode)
     given_up_on(service, job, times=2)
     service.start_worker()
-    assert client.wait(job)["state"] == "succeeded"
+    until(lambda: client.job(job)["state"] == "succeeded")
     assert (count(client, "artifact:added"), count(client, "job:finished")) == (1, 1)
 
 
