@@ -58,7 +58,7 @@ class EvidenceMissing(TrueupError):
     """The channel requires evidence that the artifact has not."""
 
     code = "evidence-missing"
-    hint = "Test it at the named stages, and POST what was found to …/evidence; or move a channel that requires less."
+    hint = "Test it at the named stages and add what was found (`trueup evidence PLANT --add FILE`); or move a channel that requires less."
 
 
 class NeverServed(TrueupError):
