@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass
 
-from trueup.canonical import Json, canonical_bytes, digest_of, is_digest
+from trueup.canonical import Json, canonical_bytes, is_digest
 from trueup.episode.role import STAGES
 from trueup.errors import TrueupError
+from trueup.gate.frozen import Frozen
 
 SCHEMA = "trueup.evidence/1"
 LONGEST_BYTES = 1 << 20
@@ -23,7 +22,7 @@ class BadEvidence(TrueupError):
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Evidence(Frozen):
     """A record of one stage: `passed` or not, `shows` and `cannot_show` in words, `figures` as JSON. Raises BadEvidence."""
 
     artifact: str
@@ -32,6 +31,8 @@ class Evidence:
     shows: str
     cannot_show: str
     figures: Mapping[str, Json]
+
+    schema, refused, noun = SCHEMA, BadEvidence, "evidence"
 
     def __post_init__(self) -> None:
         if not (isinstance(self.artifact, str) and is_digest(self.artifact)):
@@ -45,23 +46,3 @@ class Evidence:
                 raise BadEvidence(f"{field} must say something: a record without its scope proves nothing", field=field)
         if len(canonical_bytes(dict(self.figures))) > LONGEST_BYTES:
             raise BadEvidence("the figures are too long: keep the recordings as episodes, and name their digests", field="figures")
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of the canonical document."""
-        return digest_of(self.document())
-
-    def document(self) -> dict[str, Json]:
-        """The evidence as JSON."""
-        return {"schema": SCHEMA, **asdict(self)}
-
-    @staticmethod
-    def from_document(document: Mapping[str, Any]) -> Evidence:
-        """Read evidence. Raises BadEvidence."""
-        given = dict(document)
-        if given.pop("schema", None) != SCHEMA:
-            raise BadEvidence(f"the schema of evidence is {SCHEMA}", field="schema")
-        try:
-            return Evidence(**given)
-        except TypeError as error:
-            raise BadEvidence(f"the evidence cannot be read: {error}") from error

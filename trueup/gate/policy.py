@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass
 
-from trueup.canonical import Json, digest_of, is_digest
+from trueup.canonical import is_digest
 from trueup.errors import TrueupError
+from trueup.gate.frozen import Frozen
 
 SCHEMA = "trueup.policy/1"
 ASK = "ask"
@@ -24,7 +22,7 @@ class BadPolicy(TrueupError):
 
 
 @dataclass(frozen=True)
-class UpdatePolicy:
+class UpdatePolicy(Frozen):
     """The three steps that may go on by themselves, the gate that judges, and what a new model's monitor promises.
 
     `on_alarm` ask or diagnose, `on_diagnosis` ask or judge, `on_acceptance` ask or promote. Raises BadPolicy.
@@ -38,6 +36,8 @@ class UpdatePolicy:
     reference_episodes: int = 20  # healthy ones, recorded since the change, before a new model's monitor is calibrated
     validate_every_h: float | None = None
 
+    schema, refused, noun = SCHEMA, BadPolicy, "a policy"
+
     def __post_init__(self) -> None:
         for step, allowed in CHOICES.items():
             if getattr(self, step) not in allowed:
@@ -49,23 +49,3 @@ class UpdatePolicy:
             raise BadPolicy(
                 "hours must be positive and no more than 100 000, and a reference needs two episodes at least", field="promise_h"
             )
-
-    @cached_property
-    def digest(self) -> str:
-        """SHA-256 of the canonical document."""
-        return digest_of(self.document())
-
-    def document(self) -> dict[str, Json]:
-        """The policy as JSON."""
-        return {"schema": SCHEMA, **asdict(self)}
-
-    @staticmethod
-    def from_document(document: Mapping[str, Any]) -> UpdatePolicy:
-        """Read a policy. Raises BadPolicy."""
-        given = dict(document)
-        if given.pop("schema", None) != SCHEMA:
-            raise BadPolicy(f"the schema of a policy is {SCHEMA}", field="schema")
-        try:
-            return UpdatePolicy(**given)
-        except TypeError as error:
-            raise BadPolicy(f"the policy cannot be read: {error}") from error
