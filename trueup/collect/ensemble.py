@@ -66,7 +66,7 @@ class Ensemble:
             for number, row in plant.block.rows_of(term).items():
                 estimate = told["estimate"].get(number) if told else None
                 if estimate and estimate["value"]:
-                    names.append(f"{written(plant, term)} {number}")
+                    names.append(f"{_written(plant, term)} {number}")
                     rows.append(row)
                     sizes.append(abs(_deviation(estimate["ci95"]) / estimate["value"] * centre[row]))  # whatever unit it is told in
         spread = np.maximum(np.array(sizes), LEAST * np.abs(centre[rows]))
@@ -77,6 +77,11 @@ class Ensemble:
         """Those that a diagnosis could not tell from its answer, each as it was fitted. Raises KeyError, TypeError, ValueError."""
         left = report["evidence"].get("alternatives", [])
         return tuple(Ensemble.posterior(Corrected.restore(plant, {**a["model"], "gain": [], "nearest": None}, {}), a) for a in left)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Its effects, each with its joint where there are several."""
+        return tuple(_written(self.plant, t) for t in self.hypothesis.effects)
 
     def drawn(self, count: int, rng: np.random.Generator) -> Array:
         """Members `(rows, count)`, the centre first; no number changes its sign."""
@@ -136,7 +141,7 @@ class InPlay:
         return np.concatenate([e.responses(m, t_s, command, start) for e, m in zip(self.ensembles, members, strict=True)])
 
 
-def written(plant: Plant, term: str) -> str:
+def _written(plant: Plant, term: str) -> str:
     """A term's effect, with its joint where there are several."""
     return f"{kind(term).name} at {plant.joint_name(joint(term))}" if len(plant.joints) > 1 else kind(term).name
 

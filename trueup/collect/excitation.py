@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.collect.bounds import Bounds
-from trueup.collect.ensemble import Ensemble, InPlay, written
+from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.goal import Goal, Identification, Splitting, Told
 from trueup.collect.wave import Maker, Wave
 from trueup.errors import NotIdentifiable
@@ -118,7 +118,7 @@ def identification(
     even = np.tile(hold + SHARE * np.minimum(bounds.high - hold, hold - bounds.low), (len(t_s), 1))
     drawn = [bounds.random(hold, even, rng) for _ in range(RANDOM)]
     goal = Identification.of(setting.play.ensembles[0], setting.noise, setting.start, maker.members[0][:, :JUDGED], t_s, drawn)
-    return _designed(maker, goal, rng, progress, effort)
+    return _checked(maker, goal, _best(maker, goal, rng, progress, effort)[1], rng, progress)
 
 
 def splitting(
@@ -129,27 +129,18 @@ def splitting(
     An alternative that no command parts by DETECTABLE standard errors is told, and does not keep the others from being parted.
     """
     maker, every = setting.maker(rng), Splitting(setting.play.ensembles, setting.noise, setting.start)
-    found = _designed(maker, every, rng, progress, effort)
+    least, wave = _best(maker, every, rng, progress, effort)
     answer, *others = setting.play.ensembles
-    short = [e for e, x in zip(others, every.told(found.t_s, [found.command]).standard_errors, strict=True) if x < DETECTABLE]
-    if not short or len(others) == 1:
-        return found
-    alone = [replace(every, ensembles=(answer, e)) for e in short]
-    hopeless = [g.ensembles[1] for g in alone if not _parts(g, _designed(maker, g, rng, progress, ALONE * effort))]
-    parted = tuple(e for e in others if not any(e is h for h in hopeless))
-    if not hopeless or not parted:
-        return found
-    return _designed(maker, replace(every, ensembles=(answer, *parted)), rng, progress, effort, every)
+    if least < np.log(DETECTABLE) and len(others) > 1:
+        alone = [(e, _best(maker, replace(every, ensembles=(answer, e)), rng, progress, ALONE * effort)[0]) for e in others]
+        parted = [e for e, value in alone if value >= np.log(DETECTABLE)]
+        if 0 < len(parted) < len(others):
+            wave = _best(maker, replace(every, ensembles=(answer, *parted)), rng, progress, effort)[1]
+    return _checked(maker, every, wave, rng, progress)
 
 
-def _parts(goal: Splitting, found: Excitation) -> bool:
-    return goal.told(found.t_s, [found.command]).least >= DETECTABLE
-
-
-def _designed(
-    maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress, effort: float, tells: Goal | None = None
-) -> Excitation:
-    """The best excitation for a goal; `tells` is the goal by which it is reported, if that is another."""
+def _best(maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress, effort: float) -> tuple[float, Wave]:
+    """What the best wave that was found is worth for a goal, and the wave. Raises NotIdentifiable where none is safe or tells anything."""
     best: tuple[float, Wave] | None = None
     tried, improved = max(1, round(effort * TRIED)), round(effort * IMPROVED)
     for i in range(tried):
@@ -169,7 +160,7 @@ def _designed(
             "no excitation within the bounds tells the numbers apart",
             hint="Allow a longer duration, a wider band or envelope, or leave out numbers that this machine cannot show.",
         )
-    return _checked(maker, tells or goal, best[1], rng, progress)
+    return best
 
 
 def _worth(maker: Maker, goal: Goal, wave: Wave, above: float) -> float:
@@ -205,9 +196,5 @@ def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, pro
     others = [maker.bounds.random(maker.hold, command, rng) for _ in range(RANDOM)]
     told, random = goal.told(t_s, [command]), goal.told(t_s, others)
     begins = np.cumsum([0, *(m.shape[1] for m in fresh)])
-    central = {_named(e): int(first) for e, first in zip(maker.play.ensembles, begins, strict=False)}
+    central = {" + ".join(e.effects) or "no effect": int(first) for e, first in zip(maker.play.ensembles, begins, strict=False)}
     return Excitation(goal.title, t_s, command, maker.start, told, random, paths, central, int(outside.sum()), used, maker.bounds)
-
-
-def _named(ensemble: Ensemble) -> str:
-    return " + ".join(written(ensemble.plant, t) for t in ensemble.hypothesis.effects) or "no effect"

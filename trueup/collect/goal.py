@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.collect.ensemble import NUDGE, TWO_SIDED, Ensemble, written
+from trueup.collect.ensemble import NUDGE, TWO_SIDED, Ensemble
 
 Array = NDArray[np.float64]
 SINGULAR = 1e-12  # of a scaled information matrix
@@ -162,8 +162,7 @@ class Splitting(Goal):
     def told(self, t_s: Array, commands: Sequence[Array]) -> Separation:
         found = np.mean([[self._apart(t, r, t_s, u) for t, r in self._pairs()] for u in commands], axis=0)
         least = found.reshape(-1, 2).min(axis=1)
-        names = tuple(tuple(written(e.plant, t) for t in e.hypothesis.effects) for e in self.ensembles[1:])
-        return Separation(names, tuple(map(float, least)))
+        return Separation(tuple(e.effects for e in self.ensembles[1:]), tuple(map(float, least)))
 
     def _pairs(self) -> list[tuple[int, int]]:
         """Which may be the truth, and which is then the rival: for each alternative both."""
