@@ -2,41 +2,38 @@
 
 from __future__ import annotations
 
+import base64
 import sys
 import tempfile
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, TypeVar
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 from rich.markup import escape
 
 from trueup.errors import TrueupError
 from trueup_cli.complaints import EXIT_DISAGREES
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect
+from trueup_cli.options import DEFAULT_URL, Json, Url, connect, witness_file, witnessed
 from trueup_cli.show import as_json, err, moment, out, progress, table
 from trueup_client import Client
+from trueup_client.problem import ClientError
+from trueup_client.proof import Checkpoint, Key
 
+T = TypeVar("T")
 AGREEMENT = 1e-9  # relative: matrix products differ by some 1e-13 between processors
+app = App(name="audit", help="Print or verify the audit log.")
 
 
-def audit(
-    plant: str | None = None,
-    *,
-    verify: Annotated[bool, Parameter(negative=(), help="Recompute every digest of the chain")] = False,
-    url: Url = DEFAULT_URL,
-    as_json_: Json = False,
-) -> None:
+@app.default
+def audit(plant: str | None = None, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Print the audit log.
 
     Parameters
     ----------
     plant: only the entries of this plant
     """
-    client = connect(url)
-    if verify:
-        _verify(client)
-        return
-    entries = list(client.audit(plant))
+    entries = list(connect(url).audit(plant))
     if as_json_:
         as_json(entries)
     else:
@@ -50,74 +47,141 @@ def audit(
         )
 
 
-def _verify(client: Client) -> None:
-    """Hold the chain against its head, and everything that it tells against what the service answers with."""
-    from trueup.errors import BrokenChain
-    from trueup.ledger.audit import AuditEntry
-    from trueup.ledger.audit import verify as verify_chain
+@app.command
+def checkpoint(*, url: Url = DEFAULT_URL) -> None:
+    """Print the log's signed head, once it was seen to extend the last one that this user saw."""
+    out.print(witnessed(url).checkpoint(), end="", markup=False, soft_wrap=True)
+    err.print(f"seen; kept in {witness_file(url)}", style="dim", soft_wrap=True)
 
-    head = client.audit_head()
-    entries = [e for e in client.audit() if e["sequence"] <= head["sequence"]]
+
+@app.command
+def key(*, url: Url = DEFAULT_URL) -> None:
+    """Print the log's public key, to be given to robots and auditors by a way of your own."""
+    print(connect(url).audit_key())
+
+
+@app.command
+def provenance(plant: str, digest: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """Print where an artifact comes from, or what a gate said, as an in-toto statement; --json for its signed envelope.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    digest: digest of an artifact or a decision
+    """
+    client = witnessed(url)
+    found = client.decision_provenance if any(d["digest"] == digest for d in client.decisions(plant)) else client.artifact_provenance
+    envelope = found(plant, digest)
+    statement = Key.from_text(client.audit_key()).payload(envelope, envelope["payloadType"])
+    as_json(envelope if as_json_ else statement)
+
+
+@app.command
+def verify(
+    *,
+    replays: Annotated[bool, Parameter(negative="--no-replay", help="Recompute every decision from its bytes")] = True,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """Hold the service against its log: every entry, every row, every byte, every decision; exit 4 with a list if anything differs."""
+    from trueup.ledger.verification import verify as hold
+
+    client = witnessed(url)
+    with progress("verifying") as bar:
+        found = hold(_Service(client), lambda share, stage: bar(0.5 * share if replays else share, stage), _Labels())
+        wrong = [(f.where, f.what) for f in found.findings]
+        for count, decision in enumerate(found.decisions if replays and not wrong else [], 1):
+            bar(0.5 + 0.5 * count / len(found.decisions), f"replaying decision {decision[:12]}")
+            wrong += [(f"decisions/{decision}", difference) for difference in _replayed(client, decision)]
+    if as_json_:
+        as_json({"entries": found.size, "root": found.root.hex(), "rows": found.rows, "bytes": found.bytes, "findings": wrong})
+    elif wrong:
+        table("", ["where", "what does not agree"], wrong)
+    else:
+        replayed = f", {len(found.decisions)} decisions recomputed" if replays else ""
+        out.print(
+            f"[bold green]holds[/]: {found.size} entries under the signed root {base64.b64encode(found.root).decode()}, {found.rows} rows, "
+            f"{found.bytes / 1e6:.1f} MB of episodes and artifacts{replayed}",
+            soft_wrap=True,
+        )
+    if wrong:
+        _disagree(f"{len(wrong)} things are not as the log says")
+
+
+class _Service:
+    """A service as what is verified."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+
+    def head(self) -> tuple[int, bytes]:
+        client = self._client
+        found = Checkpoint.of(client.checkpoint(), Key.from_text(client.audit_key()))
+        return found.size, found.root
+
+    def entries(self, after: int, until: int) -> Iterator[Any]:
+        from trueup.ledger.audit import AuditEntry
+
+        for found in _had(self._client.audit(after=after)):
+            if found["sequence"] > until:
+                return
+            yield AuditEntry(**found)
+
+    def nodes(self) -> Iterator[Any]:
+        for found in _had(self._client.rows("audit_tree")):
+            yield (found["level"], int(found["position"])), bytes.fromhex(found["hash"])
+
+    def rows(self, table: str) -> Iterable[Mapping[str, Any]]:
+        return _had(self._client.rows(table))
+
+    def blob(self, digest: str) -> Iterator[bytes]:
+        return _had(self._client.blob_parts(digest))
+
+
+def _had(found: Iterable[T]) -> Iterator[T]:
+    """What a service gives; where it fails, that is what is told of it."""
     try:
-        last = verify_chain(AuditEntry(**e) for e in entries)
-    except BrokenChain as error:
-        _disagree(error.message)
-    if last != (head["sequence"], head["digest"]):
-        _disagree(f"the log ends at {last[0]}, its head says {head['sequence']}")
-    with progress("holding what is served against the log") as bar:
-        for count, entry in enumerate(entries, 1):
-            _hold(client, entry)
-            _hold_labels(entry, entries)
-            bar(count / len(entries), entry["kind"])
-        for plant in {e["plant"] for e in entries if e["plant"]}:
-            _hold_moves(client, plant, [e for e in entries if e["plant"] == plant])
-    out.print(f"{last[0]} entries hold, and what they tell is what is served; head {last[1]}")
+        yield from found
+    except ClientError as error:
+        raise TrueupError(f"cannot be had: {error}") from error
+
+
+class _Labels:
+    """Are the labels that a blind trial opened among those that were committed for it before?"""
+
+    def __init__(self) -> None:
+        self._committed: dict[str, list[list[str]]] = {}
+
+    def __call__(self, entry: Any) -> list[Any]:
+        from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
+        from trueup.ledger.verification import Finding
+
+        if entry.kind == "blindtrial:committed":
+            self._committed.setdefault(entry.subject, []).append(entry.facts["commitments"])
+        if entry.kind != "job:finished" or "opening" not in entry.facts["result"].get("report", {}):
+            return []
+        for commitments in self._committed.get(entry.subject, []):  # of a worker that was killed before it opened them, another drew anew
+            try:
+                require_as_committed(entry.facts["result"]["report"], commitments)
+            except NotAsCommitted:
+                continue
+            return []
+        return [Finding(f"entry {entry.sequence}", "opens labels that nobody committed")]
+
+
+def _replayed(client: Client, decision: str) -> list[str]:
+    """How a decision differs from what its bytes give."""
+    found = client.find_decision(decision)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            return compare(found["document"], recompute(client, found["plant"], found["document"], Path(folder), lambda *_: None))
+    except (TrueupError, ClientError) as error:
+        return [f"cannot be recomputed: {error}"]
 
 
 def _disagree(what: str) -> NoReturn:
     err.print(f"[bold red]disagrees[/] {escape(what)}", soft_wrap=True)
     sys.exit(EXIT_DISAGREES)
-
-
-def _hold_labels(finished: dict[str, Any], entries: list[dict[str, Any]]) -> None:
-    """Are the labels that a blind trial opened among those that were committed for it before?"""
-    from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
-
-    if finished["kind"] != "job:finished" or "report" not in (result := finished["facts"]["result"]) or "opening" not in result["report"]:
-        return
-    mine = [e for e in entries if e["subject"] == finished["subject"] and e["sequence"] < finished["sequence"]]
-    for entry in (e for e in mine if e["kind"] == "blindtrial:committed"):
-        try:
-            require_as_committed(result["report"], entry["facts"]["commitments"])
-        except NotAsCommitted:
-            continue  # its worker was killed before it opened them; another drew and committed anew
-        return
-    _disagree(f"entry {finished['sequence']} opens labels that nobody committed")
-
-
-def _hold(client: Client, entry: dict[str, Any]) -> None:
-    """Is what an entry tells of still what the service gives for it?"""
-    from trueup.canonical import digest_of
-
-    plant, subject, facts = entry["plant"], entry["subject"], entry["facts"]
-    if entry["kind"] == "plant:registered":
-        found: Any = digest_of(client.plant(plant)["document"]), subject
-    elif entry["kind"] == "gate:declared":
-        found = digest_of(client.gate(plant, subject)["document"]), digest_of(facts["gate"])
-    elif entry["kind"] == "decision:made":
-        found = _told(client.find_decision(subject)), facts["decision"]
-    elif entry["kind"] == "artifact:added":
-        record = client.artifact(plant, subject)
-        found = (
-            (record["version"], record["kind"], record["arrays"], client.manifest_digest(plant, subject)),
-            (facts["version"], facts["kind"], facts["arrays"], subject),
-        )
-    elif entry["kind"] == "episode:ingested":
-        found = client.episode(plant, subject)["role"], facts["role"]
-    else:
-        return
-    if found[0] != found[1]:
-        _disagree(f"entry {entry['sequence']}, {entry['kind']} {subject[:12]}: the service gives something else")
 
 
 def _told(record: dict[str, Any]) -> dict[str, Any] | None:
@@ -129,19 +193,6 @@ def _told(record: dict[str, Any]) -> dict[str, Any] | None:
     return document if same and digest_of(document) == record["digest"] else None
 
 
-def _hold_moves(client: Client, plant: str, entries: list[dict[str, Any]]) -> None:
-    """Every position of the pointer must be told by an entry, and every entry must be a position."""
-    told = []
-    for entry in entries:
-        facts = entry["facts"]
-        if entry["kind"] == "plant:registered":
-            told.append((facts["generation"], "registered", facts["artifact"], entry["actor"]))
-        elif entry["kind"] == "pointer:moved":
-            told.append((facts["generation"], facts["move"], entry["subject"], entry["actor"]))
-    if told != [(m.generation, m.move, m.artifact, m.actor) for m in client.history(plant)]:
-        _disagree(f"the pointer of {plant} has positions that the log does not tell of, or not so")
-
-
 def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Recompute a decision from its gate, its artifacts and its episodes, here, and say whether it agrees; exit 4 if not.
 
@@ -149,7 +200,7 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
     ----------
     decision: digest of the decision
     """
-    client = connect(url)
+    client = witnessed(url)
     found = client.find_decision(decision)
     recorded = _told(found)
     if recorded is None or found["digest"] != decision:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -68,8 +69,9 @@ def run(
 def _verify(trial: Path) -> None:
     """Raises BrokenChain, NotAsCommitted."""
     from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
-    from trueup.ledger.audit import AuditEntry
-    from trueup.ledger.audit import verify as verify_chain
+    from trueup.errors import BrokenChain
+    from trueup.ledger.audit import AuditEntry, append
+    from trueup.ledger.merkle import NOTHING
 
     report, log = trial / "report.json", trial / "audit.jsonl"
     if not (report.is_file() and log.is_file()):
@@ -77,11 +79,17 @@ def _verify(trial: Path) -> None:
             f"{trial} holds no report.json with an audit.jsonl", hint="Name the folder that a trial of a case was written to."
         )
     try:
-        entries = [AuditEntry(**json.loads(line)) for line in log.read_text().splitlines()]
+        lines = [json.loads(line) for line in log.read_text().splitlines()]
+        roots = [line.pop("root") for line in lines]
+        entries = [AuditEntry(**line) for line in lines]
         document = json.loads(report.read_text())
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise NotAsCommitted(f"{trial} holds a report or a log that was damaged: {error}") from error
-    verify_chain(entries)
+    tree = NOTHING
+    for entry, root in zip(entries, roots, strict=True):
+        tree = append(tree, entry)
+        if tree.root().hex() != root:
+            raise BrokenChain(f"entry {entry.sequence} is not what was written", sequence=entry.sequence)
     committed = entries[0].facts.get("commitments", []) if entries else []
     require_as_committed(document, list(committed))  # type: ignore[arg-type]
     console.print(f"{len(document['rows'])} labels are those committed at {moment(entries[0].at)}, before the first diagnosis.")
@@ -111,20 +119,21 @@ def _secret(file: Path | None) -> bytes | None:
 
 def _local(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str, Any]:
     from trueup.diagnose.case import read_case
-    from trueup.ledger.audit import GENESIS, append
+    from trueup.ledger.audit import AuditEntry, append
+    from trueup.ledger.merkle import NOTHING
     from trueup_worker.blind_trial import conduct
 
     plant, episodes = read_case(case)
-    after = [(0, GENESIS)]
+    trees = [NOTHING]
 
     def note(kind: str, facts: dict[str, Any]) -> None:
         at = datetime.now(UTC).isoformat()
-        entry = append(after[0], at=at, kind=f"blindtrial:{kind}", actor="local", plant=plant.name, subject=plant.digest, facts=facts)
+        entry = AuditEntry(len(trees), at, f"blindtrial:{kind}", "local", plant.name, plant.digest, facts, {})
+        trees.append(append(trees[-1], entry))
         with (out / "audit.jsonl").open("a") as log:
-            log.write(json.dumps({name: getattr(entry, name) for name in entry.__slots__}) + "\n")
+            log.write(json.dumps({**asdict(entry), "root": trees[-1].root().hex()}) + "\n")
             log.flush()
             os.fsync(log.fileno())
-        after[0] = entry.sequence, entry.digest
 
     with progress("blind trial") as bar:
         document = conduct(

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 from rich.markup import escape
 
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect
+from trueup_cli.options import DEFAULT_URL, Json, Url, connect, witnessed
 from trueup_cli.show import as_json, moment, out, table
 from trueup_client import Client, Problem
 
@@ -87,7 +87,7 @@ def release(plant: str, channel: str, *, artifact: Artifact = None, url: Url = D
     plant: name of the plant
     channel: name of the channel
     """
-    client = connect(url)
+    client = witnessed(url)
     before = _position(client, plant, channel)
     moved = client.move_channel(plant, channel, artifact or client.serving(plant).artifact, before["generation"] if before else 0)
     if as_json_:

@@ -6,10 +6,14 @@ from rich.markup import escape
 
 from trueup.errors import TrueupError
 from trueup_cli.show import err
-from trueup_client.problem import ClientError, Problem, Untrue
+from trueup_client.problem import ClientError, NotSigned, Problem, Rewritten, Untrue
 
 EXIT_REFUSED, EXIT_UNREACHABLE, EXIT_DISAGREES = 1, 3, 4
 UNTRUE_HINT = "The bytes are not what their digest names: the stored copy is damaged, or was changed."
+REWRITTEN_HINT = (
+    "Ask whoever runs the service what happened to its database, and compare mirrors of its checkpoint; if it was made anew on purpose, "
+    "remove the named file."
+)
 UNREACHABLE_HINT = "Start it with `trueup serve`, or name it with --url or TRUEUP_URL."
 
 
@@ -20,6 +24,9 @@ def complain(error: Exception) -> int | None:
         return EXIT_REFUSED
     if isinstance(error, Untrue):
         _print("untrue", str(error), UNTRUE_HINT)
+        return EXIT_DISAGREES
+    if isinstance(error, NotSigned | Rewritten):
+        _print("not-signed" if isinstance(error, NotSigned) else "rewritten", str(error), REWRITTEN_HINT)
         return EXIT_DISAGREES
     if isinstance(error, ClientError):
         _print("unreachable", str(error), UNREACHABLE_HINT)

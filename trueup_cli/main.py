@@ -39,14 +39,16 @@ _COMMANDS = {
     "blindtrial": ("blindtrial:run", "Hide effects in machines like yours and say how often the diagnosis is right."),
     "excite": ("excite:excite", "Design a bounded excitation, safe under every model still in play."),
     "predict": ("predict:predict", "Roll a model out over an episode."),
-    "audit": ("audit:audit", "Print or verify the audit log."),
+    "audit": ("audit:app", "Print or verify the audit log."),
     "replay": ("audit:replay", "Recompute a decision and say whether it agrees."),
+    "fsck": ("fsck:fsck", "Check this installation's own storage: log, rows, bytes, nothing lost, nothing left over."),
+    "keygen": ("run:keygen", "Make a signing key for a log."),
     "doctor": ("doctor:doctor", "Say what this installation has, and what is missing for what."),
     "chapter": ("chapter:chapter", "Reproduce the chapter's figures beside the published digits."),
     "demo": ("demo:demo", "Run the main job on a real recording."),
 }
 for _name, (_where, _help) in _COMMANDS.items():
-    app.command(f"trueup_cli.{_where}", name=_name, **({} if _name == "plant" else {"help": _help}))
+    app.command(f"trueup_cli.{_where}", name=_name, **({} if _where.endswith(":app") else {"help": _help}))
 
 
 def main() -> None:

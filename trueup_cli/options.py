@@ -5,15 +5,30 @@ from __future__ import annotations
 import getpass
 import os
 import socket
+from pathlib import Path
 from typing import Annotated
+from urllib.parse import quote
 
 from cyclopts import Parameter
 
-from trueup_client import Client
+from trueup_client import Client, Witness
 
 Url = Annotated[str, Parameter(name="--url", env_var="TRUEUP_URL", help="Address of the service")]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
 DEFAULT_URL = "http://127.0.0.1:8321"
+
+
+def witnessed(url: str) -> Client:
+    """The same, once the log was seen to extend what this user saw of it before. Raises NotSigned, Rewritten."""
+    client = connect(url)
+    client.witness(Witness(witness_file(url), os.environ.get("TRUEUP_LOG_KEY")))
+    return client
+
+
+def witness_file(url: str) -> Path:
+    """Where this user keeps what was seen of a service's log."""
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "trueup" / "seen" / f"{quote(url, safe='')}.json"
 
 
 def connect(url: str) -> Client:

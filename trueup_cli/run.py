@@ -97,3 +97,18 @@ def kernels() -> None:
     from trueup_cli.show import out
 
     out.print(f"compiled: {', '.join(compile_all())}, and one kernel with {warm()} effects")
+
+
+def keygen(name: str) -> None:
+    """Make a signing key: set the first line as TRUEUP_SIGNING_KEY on every server, and give the second to robots and auditors.
+
+    Parameters
+    ----------
+    name: name of the log, such as registry.example.com/robots; it stands in every checkpoint
+    """
+    from trueup.ledger.note import Signer
+    from trueup_service.signed_log import new_signer
+
+    made = Signer.from_text(new_signer(name).text)
+    print(made.text)
+    print(made.verifier)

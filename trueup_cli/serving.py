@@ -8,7 +8,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect
+from trueup_cli.options import DEFAULT_URL, Json, Url, connect, witnessed
 from trueup_cli.show import as_json, moment, out, table
 from trueup_client import Serving
 
@@ -47,7 +47,7 @@ def promote(plant: str, decision: str, *, generation: Generation = None, url: Ur
     plant: name of the plant
     decision: digest of the decision
     """
-    client = connect(url)
+    client = witnessed(url)
     show_serving(
         [client.promote(plant, decision, client.serving(plant).generation if generation is None else generation)], as_json_=as_json_
     )
@@ -55,7 +55,7 @@ def promote(plant: str, decision: str, *, generation: Generation = None, url: Ur
 
 def rollback(plant: str, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Serve what served before, after its switchback test."""
-    client = connect(url)
+    client = witnessed(url)
     show_serving([client.roll_back(plant, client.serving(plant).generation if generation is None else generation)], as_json_=as_json_)
 
 
@@ -69,7 +69,7 @@ def fetch(
     plant: name of the plant
     to: folder, made if it is missing
     """
-    client = connect(url)
+    client = witnessed(url)
     digest = artifact or client.serving(plant).artifact
     client.fetch(plant, digest, to)
     out.print(f"{digest} is in {to}")

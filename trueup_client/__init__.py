@@ -9,7 +9,9 @@ client.fetch("emps", serving.artifact, "model")
 
 from trueup_client.client import Client
 from trueup_client.freshness import Ages, Freshness
-from trueup_client.problem import Problem, Unreachable, Untrue
+from trueup_client.problem import NotSigned, Problem, Rewritten, Unreachable, Untrue
 from trueup_client.records import Serving
+from trueup_client.robot import Robot
+from trueup_client.witness import Witness
 
-__all__ = ["Ages", "Client", "Freshness", "Problem", "Serving", "Unreachable", "Untrue"]
+__all__ = ["Ages", "Client", "Freshness", "NotSigned", "Problem", "Rewritten", "Robot", "Serving", "Unreachable", "Untrue", "Witness"]

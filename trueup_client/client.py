@@ -15,7 +15,9 @@ from urllib.parse import quote, urlencode
 
 from trueup_client.connection import STREAM_BYTES, Connection
 from trueup_client.problem import Problem, Unreachable, Untrue
+from trueup_client.proof import Checkpoint
 from trueup_client.records import Document, Serving
+from trueup_client.witness import Witness
 
 FINAL = ("succeeded", "failed", "cancelled")
 JOB_LOOK_S = 0.1
@@ -31,11 +33,14 @@ def _silent(_: float) -> None:
 class Client:
     """Talks to one service. Not for several threads at once: give each its own.
 
-    `actor` stands in the audit log beside every change. Refusals raise Problem, silence raises Unreachable.
+    `token` says who asks; without tokens at the service, `actor` stands in the audit log beside every change. Refusals raise Problem,
+    silence raises Unreachable.
     """
 
-    def __init__(self, url: str = "http://127.0.0.1:8321", actor: str | None = None, timeout_s: float = 120.0) -> None:
-        self._to = Connection(url, actor, timeout_s)
+    def __init__(
+        self, url: str = "http://127.0.0.1:8321", actor: str | None = None, timeout_s: float = 120.0, token: str | None = None
+    ) -> None:
+        self._to = Connection(url, actor, timeout_s, token)
 
     def close(self) -> None:
         """Close the connection."""
@@ -195,6 +200,10 @@ class Client:
         """Serve what served before, after its switchback test."""
         return Serving(**self._post(f"/v1/plants/{_name(plant)}/serving/rollback", {"expected_generation": expected_generation}))
 
+    def serving_envelope(self, plant: str) -> Document:
+        """What serves, signed: `Robot` verifies it."""
+        return self._get(f"/v1/plants/{_name(plant)}/serving/envelope")
+
     # -- evidence and channels
 
     def add_evidence(self, plant: str, document: Document) -> Document:
@@ -261,12 +270,51 @@ class Client:
 
     # -- audit
 
-    def audit(self, plant: str | None = None) -> Iterator[Document]:
-        """Every entry of the log, in order."""
-        return self._pages("/v1/audit", "after", **({"plant": plant} if plant else {}))
+    def audit(self, plant: str | None = None, after: int = 0) -> Iterator[Document]:
+        """Every entry of the log, in order, from behind one."""
+        return self._pages("/v1/audit", "after", after=str(after), **({"plant": plant} if plant else {}))
 
-    def audit_head(self) -> Document:
-        return self._get("/v1/audit/head")
+    def audit_key(self) -> str:
+        """The log's public key, as the service gives it: keep it."""
+        return self._to.whole("GET", "/v1/audit/key", lambda: None).decode().strip()
+
+    def checkpoint(self) -> str:
+        """The log's signed head, as a note."""
+        return self._to.whole("GET", "/v1/audit/checkpoint", lambda: None).decode()
+
+    def consistency(self, old: int, size: int) -> list[bytes]:
+        """The proof that the log of `size` entries extends the one of `old`."""
+        return _hashes(self._get(f"/v1/audit/consistency?{urlencode({'old': old, 'size': size})}"))
+
+    def inclusion(self, sequence: int, size: int) -> list[bytes]:
+        """The proof that an entry is in the log of `size` entries."""
+        return _hashes(self._get(f"/v1/audit/inclusion?{urlencode({'sequence': sequence, 'size': size})}"))
+
+    def witness(self, witness: Witness) -> Checkpoint:
+        """Let a witness see the log as it is now. Raises NotSigned, Rewritten."""
+        if witness.key is None:
+            witness.pin(self.audit_key())
+        return witness.see(self.checkpoint(), self.consistency)
+
+    def rows(self, table: str) -> Iterator[Document]:
+        """The registry's rows of a table, as they are stored."""
+        return self._pages(f"/v1/audit/rows/{_name(table)}", "after", limit="1000")
+
+    def episode_parts(self, plant: str, digest: str) -> Iterator[bytes]:
+        """An episode's bytes in parts, not verified."""
+        return self._to.parts(f"/v1/plants/{_name(plant)}/episodes/{_name(digest)}/content")
+
+    def blob_parts(self, digest: str) -> Iterator[bytes]:
+        """An artifact's arrays in parts, not verified."""
+        return self._to.parts(f"/v1/blobs/{_name(digest)}")
+
+    def artifact_provenance(self, plant: str, digest: str) -> Document:
+        """Where an artifact comes from: an in-toto statement in a signed envelope."""
+        return self._get(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/provenance")
+
+    def decision_provenance(self, plant: str, digest: str) -> Document:
+        """What a gate said of a candidate: an in-toto statement in a signed envelope."""
+        return self._get(f"/v1/plants/{_name(plant)}/decisions/{_name(digest)}/provenance")
 
     def is_ready(self) -> bool:
         """Whether the service can do its work."""
@@ -351,6 +399,10 @@ def _digest_of(path: str | os.PathLike[str]) -> str:
 
 def _content_digest(digest: str) -> str:
     return f"sha-256=:{base64.b64encode(bytes.fromhex(digest)).decode()}:"
+
+
+def _hashes(proof: Document) -> list[bytes]:
+    return [base64.b64decode(h) for h in proof["hashes"]]
 
 
 def _name(part: object) -> str:

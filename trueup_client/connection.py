@@ -19,7 +19,7 @@ STREAM_BYTES = 1 << 20
 class Connection:
     """Sends requests. Every request here is safe to repeat: a read, a put by digest, or a post with an idempotency key."""
 
-    def __init__(self, url: str, actor: str | None, timeout_s: float) -> None:
+    def __init__(self, url: str, actor: str | None, timeout_s: float, token: str | None = None) -> None:
         parts = urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise Unreachable(f"{url!r} is no http:// or https:// address")
@@ -27,6 +27,8 @@ class Connection:
         self._url, self._base = url, parts.path.rstrip("/")
         self._http = kind(parts.hostname, parts.port, timeout=timeout_s)
         self._headers = {"Trueup-Actor": actor} if actor else {}
+        if token:
+            self._headers["Authorization"] = f"Bearer {token}"
 
     def json(self, method: str, path: str, body: Any = None, headers: Mapping[str, str] | None = None) -> Any:
         """Send a JSON document and read one. Raises Problem, Unreachable."""

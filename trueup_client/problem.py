@@ -3,6 +3,8 @@
 ClientError
 ├── Unreachable    nobody answered
 ├── Untrue         the bytes are not what their digest names
+├── NotSigned      a checkpoint or an envelope is not signed by the log's key
+├── Rewritten      the log does not extend the one that was seen before
 └── Problem        the service refused; `code` is stable, `hint` says what to do next
 """
 
@@ -21,6 +23,14 @@ class Unreachable(ClientError):
 
 class Untrue(ClientError):
     """The bytes received are not those that the digest names; they were thrown away."""
+
+
+class NotSigned(ClientError):
+    """What was received is not signed by the key of the log."""
+
+
+class Rewritten(ClientError):
+    """The log does not extend the one that this client has seen, or the pointer went back without a move: somebody rewrote them."""
 
 
 class Problem(ClientError):

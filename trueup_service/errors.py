@@ -87,3 +87,17 @@ class InspectionFailed(TrueupError):
 
     code = "inspection-limit"
     hint = "The file needs more memory or time than a sound recording of its size: check it, or raise the inspection limits."
+
+
+class LogRewound(TrueupError):
+    """The log is shorter than, or other than, the one whose head was published."""
+
+    code = "log-rewound"
+    hint = "Somebody restored or edited the database: compare it with a mirror, then put data_dir/checkpoint away if that was meant to be."
+
+
+class OtherKey(TrueupError):
+    """The log is signed with another key than this server's."""
+
+    code = "other-key"
+    hint = "Give every server of one database the same TRUEUP_SIGNING_KEY; restore data_dir/signing.key if it was lost."

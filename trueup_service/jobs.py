@@ -38,6 +38,10 @@ class JobQueue:
             connection, {"workflow_name": WORKFLOW, "queue_name": QUEUE, "workflow_id": job, "app_version": ENGINE_VERSION}, job
         )
 
+    def knows(self, job: str) -> bool:
+        """Whether the engine has an entry of a job."""
+        return bool(self._client.list_workflows(workflow_ids=[job], load_input=False, load_output=False))
+
     @cached_property
     def _client(self) -> DBOSClient:
         from dbos import DBOSClient, DBOSPortableJSONSerializer  # noqa: PLC0415  (1.2 s of imports)

@@ -36,6 +36,15 @@ class Settings(BaseSettings):
     job_poll_interval_s: float = Field(0.1, gt=0, description="Time between a worker's looks at the queue [s].")
     takeover_interval_s: float = Field(1.0, gt=0, description="Time between a worker's looks for dead workers [s].")
     schedule_interval_s: float = Field(30.0, gt=0, description="Time between a worker's looks for validations that are due [s].")
+    signing_key: SecretStr | None = Field(
+        None,
+        description="Private key that signs the log, one line of `trueup keygen`; unset: data_dir/signing.key, made at the first start. "
+        "All servers of one database need the same.",
+    )
+    checkpoint_interval_s: float = Field(
+        10.0, gt=0, description="Time between writes of the log's signed head to data_dir/checkpoint, if it has grown [s]."
+    )
+    serving_lease_s: float = Field(86_400.0, gt=0, description="How long a robot may rely on a signed serving answer [s].")
     log_level: str = Field("INFO", description="Least severe level that is logged.")
 
     @cached_property

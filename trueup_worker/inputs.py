@@ -16,7 +16,7 @@ from trueup.model.predictor import Predictor
 from trueup_service.actions import find
 from trueup_service.actions.switchback import load_artifact
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.store import Reader, writing
 from trueup_service.wiring import Parts
 from trueup_worker.progress import Progress
 
@@ -30,8 +30,8 @@ def read_plant(parts: Parts, job: JobRecord) -> Plant:
 def read_episodes(parts: Parts, job: JobRecord, plant: Plant, roles: Sequence[Role], progress: Progress) -> list[Episode]:
     """The episodes that the job's request names. Raises RoleRefused, BadEpisode if the stored bytes are not what their digest names."""
     digests: Any = job.request["episodes"]
-    with parts.database.write() as connection:
-        Writer(connection).add_reads(job.id, digests, job.kind)
+    with writing(parts.database) as writer:
+        writer.add_reads(job.id, digests, job.kind)
     episodes = []
     for count, digest in enumerate(digests):
         episode = read_episode(parts.blobs.get(digest), plant.layout).require(*roles)
@@ -44,8 +44,7 @@ def read_episodes(parts: Parts, job: JobRecord, plant: Plant, roles: Sequence[Ro
 
 def read_predictor(parts: Parts, job: JobRecord, digest: str) -> Predictor:
     """A predictor by its artifact's digest."""
-    with parts.database.write() as connection:
-        writer = Writer(connection)
+    with writing(parts.database) as writer:
         record = find.artifact(writer, job.plant, digest)
         writer.add_reads(job.id, [digest], "artifact")
     return unpack(load_artifact(parts.blobs, record), digest)

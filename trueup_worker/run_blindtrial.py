@@ -9,7 +9,7 @@ from trueup.canonical import Json
 from trueup.episode.role import Role
 from trueup_service.actions.stamp import time_text
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.store import Writer, writing
 from trueup_service.wiring import Parts
 from trueup_worker.blind_trial import conduct
 from trueup_worker.inputs import read_episodes, read_plant
@@ -25,8 +25,8 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     request: dict[str, Any] = dict(job.request)
 
     def commit(commitments: list[str]) -> None:
-        with parts.database.write() as connection:
-            Writer(connection).append_audit(
+        with writing(parts.database) as writer:
+            writer.append_audit(
                 at=time_text(datetime.now(UTC)),
                 kind="blindtrial:committed",
                 actor=job.created_by,

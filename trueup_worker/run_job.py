@@ -19,7 +19,7 @@ from trueup_service.actions import find
 from trueup_service.actions.finish_job import finish_job
 from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.registry.records import FINAL, JobRecord, JobState
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.store import Reader, writing
 from trueup_service.wiring import Parts
 from trueup_worker import run_blindtrial, run_calibration, run_diagnosis, run_fit, run_gate, run_validation, run_watch
 from trueup_worker.progress import Cancelled, Progress
@@ -39,8 +39,7 @@ KINDS: dict[str, ModuleType] = {
 
 def compute(parts: Parts, job_id: str) -> dict[str, Json]:
     """What came of the job, as JSON: its final state, and the outcome or the problem."""
-    with parts.database.write() as connection:
-        writer = Writer(connection)
+    with writing(parts.database) as writer:
         job = find.job(writer, job_id)
         if job.state == JobState.QUEUED:
             writer.update_job(job_id, now=_now(), state=JobState.RUNNING, stage="starting")
@@ -93,9 +92,9 @@ def _failed(parts: Parts, job: JobRecord, error: Exception, stamp: Stamp) -> Job
 
 def _finish(parts: Parts, job: JobRecord, state: JobState, outcome: dict[str, Any], stamp: Stamp) -> None:
     kind = KINDS[job.kind]
-    with parts.database.write() as connection:
+    with writing(parts.database) as writer:
         finish_job(
-            Writer(connection),
+            writer,
             job,
             state,
             kind.result(outcome),
@@ -105,8 +104,8 @@ def _finish(parts: Parts, job: JobRecord, state: JobState, outcome: dict[str, An
 
 
 def _close(parts: Parts, job: JobRecord, state: JobState, problem: dict[str, Json], stamp: Stamp) -> None:
-    with parts.database.write() as connection:
-        finish_job(Writer(connection), job, state, {"problem": problem}, stamp)
+    with writing(parts.database) as writer:
+        finish_job(writer, job, state, {"problem": problem}, stamp)
 
 
 def _problem(error: TrueupError) -> dict[str, Json]:

@@ -23,7 +23,7 @@ from trueup_service.actions.record_watch import Followed, record_watch
 from trueup_service.actions.stamp import Stamp
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import EpisodeRecord, JobRecord, Watch, Watching
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.store import Reader, Writer, writing
 from trueup_service.wiring import Parts
 from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_plant, read_predictor
@@ -43,8 +43,8 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         monitor = Monitor.from_document(find.monitor(reader, job.plant, watching.monitor).document)
         waiting = reader.unwatched(watching, WATCHED, AT_ONCE)
         history = reader.watches(job.plant, watching.monitor, max(watching.sequence - HISTORY, 0), HISTORY)
-    with parts.database.write() as connection:
-        Writer(connection).add_reads(job.id, [e.digest for e in waiting], job.kind)
+    with writing(parts.database) as writer:
+        writer.add_reads(job.id, [e.digest for e in waiting], job.kind)
     plant, predictor = read_plant(parts, job), read_predictor(parts, job, monitor.artifact)
     channels = [c.name for c in plant.layout.observations]
     kept: Mapping[str, Sequence[float]] = watching.kept  # type: ignore[assignment]

@@ -11,7 +11,7 @@ from trueup.errors import TrueupError
 from trueup.gate.policy import UpdatePolicy
 from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.actions.submit_job import submit_validation
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.store import Reader, writing
 from trueup_service.wiring import Parts
 
 log = logging.getLogger("trueup.worker")
@@ -46,8 +46,7 @@ def _tried(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
 
 def _submitted(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
     stamp = Stamp(SCHEDULE, time_text(now))
-    with parts.database.write() as connection:
-        writer = Writer(connection)
+    with writing(parts.database) as writer:
         writer.lock_plant(plant)  # another worker may look at the same time
         last = writer.last_job(plant, "validate")
         if last is not None and last.created_at > time_text(now - timedelta(hours=every_h)):

@@ -29,7 +29,7 @@ from trueup_service.jobs import ENGINE_VERSION, QUEUE
 from trueup_service.locks import try_lock
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import FINAL, JobRecord, JobState
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.store import Reader, writing
 
 log = logging.getLogger("trueup.worker")
 
@@ -162,8 +162,8 @@ def _fail(database: Database, job: JobRecord) -> None:
         "detail": f"the job engine gave up {ATTEMPTS} times",
         "hint": "Read the worker's log, then submit the job again.",
     }
-    with database.write() as connection:
-        finish_job(Writer(connection), job, JobState.FAILED, {"problem": problem}, Stamp(job.created_by, time_text(datetime.now(UTC))))
+    with writing(database) as writer:
+        finish_job(writer, job, JobState.FAILED, {"problem": problem}, Stamp(job.created_by, time_text(datetime.now(UTC))))
     log.error("given up", extra={"job": job.id})
 
 

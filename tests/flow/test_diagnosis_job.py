@@ -56,4 +56,4 @@ def test_a_blind_trial_is_committed_before_it_is_diagnosed_and_opened_at_its_end
     assert opened["facts"]["result"]["report"] == report
     require_as_committed(report, committed["facts"]["commitments"])
     assert (out / "report.html").read_text().startswith("<!doctype html>")
-    command(service, "audit", "--verify")
+    command(service, "audit", "verify")

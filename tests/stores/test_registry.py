@@ -11,7 +11,7 @@ from sqlalchemy import text
 from tests.support.made import plant_document
 from trueup.canonical import digest_of
 from trueup.errors import PointerMoved
-from trueup.ledger.audit import verify
+from trueup.ledger.audit import rebuild
 from trueup.ledger.pointer import NothingToRollBackTo
 from trueup_service.actions.declare_gate import declare_gate
 from trueup_service.actions.move_pointer import promote_decision, roll_back_pointer
@@ -92,7 +92,7 @@ def test_registering_the_same_again_is_no_change_and_another_is_a_conflict(parts
     with pytest.raises(Conflict), parts.database.write() as connection:
         register_plant(Writer(connection), other, STAMP)
     with read(parts) as connection:
-        assert Reader(connection).audit_head()[0] == 1
+        assert Reader(connection).audit_tree().size == 1
 
 
 def test_an_error_leaves_nothing_behind(parts):
@@ -101,7 +101,7 @@ def test_an_error_leaves_nothing_behind(parts):
         raise RuntimeError
     with read(parts) as connection:
         reader = Reader(connection)
-        assert (reader.plant("p"), reader.serving("p"), reader.audit_head()[0]) == (None, None, 0)
+        assert (reader.plant("p"), reader.serving("p"), reader.audit_tree().size) == (None, None, 0)
 
 
 def test_the_pointer_goes_forward_and_back_like_a_stack(parts, plant):
@@ -155,7 +155,7 @@ def test_of_many_racing_promotions_one_wins(parts, plant):
         assert len([e for e in Reader(connection).audit_entries(0, 99) if e.kind == "pointer:moved"]) == 1
 
 
-def test_the_audit_chain_holds_under_concurrent_writers(parts):
+def test_the_audit_tree_holds_under_concurrent_writers(parts):
     def write(n):
         with parts.database.write() as connection:
             Writer(connection).append_audit(at=STAMP.now, kind="thing:done", actor=f"a{n}", plant=None, subject=str(n), facts={"n": n})
@@ -165,7 +165,7 @@ def test_the_audit_chain_holds_under_concurrent_writers(parts):
     with read(parts) as connection:
         reader = Reader(connection)
         entries = reader.audit_entries(0, 99)
-        assert verify(entries) == reader.audit_head()
+        assert rebuild(entries) == reader.audit_tree()
     assert sorted(int(e.subject) for e in entries) == list(range(40))
 
 
@@ -273,3 +273,31 @@ def test_documents_are_canonical_text_whose_digest_is_the_plants(parts, plant):
     with read(parts) as connection:
         kept = connection.scalar(text("SELECT document FROM plants"))
         assert hashlib.sha256(kept.encode()).hexdigest() == Reader(connection).plant(plant).digest
+
+
+def test_a_registry_from_before_the_tree_is_migrated_and_holds(storage):
+    from alembic import command
+    from alembic.config import Config
+
+    from trueup.ledger.verification import verify
+    from trueup_service.kept import Kept
+    from trueup_service.registry.database import Database
+    from trueup_service.registry.schema import MIGRATIONS
+
+    settings = storage.settings()
+    settings.data_dir.mkdir(parents=True)
+    old = Database(settings.sqlalchemy_url, 2)
+    config = Config()
+    config.set_main_option("script_location", str(MIGRATIONS))
+    with old.write() as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0002")
+        when = {"at": STAMP.now, "by": "tester", "d": digest_of({}), "doc": "{}"}
+        connection.execute(text("INSERT INTO plants VALUES ('p', :d, :doc, :at, :by)"), when)
+        connection.execute(text("INSERT INTO audit VALUES (1, :at, 'plant:registered', :by, 'p', 's', :doc, 'd', 'd')"), when)
+        connection.execute(text("UPDATE audit_head SET sequence = 1"))
+    old.close()
+    parts = storage.build()
+    found = verify(Kept(parts.database, parts.blobs))
+    assert (found.findings, found.size, found.rows) == ([], 2, 1)
+    parts.close()

@@ -70,7 +70,14 @@ def kill(child: subprocess.Popen) -> None:
 
 def command(service: Service, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
     """Run the `trueup` command against a service."""
-    environment = {**os.environ, "TRUEUP_URL": service.url, "TRUEUP_ACTOR": "commander", "COLUMNS": "200", "NO_COLOR": "1"}
+    environment = {
+        **os.environ,
+        "TRUEUP_URL": service.url,
+        "TRUEUP_ACTOR": "commander",
+        "XDG_STATE_HOME": service.storage.environment["TRUEUP_DATA_DIR"],
+        "COLUMNS": "200",
+        "NO_COLOR": "1",
+    }
     done = subprocess.run(
         [sys.executable, "-m", "trueup_cli.main", *arguments], env=environment, capture_output=True, text=True, check=False, cwd=ROOT
     )

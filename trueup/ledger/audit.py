@@ -1,23 +1,26 @@
-"""The audit log: entries that can only be added, each bound to the one before it.
+"""The audit log: entries that can only be added, each a leaf of a Merkle tree.
 
-An entry's digest is the SHA-256 of its canonical body, which holds the digest of the entry before it. So an edit, a removal
-or a swap inside the log shows; a cut tail does not, unless somebody kept the last digest.
+A leaf is a small canonical document that names what an entry tells (`facts`) and every row of the registry that its transaction wrote
+(`rows`) by digest. So the tree's root, which is signed and published, covers every row: an edit of a row or an entry, a removal, a swap
+and, for whoever kept an earlier root, a cut tail all show.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from trueup.canonical import Json, digest_of
+from trueup.canonical import Json, canonical_bytes, digest_of
 from trueup.errors import BrokenChain
-
-GENESIS = "0" * 64
+from trueup.ledger.merkle import NOTHING, Frontier, leaf_hash
 
 
 @dataclass(frozen=True, slots=True)
 class AuditEntry:
-    """Who did what to which subject, when. `kind` is `subject:action`; `facts` is what a reader needs to check it."""
+    """Who did what to which subject, when. `kind` is `subject:action`; `facts` is what a reader needs to check it.
+
+    `rows` names what was written: `table/key` to the digest of the row as the transaction left it.
+    """
 
     sequence: int
     at: str
@@ -25,38 +28,36 @@ class AuditEntry:
     actor: str
     plant: str | None
     subject: str
-    facts: dict[str, Json]
-    previous: str
-    digest: str
+    facts: Mapping[str, Json]
+    rows: Mapping[str, str]
 
 
-def body(entry: AuditEntry) -> dict[str, Json]:
-    """What an entry's digest is taken over."""
-    return {
-        "sequence": entry.sequence,
-        "at": entry.at,
-        "kind": entry.kind,
-        "actor": entry.actor,
-        "plant": entry.plant,
-        "subject": entry.subject,
-        "facts": entry.facts,
-        "previous": entry.previous,
-    }
+def entry_bytes(entry: AuditEntry) -> bytes:
+    """An entry as the tree's leaf: canonical JSON."""
+    return canonical_bytes(
+        {
+            "sequence": entry.sequence,
+            "at": entry.at,
+            "kind": entry.kind,
+            "actor": entry.actor,
+            "plant": entry.plant,
+            "subject": entry.subject,
+            "facts_sha256": digest_of(entry.facts),
+            "rows_sha256": digest_of(entry.rows),
+        }
+    )
 
 
-def append(
-    after: tuple[int, str], *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]
-) -> AuditEntry:
-    """The entry that follows the one with this sequence and digest."""
-    unsigned = AuditEntry(after[0] + 1, at, kind, actor, plant, subject, facts, after[1], "")
-    return AuditEntry(unsigned.sequence, at, kind, actor, plant, subject, facts, after[1], digest_of(body(unsigned)))
+def append(tree: Frontier, entry: AuditEntry) -> Frontier:
+    """The tree with one more entry. Raises BrokenChain if the entry is not the next one."""
+    if entry.sequence != tree.size + 1:
+        raise BrokenChain(f"entry {entry.sequence} follows entry {tree.size}", sequence=entry.sequence)
+    return tree.append(leaf_hash(entry_bytes(entry)))[0]
 
 
-def verify(entries: Iterable[AuditEntry]) -> tuple[int, str]:
-    """Sequence and digest of the last entry of a whole log, from its first. Raises BrokenChain."""
-    last = 0, GENESIS
+def rebuild(entries: Iterable[AuditEntry]) -> Frontier:
+    """The tree of a whole log, from its first entry. Raises BrokenChain."""
+    tree = NOTHING
     for entry in entries:
-        if (entry.sequence - 1, entry.previous) != last or digest_of(body(entry)) != entry.digest:
-            raise BrokenChain(f"entry {entry.sequence} does not follow from entry {last[0]}", sequence=entry.sequence)
-        last = entry.sequence, entry.digest
-    return last
+        tree = append(tree, entry)
+    return tree

@@ -26,6 +26,13 @@ def raise_alarm(
     return raised
 
 
+def follow_alarm(writer: Writer, alarm: AlarmRecord, stamp: Stamp, **jobs: str | None) -> None:
+    """Note which diagnosis an alarm opened, and which trial of what that made."""
+    writer.update_alarm(alarm.id, **jobs)
+    facts: dict[str, Json] = {"operation": Operation.MONITORING, **jobs}
+    writer.append_audit(at=stamp.now, kind="alarm:followed", actor=stamp.actor, plant=alarm.plant, subject=alarm.id, facts=facts)
+
+
 def close_alarm(writer: Writer, plant: str, alarm: str, because: str, stamp: Stamp) -> AlarmRecord:
     """Close an alarm, and say why. Raises NotFound, Conflict if it is closed already."""
     writer.lock_plant(plant)

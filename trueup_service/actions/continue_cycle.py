@@ -20,7 +20,7 @@ from trueup.episode.role import HEALTHY, HELD_OUT, Role
 from trueup.errors import TrueupError
 from trueup.gate.policy import ASK, UpdatePolicy
 from trueup_service.actions import find
-from trueup_service.actions.alarms import close_alarm
+from trueup_service.actions.alarms import close_alarm, follow_alarm
 from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.move_pointer import promote_decision
 from trueup_service.actions.stamp import Stamp
@@ -62,7 +62,7 @@ class Cycle:
         request: dict[str, Json] = {"candidate": candidate, "gate": policy.gate, "episodes": episodes}
         trial = self.new()
         if self._submitted(job.plant, lambda: submit_gate(self.writer, self.queue, trial, job.plant, request, self.stamp)):
-            self.writer.update_alarm(alarm.id, trial=trial)
+            follow_alarm(self.writer, alarm, self.stamp, trial=trial)
 
     def judged(self, job: JobRecord, decision: DecisionRecord, rehearsed: dict[str, Json]) -> None:
         """A trial ended: promote its candidate, if the cycle asked for this very trial, by the gate of the policy that holds."""
@@ -109,7 +109,7 @@ class Cycle:
             return
         request: dict[str, Json] = {"episodes": [e.digest for e in found], "seed": 0}
         job = submit_diagnosis(self.writer, self.queue, self.new(), alarm.plant, request, self.stamp)
-        self.writer.update_alarm(alarm.id, job=job.id, trial=None)
+        follow_alarm(self.writer, alarm, self.stamp, job=job.id, trial=None)
 
     def _is_due(self, alarm: AlarmRecord, policy: UpdatePolicy | None, episodes: int) -> bool:
         """Whether there was no diagnosis yet, or one that led nowhere and there is twice as much now."""

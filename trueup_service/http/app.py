@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from fastapi import FastAPI
+from starlette.concurrency import run_in_threadpool
 
 from trueup import __version__
 from trueup_service.http import openapi, problems
@@ -28,6 +30,7 @@ from trueup_service.http.routers import (
     telemetry,
 )
 from trueup_service.http.serving_answers import ServingAnswers
+from trueup_service.signed_log import SignedLog, open_log
 from trueup_service.wiring import Parts
 
 DESCRIPTION = """Find where a robot's dynamics model is wrong, correct it, and serve the correction only if it has earned it.
@@ -43,6 +46,19 @@ ROUTERS = (
 )  # fmt: skip
 
 
+log = logging.getLogger("trueup.http")
+
+
+async def _publish(signed: SignedLog, interval_s: float) -> None:
+    """Keep the published head up to date."""
+    while True:
+        try:
+            await run_in_threadpool(signed.publish)
+        except Exception:
+            log.exception("the log's head could not be published; trying again")
+        await asyncio.sleep(interval_s)
+
+
 def create_app(parts: Parts) -> FastAPI:
     """The service over these parts."""
 
@@ -50,11 +66,14 @@ def create_app(parts: Parts) -> FastAPI:
     async def alive(app: FastAPI) -> AsyncIterator[None]:
         app.state.answers = ServingAnswers(parts.database, parts.settings.watch_interval_s)
         app.state.inspections = asyncio.Semaphore(parts.settings.inspections)
+        publishing = asyncio.create_task(_publish(app.state.log, parts.settings.checkpoint_interval_s))
         yield
+        publishing.cancel()
         parts.close()
 
     app = FastAPI(title="trueup", version=__version__, description=DESCRIPTION, lifespan=alive, docs_url=None, redoc_url=None)
     app.state.parts = parts
+    app.state.log = open_log(parts.settings, parts.database)
     problems.install(app)
     openapi.install(app)
     for module in ROUTERS:

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from trueup.canonical import Json, digest_of
 from trueup_service.actions.once import Key, once
 from trueup_service.actions.stamp import Stamp, time_text
-from trueup_service.registry.store import Writer
+from trueup_service.registry.store import Writer, writing
 from trueup_service.wiring import Parts
 
 NOBODY = "unauthenticated"
@@ -54,8 +54,7 @@ def run_once(
     parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], dict[str, Any]]
 ) -> dict[str, Any]:
     """Run an action in a transaction of its own, once under its idempotency key."""
-    with parts.database.write() as connection:
-        writer = Writer(connection)
+    with writing(parts.database) as writer:
         return act(writer) if key is None else once(writer, Key(scope, key, digest_of(request)), stamp.now, lambda: act(writer))
 
 

@@ -18,6 +18,7 @@ from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted
 from trueup.canonical import NotCanonical
 from trueup.gate.evidence import BadEvidence
 from trueup.gate.policy import BadPolicy
+from trueup.ledger.note import BadKey
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
 from trueup_service import errors as service
 from trueup_service.registry.blobs import BlobMissing, StoreAway
@@ -58,6 +59,9 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.BadRequest: HTTPStatus.BAD_REQUEST,
     service.SwitchbackFailed: HTTPStatus.CONFLICT,
     service.InspectionFailed: HTTPStatus.UNPROCESSABLE_ENTITY,
+    service.LogRewound: HTTPStatus.INTERNAL_SERVER_ERROR,
+    service.OtherKey: HTTPStatus.INTERNAL_SERVER_ERROR,
+    BadKey: HTTPStatus.INTERNAL_SERVER_ERROR,
 }
 
 

@@ -275,15 +275,29 @@ class AuditEntry(Answer):
     plant: str | None
     subject: str
     facts: dict[str, Any]
-    previous: Digest
-    digest: Digest
+    rows: dict[str, Digest] = Field(description="Every row that was written: table/key, and its digest as it was then")
 
 
-class AuditHead(BaseModel):
-    """The last entry's sequence and digest: whoever keeps it can show later that nothing before it was changed."""
+class Proof(BaseModel):
+    """A proof of RFC 9162, in a log of `size` entries."""
 
-    sequence: int
-    digest: Digest
+    size: int
+    hashes: list[str] = Field(description="base64, from the leaf up")
+
+
+class Rows(BaseModel):
+    """Rows of a table, all columns as they are stored; `next` goes into the next request's `after`, null at the end."""
+
+    items: list[dict[str, Any]]
+    next: str | None = None
+
+
+class Envelope(BaseModel):
+    """A signed document (DSSE 1.0): `payload` is its canonical JSON in base64."""
+
+    payload: str
+    payloadType: str  # noqa: N815  (the standard's name)
+    signatures: list[dict[str, str]]
 
 
 class FitRequest(BaseModel):

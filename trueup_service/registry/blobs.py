@@ -59,6 +59,10 @@ class Blobs(ABC):
     def holds(self, digest: str) -> bool:
         """Whether the bytes are there."""
 
+    @abstractmethod
+    def all(self) -> Iterator[str]:
+        """Every digest that is kept."""
+
 
 class FolderBlobs(Blobs):
     """Blobs as files `ab/cdef…` below a folder on the same file system as the files that are put."""
@@ -105,6 +109,11 @@ class FolderBlobs(Blobs):
     def holds(self, digest: str) -> bool:
         return self._path(digest).is_file()
 
+    def all(self) -> Iterator[str]:
+        for path in self._root.glob("??/*"):
+            if is_digest(digest := path.parent.name + path.name):
+                yield digest
+
     def _path(self, digest: str) -> Path:
         return self._root / _checked(digest)[:2] / digest[2:]
 
@@ -141,6 +150,13 @@ class S3Blobs(Blobs):
         except BlobMissing:
             return False
         return True
+
+    def all(self) -> Iterator[str]:
+        import obstore  # noqa: PLC0415
+
+        with _answering("0" * 64):
+            for listed in obstore.list(self._store):
+                yield from (str(found["path"]) for found in listed if is_digest(str(found["path"])))
 
 
 @contextmanager

@@ -7,17 +7,35 @@ only a job's progress, the generation that serves, where a monitor stands, and w
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any, TypeVar
 
-from sqlalchemy import BindParameter, Connection, Select, Table, bindparam, func, insert, select, text, update
+from sqlalchemy import (
+    BindParameter,
+    ColumnElement,
+    Connection,
+    Select,
+    Table,
+    bindparam,
+    func,
+    insert,
+    literal,
+    select,
+    text,
+    tuple_,
+    update,
+)
 from sqlalchemy.engine import RowMapping
 
 from trueup.canonical import Json, canonical_bytes
-from trueup.errors import PointerMoved
-from trueup.ledger.audit import GENESIS, AuditEntry, append
+from trueup.errors import BrokenChain, PointerMoved
+from trueup.ledger.audit import AuditEntry, entry_bytes
+from trueup.ledger.merkle import Frontier, Node, leaf_hash
+from trueup.ledger.rows import KEYS, row_digest, row_name
 from trueup_service.registry import tables as t
+from trueup_service.registry.database import Database
 from trueup_service.registry.records import (
     FINAL,
     AlarmRecord,
@@ -37,9 +55,10 @@ from trueup_service.registry.records import (
     Watch,
     Watching,
 )
+from trueup_service.registry.rows import plain
 
 R = TypeVar("R")
-_JSON = {"document", "summary", "request", "result", "facts", "kept", "seen", "requires", "evidence"}
+_JSON = {"document", "summary", "request", "result", "facts", "kept", "seen", "requires", "evidence", "rows"}
 
 # Statements of the busiest paths, built once: building one costs about as much as running it.
 _BY_PLANT: BindParameter[str] = bindparam("plant")
@@ -60,8 +79,9 @@ _SWAP = (
     .values(generation=bindparam("after"))
 )
 _LOCK_NAME = text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))")
-_LOCK_HEAD = select(t.audit_head.c.sequence, t.audit_head.c.digest).with_for_update()
-_MOVE_HEAD = update(t.audit_head).values(sequence=bindparam("sequence"), digest=bindparam("digest"))
+_HEAD = select(t.audit_head.c.size, t.audit_head.c.frontier).where(t.audit_head.c.id == 1)
+_LOCK_HEAD = _HEAD.with_for_update()
+_MOVE_HEAD = update(t.audit_head).values(size=bindparam("new_size"), frontier=bindparam("new_frontier"))
 _INSERT = {name: insert(table) for name, table in t.metadata.tables.items()}
 
 
@@ -136,6 +156,10 @@ class Reader:
             .order_by(t.jobs.c.created_at.desc(), t.jobs.c.id)
             .limit(limit),
         )
+
+    def jobs_under_way(self) -> list[str]:
+        """Every job that has not ended."""
+        return list(self.connection.scalars(select(t.jobs.c.id).where(t.jobs.c.state.not_in(FINAL)).order_by(t.jobs.c.created_at)))
 
     def job_reads(self, job: str) -> dict[str, str]:
         """Digest of everything a job has read, and what for."""
@@ -283,10 +307,35 @@ class Reader:
         query = query if plant is None else query.where(t.audit.c.plant == plant)
         return self._all(AuditEntry, query.order_by(t.audit.c.sequence).limit(limit))
 
-    def audit_head(self) -> tuple[int, str]:
-        """Sequence and digest of the last entry."""
-        row = self.connection.execute(select(t.audit_head.c.sequence, t.audit_head.c.digest)).first()
-        return (row.sequence, row.digest) if row else (0, GENESIS)
+    def audit_tree(self) -> Frontier:
+        """The log's tree as it stands."""
+        row = self.connection.execute(_HEAD).first()
+        if row is None:
+            raise BrokenChain("the log has no head")
+        return Frontier.from_bytes(row.size, row.frontier)
+
+    def audit_nodes(self, nodes: Iterable[Node]) -> dict[Node, bytes]:
+        """The hashes of these perfect subtrees of the log's tree; those that there are not yet are left out."""
+        wanted = tuple_(t.audit_tree.c.level, t.audit_tree.c.position).in_(sorted(set(nodes)))
+        return {(row.level, row.position): bytes(row.hash) for row in self.connection.execute(select(t.audit_tree).where(wanted))}
+
+    def audit_tile(self, level: int, first: int, count: int) -> list[bytes]:
+        """Neighbouring subtrees of one level, in order; fewer where the tree ends."""
+        at = t.audit_tree.c.position
+        query = select(t.audit_tree.c.hash).where(t.audit_tree.c.level == level, at >= first, at < first + count).order_by(at)
+        return [bytes(found) for found in self.connection.scalars(query)]
+
+    def audit_key(self) -> str | None:
+        """The public key of the log's signatures."""
+        found: str | None = self.connection.scalar(select(t.audit_key.c.verifier))
+        return found
+
+    def rows(self, table: Table, after: Sequence[Any], limit: int) -> list[dict[str, Any]]:
+        """Rows as they are stored, in the order of their keys, from behind one."""
+        key = tuple(table.primary_key.columns)
+        query = select(table).order_by(*key).limit(limit)
+        query = query.where(tuple_(*key) > tuple_(*(literal(v, c.type) for v, c in zip(after, key, strict=True)))) if after else query
+        return [plain(table, row) for row in self.connection.execute(query).mappings()]
 
     def remembered(self, scope: str, key: str) -> tuple[str, dict[str, Json]] | None:
         """The request digest and the response kept under an idempotency key."""
@@ -306,7 +355,14 @@ class Reader:
 
 
 class Writer(Reader):
-    """Additions, inside one transaction. `append_audit` comes last: it queues behind every other writer until the commit."""
+    """Additions, inside one transaction. `append_audit` comes last: it queues behind every other writer until the commit.
+
+    Every row that is written is named in the next entry of the log, by digest.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        super().__init__(connection)
+        self.written: dict[str, str] = {}  # since the last entry: what a row is called, and its digest
 
     def add_plant(self, record: PlantRecord) -> None:
         self._add(t.plants, asdict(record))
@@ -359,6 +415,8 @@ class Writer(Reader):
         values = {key: value for key, value in given.items() if value is not None} | {"updated_at": now}
         where = t.jobs.c.state.not_in(FINAL) if only_from is None else t.jobs.c.state == only_from
         changed = self.connection.execute(update(t.jobs).where(t.jobs.c.id == job, where).values(values))
+        if state in FINAL and changed.rowcount == 1:
+            self._wrote(t.jobs, t.jobs.c.id == job)
         return changed.rowcount == 1
 
     def begin_serving(self, move: Move) -> None:
@@ -371,6 +429,7 @@ class Writer(Reader):
         swapped = self.connection.execute(_SWAP, {"of": move.plant, "before": move.generation - 1, "after": move.generation})
         if swapped.rowcount != 1:
             raise PointerMoved(f"another move took generation {move.generation}", expected=move.generation - 1)
+        self._note(t.serving, {"plant": move.plant, "generation": move.generation})
         self._add(t.moves, asdict(move))
 
     def add_monitor(self, record: MonitorRecord) -> None:
@@ -394,6 +453,7 @@ class Writer(Reader):
         changed = self.connection.execute(update(t.watching).where(t.watching.c.plant == watching.plant).values(values))
         if changed.rowcount == 0:
             self._add(t.watching, asdict(watching))
+        self._wrote(t.watching, t.watching.c.plant == watching.plant)
 
     def advance(self, before: Watching, kept: dict[str, Json], seen: Sequence[Watch]) -> bool:
         """Move a monitor on over what it has seen; False, and nothing is done, if it does not stand where it stood."""
@@ -401,6 +461,7 @@ class Writer(Reader):
         values = {"sequence": before.sequence + len(seen), "kept": _text(kept)}
         if self.connection.execute(update(t.watching).where(*where).values(values)).rowcount != 1:
             return False
+        self._wrote(t.watching, t.watching.c.plant == before.plant)
         for watch in seen:
             self._add(t.watches, asdict(watch))
         return True
@@ -411,7 +472,10 @@ class Writer(Reader):
     def update_alarm(self, alarm: str, **values: str | None) -> bool:
         """Give an open alarm its diagnosis or its trial, or close it; False if it is closed."""
         where = t.alarms.c.id == alarm, t.alarms.c.closed_at.is_(None)
-        return self.connection.execute(update(t.alarms).where(*where).values(values)).rowcount == 1
+        changed = self.connection.execute(update(t.alarms).where(*where).values(values))
+        if changed.rowcount == 1:
+            self._wrote(t.alarms, t.alarms.c.id == alarm)
+        return changed.rowcount == 1
 
     def remember(self, scope: str, key: str, request: str, response: dict[str, Json], now: str) -> None:
         """Keep the response to a request under its idempotency key."""
@@ -420,13 +484,43 @@ class Writer(Reader):
     def append_audit(self, *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]) -> AuditEntry:
         """Add the next entry of the log."""
         head = self.connection.execute(_LOCK_HEAD).one()
-        entry = append((head.sequence, head.digest), at=at, kind=kind, actor=actor, plant=plant, subject=subject, facts=facts)
+        entry = AuditEntry(head.size + 1, at, kind, actor, plant, subject, facts, self.written)
+        tree, completed = Frontier.from_bytes(head.size, head.frontier).append(leaf_hash(entry_bytes(entry)))
         self._add(t.audit, asdict(entry))
-        self.connection.execute(_MOVE_HEAD, {"sequence": entry.sequence, "digest": entry.digest})
+        nodes = [{"level": level, "position": position, "hash": found} for (level, position), found in completed.items()]
+        self.connection.execute(_INSERT[t.audit_tree.name], nodes)
+        self.connection.execute(_MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()})
+        self.written = {}
         return entry
 
+    def keep_audit_key(self, verifier: str) -> None:
+        """Keep the public key of the log's signatures."""
+        self._add(t.audit_key, {"id": 1, "verifier": verifier})
+
     def _add(self, table: Table, values: dict[str, Any]) -> None:
-        self.connection.execute(_INSERT[table.name], {k: _text(v) if k in _JSON and v is not None else v for k, v in values.items()})
+        stored = {k: _text(v) if k in _JSON and v is not None else v for k, v in values.items()}
+        self.connection.execute(_INSERT[table.name], stored)
+        if table is not t.jobs:  # a job is named once it is final
+            self._note(table, stored)
+
+    def _wrote(self, table: Table, where: ColumnElement[bool]) -> None:
+        """Note a row that was changed."""
+        self._note(table, self.connection.execute(select(table).where(where)).mappings().one())
+
+    def _note(self, table: Table, stored: Mapping[str, Any] | RowMapping) -> None:
+        if table.name in KEYS:
+            row = plain(table, stored)
+            self.written[row_name(table.name, row)] = row_digest(table.name, row)
+
+
+@contextmanager
+def writing(database: Database) -> Iterator[Writer]:
+    """A writer in a transaction that commits when it is left without an error, if the log tells of all that was written."""
+    with database.write() as connection:
+        writer = Writer(connection)
+        yield writer
+        if writer.written:
+            raise BrokenChain(f"no entry of the log tells of {', '.join(writer.written)}")
 
 
 def _text(document: Any) -> str:

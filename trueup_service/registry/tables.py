@@ -5,7 +5,21 @@ Times are UTC, ISO 8601 with microseconds, so that text order is time order; doc
 
 from __future__ import annotations
 
-from sqlalchemy import BigInteger, Boolean, Column, Float, ForeignKey, ForeignKeyConstraint, Index, Integer, MetaData, String, Table, Text
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    Float,
+    ForeignKey,
+    ForeignKeyConstraint,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+)
 
 NAME, DIGEST, ID, AT = String(63), String(64), String(32), String(27)
 
@@ -248,17 +262,31 @@ audit = Table(
     Column("plant", NAME),
     Column("subject", Text, nullable=False),
     Column("facts", Text, nullable=False),
-    Column("previous", DIGEST, nullable=False),
-    Column("digest", DIGEST, nullable=False),
+    Column("rows", Text, nullable=False),
     Index(None, "plant", "sequence"),
+)
+
+audit_tree = Table(
+    "audit_tree",
+    metadata,
+    Column("level", Integer, primary_key=True, autoincrement=False),
+    Column("position", BigInteger, primary_key=True, autoincrement=False),
+    Column("hash", LargeBinary(32), nullable=False),
 )
 
 audit_head = Table(
     "audit_head",
     metadata,
     Column("id", Integer, primary_key=True, autoincrement=False),
-    Column("sequence", BigInteger, nullable=False),
-    Column("digest", DIGEST, nullable=False),
+    Column("size", BigInteger, nullable=False),
+    Column("frontier", LargeBinary, nullable=False),
+)
+
+audit_key = Table(
+    "audit_key",
+    metadata,
+    Column("id", Integer, primary_key=True, autoincrement=False),
+    Column("verifier", Text, nullable=False),
 )
 
 idempotency = Table(

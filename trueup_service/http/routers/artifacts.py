@@ -9,14 +9,15 @@ from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
-from trueup.canonical import is_digest
-from trueup.errors import BadArtifact
+from trueup.canonical import Json, is_digest
+from trueup.errors import BadArtifact, BrokenChain
+from trueup.ledger.provenance import PAYLOAD_TYPE, of_artifact
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import DigestMismatch, Kept, NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Artifact, Page, page
+from trueup_service.http.schemas import Artifact, Envelope, Page, page
 from trueup_service.http.uploads import Received, received
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.store import Reader
@@ -118,6 +119,20 @@ def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
         found = find.artifact(Reader(connection), plant, digest)
     headers = {"ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
     return Response(found.manifest, media_type="application/json", headers=headers)
+
+
+@router.get("/plants/{plant}/artifacts/{digest}/provenance", summary="Where an artifact comes from, signed")
+def get_provenance(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Envelope:
+    """An in-toto statement (SLSA provenance) in a DSSE envelope: episodes, plant, parent, configuration and code by digest."""
+    from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
+
+    with parts.database.read() as connection:
+        found = find.artifact(Reader(connection), plant, digest)
+    kept = Bytes(found.manifest.encode(), b"")
+    if kept.digest != digest:
+        raise BrokenChain("the kept manifest is not the one that its digest names", artifact=digest)
+    facts: dict[str, Json] = {name: getattr(found, name) for name in ("plant", "version", "job", "created_at", "created_by")}
+    return Envelope(**request.app.state.log.envelope(PAYLOAD_TYPE, of_artifact(kept.document, digest, facts)))
 
 
 @router.delete("/plants/{plant}/artifacts/{digest}", summary="Refused: artifacts are kept", status_code=204)

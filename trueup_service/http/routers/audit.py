@@ -1,30 +1,156 @@
-"""Audit: the append-only log of everything that was done."""
+"""Audit: the append-only log of everything that was done, its tree and its signed head.
+
+`/v1/audit` is the prefix of a tiled log: `checkpoint`, `tile/<level>/<tile>` and `tile/entries/<tile>` are what any reader of C2SP
+tlog-tiles knows. Inclusion and consistency are also proven directly, for who does not want to read tiles.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated
+import base64
+import re
+import struct
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Query
+import orjson
+from fastapi import APIRouter, Path, Query, Request, Response
+from starlette.concurrency import run_in_threadpool
 
+from trueup.ledger.audit import entry_bytes
+from trueup.ledger.merkle import Plan, consistency, inclusion, prove
+from trueup.ledger.rows import KEYS
+from trueup_service.errors import BadRequest, NotFound
 from trueup_service.http.context import Limit, With
-from trueup_service.http.schemas import AuditEntry, AuditHead, Page, page
+from trueup_service.http.schemas import AuditEntry, Page, Proof, Rows, page
 from trueup_service.registry.store import Reader
+from trueup_service.registry.tables import metadata
+from trueup_service.signed_log import SignedLog
 
 router = APIRouter(prefix="/v1/audit", tags=["audit"])
+TILE = 256
+TABLES = {name: metadata.tables[name] for name in (*KEYS, "audit_tree")}
+TilePath = Annotated[str, Path(pattern=r"^(x[0-9]{3}/)*[0-9]{3}(\.p/[0-9]{1,3})?$", description="tile number as x001/x234/067, .p/<width>")]
+Size = Annotated[int, Query(ge=0, le=2**62, description="entries of the log; default: all there are")]
+TEXT: dict[int | str, dict[str, Any]] = {200: {"content": {"text/plain": {"schema": {"type": "string"}}}}}
+OCTETS: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+}
+IMMUTABLE = {"Cache-Control": "public, max-age=31536000, immutable"}
 
 
 @router.get("", summary="List entries in order")
 def list_entries(
     parts: With, plant: str | None = None, after: Annotated[int, Query(ge=0, le=2**62, description="sequence")] = 0, limit: Limit = 100
 ) -> Page[AuditEntry]:
-    """Each entry's digest covers the one before it; filtered by plant they no longer form a chain."""
+    """Entry n is leaf n - 1 of the tree; an entry's leaf holds the digests of `facts` and of `rows`."""
     with parts.database.read() as connection:
         found = Reader(connection).audit_entries(after, limit, plant)
     return page(AuditEntry, found, limit, "sequence")
 
 
-@router.get("/head", summary="The last entry's sequence and digest")
-def head(parts: With) -> AuditHead:
+@router.get("/key", summary="The public key of the log", response_class=Response, responses=TEXT)
+async def key(request: Request) -> Response:
+    """`<name>+<hash>+<key>`, as C2SP signed-note has it. Keep it: whoever asks again at each use believes whoever answers."""
+    return Response(_log(request).signer.verifier + "\n", media_type="text/plain")
+
+
+@router.get("/checkpoint", summary="The signed head of the log", response_class=Response, responses=TEXT)
+async def checkpoint(request: Request) -> Response:
+    """Origin, number of entries and root, signed. The file `checkpoint` in the data folder is the same, for mirrors."""
+    note = await run_in_threadpool(_log(request).checkpoint)
+    return Response(note, media_type="text/plain", headers={"Cache-Control": "no-cache"})
+
+
+@router.get("/inclusion", summary="Prove that an entry is in the log")
+def prove_inclusion(parts: With, sequence: Annotated[int, Query(ge=1, le=2**62)], size: Size | None = None) -> Proof:
     with parts.database.read() as connection:
-        sequence, digest = Reader(connection).audit_head()
-    return AuditHead(sequence=sequence, digest=digest)
+        reader = Reader(connection)
+        size = _reached(reader, size)
+        if sequence > size:
+            raise BadRequest(f"a log of {size} entries has no entry {sequence}", size=size)
+        return _proof(reader, inclusion(sequence - 1, size), size)
+
+
+@router.get("/consistency", summary="Prove that the log extends an earlier one")
+def prove_consistency(
+    parts: With, old: Annotated[int, Query(ge=0, le=2**62, description="entries then")], size: Size | None = None
+) -> Proof:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        size = _reached(reader, size)
+        if old > size:
+            raise BadRequest(f"a log of {size} entries does not extend one of {old}", size=size)
+        return _proof(reader, consistency(old, size), size)
+
+
+def _reached(reader: Reader, size: int | None) -> int:
+    now = reader.audit_tree().size
+    if size is not None and size > now:
+        raise BadRequest(f"the log has {now} entries yet", size=now)
+    return now if size is None else size
+
+
+def _proof(reader: Reader, plan: Plan, size: int) -> Proof:
+    hashes = reader.audit_nodes([node for part in plan for node in part])
+    return Proof(size=size, hashes=[base64.b64encode(h).decode() for h in prove(plan, hashes)])
+
+
+@router.get("/tile/entries/{tile:path}", summary="256 entries as leaves", response_class=Response, responses=OCTETS)
+def entries(parts: With, tile: TilePath) -> Response:
+    """Each leaf's bytes behind their length (16 bits, big-endian); the tree's leaf hashes are over these bytes."""
+    number, width = _tile(tile)
+    with parts.database.read() as connection:
+        found = Reader(connection).audit_entries(number * TILE, width)
+    leaves = [entry_bytes(e) for e in found]
+    return _tile_answer(tile, len(leaves), width, b"".join(struct.pack(">H", len(leaf)) + leaf for leaf in leaves))
+
+
+@router.get("/tile/{level}/{tile:path}", summary="256 hashes of the tree", response_class=Response, responses=OCTETS)
+def hashes(parts: With, level: Annotated[int, Path(ge=0, le=7)], tile: TilePath) -> Response:
+    """Neighbouring subtrees of 256^level leaves each, 32 bytes each."""
+    number, width = _tile(tile)
+    with parts.database.read() as connection:
+        found = Reader(connection).audit_tile(8 * level, number * TILE, width)
+    return _tile_answer(tile, len(found), width, b"".join(found))
+
+
+def _tile(path: str) -> tuple[int, int]:
+    """Number and width of a tile. Raises NotFound for what no log reaches, BadRequest for a width beyond a tile."""
+    name, _, part = path.partition(".p/")
+    number, width = int(re.sub(r"[x/]", "", name)), int(part) if part else TILE
+    if not 0 < width <= TILE or (part and width == TILE):
+        raise BadRequest("a tile that is not full is 1 to 255 wide")
+    if number >= 2**40:
+        raise NotFound("no log has this tile", noun="tile", name=path)
+    return number, width
+
+
+def _tile_answer(tile: str, found: int, width: int, content: bytes) -> Response:
+    if found < width:
+        raise NotFound(
+            f"the log does not fill tile {tile!r} yet", noun="tile", name=tile, hint="/v1/audit/checkpoint says how far it goes."
+        )
+    return Response(content, media_type="application/octet-stream", headers=IMMUTABLE)
+
+
+@router.get("/rows/{table}", summary="The registry's rows as they are stored")
+def rows(
+    parts: With, table: str, after: Annotated[str, Query(max_length=400, description="`next` of the page before")] = "", limit: Limit = 100
+) -> Rows:
+    """What the entries' `rows` name, to be held against their digests: SHA-256 of the canonical {"row": …, "table": …}."""
+    found = TABLES.get(table)
+    if found is None:
+        raise NotFound(f"the log names no rows of {table!r}", noun="table", name=table, hint=f"It names those of {', '.join(TABLES)}.")
+    columns = list(found.primary_key.columns)
+    try:
+        key = orjson.loads(after) if after else []
+        key = [column.type.python_type(value) for column, value in zip(columns, key, strict=True)] if key else []
+    except (orjson.JSONDecodeError, ValueError, TypeError) as error:
+        raise BadRequest("after is `next` of the page before") from error
+    with parts.database.read() as connection:
+        items = Reader(connection).rows(found, key, limit)
+    return Rows(items=items, next=orjson.dumps([items[-1][c.name] for c in columns]).decode() if len(items) == limit else None)
+
+
+def _log(request: Request) -> SignedLog:
+    log: SignedLog = request.app.state.log
+    return log

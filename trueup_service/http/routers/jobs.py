@@ -24,7 +24,7 @@ from trueup_service.http.schemas import (
     ValidationRequest,
     page,
 )
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.store import Reader, writing
 
 router = APIRouter(prefix="/v1", tags=["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
@@ -71,5 +71,5 @@ def get_job(parts: With, job: JobId) -> JobWithReads:
 @router.post("/jobs/{job}/cancel", summary="Cancel a job")
 def cancel(parts: With, stamp: By, job: JobId) -> Job:
     """A waiting job is cancelled at once, a running one at its next report of progress; a finished one stays as it is."""
-    with parts.database.write() as connection:
-        return Job.model_validate(cancel_job(Writer(connection), job, stamp))
+    with writing(parts.database) as writer:
+        return Job.model_validate(cancel_job(writer, job, stamp))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from sqlalchemy.exc import SQLAlchemyError
 
 from trueup import __version__
+from trueup_service.errors import LogRewound
 from trueup_service.http.context import With
 from trueup_service.http.schemas import Health, Readiness
 from trueup_service.registry.store import Reader
@@ -23,8 +24,8 @@ async def health() -> Health:
 
 
 @router.get("/readyz", summary="The service can do its work", responses={503: {"model": Readiness}})
-def ready(parts: With, response: Response) -> Readiness:
-    checks = {"database": _database(parts), "blobs": _blobs(parts), "spool": _spool(parts)}
+def ready(request: Request, parts: With, response: Response) -> Readiness:
+    checks = {"database": _database(parts), "blobs": _blobs(parts), "spool": _spool(parts), "log": _log(request)}
     is_ready = all(found == "ok" for found in checks.values())
     response.status_code = 200 if is_ready else 503
     return Readiness(ready=is_ready, checks=checks)
@@ -33,8 +34,18 @@ def ready(parts: With, response: Response) -> Readiness:
 def _database(parts: Parts) -> str:
     try:
         with parts.database.read() as connection:
-            Reader(connection).audit_head()
+            Reader(connection).audit_tree()
     except SQLAlchemyError as error:
+        return f"fails: {type(error).__name__}"
+    return "ok"
+
+
+def _log(request: Request) -> str:
+    try:
+        request.app.state.log.checkpoint()
+    except LogRewound as error:
+        return f"fails: {error.message}"
+    except (SQLAlchemyError, OSError) as error:
         return f"fails: {type(error).__name__}"
     return "ok"
 

@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import uuid
+from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
+from trueup.canonical import Json
 from trueup.errors import PointerMoved
 from trueup_service.actions import find
 from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.move_pointer import previous_artifact, promote_decision, roll_back_pointer
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, run_once
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
-from trueup_service.http.schemas import Page, Promotion, Rollback, Serving
+from trueup_service.http.schemas import Envelope, Page, Promotion, Rollback, Serving
 from trueup_service.http.serving_answers import document
 from trueup_service.registry.store import Reader, Writer
+from trueup_service.signed_log import SignedLog
 from trueup_service.wiring import Parts
 
 router = APIRouter(prefix="/v1/plants/{plant}/serving", tags=["serving"])
+ENVELOPE_TYPE, ENVELOPE_SCHEMA = "application/vnd.trueup.serving+json", "trueup.serving/1"
 AtTime = Annotated[
     str | None, Query(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z$", description="UTC, ISO 8601: only what was live then")
 ]
@@ -30,6 +34,32 @@ AtTime = Annotated[
 async def now(request: Request) -> Response:
     """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` it answers at the next move, or 304."""
     return await polled(request, request.path_params["plant"])
+
+
+@router.get("/envelope", summary="What is serving now, signed for a robot")
+def envelope(request: Request, parts: With, plant: PlantName) -> Envelope:
+    """A DSSE envelope: artifact, generation (which only grows), decision, expiry, the artifact that served before as the fallback, and the
+    log's checkpoint, so that every robot is a witness of the log.
+    """
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        move = find.serving(reader, plant)
+        back = None if move.back_to is None else reader.move(plant, move.back_to)
+    log: SignedLog = request.app.state.log
+    issued = datetime.now(UTC)
+    told: dict[str, Json] = {
+        "schema": ENVELOPE_SCHEMA,
+        "plant": plant,
+        "artifact": move.artifact,
+        "version": move.version,
+        "generation": move.generation,
+        "decision": move.decision,
+        "fallback": None if back is None else back.artifact,
+        "issued_at": time_text(issued),
+        "expires_at": time_text(issued + timedelta(seconds=parts.settings.serving_lease_s)),
+        "checkpoint": log.checkpoint(),
+    }
+    return Envelope(**log.envelope(ENVELOPE_TYPE, told))
 
 
 @router.get("/history", summary="What served when")

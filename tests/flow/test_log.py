@@ -1,0 +1,326 @@
+"""The log as others see it: proofs, witnesses, robots, provenance; and whatever is changed behind its back."""
+
+import base64
+import json
+import random
+import shutil
+import struct
+import urllib.error
+import urllib.request
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from sqlalchemy import text
+
+from tests.http.test_http import move
+from tests.support.made import episode_bytes, plant_document, save
+from tests.support.service import Service, command
+from tests.support.storage import embedded
+from tests.support.tampering import flip
+from trueup.episode.role import Role
+from trueup.ledger.audit import rebuild
+from trueup.ledger.note import Signer
+from trueup.ledger.verification import verify
+from trueup_client import Client, NotSigned, Problem, Rewritten, Robot, Witness
+from trueup_client.proof import Checkpoint, Key, includes, leaf_hash
+from trueup_service.errors import LogRewound, OtherKey
+from trueup_service.kept import Kept, lost_jobs, published, unnamed
+from trueup_service.settings import Settings
+from trueup_service.signed_log import open_log
+from trueup_service.wiring import build
+
+
+def get(service, path):
+    with urllib.request.urlopen(f"{service.url}/v1/audit/{path}") as answer:
+        return answer.read()
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """A service with a plant that has two versions, a decision and a moved pointer; its folder, and a client."""
+    folder = tmp_path_factory.mktemp("log")
+    service = Service(embedded(folder / "data"), serving_lease_s=60)
+    with service.running():
+        client = Client(service.url)
+        client.register_plant(plant_document("p"))
+        for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
+            client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
+        candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])["result"]["artifact"]
+        rules = [{"rule": "one_step_no_worse", "slack": 1e9}]
+        gate = client.declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": {"horizon_s": 2.0, "windows": "first"}})
+        decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate["digest"]})["id"])
+        client.promote("p", decision["result"]["decision"], 1)
+        yield service, folder, client, candidate, decision["result"]["decision"]
+        client.close()
+
+
+@pytest.fixture
+def log(told):
+    client = told[2]
+    return client, Key.from_text(client.audit_key())
+
+
+# -- proofs
+
+
+def test_every_entry_is_proven_to_be_in_the_log_by_its_tile(told, log):
+    client, key = log
+    seen = Checkpoint.of(client.checkpoint(), key)
+    bundle, leaves = get(told[0], f"tile/entries/000.p/{seen.size}"), []
+    while bundle:
+        (length,) = struct.unpack(">H", bundle[:2])
+        leaves.append(bundle[2 : 2 + length])
+        bundle = bundle[2 + length :]
+    assert len(leaves) == seen.size
+    for position, leaf in enumerate(leaves):
+        assert json.loads(leaf)["sequence"] == position + 1
+        assert includes(seen.root, seen.size, position, leaf_hash(leaf), client.inclusion(position + 1, seen.size))
+    hashes = get(told[0], f"tile/0/000.p/{seen.size}")
+    assert hashes == b"".join(leaf_hash(leaf) for leaf in leaves)
+
+
+@pytest.mark.parametrize(
+    "path", ["tile/0/000", "tile/0/x001/000", "tile/0/000.p/255", "tile/entries/000", "tile/1/000.p/1", "rows/secrets"]
+)
+def test_what_the_log_has_not_is_not_there(told, path):
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        get(told[0], path)
+    refused.value.close()
+    assert refused.value.code == 404
+
+
+@pytest.mark.parametrize(
+    "path", ["tile/0/1", "tile/9/000", "inclusion?sequence=9999", "consistency?old=5&size=9999", "rows/plants?after=x"]
+)
+def test_what_is_no_question_is_refused(told, path):
+    with pytest.raises(urllib.error.HTTPError) as refused:
+        get(told[0], path)
+    refused.value.close()
+    assert refused.value.code in (400, 422)
+
+
+# -- witnesses
+
+
+def test_a_witness_sees_the_log_grow_and_refuses_one_that_was_rewritten(told, log, tmp_path):
+    client, _ = log
+    witness = Witness(tmp_path / "seen.json")
+    first = client.witness(witness)
+    client.declare_gate("p", {"schema": "trueup.gate/1", "rules": [{"rule": "one_step_no_worse", "slack": 3.0}], "scoring": GATE_SCORING})
+    second = client.witness(Witness(tmp_path / "seen.json"))
+    assert second.size == first.size + 1
+    for size, root in ((second.size, bytes(32)), (second.size + 1, bytes(32))):  # whoever has the key tells another story
+        with pytest.raises(Rewritten):
+            Witness(tmp_path / "seen.json").see(signer(told).checkpoint(size, root), client.consistency)
+    forged = Witness(tmp_path / "seen.json")
+    with pytest.raises(Rewritten):
+        forged.see(signer(told).checkpoint(second.size + 1, bytes(32)), lambda *_: [bytes(32)] * 4)
+    assert client.witness(Witness(tmp_path / "seen.json")).size == second.size
+
+
+def signer(told):
+    return Signer.from_text((told[1] / "data" / "signing.key").read_text())
+
+
+GATE_SCORING = {"horizon_s": 2.0, "windows": "first"}
+
+
+def test_a_witness_refuses_a_log_whose_tail_was_cut(told, log, tmp_path):
+    client, key = log
+    seen = Checkpoint.of(client.checkpoint(), key)
+    witness = Witness(tmp_path / "seen.json", client.audit_key())
+    witness.see(signer(told).checkpoint(seen.size + 5, bytes(32)), client.consistency)
+    with pytest.raises(Rewritten):
+        client.witness(witness)
+
+
+def test_a_witness_refuses_another_key(told, log, tmp_path):
+    client, _ = log
+    client.witness(Witness(tmp_path / "seen.json"))
+    with pytest.raises(NotSigned):
+        Witness(tmp_path / "seen.json").pin("other+" + client.audit_key().split("+", 1)[1])
+    other = Witness(tmp_path / "given.json", GOLDEN_KEY)
+    with pytest.raises(NotSigned):
+        client.witness(other)
+
+
+GOLDEN_KEY = json.loads((Path(__file__).parents[1] / "golden" / "tlog" / "vectors.json").read_text())["verifier"]
+
+
+def test_the_command_refuses_a_service_whose_log_it_has_seen_otherwise(told, tmp_path):
+    service = told[0]
+    assert command(service, "audit", "checkpoint").returncode == 0
+    state = next((told[1] / "data" / "trueup" / "seen").iterdir())
+    kept = state.read_text()
+    state.write_text(json.dumps(json.loads(kept) | {"checkpoint": signer(told).checkpoint(9999, bytes(32))}))
+    done = command(service, "fetch", "p", str(tmp_path / "model"), check=False)
+    assert (done.returncode, "rewritten" in done.stderr) == (4, True)
+    state.write_text(kept)
+
+
+# -- robots
+
+
+def test_a_robot_has_the_last_good_model_at_once_and_goes_on_without_the_service(told, tmp_path):
+    service, _, client, candidate, _ = told
+    robot = Robot(service.url, "p", tmp_path / "robot", client.audit_key())
+    assert robot.current() is None
+    model = robot.refresh()
+    assert (model.answer.artifact, model.answer.generation) == (candidate, client.serving("p").generation)
+    assert (model.folder / "manifest.json").is_file()
+    assert robot.is_current()
+    assert robot.fallback() is not None
+    away = Robot("http://127.0.0.1:9", "p", tmp_path / "robot")
+    assert away.current() == model
+    away.start(interval_s=60)
+    away.stop()
+    late = Robot("http://127.0.0.1:9", "p", tmp_path / "robot", clock=lambda: datetime.now(UTC) + timedelta(hours=2))
+    assert (late.current(), late.is_current()) == (model, False)
+
+
+def test_a_robot_refuses_an_older_generation_a_forged_answer_and_one_for_another_plant(told, tmp_path):
+    service, _, client, _, _ = told
+    robot = Robot(service.url, "p", tmp_path / "robot")
+    old = client.serving_envelope("p")
+    robot.refresh()
+    moved = move(client, "p", 1.3)
+    assert robot.refresh().answer.generation == moved.generation
+    with pytest.raises(Rewritten):
+        robot._require_later(robot._opened(old)[0])
+    payload = json.loads(base64.b64decode(old["payload"]))
+    with pytest.raises(NotSigned):
+        robot._opened(old | {"payload": base64.b64encode(json.dumps(payload | {"generation": 99}).encode()).decode()})
+    client.register_plant(plant_document("q"))
+    with pytest.raises(NotSigned):
+        robot._opened(client.serving_envelope("q"))
+    assert robot.current().answer.generation == moved.generation
+
+
+def test_a_robot_whose_kept_answer_was_changed_has_none(told, tmp_path):
+    service, _, client, _, _ = told
+    Robot(service.url, "p", tmp_path / "robot", client.audit_key()).refresh()
+    kept = tmp_path / "robot" / "serving.json"
+    kept.write_text(kept.read_text().replace('"sig": "', '"sig": "A'))
+    assert Robot("http://127.0.0.1:9", "p", tmp_path / "robot").current() is None
+
+
+# -- provenance
+
+
+def test_provenance_names_everything_by_digest_and_is_signed(told, log):
+    client, key = log
+    _, _, _, candidate, decision = told
+    statement = key.payload(client.artifact_provenance("p", candidate), "application/vnd.in-toto+json")
+    assert statement["_type"] == "https://in-toto.io/Statement/v1"
+    assert statement["subject"][0]["digest"]["sha256"] == candidate
+    named = {d["uri"].split(":")[2] for d in statement["predicate"]["buildDefinition"]["resolvedDependencies"]}
+    assert named == {"plant", "episode", "artifact", "configuration"}
+    assert set(statement["predicate"]["runDetails"]["builder"]["version"]) == {"version", "sha256"}
+    tested = key.payload(client.decision_provenance("p", decision), "application/vnd.in-toto+json")
+    assert tested["predicate"]["result"] == "PASSED"
+    assert tested["subject"][0]["digest"]["sha256"] == candidate
+    assert {c["uri"].split(":")[2] for c in tested["predicate"]["configuration"]} == {"gate", "artifact", "episode", "decision"}
+    said = command(told[0], "audit", "provenance", "p", decision)
+    assert json.loads(said.stdout) == tested
+
+
+# -- tampering
+
+
+@pytest.fixture
+def kept(told):
+    parts = build(told[0].storage.settings())
+    yield parts
+    parts.close()
+
+
+def found(parts):
+    return verify(Kept(parts.database, parts.blobs)).findings or published(parts)
+
+
+def test_what_was_not_touched_holds(kept, told):
+    assert found(kept) == []
+    assert lost_jobs(kept) == []
+    assert unnamed(kept) == []
+    assert "whole" in run_fsck(told).stdout
+
+
+def run_fsck(told):
+    import os
+    import subprocess
+    import sys
+
+    environment = {**os.environ, **told[0].storage.environment, "COLUMNS": "200"}
+    return subprocess.run([sys.executable, "-m", "trueup_cli.main", "fsck"], env=environment, capture_output=True, text=True, check=False)
+
+
+def test_any_flipped_byte_is_found(kept):
+    rng = random.Random(7)
+    missed = []
+    for _ in range(60):
+        flipped = flip(kept, rng)
+        if not found(kept):
+            missed.append(flipped.where)
+        flipped.undo()
+    assert missed == []
+    assert found(kept) == []
+
+
+def test_a_server_signs_no_head_that_its_tree_does_not_have(kept, told):
+    with kept.database.engine.connect() as connection:
+        head = connection.execute(text("SELECT frontier FROM audit_head")).scalar()
+        connection.execute(text("UPDATE audit_head SET frontier = :f"), {"f": bytes(len(head))})
+        connection.commit()
+    try:
+        with pytest.raises(Problem) as refused:
+            told[2].checkpoint()
+        assert refused.value.code == "log-rewound"
+    finally:
+        with kept.database.engine.connect() as connection:
+            connection.execute(text("UPDATE audit_head SET frontier = :f"), {"f": head})
+            connection.commit()
+
+
+def test_every_cut_tail_is_found_however_well_it_is_cut(kept, tmp_path):
+    """Entries, tree and head are cut alike, so that what is left is a sound log; only the published head shows it."""
+    open_log(kept.settings, kept.database).publish()
+    entries = list(Kept(kept.database, kept.blobs).entries(0, 10**6))
+    shutil.copytree(kept.settings.data_dir, tmp_path / "copy")
+    copy = build(embedded(tmp_path / "copy").settings())
+    for cut in reversed(range(len(entries))):
+        left = rebuild(entries[:cut])
+        with copy.database.write() as connection:
+            connection.execute(text("DELETE FROM audit WHERE sequence > :n"), {"n": cut})
+            connection.execute(text("DELETE FROM audit_tree WHERE ((position + 1) << level) > :n"), {"n": cut})
+            connection.execute(text("UPDATE audit_head SET size = :n, frontier = :f"), {"n": cut, "f": left.to_bytes()})
+        assert [f.where for f in published(copy)] == ["log"]
+        assert not [f for f in verify(Kept(copy.database, copy.blobs)).findings if f.where in ("log", "tree")]
+    copy.close()
+
+
+def test_a_move_that_no_entry_explains_is_found(kept, told):
+    plant = "p"
+    with kept.database.engine.connect() as connection:
+        before = connection.execute(text("SELECT generation FROM serving WHERE plant = 'p'")).scalar()
+        connection.execute(text("UPDATE serving SET generation = 1 WHERE plant = 'p'"))
+        connection.commit()
+    try:
+        assert [f.where for f in found(kept)] == [f"serving/{plant}"]
+        assert run_fsck(told).returncode == 4
+    finally:
+        with kept.database.engine.connect() as connection:
+            connection.execute(text("UPDATE serving SET generation = :g WHERE plant = 'p'"), {"g": before})
+            connection.commit()
+
+
+def test_a_server_signs_no_log_shorter_than_the_one_it_published(tmp_path):
+    parts = build(Settings(data_dir=tmp_path))
+    log = open_log(parts.settings, parts.database)
+    (tmp_path / "checkpoint").write_text(log.signer.checkpoint(3, bytes(32)))
+    with pytest.raises(LogRewound):
+        open_log(parts.settings, parts.database).checkpoint()
+    (tmp_path / "signing.key").unlink()
+    with pytest.raises(OtherKey):
+        open_log(parts.settings, parts.database)
+    parts.close()

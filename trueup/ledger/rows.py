@@ -1,0 +1,70 @@
+"""Rows of the registry as the log names them: `table/key`, and the digest over every column.
+
+Documents count as the text that is stored, 64-bit integers as text. A name and a digest mean the same for ever, or old logs could not be
+checked. What is under way (a job before its end) and what only saves time is not named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import orjson
+
+from trueup.canonical import Json, digest_of, digest_of_bytes
+
+KEYS: Mapping[str, tuple[str, ...]] = {
+    "plants": ("name",),
+    "episodes": ("plant", "digest"),
+    "artifacts": ("plant", "version"),
+    "gates": ("plant", "digest"),
+    "jobs": ("id",),
+    "decisions": ("digest",),
+    "serving": ("plant",),
+    "moves": ("plant", "generation"),
+    "monitors": ("plant", "digest"),
+    "watching": ("plant",),
+    "watches": ("plant", "monitor", "sequence"),
+    "alarms": ("id",),
+    "policies": ("plant", "sequence"),
+    "evidence": ("plant", "digest"),
+    "channels": ("plant", "name"),
+    "channel_moves": ("plant", "channel", "generation"),
+}
+FINAL = ("succeeded", "failed", "cancelled")
+BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")  # named by the digest of their document
+MOVES = {"moves": ("pointer:moved", "plant:registered"), "channel_moves": ("channel:moved",)}  # entries that may tell of a move
+
+
+def row_name(table: str, row: Mapping[str, Any]) -> str:
+    """What the log calls a row."""
+    return "/".join((table, *(str(row[column]) for column in KEYS[table])))
+
+
+def row_digest(table: str, row: Mapping[str, Json]) -> str:
+    """The digest of a row, all its columns by name."""
+    return digest_of({"table": table, "row": row})
+
+
+def is_named(table: str, row: Mapping[str, Any]) -> bool:
+    """Whether the log must name a row as it is now."""
+    return table != "jobs" or row["state"] in FINAL
+
+
+def misnamed(table: str, row: Mapping[str, Any]) -> str | None:
+    """How a row that is named by its content is not; None where it is."""
+    if table == "artifacts" and digest_of_bytes(row["manifest"].encode()) != row["digest"]:
+        return "the manifest is not what its digest names"
+    if table in BY_DOCUMENT and digest_of_bytes(row["document"].encode()) != row["digest"]:
+        return "the document is not what its digest names"
+    if table == "decisions":
+        document = orjson.loads(row["document"])
+        if any(document[name] != row[name] for name in ("gate", "candidate", "incumbent", "generation", "accepted")):
+            return "the columns are not what the document says"
+    return None
+
+
+def blobs(table: str, row: Mapping[str, Any]) -> list[str]:
+    """Digests of the bytes that a row stands for."""
+    named = {"episodes": "digest", "artifacts": "arrays"}.get(table)
+    return [row[named]] if named and row[named] else []

@@ -1,0 +1,179 @@
+"""Hold a registry against its log: every entry, every row, every byte. What does not agree is listed, not raised.
+
+- the tree of all entries has the root that was signed;
+- every row is as the last entry that names it left it, every row is named, and every named row is there;
+- what is named by its content has that content, bytes included;
+- every move of a pointer is told by an entry that may tell of one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from trueup.canonical import Json
+from trueup.errors import TrueupError
+from trueup.ledger.audit import AuditEntry, entry_bytes
+from trueup.ledger.merkle import NOTHING, Frontier, Node, leaf_hash
+from trueup.ledger.rows import KEYS, MOVES, blobs, is_named, misnamed, row_digest, row_name
+
+Told = Callable[[float, str], None]
+LOOKS = 5  # at a registry that is being written to, before what does not agree counts
+
+
+class Registry(Protocol):
+    """What is verified, wherever it is: a service, a database, an export."""
+
+    def head(self) -> tuple[int, bytes]:
+        """Number of entries and root, as they were signed."""
+
+    def entries(self, after: int, until: int) -> Iterable[AuditEntry]:
+        """Entries in order, from behind one up to another."""
+
+    def nodes(self) -> Iterable[tuple[Node, bytes]]:
+        """Every hash of the tree that is kept."""
+
+    def rows(self, table: str) -> Iterable[Mapping[str, Json]]:
+        """Every row of a table, as it is stored."""
+
+    def blob(self, digest: str) -> Iterator[bytes]:
+        """Bytes in parts. Raises TrueupError where they are not there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What does not agree: an entry, a row or a blob, and how."""
+
+    where: str
+    what: str
+
+
+Each = Callable[[AuditEntry], Iterable[Finding]]
+
+
+@dataclass
+class _Log:
+    """The log as far as it was read: its tree, and of every row its digest and the entry that last named it."""
+
+    each: Each
+    tree: Frontier = NOTHING
+    nodes: dict[Node, bytes] = field(default_factory=dict)
+    named: dict[str, tuple[str, AuditEntry]] = field(default_factory=dict)
+
+    def read(self, registry: Registry) -> list[Finding]:
+        """Read on to the signed head."""
+        findings: list[Finding] = []
+        try:
+            size, root = registry.head()
+            for entry in registry.entries(self.tree.size, size):
+                if entry.sequence != self.tree.size + 1:
+                    return [Finding("log", f"entry {entry.sequence} follows entry {self.tree.size}")]
+                self.tree, completed = self.tree.append(leaf_hash(entry_bytes(entry)))
+                self.nodes |= completed
+                self.named |= {name: (digest, entry) for name, digest in entry.rows.items()}
+                findings += self.each(entry)
+        except TrueupError as error:
+            return [Finding("log", error.message)]
+        if self.tree.size != size:
+            return [Finding("log", f"it ends at entry {self.tree.size}, {size} were signed for")]
+        if self.tree.root() != root:
+            return [Finding("log", f"its {size} entries do not have the root that was signed")]
+        return findings
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What was verified: entries and rows held, bytes hashed, and what does not agree. `decisions` are the digests of all decisions."""
+
+    size: int
+    root: bytes
+    rows: int
+    bytes: int
+    decisions: list[str]
+    findings: list[Finding]
+
+
+def verify(registry: Registry, told: Told = lambda _share, _stage: None, each: Each = lambda _entry: ()) -> Verified:
+    """Verify a registry, which may be written to meanwhile; `each` looks at every entry, too, and says what it finds wrong."""
+    log = _Log(each)
+    told(0.0, "reading the log")
+    findings = log.read(registry) or _hold_nodes(registry, log)
+    if findings:
+        return Verified(log.tree.size, log.tree.root(), 0, 0, [], findings)
+    named: dict[str, list[str]] = {}
+    held, decisions = 0, []
+    for count, table in enumerate(KEYS):
+        told(0.2 + 0.3 * count / len(KEYS), f"holding {table} against the log")
+        wrong, rows = _hold(registry, log, table)
+        for _ in range(LOOKS):
+            size = log.tree.size
+            if not wrong or log.read(registry) or log.tree.size == size:
+                break
+            wrong, rows = _hold(registry, log, table)
+        findings += wrong
+        held += len(rows)
+        for row in rows:
+            decisions += [str(row["digest"])] if table == "decisions" else []
+            for digest in blobs(table, row):
+                named.setdefault(digest, []).append(row_name(table, row))
+    hashed, damaged = _hash(registry, named, lambda share: told(0.5 + 0.5 * share, "hashing episodes and artifacts"))
+    return Verified(log.tree.size, log.tree.root(), held, hashed, decisions, findings + damaged)
+
+
+def _hold_nodes(registry: Registry, log: _Log) -> list[Finding]:
+    """Hold the hashes from which proofs are made against those of the entries; there may be more by now."""
+    try:
+        kept = dict(registry.nodes())
+    except TrueupError as error:
+        return [Finding("tree", error.message)]
+    wrong = [node for node, made in log.nodes.items() if kept.get(node) != made]
+    return [Finding(f"tree/{level}/{position}", "it is not the hash of its entries") for level, position in wrong]
+
+
+def _hold(registry: Registry, log: _Log, table: str) -> tuple[list[Finding], list[Mapping[str, Any]]]:
+    """Hold a table's rows against the log."""
+    try:
+        rows = list(registry.rows(table))
+    except TrueupError as error:
+        return [Finding(table, error.message)], []
+    there = {row_name(table, row): row for row in rows}
+    wrong = [Finding(name, what) for name, row in there.items() if (what := _differs(log, table, name, row))]
+    wrong += [Finding(name, "the log names it, and it is not there") for name in log.named if _of(name) == table and name not in there]
+    return wrong, rows
+
+
+def _of(name: str) -> str:
+    return name.partition("/")[0]
+
+
+def _differs(log: _Log, table: str, name: str, row: Mapping[str, Any]) -> str | None:
+    if not is_named(table, row):
+        return None
+    if name not in log.named:
+        return "no entry of the log tells of it"
+    digest, entry = log.named[name]
+    if row_digest(table, row) != digest:
+        return f"it is not as entry {entry.sequence} ({entry.kind}) left it"
+    if table in MOVES and entry.kind not in (*MOVES[table], "log:migrated"):
+        return f"entry {entry.sequence} ({entry.kind}) cannot tell of a move"
+    return misnamed(table, row)
+
+
+def _hash(registry: Registry, named: Mapping[str, list[str]], told: Callable[[float], None]) -> tuple[int, list[Finding]]:
+    """Hash every blob once; the bytes that were hashed, and what is not as it is named."""
+    hashed, findings = 0, []
+    for count, (digest, rows) in enumerate(named.items(), 1):
+        found = hashlib.sha256()
+        try:
+            for part in registry.blob(digest):
+                found.update(part)
+                hashed += len(part)
+        except TrueupError as error:
+            findings.append(Finding(rows[0], error.message))
+        else:
+            if found.hexdigest() != digest:
+                findings.append(Finding(rows[0], f"its bytes hash to {found.hexdigest()}"))
+        told(count / len(named))
+    return hashed, findings

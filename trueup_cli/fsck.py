@@ -1,0 +1,37 @@
+"""`trueup fsck`: is what this installation keeps whole, and is it what its log tells?"""
+
+from __future__ import annotations
+
+import sys
+
+from rich.markup import escape
+
+from trueup_cli.complaints import EXIT_DISAGREES
+from trueup_cli.options import Json
+from trueup_cli.show import as_json, err, out, progress, table
+
+
+def fsck(*, as_json_: Json = False) -> None:
+    """Check the storage that the settings name, without a server or beside a running one; exit 4 with a list if anything is wrong."""
+    from trueup.ledger.verification import verify
+    from trueup_service.kept import Kept, lost_jobs, published, unnamed
+    from trueup_service.settings import Settings
+    from trueup_service.wiring import build
+
+    parts = build(Settings())
+    with progress("checking") as bar:
+        found = verify(Kept(parts.database, parts.blobs), bar)
+        wrong = [(f.where, f.what) for f in [*found.findings, *published(parts), *lost_jobs(parts)]]
+        left = unnamed(parts)
+    parts.close()
+    if as_json_:
+        as_json({"entries": found.size, "rows": found.rows, "bytes": found.bytes, "findings": wrong, "unnamed_blobs": len(left)})
+    elif wrong:
+        table("", ["where", "what is wrong"], wrong)
+    else:
+        out.print(f"[bold green]whole[/]: {found.size} entries, {found.rows} rows, {found.bytes / 1e6:.1f} MB", soft_wrap=True)
+    if left and not as_json_:
+        out.print(f"{len(left)} blobs are named by no row: uploads under way, or left over; `trueup gc` removes old ones.", soft_wrap=True)
+    if wrong:
+        err.print(f"[bold red]wrong[/] {escape(f'{len(wrong)} things')}: restore them from a backup (`trueup restore`), or from a mirror.")
+        sys.exit(EXIT_DISAGREES)

@@ -1,0 +1,132 @@
+"""The log's key, and its head as it is published: signed, in a file that anybody may mirror, and never taken back.
+
+Each server keeps the last head that it signed, and signs no other one that does not extend it.
+"""
+
+from __future__ import annotations
+
+import base64
+import os
+import secrets
+import threading
+import uuid
+from pathlib import Path
+
+from trueup.canonical import Json
+from trueup.ledger.merkle import EMPTY, Frontier, cover, fold
+from trueup.ledger.note import Signer
+from trueup_service.errors import LogRewound, OtherKey
+from trueup_service.registry.database import Database
+from trueup_service.registry.store import Reader, writing
+from trueup_service.settings import Settings
+
+KEY_FILE, CHECKPOINT_FILE = "signing.key", "checkpoint"
+
+
+class SignedLog:
+    """Signs what the log says."""
+
+    def __init__(self, database: Database, signer: Signer, published: Path) -> None:
+        self.signer = signer
+        self._database, self._published = database, published
+        self._lock = threading.Lock()
+        self._last = head_of(published.read_text()) if published.exists() else (0, EMPTY)
+
+    def checkpoint(self) -> str:
+        """The log's head now. Raises LogRewound."""
+        with self._lock:
+            with self._database.read() as connection:
+                reader = Reader(connection)
+                tree = reader.audit_tree()
+                self._require_extends(reader, tree)
+            self._last = tree.size, tree.root()
+        return self.signer.checkpoint(*self._last)
+
+    def publish(self) -> None:
+        """Write the head to its file, if it has moved. Raises LogRewound."""
+        note = self.checkpoint()
+        if not self._published.exists() or self._published.read_text() != note:
+            _replace(self._published, note)
+
+    def envelope(self, payload_type: str, document: Json) -> dict[str, Json]:
+        """A document in an envelope signed by the log's key."""
+        return self.signer.envelope(payload_type, document)
+
+    def _require_extends(self, reader: Reader, tree: Frontier) -> None:
+        size, root = self._last
+        if tree.size < size:
+            raise LogRewound(f"the log has {tree.size} entries, {size} were published", published=size, found=tree.size)
+        if root_at(reader, size) != root or root_at(reader, tree.size) != tree.root():
+            raise LogRewound(f"the first {size} entries are not those that were published", published=size, found=tree.size)
+
+
+def root_at(reader: Reader, size: int) -> bytes:
+    """The tree's hash when it had this size, which it has reached."""
+    nodes = cover(0, size)
+    found = reader.audit_nodes(nodes)
+    return fold([found.get(node, b"") for node in nodes]) if nodes else EMPTY
+
+
+def open_log(settings: Settings, database: Database) -> SignedLog:
+    """The log with its key, which is made at the first start. Raises BadKey, OtherKey."""
+    if settings.signing_key is not None:
+        signer = Signer.from_text(settings.signing_key.get_secret_value())
+    else:
+        signer = Signer.from_text(_key_text(settings.data_dir / KEY_FILE))
+    with writing(database) as writer:
+        writer.lock_name("audit key")
+        known = writer.audit_key()
+        if known is None:
+            writer.keep_audit_key(signer.verifier)
+        elif known != signer.verifier:
+            raise OtherKey(f"the log is signed with {known}", log=known, server=signer.verifier)
+    return SignedLog(database, signer, settings.data_dir / CHECKPOINT_FILE)
+
+
+def new_signer(name: str | None = None) -> Signer:
+    """A fresh key; without a name, the log gets one of its own."""
+    return Signer(name or f"trueup-{secrets.token_hex(6)}", secrets.token_bytes(32))
+
+
+def _key_text(path: Path) -> str:
+    """The key of a folder, made if there is none; of several processes that start at once, one makes it."""
+    if not path.exists():
+        beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
+        _write(beside, new_signer().text + "\n")
+        try:
+            os.link(beside, path)
+        except FileExistsError:
+            pass
+        finally:
+            beside.unlink()
+        _sync_folder(path.parent)
+    return path.read_text()
+
+
+def head_of(note: str) -> tuple[int, bytes]:
+    """Size and root in a checkpoint of our own."""
+    _, size, root, *_ = note.splitlines()
+    return int(size), base64.b64decode(root)
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file beside, then give it its name: a reader sees the old one or the new one, whole."""
+    beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
+    _write(beside, text)
+    beside.replace(path)
+    _sync_folder(path.parent)
+
+
+def _write(path: Path, text: str) -> None:
+    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
