@@ -64,6 +64,7 @@ bench: $(DEV) ## measure, and print the figures beside their targets
 docs: $(RUN) ## write the pages that are made from the code
 	@$(BIN)/python docs/make_settings.py
 	@$(BIN)/python docs/make_effects.py
+	@$(BIN)/python docs/make_access.py
 
 lock: $(BIN)/uv ## pin the dependencies anew
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --extra mujoco pyproject.toml -o requirements.txt

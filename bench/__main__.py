@@ -9,6 +9,7 @@ ALL = (
     "ingest",
     "serving",
     "registry",
+    "tampering",
     "scaled",
     "diagnosis",
     "robots",

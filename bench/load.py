@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from bench.servers import TOKEN
+
 
 @dataclass
 class Load:
@@ -64,13 +66,14 @@ class _Connection:
 
 def get(path: str, **headers: str) -> bytes:
     """A GET request's bytes."""
-    more = "".join(f"{k.replace('_', '-')}: {v}\r\n" for k, v in headers.items())
+    more = "".join(f"{k.replace('_', '-')}: {v}\r\n" for k, v in {"Authorization": f"Bearer {TOKEN}", **headers}.items())
     return f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n{more}\r\n".encode()
 
 
 def send(method: str, path: str, body: bytes, kind: str = "application/json") -> bytes:
     """A request with a body."""
-    return f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n".encode() + body
+    head = f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {TOKEN}\r\n"
+    return f"{head}Content-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n".encode() + body
 
 
 def run(port: int, streams: Sequence[Iterator[bytes]], seconds: float) -> Load:

@@ -19,6 +19,9 @@ PEER = ROOT / "build" / "peer"
 PEER_PACKAGE = "mlflow>=3.17,<4"
 
 
+TOKEN = os.environ["TRUEUP_TOKEN"] = os.environ["TRUEUP_ADMIN_TOKEN"] = "an-admins-token-that-the-bench-knows"
+
+
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as found:
         return int(found.getsockname()[1])
@@ -104,9 +107,8 @@ def peer(data: Path, workers: int = 1) -> Iterator[Peer]:
 def call(port: int, method: str, path: str, body: object = None) -> dict:
     """One JSON request."""
     data = None if body is None else json.dumps(body).encode()
-    request = urllib.request.Request(
-        f"http://127.0.0.1:{port}{path}", method=method, data=data, headers={"Content-Type": "application/json"}
-    )
+    headers = {"Content-Type": "application/json", "Authorization": f"Bearer {TOKEN}"}
+    request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", method=method, data=data, headers=headers)
     with urllib.request.urlopen(request) as answer:
         return json.load(answer)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,10 +11,11 @@ import pytest
 
 from tests.support.postgres import Postgres, start_postgres
 from tests.support.s3 import S3, start_s3
-from tests.support.service import Service
+from tests.support.service import ADMIN, Service
 from tests.support.storage import Storage, embedded, scaled
 from trueup_client import Client
 
+os.environ["TRUEUP_ADMIN_TOKEN"] = os.environ["TRUEUP_TOKEN"] = ADMIN
 EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
 
 

@@ -76,7 +76,7 @@ def demo(case: Path = EXAMPLE, *, work: Path = Path(".trueup/demo")) -> None:
     shutil.rmtree(work, ignore_errors=True)
     told = Case(case, work, resolved(json.loads((case / "plant.json").read_text()), case))
     with _service(work / "data") as url:
-        client = Client(url, actor="demo")
+        client = Client(url, actor="demo", token=(work / "data" / "admin.token").read_text().strip())
         _upload(client, told)
         best = _fit_and_gate(client, told)
         if best is None:

@@ -30,6 +30,7 @@ _COMMANDS = {
     "policy": ("monitor:policy", "Say or declare what may happen to a plant's model without a person."),
     "serving": ("serving:serving", "Say what serves, or what served when."),
     "promote": ("serving:promote", "Serve the candidate of an accepted decision."),
+    "approve": ("serving:approve", "Approve a decision, where a promotion takes two people."),
     "rollback": ("serving:rollback", "Serve what served before, after its switchback test."),
     "fetch": ("serving:fetch", "Fetch a model, every byte verified."),
     "evidence": ("channels:evidence", "List what was found of a version, and at which stage, or add to it."),
@@ -39,6 +40,10 @@ _COMMANDS = {
     "blindtrial": ("blindtrial:run", "Hide effects in machines like yours and say how often the diagnosis is right."),
     "excite": ("excite:excite", "Design a bounded excitation, safe under every model still in play."),
     "predict": ("predict:predict", "Roll a model out over an episode."),
+    "login": ("access:login", "Keep a token for a service."),
+    "whoami": ("access:whoami", "Say whom the service takes you for."),
+    "token": ("access:tokens", "Issue, list and revoke tokens."),
+    "project": ("access:projects", "Create and list projects."),
     "audit": ("audit:app", "Print or verify the audit log."),
     "replay": ("audit:replay", "Recompute a decision and say whether it agrees."),
     "fsck": ("fsck:fsck", "Check this installation's own storage: log, rows, bytes, nothing lost, nothing left over."),
@@ -47,8 +52,9 @@ _COMMANDS = {
     "chapter": ("chapter:chapter", "Reproduce the chapter's figures beside the published digits."),
     "demo": ("demo:demo", "Run the main job on a real recording."),
 }
+APPS = ("plant:app", "audit:app", "access:tokens", "access:projects")  # with help of their own
 for _name, (_where, _help) in _COMMANDS.items():
-    app.command(f"trueup_cli.{_where}", name=_name, **({} if _where.endswith(":app") else {"help": _help}))
+    app.command(f"trueup_cli.{_where}", name=_name, **({} if _where in APPS else {"help": _help}))
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ import os
 import socket
 from pathlib import Path
 from typing import Annotated
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from cyclopts import Parameter
 
@@ -16,6 +16,7 @@ from trueup_client import Client, Witness
 Url = Annotated[str, Parameter(name="--url", env_var="TRUEUP_URL", help="Address of the service")]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
 DEFAULT_URL = "http://127.0.0.1:8321"
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 def witnessed(url: str) -> Client:
@@ -33,4 +34,23 @@ def witness_file(url: str) -> Path:
 
 def connect(url: str) -> Client:
     """A client whose changes are signed user@host, or TRUEUP_ACTOR."""
-    return Client(url, actor=os.environ.get("TRUEUP_ACTOR") or f"{getpass.getuser()}@{socket.gethostname()}")
+    return Client(url, actor=os.environ.get("TRUEUP_ACTOR") or f"{getpass.getuser()}@{socket.gethostname()}", token=token_for(url))
+
+
+def token_for(url: str) -> str | None:
+    """TRUEUP_TOKEN, else what `trueup login` kept for this address, else on this machine the token of the first start."""
+    given = os.environ.get("TRUEUP_TOKEN")
+    if given:
+        return given
+    kept = login_file(url)
+    if kept.exists():
+        return kept.read_text().strip()
+    first = Path(os.environ.get("TRUEUP_DATA_DIR", ".trueup")) / "admin.token"
+    is_here = urlsplit(url).hostname in LOOPBACK and first.is_file() and os.access(first, os.R_OK)
+    return first.read_text().strip() if is_here else None
+
+
+def login_file(url: str) -> Path:
+    """Where `trueup login` keeps a token."""
+    home = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
+    return Path(home) / "trueup" / "tokens" / quote(url, safe="")

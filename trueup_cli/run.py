@@ -25,6 +25,7 @@ def serve(
     """
     from trueup_service.http.serve import listen
     from trueup_service.http.serve import serve as run
+    from trueup_service.identity import first_admin
     from trueup_service.logs import configure_logs
     from trueup_service.settings import Settings
     from trueup_service.wiring import build
@@ -32,6 +33,9 @@ def serve(
     settings = Settings()
     configure_logs(settings.log_level)
     parts = build(settings)
+    made = first_admin(settings, parts.database)
+    if made is not None:
+        print(f"An admin's token was made; it is in {made}, which the command beside it reads.", file=sys.stderr)
     listening = listen(host or settings.host, settings.port if port is None else port)
     address = listening.getsockname()
     logging.getLogger("trueup").info(

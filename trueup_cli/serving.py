@@ -53,6 +53,18 @@ def promote(plant: str, decision: str, *, generation: Generation = None, url: Ur
     )
 
 
+def approve(plant: str, decision: str, *, url: Url = DEFAULT_URL) -> None:
+    """Approve a decision for promotion by somebody else, where the plant's policy takes two people.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    decision: digest of the decision
+    """
+    found = witnessed(url).approve(plant, decision)
+    out.print(f"approved by {found['actor']}; another token may promote it", markup=False)
+
+
 def rollback(plant: str, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Serve what served before, after its switchback test."""
     client = witnessed(url)

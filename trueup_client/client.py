@@ -33,14 +33,14 @@ def _silent(_: float) -> None:
 class Client:
     """Talks to one service. Not for several threads at once: give each its own.
 
-    `token` says who asks; without tokens at the service, `actor` stands in the audit log beside every change. Refusals raise Problem,
-    silence raises Unreachable.
+    `token` says who asks (default: TRUEUP_TOKEN); `actor` stands in the audit log behind the token's name. Refusals raise Problem, silence
+    raises Unreachable.
     """
 
     def __init__(
         self, url: str = "http://127.0.0.1:8321", actor: str | None = None, timeout_s: float = 120.0, token: str | None = None
     ) -> None:
-        self._to = Connection(url, actor, timeout_s, token)
+        self._to = Connection(url, actor, timeout_s, token or os.environ.get("TRUEUP_TOKEN"))
 
     def close(self) -> None:
         """Close the connection."""
@@ -48,9 +48,9 @@ class Client:
 
     # -- plants and episodes
 
-    def register_plant(self, document: Document) -> Document:
+    def register_plant(self, document: Document, project: str | None = None) -> Document:
         """Register a plant by the content of its plant.json; registering it again changes nothing."""
-        return self._post("/v1/plants", document)
+        return self._post(f"/v1/plants?{urlencode({'project': project})}" if project else "/v1/plants", document)
 
     def plant(self, name: str) -> Document:
         return self._get(f"/v1/plants/{_name(name)}")
@@ -114,7 +114,8 @@ class Client:
         self._save(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/manifest", digest, to / "manifest.json")
         (to / "arrays.safetensors").unlink(missing_ok=True)
         if record["arrays"]:
-            self._save(f"/v1/blobs/{_name(record['arrays'])}", record["arrays"], to / "arrays.safetensors")
+            path = f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/arrays"
+            self._save(path, record["arrays"], to / "arrays.safetensors")
         return to
 
     def declare_gate(self, plant: str, document: Document | None = None) -> Document:
@@ -156,6 +157,10 @@ class Client:
 
     def decision(self, plant: str, digest: str) -> Document:
         return self._get(f"/v1/plants/{_name(plant)}/decisions/{_name(digest)}")
+
+    def approve(self, plant: str, decision: str) -> Document:
+        """Approve a decision, where a promotion takes two people: this client's token, and that of whoever promotes."""
+        return self._post(f"/v1/plants/{_name(plant)}/decisions/{_name(decision)}/approvals", None)
 
     def find_decision(self, digest: str) -> Document:
         """A decision of whichever plant."""
@@ -267,6 +272,32 @@ class Client:
     def close_alarm(self, plant: str, alarm: str, because: str) -> Document:
         """Close an alarm, and say why; the next one may then be raised."""
         return self._post(f"/v1/plants/{_name(plant)}/alarms/{_name(alarm)}/close", {"because": because})
+
+    # -- access
+
+    def whoami(self) -> Document:
+        """Whom the service takes this client for: name, roles, project, plant."""
+        return self._get("/v1/session")
+
+    def create_project(self, name: str) -> Document:
+        return self._post("/v1/projects", {"name": name})
+
+    def projects(self) -> Iterator[Document]:
+        return self._pages("/v1/projects", "after")
+
+    def issue_token(
+        self, name: str, roles: list[str], project: str | None = None, plant: str | None = None, days: float | None = 365.0
+    ) -> Document:
+        """Issue a token; `token` of the answer is shown this once. Not repeated where the answer was lost: revoke it, issue another."""
+        wanted = {"name": name, "roles": roles, "project": project, "plant": plant, "days": days}
+        return self._post("/v1/tokens", wanted)
+
+    def tokens(self) -> Iterator[Document]:
+        return self._pages("/v1/tokens", "after")
+
+    def revoke_token(self, prefix: str) -> Document:
+        """Revoke a token, for good."""
+        return self._post(f"/v1/tokens/{_name(prefix)}/revoke", None)
 
     # -- audit
 

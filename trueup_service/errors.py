@@ -101,3 +101,24 @@ class OtherKey(TrueupError):
 
     code = "other-key"
     hint = "Give every server of one database the same TRUEUP_SIGNING_KEY; restore data_dir/signing.key if it was lost."
+
+
+class ApprovalMissing(TrueupError):
+    """The plant's policy takes more people for a promotion."""
+
+    code = "approval-missing"
+    hint = "Somebody with another token must approve it first: `trueup approve PLANT DECISION`."
+
+
+class Unauthenticated(TrueupError):
+    """Nobody is known by what was sent."""
+
+    code = "unauthenticated"
+    hint = "Send `Authorization: Bearer <token>` (the command: `trueup login`, or TRUEUP_TOKEN); an admin issues tokens."
+
+
+class Forbidden(TrueupError):
+    """The token may not do this."""
+
+    code = "forbidden"
+    hint = "Ask an admin for a token with one of the roles that `facts` names."

@@ -41,6 +41,17 @@ class Settings(BaseSettings):
         description="Private key that signs the log, one line of `trueup keygen`; unset: data_dir/signing.key, made at the first start. "
         "All servers of one database need the same.",
     )
+    admin_token: SecretStr | None = Field(
+        None,
+        min_length=32,
+        description="An admin's token, 32 characters at least; unset: one is made at the first start, in data_dir/admin.token.",
+    )
+    token_memory_s: float = Field(
+        1.0,
+        ge=0,
+        description="How long a server believes a token without asking the database again, so how late it may be to refuse one [s].",
+    )
+    session_s: float = Field(43_200.0, gt=0, description="How long a browser stays signed in [s].")
     checkpoint_interval_s: float = Field(
         10.0, gt=0, description="Time between writes of the log's signed head to data_dir/checkpoint, if it has grown [s]."
     )

@@ -30,7 +30,7 @@ class Parts:
 
 def build(settings: Settings) -> Parts:
     """The parts, with the schema up to date and a spool folder of this process."""
-    settings.data_dir.mkdir(parents=True, exist_ok=True)
+    settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
     database = Database(settings.sqlalchemy_url, settings.database_pool)
     migrate(database)
     return Parts(

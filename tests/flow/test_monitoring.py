@@ -116,7 +116,7 @@ def test_a_drift_is_noticed_and_diagnosed(watched, service):
     assert "q is predicted" in command(service, "alarms", "watched").stdout
     assert picture.read_text().startswith("<svg")
     closed = client.close_alarm("watched", alarm["id"], "the brake was dragging; mended")
-    assert closed["closed_by"] == "robot"
+    assert closed["closed_by"] == "admin for robot"
     with pytest.raises(Problem, match="closed already"):
         client.close_alarm("watched", alarm["id"], "again")
     assert client.monitor("watched")["alarm"] is None

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from tests.support.made import episode_bytes, mcap_bytes, plant_document, save
-from tests.support.service import Service
+from tests.support.service import ADMIN, Service
 from tests.support.storage import Storage, embedded
 from trueup.artifact.artifact import pack
 from trueup.chapter.data import PLANT as CHAPTER
@@ -34,10 +34,14 @@ def plant(client):
     return name
 
 
+KNOWN = {"Authorization": f"Bearer {ADMIN}"}
+
+
 def request(service, method, path, body=None, **headers):
     """One request by hand: status, headers, body."""
     connection = http.client.HTTPConnection("127.0.0.1", service.port, timeout=60)
-    connection.request(method, path, body=body, headers={k.replace("_", "-"): v for k, v in headers.items()})
+    headers = KNOWN | {k.replace("_", "-"): v for k, v in headers.items()}
+    connection.request(method, path, body=body, headers={name: value for name, value in headers.items() if value is not None})
     answer = connection.getresponse()
     found = answer.status, answer.headers, answer.read()
     connection.close()
@@ -129,7 +133,11 @@ def test_an_upload_over_the_limit_is_refused_while_it_streams(tmp_path):
             parts = (b"x" * min(1 << 16, size - at) for at in range(0, size, 1 << 16))
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                 connection.request(
-                    "PUT", f"/v1/blobs/{'0' * 64}", body=parts, encode_chunked=True, headers={"Transfer-Encoding": "chunked"}
+                    "PUT",
+                    f"/v1/blobs/{'0' * 64}",
+                    body=parts,
+                    encode_chunked=True,
+                    headers={"Transfer-Encoding": "chunked"} | KNOWN,
                 )
             assert connection.getresponse().status == status
             connection.close()
@@ -235,6 +243,11 @@ def test_nobody_is_ever_told_of_an_older_pointer_than_the_last_acknowledged_move
 
 def move(client, plant, k):
     """Promote by a real gate job on held-out data of the plant whose k is nearer each time."""
+    return client.promote(plant, accepted(client, plant, k), client.serving(plant).generation)
+
+
+def accepted(client, plant, k):
+    """An accepted decision of a real gate job."""
     candidate = identified(plant, k)
     client.add_artifact(plant, candidate.manifest)
     gate = client.declare_gate(
@@ -249,7 +262,7 @@ def move(client, plant, k):
         with tempfile.TemporaryDirectory() as folder:
             client.upload_episode(plant, save(Path(folder), "v.mcap", episode_bytes(9, role=Role.VALIDATION)))
     job = client.wait(client.submit(plant, {"kind": "gate", "candidate": candidate.digest, "gate": gate["digest"]})["id"])
-    return client.promote(plant, job["result"]["decision"], client.serving(plant).generation)
+    return job["result"]["decision"]
 
 
 def test_a_long_poll_answers_at_the_move(service, client, plant):
@@ -396,7 +409,7 @@ def test_the_actor_stands_on_every_change(service, plant):
     body = json.dumps(plant_document(f"p{uuid.uuid4().hex[:8]}"))
     request(service, "POST", "/v1/plants", body, Content_Type="application/json", Trueup_Actor="ada@bench")
     last = json.loads(request(service, "GET", f"/v1/audit?limit=1000&plant={json.loads(body)['name']}")[2])["items"][-1]
-    assert last["actor"] == "ada@bench"
+    assert last["actor"] == "admin for ada@bench"
 
 
 def test_a_request_id_is_kept_if_it_is_plain(service):

@@ -9,7 +9,7 @@ from contextlib import closing
 import pytest
 
 from tests.support.made import plant_document
-from tests.support.service import Service
+from tests.support.service import ADMIN, Service
 from trueup_client import Client
 
 
@@ -38,7 +38,8 @@ def test_schemathesis_finds_no_answer_that_the_document_does_not_know(storage, t
     with Service(storage, long_poll_limit_s=1).running() as service:
         with closing(Client(service.url)) as client:
             client.register_plant(plant_document("emps-like"))
-        arguments = ["--max-examples", "10", "--phases", "coverage,fuzzing", "--seed", "1", "--no-color", *(f"-c{c}" for c in checks)]
+        known = ["-H", f"Authorization: Bearer {ADMIN}", *(f"-c{c}" for c in checks)]
+        arguments = ["--max-examples", "10", "--phases", "coverage,fuzzing", "--seed", "1", "--no-color", *known]
         command = [sys.executable, "-m", "schemathesis.cli", "run", f"{service.url}/openapi.json", *arguments]
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stdout[-3000:]

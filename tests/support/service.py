@@ -14,6 +14,7 @@ from pathlib import Path
 from tests.support.s3 import until_listening
 from tests.support.storage import Storage
 
+ADMIN = "an-admins-token-that-the-tests-know"
 ROOT = Path(__file__).parent.parent.parent
 
 
@@ -39,13 +40,13 @@ class Service:
         finally:
             self.stop()
 
-    def start_server(self, worker: bool = False) -> subprocess.Popen:
-        child = self._start("serve", "--port", str(self.port), *([] if worker else ["--no-worker"]))
+    def start_server(self, worker: bool = False, module: str = "trueup_cli.main") -> subprocess.Popen:
+        child = self._start(module, "serve", "--port", str(self.port), *([] if worker else ["--no-worker"]))
         until_listening(self.port, child)
         return child
 
-    def start_worker(self) -> subprocess.Popen:
-        return self._start("work")
+    def start_worker(self, module: str = "trueup_cli.main") -> subprocess.Popen:
+        return self._start(module, "work")
 
     def stop(self) -> None:
         for child in self._children:
@@ -54,10 +55,10 @@ class Service:
             child.wait(timeout=30)
         self._children.clear()
 
-    def _start(self, *arguments: str) -> subprocess.Popen:
+    def _start(self, module: str, *arguments: str) -> subprocess.Popen:
         quiet = {"TRUEUP_LOG_LEVEL": "WARNING", "PYTHONWARNINGS": "default"}
         environment = {**os.environ, **self.storage.environment, **quiet, **self._settings}
-        child = subprocess.Popen([sys.executable, "-m", "trueup_cli.main", *arguments], env=environment, cwd=ROOT)
+        child = subprocess.Popen([sys.executable, "-m", module, *arguments], env=environment, cwd=ROOT)
         self._children.append(child)
         return child
 

@@ -7,8 +7,11 @@ from pathlib import Path
 
 from tests.support.postgres import Postgres
 from tests.support.s3 import S3
+from trueup.ledger.note import Signer
 from trueup_service.settings import Settings
 from trueup_service.wiring import Parts, build
+
+SIGNING_KEY = Signer("trueup-tests", bytes(32)).text  # one for all servers of a database
 
 
 @dataclass(frozen=True)
@@ -36,5 +39,6 @@ def scaled(folder: Path, postgres: Postgres, s3: S3) -> Storage:
         "TRUEUP_S3_ENDPOINT": s3.endpoint,
         "TRUEUP_S3_ACCESS_KEY": "test",
         "TRUEUP_S3_SECRET_KEY": "test",
+        "TRUEUP_SIGNING_KEY": SIGNING_KEY,
     }
     return Storage("scaled", embedded(folder).environment | more)

@@ -4,16 +4,26 @@ from __future__ import annotations
 
 import random
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from sqlalchemy import LargeBinary, select
+from sqlalchemy import LargeBinary, select, text
 
-from trueup.ledger.rows import KEYS, is_named
+from tests.support.made import episode_bytes, plant_document, save
+from trueup.episode.role import Role
+from trueup.ledger.audit import AuditEntry, rebuild
+from trueup.ledger.rows import KEYS, must_be_named
+from trueup_client import Client
 from trueup_service.registry.tables import metadata
 from trueup_service.wiring import Parts
 
+RULES = {
+    "schema": "trueup.gate/1",
+    "rules": [{"rule": "one_step_no_worse", "slack": 1e9}],
+    "scoring": {"horizon_s": 2.0, "windows": "first"},
+}
 TAMPERED = [metadata.tables[name] for name in (*KEYS, "audit", "audit_tree", "audit_head")]
 
 
@@ -23,6 +33,27 @@ class Flip:
 
     where: str
     undo: Callable[[], None]
+
+
+def promoted(client: Client, folder: Path) -> tuple[str, str]:
+    """A plant `p` whose fitted candidate was judged and promoted; the candidate and the decision."""
+    client.register_plant(plant_document("p"))
+    for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
+        client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
+    candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])["result"]["artifact"]
+    gate = client.declare_gate("p", RULES)["digest"]
+    decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"])["result"]["decision"]
+    client.promote("p", decision, 1)
+    return candidate, decision
+
+
+def cut(parts: Parts, entries: Sequence[AuditEntry], size: int) -> None:
+    """Cut the log to a size, entries, tree and head alike, so that what is left is a sound log."""
+    with parts.database.write() as connection:
+        connection.execute(text("DELETE FROM audit WHERE sequence > :n"), {"n": size})
+        connection.execute(text("DELETE FROM audit_tree WHERE ((position + 1) << level) > :n"), {"n": size})
+        frontier = rebuild(entries[:size]).to_bytes()
+        connection.execute(text("UPDATE audit_head SET size = :n, frontier = :f"), {"n": size, "f": frontier})
 
 
 def flip(parts: Parts, rng: random.Random) -> Flip:
@@ -41,7 +72,7 @@ def _flip_row(parts: Parts, rng: random.Random) -> Flip:
     while True:
         table = rng.choice(TAMPERED)
         with parts.database.read() as connection:
-            rows = [r for r in connection.execute(select(table)).mappings() if table.name not in KEYS or is_named(table.name, r)]
+            rows = [r for r in connection.execute(select(table)).mappings() if table.name not in KEYS or must_be_named(table.name, r)]
         if not rows:
             continue
         row = rng.choice(rows)

@@ -10,6 +10,7 @@ from trueup.gate.frozen import Frozen
 
 SCHEMA = "trueup.policy/1"
 ASK = "ask"
+MOST_APPROVALS = 5
 LONGEST_H = 1e5  # eleven years
 CHOICES = {"on_alarm": (ASK, "diagnose"), "on_diagnosis": (ASK, "judge"), "on_acceptance": (ASK, "promote")}
 
@@ -25,7 +26,8 @@ class BadPolicy(TrueupError):
 class UpdatePolicy(Frozen):
     """The three steps that may go on by themselves, the gate that judges, and what a new model's monitor promises.
 
-    `on_alarm` ask or diagnose, `on_diagnosis` ask or judge, `on_acceptance` ask or promote. Raises BadPolicy.
+    `on_alarm` ask or diagnose, `on_diagnosis` ask or judge, `on_acceptance` ask or promote. With `approvals` above one, a promotion takes
+    that many people, and nothing is promoted without one. Raises BadPolicy.
     """
 
     gate: str
@@ -35,6 +37,7 @@ class UpdatePolicy(Frozen):
     promise_h: float = 100.0
     reference_episodes: int = 20  # healthy ones, recorded since the change, before a new model's monitor is calibrated
     validate_every_h: float | None = None
+    approvals: int = 1  # people that a promotion takes
 
     schema, refused, noun = SCHEMA, BadPolicy, "a policy"
 
@@ -42,6 +45,8 @@ class UpdatePolicy(Frozen):
         for step, allowed in CHOICES.items():
             if getattr(self, step) not in allowed:
                 raise BadPolicy(f"{step} must be {' or '.join(allowed)}", field=step)
+        if not 1 <= self.approvals <= MOST_APPROVALS or (self.approvals > 1 and self.on_acceptance != ASK):
+            raise BadPolicy("a promotion takes 1 to 5 people, and where it takes two, on_acceptance is ask", field="approvals")
         if not is_digest(self.gate):
             raise BadPolicy("the gate must be named by its digest", field="gate")
         hours = self.promise_h, self.promise_h if self.validate_every_h is None else self.validate_every_h

@@ -14,6 +14,8 @@ import orjson
 from trueup.canonical import Json, digest_of, digest_of_bytes
 
 KEYS: Mapping[str, tuple[str, ...]] = {
+    "projects": ("name",),
+    "tokens": ("prefix",),
     "plants": ("name",),
     "episodes": ("plant", "digest"),
     "artifacts": ("plant", "version"),
@@ -22,6 +24,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "decisions": ("digest",),
     "serving": ("plant",),
     "moves": ("plant", "generation"),
+    "approvals": ("plant", "decision", "token"),
     "monitors": ("plant", "digest"),
     "watching": ("plant",),
     "watches": ("plant", "monitor", "sequence"),
@@ -42,11 +45,11 @@ def row_name(table: str, row: Mapping[str, Any]) -> str:
 
 
 def row_digest(table: str, row: Mapping[str, Json]) -> str:
-    """The digest of a row, all its columns by name."""
-    return digest_of({"table": table, "row": row})
+    """The digest of a row, its columns by name; empty ones are left out, so that a column that comes later changes no old digest."""
+    return digest_of({"table": table, "row": {name: value for name, value in row.items() if value is not None}})
 
 
-def is_named(table: str, row: Mapping[str, Any]) -> bool:
+def must_be_named(table: str, row: Mapping[str, Any]) -> bool:
     """Whether the log must name a row as it is now."""
     return table != "jobs" or row["state"] in FINAL
 

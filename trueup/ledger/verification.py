@@ -17,7 +17,7 @@ from trueup.canonical import Json
 from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry, entry_bytes
 from trueup.ledger.merkle import NOTHING, Frontier, Node, leaf_hash
-from trueup.ledger.rows import KEYS, MOVES, blobs, is_named, misnamed, row_digest, row_name
+from trueup.ledger.rows import KEYS, MOVES, blobs, misnamed, must_be_named, row_digest, row_name
 
 Told = Callable[[float, str], None]
 LOOKS = 5  # at a registry that is being written to, before what does not agree counts
@@ -149,10 +149,8 @@ def _of(name: str) -> str:
 
 
 def _differs(log: _Log, table: str, name: str, row: Mapping[str, Any]) -> str | None:
-    if not is_named(table, row):
-        return None
     if name not in log.named:
-        return "no entry of the log tells of it"
+        return "no entry of the log tells of it" if must_be_named(table, row) else None
     digest, entry = log.named[name]
     if row_digest(table, row) != digest:
         return f"it is not as entry {entry.sequence} ({entry.kind}) left it"

@@ -17,6 +17,8 @@ from trueup_service.registry.records import (
     MonitorRecord,
     Move,
     PlantRecord,
+    ProjectRecord,
+    TokenRecord,
 )
 from trueup_service.registry.store import Reader
 
@@ -29,6 +31,14 @@ def plant(reader: Reader, name: str) -> PlantRecord:
 
 def plant_digest(reader: Reader, name: str) -> str:
     return _found(reader.plant_digest(name), "plant", name)
+
+
+def project(reader: Reader, name: str) -> ProjectRecord:
+    return _found(reader.project(name), "project", name)
+
+
+def token(reader: Reader, prefix: str) -> TokenRecord:
+    return _found(reader.token(prefix), "token", prefix)
 
 
 def episode(reader: Reader, plant: str, digest: str) -> EpisodeRecord:
@@ -83,5 +93,10 @@ def serving(reader: Reader, plant: str) -> Move:
 
 def _found(record: T | None, noun: str, name: str) -> T:
     if record is None:
-        raise NotFound(f"there is no {noun} {name!r} here", noun=noun, name=name)
+        raise missing(noun, name)
     return record
+
+
+def missing(noun: str, name: str) -> NotFound:
+    """The one answer for what is not here."""
+    return NotFound(f"there is no {noun} {name!r} here", noun=noun, name=name)

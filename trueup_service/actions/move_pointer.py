@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from trueup.canonical import Json, digest_of
@@ -14,8 +16,16 @@ from trueup_service.registry.records import ArtifactRecord, DecisionRecord, Move
 from trueup_service.registry.store import Reader, Writer
 
 
-def promote_decision(writer: Writer, plant: str, decision: str, expected_generation: int, rehearsed: dict[str, Json], stamp: Stamp) -> Move:
-    """The new position, at the decision's candidate; `rehearsed` is the record of the way back, tried before.
+def promote_decision(
+    writer: Writer,
+    plant: str,
+    decision: str,
+    expected_generation: int,
+    rehearsed: dict[str, Json],
+    stamp: Stamp,
+    approved: Mapping[str, Json] = MappingProxyType({}),
+) -> Move:
+    """The new position, at the decision's candidate; `rehearsed` is the record of the way back, tried before, `approved` says by whom.
 
     Raises PointerMoved, NotAccepted, NotFound.
     """
@@ -36,7 +46,7 @@ def promote_decision(writer: Writer, plant: str, decision: str, expected_generat
         pointer.since,
         stamp.actor,
     )
-    return _move(writer, now, move, stamp, {"gate": made.gate, "rehearsed": rehearsed})
+    return _move(writer, now, move, stamp, {"gate": made.gate, "rehearsed": rehearsed, **approved})
 
 
 def _judged(made: DecisionRecord) -> Judged:

@@ -8,10 +8,11 @@ from datetime import UTC, datetime
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """The actor of a change, and its time as the registry writes it."""
+    """The actor of a change, its time as the registry writes it, and the token that the actor came with."""
 
     actor: str
     now: str
+    token: str = ""
 
 
 def time_text(at: datetime) -> str:

@@ -15,6 +15,7 @@ from trueup_service.http import openapi, problems
 from trueup_service.http.limiting import Limiting
 from trueup_service.http.observing import Observing
 from trueup_service.http.routers import (
+    access,
     artifacts,
     audit,
     channels,
@@ -30,6 +31,7 @@ from trueup_service.http.routers import (
     telemetry,
 )
 from trueup_service.http.serving_answers import ServingAnswers
+from trueup_service.identity import Identities
 from trueup_service.signed_log import SignedLog, open_log
 from trueup_service.wiring import Parts
 
@@ -42,7 +44,7 @@ Errors are `application/problem+json` with a stable `code` and a `hint`. Every P
 
 
 ROUTERS = (
-    plants, episodes, telemetry, artifacts, gates, jobs, decisions, serving, monitors, policies, channels, audit, operations,
+    plants, episodes, telemetry, artifacts, gates, jobs, decisions, serving, monitors, policies, channels, audit, access, operations,
 )  # fmt: skip
 
 
@@ -73,6 +75,7 @@ def create_app(parts: Parts) -> FastAPI:
 
     app = FastAPI(title="trueup", version=__version__, description=DESCRIPTION, lifespan=alive, docs_url=None, redoc_url=None)
     app.state.parts = parts
+    app.state.identities = Identities(parts.settings, parts.database)
     app.state.log = open_log(parts.settings, parts.database)
     problems.install(app)
     openapi.install(app)

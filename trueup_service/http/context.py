@@ -13,10 +13,10 @@ from pydantic import BaseModel
 from trueup.canonical import Json, digest_of
 from trueup_service.actions.once import Key, once
 from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.identity import Who
 from trueup_service.registry.store import Writer, writing
 from trueup_service.wiring import Parts
 
-NOBODY = "unauthenticated"
 END_OF_TIME = "9999-12-31T23:59:59.999999Z"
 
 
@@ -26,11 +26,13 @@ async def _parts(request: Request) -> Parts:
 
 
 async def _stamp(
+    request: Request,
     actor: Annotated[
-        str | None, Header(alias="Trueup-Actor", max_length=200, description="Who is doing this; stands in the audit log")
+        str | None, Header(alias="Trueup-Actor", max_length=200, description="For whom; stands in the log behind the token's name")
     ] = None,
 ) -> Stamp:
-    return Stamp(actor or NOBODY, time_text(datetime.now(UTC)))
+    who: Who = request.scope["who"]
+    return Stamp(f"{who.name} for {actor}" if actor and actor != who.name else who.name, time_text(datetime.now(UTC)), who.token)
 
 
 With = Annotated[Parts, Depends(_parts)]
@@ -45,6 +47,7 @@ IdempotencyKey = Annotated[
     ),
 ]
 PlantName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A plant's name")]
+PrefixPath = Annotated[str, Path(pattern=r"^[0-9a-f]{12}$", description="A token's public prefix")]
 DigestPath = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")]
 Limit = Annotated[int, Query(ge=1, le=1000, description="Most items in the answer")]
 Before = Annotated[str, Query(max_length=27, description="Only what was made before this time; `next` of the page before")]
@@ -55,7 +58,9 @@ def run_once(
 ) -> dict[str, Any]:
     """Run an action in a transaction of its own, once under its idempotency key."""
     with writing(parts.database) as writer:
-        return act(writer) if key is None else once(writer, Key(scope, key, digest_of(request)), stamp.now, lambda: act(writer))
+        if key is None:
+            return act(writer)
+        return once(writer, Key(f"{scope}@{stamp.token}", key, digest_of(request)), stamp.now, lambda: act(writer))
 
 
 def create(

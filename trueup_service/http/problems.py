@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 from http import HTTPStatus
@@ -25,6 +26,7 @@ from trueup_service.registry.blobs import BlobMissing, StoreAway
 
 log = logging.getLogger("trueup.http")
 
+FULL = (errno.ENOSPC, errno.EDQUOT)
 MEDIA_TYPE = "application/problem+json"
 
 STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
@@ -59,6 +61,9 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.BadRequest: HTTPStatus.BAD_REQUEST,
     service.SwitchbackFailed: HTTPStatus.CONFLICT,
     service.InspectionFailed: HTTPStatus.UNPROCESSABLE_ENTITY,
+    service.ApprovalMissing: HTTPStatus.CONFLICT,
+    service.Unauthenticated: HTTPStatus.UNAUTHORIZED,
+    service.Forbidden: HTTPStatus.FORBIDDEN,
     service.LogRewound: HTTPStatus.INTERNAL_SERVER_ERROR,
     service.OtherKey: HTTPStatus.INTERNAL_SERVER_ERROR,
     BadKey: HTTPStatus.INTERNAL_SERVER_ERROR,
@@ -98,7 +103,10 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(errors.TrueupError)
     def _ours(request: Request, error: errors.TrueupError) -> Response:
-        return problem(request, status_of(error), error.code, error.message, error.hint, error.facts)
+        answer = problem(request, status_of(error), error.code, error.message, error.hint, error.facts)
+        if isinstance(error, service.Unauthenticated):
+            answer.headers["WWW-Authenticate"] = 'Bearer realm="trueup"'
+        return answer
 
     @app.exception_handler(RequestValidationError)
     def _invalid(request: Request, error: RequestValidationError) -> Response:
@@ -130,6 +138,18 @@ def install(app: FastAPI) -> None:
             "not-ready",
             "the database cannot be used now",
             "Try again with the same Idempotency-Key; /readyz says what is missing.",
+        )
+
+    @app.exception_handler(OSError)
+    def _disk(request: Request, error: OSError) -> Response:
+        log.error("the disk failed", exc_info=error, extra={"request_id": request.scope.get("request_id")})
+        is_full = error.errno in FULL
+        return problem(
+            request,
+            HTTPStatus.INSUFFICIENT_STORAGE if is_full else HTTPStatus.SERVICE_UNAVAILABLE,
+            "storage-full" if is_full else "storage-failed",
+            "the disk is full" if is_full else "the disk cannot be used now",
+            "Nothing was kept. Try again with the same Idempotency-Key once /readyz says that there is room.",
         )
 
     @app.exception_handler(DataError)

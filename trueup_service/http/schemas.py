@@ -8,6 +8,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from trueup.ledger.operation import Operation, of_job
+from trueup_service.registry.records import Role
 
 T = TypeVar("T")
 A = TypeVar("A", bound="Answer")
@@ -47,12 +48,73 @@ def page(kind: type[A], found: Sequence[object], limit: int, cursor: str) -> Pag
     return Page[A](items=[kind.model_validate(record) for record in found], next=more)
 
 
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$")]
+
+
+class SignIn(BaseModel):
+    """A token, to be exchanged for a session."""
+
+    model_config = ConfigDict(extra="forbid")
+    token: str = Field(max_length=200)
+
+
+class Identity(Answer):
+    """Who asks, and what there is for them: null for all projects, or all plants."""
+
+    name: str
+    roles: list[Role]
+    project: str | None
+    plant: str | None
+
+
+class NewProject(BaseModel):
+    """A project: its plants are there for its own tokens alone."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: Name
+
+
+class Project(Answer):
+    name: str
+    created_at: Time
+    created_by: str
+
+
+class NewToken(BaseModel):
+    """A token for somebody. Without a project it is of all; `plant` narrows it to one; without `days` it does not expire."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")
+    roles: list[Role] = Field(min_length=1, max_length=5)
+    project: Name | None = None
+    plant: Name | None = None
+    days: float | None = Field(365.0, gt=0, le=36_500)
+
+
+class Token(Answer):
+    prefix: str
+    name: str
+    roles: list[Role]
+    project: str | None
+    plant: str | None
+    created_at: Time
+    created_by: str
+    expires_at: Time | None
+    revoked_at: Time | None
+    revoked_by: str | None
+
+
+class IssuedToken(Token):
+    token: str = Field(description="The whole token; it is shown this once")
+
+
 class Plant(Answer):
     name: str
     digest: Digest
     document: dict[str, Any]
     created_at: Time
     created_by: str
+    project: str | None
 
 
 class Episode(Answer):
@@ -252,6 +314,14 @@ class Decision(Answer):
     job: str | None
     created_at: Time
     created_by: str
+
+
+class Approval(Answer):
+    plant: str
+    decision: Digest
+    token: str = Field(description="The approving token's public prefix")
+    at: Time
+    actor: str
 
 
 class Serving(BaseModel):

@@ -31,15 +31,63 @@ class MoveKind(StrEnum):
     ROLLED_BACK = "rolled_back"
 
 
+class Role(StrEnum):
+    """What somebody is here to do."""
+
+    ROBOT = "robot"
+    ENGINEER = "engineer"
+    OPERATOR = "operator"
+    AUDITOR = "auditor"
+    ADMIN = "admin"
+
+
+@dataclass(frozen=True, slots=True)
+class ProjectRecord:
+    """A project: plants that only its own tokens, and those of all projects, know of."""
+
+    name: str
+    created_at: str
+    created_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class TokenRecord:
+    """A token by its public prefix and the digest of its secret; of one project, or of all; of one plant, or of all of those."""
+
+    prefix: str
+    digest: str
+    name: str
+    roles: list[str]
+    project: str | None
+    plant: str | None
+    created_at: str
+    created_by: str
+    expires_at: str | None
+    revoked_at: str | None = None
+    revoked_by: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Approval:
+    """That somebody wants a decision promoted."""
+
+    plant: str
+    decision: str
+    token: str
+    at: str
+    actor: str
+
+
 @dataclass(frozen=True, slots=True)
 class PlantRecord:
-    """A registered plant."""
+    """A registered plant; without a project it belongs to none, and only tokens of all projects see it."""
 
     name: str
     digest: str
     document: dict[str, Json]
     created_at: str
     created_by: str
+    project: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from sqlalchemy import inspect, text
 
 from trueup_service.registry.database import Database
 
-HEAD = "0003"
+HEAD = "0004"
 MIGRATIONS = Path(__file__).parent.parent / "migrations"
 ADVISORY_LOCK = 0x7472756575  # "trueu": one migration at a time among many servers
 

@@ -19,6 +19,7 @@ from sqlalchemy import (
     Select,
     Table,
     bindparam,
+    delete,
     func,
     insert,
     literal,
@@ -39,6 +40,7 @@ from trueup_service.registry.database import Database
 from trueup_service.registry.records import (
     FINAL,
     AlarmRecord,
+    Approval,
     ArtifactRecord,
     ChannelMove,
     ChannelRecord,
@@ -52,13 +54,15 @@ from trueup_service.registry.records import (
     Move,
     PlantRecord,
     PolicyRecord,
+    ProjectRecord,
+    TokenRecord,
     Watch,
     Watching,
 )
 from trueup_service.registry.rows import plain
 
 R = TypeVar("R")
-_JSON = {"document", "summary", "request", "result", "facts", "kept", "seen", "requires", "evidence", "rows"}
+_JSON = {"document", "summary", "request", "result", "facts", "kept", "seen", "requires", "evidence", "rows", "roles"}
 
 # Statements of the busiest paths, built once: building one costs about as much as running it.
 _BY_PLANT: BindParameter[str] = bindparam("plant")
@@ -99,8 +103,41 @@ class Reader:
         found: str | None = self.connection.scalar(_PLANT_DIGEST, {"plant": name})
         return found
 
-    def plants(self, after: str, limit: int) -> list[PlantRecord]:
-        return self._all(PlantRecord, select(t.plants).where(t.plants.c.name > after).order_by(t.plants.c.name).limit(limit))
+    def plants(self, after: str, limit: int, project: str | None = None) -> list[PlantRecord]:
+        """Plants by name, of one project or of all."""
+        query = select(t.plants).where(t.plants.c.name > after)
+        query = query if project is None else query.where(t.plants.c.project == project)
+        return self._all(PlantRecord, query.order_by(t.plants.c.name).limit(limit))
+
+    def belongs(self, plant: str, project: str) -> bool:
+        """Whether a plant is there and of this project."""
+        found = self.connection.scalar(select(t.plants.c.project).where(t.plants.c.name == plant))
+        return bool(found == project)
+
+    def project(self, name: str) -> ProjectRecord | None:
+        return self._one(ProjectRecord, select(t.projects).where(t.projects.c.name == name))
+
+    def projects(self, after: str, limit: int) -> list[ProjectRecord]:
+        query = select(t.projects).where(t.projects.c.name > after).order_by(t.projects.c.name)
+        return self._all(ProjectRecord, query.limit(limit))
+
+    def token(self, prefix: str) -> TokenRecord | None:
+        return self._one(TokenRecord, select(t.tokens).where(t.tokens.c.prefix == prefix))
+
+    def tokens(self, after: str, limit: int) -> list[TokenRecord]:
+        query = select(t.tokens).where(t.tokens.c.prefix > after).order_by(t.tokens.c.prefix)
+        return self._all(TokenRecord, query.limit(limit))
+
+    def session(self, digest: str, now: str) -> str | None:
+        """The token of a session that has not ended."""
+        query = select(t.sessions.c.token).where(t.sessions.c.digest == digest, t.sessions.c.expires_at > now)
+        found: str | None = self.connection.scalar(query)
+        return found
+
+    def approvals(self, plant: str, decision: str) -> list[Approval]:
+        """Who wants a decision promoted, in order."""
+        of = t.approvals.c.plant == plant, t.approvals.c.decision == decision
+        return self._all(Approval, select(t.approvals).where(*of).order_by(t.approvals.c.at, t.approvals.c.token))
 
     def episode(self, plant: str, digest: str) -> EpisodeRecord | None:
         return self._one(EpisodeRecord, select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.digest == digest))
@@ -302,8 +339,11 @@ class Reader:
         query = select(t.alarms).where(t.alarms.c.plant == plant, t.alarms.c.closed_at.is_(None))
         return self._one(AlarmRecord, query.order_by(t.alarms.c.raised_at).limit(1))
 
-    def audit_entries(self, after: int, limit: int, plant: str | None = None) -> list[AuditEntry]:
+    def audit_entries(self, after: int, limit: int, plant: str | None = None, project: str | None = None) -> list[AuditEntry]:
+        """Entries in order, all of them, or those of a plant or of a project's plants."""
         query = select(t.audit).where(t.audit.c.sequence > after)
+        of_project = select(t.plants.c.name).where(t.plants.c.project == project)
+        query = query if project is None else query.where(t.audit.c.plant.in_(of_project))
         query = query if plant is None else query.where(t.audit.c.plant == plant)
         return self._all(AuditEntry, query.order_by(t.audit.c.sequence).limit(limit))
 
@@ -366,6 +406,31 @@ class Writer(Reader):
 
     def add_plant(self, record: PlantRecord) -> None:
         self._add(t.plants, asdict(record))
+
+    def add_project(self, record: ProjectRecord) -> None:
+        self._add(t.projects, asdict(record))
+
+    def add_token(self, record: TokenRecord) -> None:
+        self._add(t.tokens, asdict(record))
+
+    def revoke_token(self, prefix: str, now: str, actor: str) -> bool:
+        """Revoke a token; False if it is revoked already."""
+        where = t.tokens.c.prefix == prefix, t.tokens.c.revoked_at.is_(None)
+        changed = self.connection.execute(update(t.tokens).where(*where).values(revoked_at=now, revoked_by=actor))
+        if changed.rowcount == 1:
+            self._wrote(t.tokens, t.tokens.c.prefix == prefix)
+        return changed.rowcount == 1
+
+    def add_session(self, digest: str, token: str, now: str, expires_at: str) -> None:
+        """Begin a session, and forget those that have ended."""
+        self.connection.execute(delete(t.sessions).where(t.sessions.c.expires_at <= now))
+        self._add(t.sessions, {"digest": digest, "token": token, "created_at": now, "expires_at": expires_at})
+
+    def end_session(self, digest: str) -> None:
+        self.connection.execute(delete(t.sessions).where(t.sessions.c.digest == digest))
+
+    def add_approval(self, record: Approval) -> None:
+        self._add(t.approvals, asdict(record))
 
     def add_episode(self, record: EpisodeRecord) -> None:
         self._add(t.episodes, asdict(record))

@@ -31,6 +31,39 @@ metadata = MetaData(
     }
 )
 
+projects = Table(
+    "projects",
+    metadata,
+    Column("name", NAME, primary_key=True),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+)
+
+tokens = Table(
+    "tokens",
+    metadata,
+    Column("prefix", String(16), primary_key=True),
+    Column("digest", DIGEST, nullable=False),
+    Column("name", Text, nullable=False),
+    Column("roles", Text, nullable=False),
+    Column("project", NAME, ForeignKey("projects.name")),
+    Column("plant", NAME),
+    Column("created_at", AT, nullable=False),
+    Column("created_by", Text, nullable=False),
+    Column("expires_at", AT),
+    Column("revoked_at", AT),
+    Column("revoked_by", Text),
+)
+
+sessions = Table(
+    "sessions",
+    metadata,
+    Column("digest", DIGEST, primary_key=True),
+    Column("token", String(16), nullable=False),
+    Column("created_at", AT, nullable=False),
+    Column("expires_at", AT, nullable=False),
+)
+
 plants = Table(
     "plants",
     metadata,
@@ -39,6 +72,8 @@ plants = Table(
     Column("document", Text, nullable=False),
     Column("created_at", AT, nullable=False),
     Column("created_by", Text, nullable=False),
+    Column("project", NAME),
+    Index(None, "project", "name"),
 )
 
 episodes = Table(
@@ -146,6 +181,16 @@ moves = Table(
     Column("at", AT, nullable=False),
     Column("actor", Text, nullable=False),
     Index(None, "plant", "at"),
+)
+
+approvals = Table(
+    "approvals",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("decision", DIGEST, primary_key=True),
+    Column("token", String(16), primary_key=True),
+    Column("at", AT, nullable=False),
+    Column("actor", Text, nullable=False),
 )
 
 monitors = Table(

@@ -85,4 +85,4 @@ def test_the_rows_that_the_log_names_are_the_tables_of_the_registry_by_their_key
     for table, key in KEYS.items():
         assert tuple(metadata.tables[table].primary_key.columns.keys()) == key
     unnamed = set(metadata.tables) - set(KEYS)
-    assert unnamed == {"audit", "audit_tree", "audit_head", "audit_key", "job_reads", "idempotency"}
+    assert unnamed == {"audit", "audit_tree", "audit_head", "audit_key", "job_reads", "idempotency", "sessions"}

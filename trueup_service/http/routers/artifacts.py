@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
@@ -16,6 +16,7 @@ from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import DigestMismatch, Kept, NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Artifact, Envelope, Page, page
 from trueup_service.http.uploads import Received, received
@@ -23,7 +24,7 @@ from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
-router = APIRouter(prefix="/v1", tags=["artifacts"])
+router = guarded("/v1", ["artifacts"])
 MANIFEST = {"requestBody": {"required": True, "content": {"application/json": {"schema": {"type": "object"}}}}}
 ARRAYS = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 
@@ -42,12 +43,16 @@ def _keep(blobs: Blobs, digest: str, file: Received) -> None:
     blobs.put(digest, file.path)
 
 
-@router.get("/blobs/{digest}", summary="Download arrays", response_class=Response)
+@router.get("/blobs/{digest}", summary="Download bytes by their digest, for auditors", response_class=Response)
 def get_blob(parts: With, digest: DigestPath) -> StreamingResponse:
-    if not parts.blobs.holds(digest):
+    return _blob(parts.blobs, digest)
+
+
+def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
+    if not blobs.holds(digest):
         raise NotFound(f"there is no blob {digest!r} here", noun="blob", name=digest)
     headers = {"ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
-    return StreamingResponse(parts.blobs.stream(digest), media_type="application/octet-stream", headers=headers)
+    return StreamingResponse(blobs.stream(digest), media_type="application/octet-stream", headers=headers)
 
 
 @router.post(
@@ -119,6 +124,16 @@ def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
         found = find.artifact(Reader(connection), plant, digest)
     headers = {"ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
     return Response(found.manifest, media_type="application/json", headers=headers)
+
+
+@router.get("/plants/{plant}/artifacts/{digest}/arrays", summary="Download an artifact's arrays", response_class=Response)
+def get_arrays(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
+    """The bytes that its manifest names."""
+    with parts.database.read() as connection:
+        arrays = find.artifact(Reader(connection), plant, digest).arrays
+    if arrays is None:
+        raise NotFound(f"artifact {digest[:12]} has no arrays", noun="arrays", name=digest)
+    return _blob(parts.blobs, arrays)
 
 
 @router.get("/plants/{plant}/artifacts/{digest}/provenance", summary="Where an artifact comes from, signed")

@@ -12,7 +12,7 @@ import struct
 from typing import Annotated, Any
 
 import orjson
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup.ledger.audit import entry_bytes
@@ -20,12 +20,13 @@ from trueup.ledger.merkle import Plan, consistency, inclusion, prove
 from trueup.ledger.rows import KEYS
 from trueup_service.errors import BadRequest, NotFound
 from trueup_service.http.context import Limit, With
+from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.schemas import AuditEntry, Page, Proof, Rows, page
 from trueup_service.registry.store import Reader
 from trueup_service.registry.tables import metadata
 from trueup_service.signed_log import SignedLog
 
-router = APIRouter(prefix="/v1/audit", tags=["audit"])
+router = guarded("/v1/audit", ["audit"])
 TILE = 256
 TABLES = {name: metadata.tables[name] for name in (*KEYS, "audit_tree")}
 TilePath = Annotated[str, Path(pattern=r"^(x[0-9]{3}/)*[0-9]{3}(\.p/[0-9]{1,3})?$", description="tile number as x001/x234/067, .p/<width>")]
@@ -39,11 +40,15 @@ IMMUTABLE = {"Cache-Control": "public, max-age=31536000, immutable"}
 
 @router.get("", summary="List entries in order")
 def list_entries(
-    parts: With, plant: str | None = None, after: Annotated[int, Query(ge=0, le=2**62, description="sequence")] = 0, limit: Limit = 100
+    parts: With,
+    who: Asking,
+    plant: str | None = None,
+    after: Annotated[int, Query(ge=0, le=2**62, description="sequence")] = 0,
+    limit: Limit = 100,
 ) -> Page[AuditEntry]:
-    """Entry n is leaf n - 1 of the tree; an entry's leaf holds the digests of `facts` and of `rows`."""
+    """Entry n is leaf n - 1 of the tree; an entry's leaf holds the digests of `facts` and of `rows`. A token of a project sees its own."""
     with parts.database.read() as connection:
-        found = Reader(connection).audit_entries(after, limit, plant)
+        found = Reader(connection).audit_entries(after, limit, plant if who.plant is None else who.plant, who.project)
     return page(AuditEntry, found, limit, "sequence")
 
 

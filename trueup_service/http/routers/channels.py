@@ -5,19 +5,20 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Path, Query, Request, Response
+from fastapi import Body, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup_service.actions import find
 from trueup_service.actions.add_evidence import add_evidence
 from trueup_service.actions.channels import declare_channel, move_channel
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create, run_once
+from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas import Channel, ChannelDeclaration, ChannelMove, ChannelPosition, Evidence, Page, page
 from trueup_service.registry.store import Reader, Writer
 
-router = APIRouter(prefix="/v1/plants/{plant}", tags=["channels"])
+router = guarded("/v1/plants/{plant}", ["channels"])
 ChannelName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A channel's name")]
 CHANNEL = {"name": "channel", "in": "path", "required": True, "schema": {"type": "string"}, "description": "A channel's name"}
 

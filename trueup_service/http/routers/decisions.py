@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request
+from fastapi import Request, Response
 
 from trueup.canonical import Json, digest_of
 from trueup.errors import BrokenChain
 from trueup.ledger.provenance import PAYLOAD_TYPE, of_decision
 from trueup_service.actions import find
-from trueup_service.http.context import END_OF_TIME, Before, DigestPath, Limit, PlantName, With
-from trueup_service.http.schemas import Decision, Envelope, Page, page
+from trueup_service.actions.approve import approve
+from trueup_service.http.context import END_OF_TIME, Before, By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.guard import Asking, guarded, require_seen
+from trueup_service.http.openapi import there
+from trueup_service.http.schemas import Approval, Decision, Envelope, Page, page
 from trueup_service.registry.store import Reader
 
-router = APIRouter(prefix="/v1", tags=["decisions"])
+router = guarded("/v1", ["decisions"])
 
 
 @router.get("/plants/{plant}/decisions", summary="List decisions, the newest first")
@@ -41,7 +44,29 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
     return Envelope(**request.app.state.log.envelope(PAYLOAD_TYPE, of_decision(found.document, digest, facts)))
 
 
-@router.get("/decisions/{digest}", summary="Get a decision by its digest alone")
-def find_decision(parts: With, digest: DigestPath) -> Decision:
+@router.post(
+    "/plants/{plant}/decisions/{digest}/approvals",
+    status_code=201,
+    response_model=Approval,
+    summary="Approve a decision for promotion",
+    responses=there(Approval),
+)
+def add_approval(parts: With, stamp: By, plant: PlantName, digest: DigestPath, key: IdempotencyKey = None) -> Response:
+    """Once for each token. Where the plant's policy takes two people for a promotion, one approves and the other promotes."""
+    return create(parts, stamp, f"approvals/{plant}", key, {"decision": digest}, lambda w: approve(w, plant, digest, stamp), Approval)
+
+
+@router.get("/plants/{plant}/decisions/{digest}/approvals", summary="List who approved a decision")
+def list_approvals(parts: With, plant: PlantName, digest: DigestPath) -> Page[Approval]:
     with parts.database.read() as connection:
-        return Decision.model_validate(find.any_decision(Reader(connection), digest))
+        reader = Reader(connection)
+        find.decision(reader, plant, digest)
+        return Page(items=[Approval.model_validate(a) for a in reader.approvals(plant, digest)])
+
+
+@router.get("/decisions/{digest}", summary="Get a decision by its digest alone")
+def find_decision(parts: With, who: Asking, digest: DigestPath) -> Decision:
+    with parts.database.read() as connection:
+        found = find.any_decision(Reader(connection), digest)
+    require_seen(parts.database, who, found.plant, find.missing("decision", digest))
+    return Decision.model_validate(found)

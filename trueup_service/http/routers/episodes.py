@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
@@ -14,6 +14,7 @@ from trueup_service.actions import find
 from trueup_service.actions.stamp import time_text
 from trueup_service.errors import Kept
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With
+from trueup_service.http.guard import guarded
 from trueup_service.http.ingesting import against, ingest, inspect
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, page
@@ -26,7 +27,7 @@ from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
 PURPOSES = ("fit", "gate", "diagnose", "blindtrial", "calibrate", "watch", "validate")  # kinds of jobs that read episodes
-router = APIRouter(prefix="/v1/plants/{plant}/episodes", tags=["episodes"])
+router = guarded("/v1/plants/{plant}/episodes", ["episodes"])
 MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 
 

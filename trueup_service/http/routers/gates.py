@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Query, Response
+from fastapi import Body, Query, Response
 
 from trueup_service.actions import find
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Gate, Page, page
 from trueup_service.registry.store import Reader
 
-router = APIRouter(prefix="/v1/plants/{plant}/gates", tags=["gates"])
+router = guarded("/v1/plants/{plant}/gates", ["gates"])
 
 
 @router.post("", status_code=201, response_model=Gate, summary="Declare a gate", responses=there(Gate))

@@ -5,12 +5,13 @@ from __future__ import annotations
 import uuid
 from typing import Annotated
 
-from fastapi import APIRouter, Body, Path, Response
+from fastapi import Body, Path, Response
 
 from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.context import END_OF_TIME, Before, By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.guard import Asking, guarded, require_seen
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import (
     BlindtrialRequest,
@@ -26,7 +27,7 @@ from trueup_service.http.schemas import (
 )
 from trueup_service.registry.store import Reader, writing
 
-router = APIRouter(prefix="/v1", tags=["jobs"])
+router = guarded("/v1", ["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
 JobRequest = Annotated[
     FitRequest | GateRequest | DiagnosisRequest | BlindtrialRequest | CalibrationRequest | ValidationRequest, Body(discriminator="kind")
@@ -61,15 +62,18 @@ def list_jobs(parts: With, plant: PlantName, before: Before = END_OF_TIME, limit
 
 
 @router.get("/jobs/{job}", summary="Get a job with its progress and what it has read")
-def get_job(parts: With, job: JobId) -> JobWithReads:
+def get_job(parts: With, who: Asking, job: JobId) -> JobWithReads:
     with parts.database.read() as connection:
         reader = Reader(connection)
         found = find.job(reader, job)
+        require_seen(parts.database, who, found.plant, find.missing("job", job))
         return JobWithReads(**Job.model_validate(found).model_dump(), reads=reader.job_reads(job))
 
 
 @router.post("/jobs/{job}/cancel", summary="Cancel a job")
-def cancel(parts: With, stamp: By, job: JobId) -> Job:
+def cancel(parts: With, stamp: By, who: Asking, job: JobId) -> Job:
     """A waiting job is cancelled at once, a running one at its next report of progress; a finished one stays as it is."""
+    with parts.database.read() as connection:
+        require_seen(parts.database, who, find.job(Reader(connection), job).plant, find.missing("job", job))
     with writing(parts.database) as writer:
         return Job.model_validate(cancel_job(writer, job, stamp))

@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import Path, Query
 
 from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm
 from trueup_service.http.context import END_OF_TIME, Before, By, DigestPath, IdempotencyKey, Limit, PlantName, With, run_once
+from trueup_service.http.guard import guarded
 from trueup_service.http.schemas import Alarm, Closing, Monitor, MonitorState, Page, Watch, page
 from trueup_service.registry.store import Reader
 
-router = APIRouter(prefix="/v1/plants/{plant}", tags=["monitors"])
+router = guarded("/v1/plants/{plant}", ["monitors"])
 AlarmId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
 CALIBRATE = "Submit a job of kind `calibrate`: healthy episodes of the role reference say what is normal."
 

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import os
+import shutil
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from sqlalchemy.exc import SQLAlchemyError
 
 from trueup import __version__
 from trueup_service.errors import LogRewound
 from trueup_service.http.context import With
+from trueup_service.http.guard import guarded
 from trueup_service.http.schemas import Health, Readiness
 from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
-router = APIRouter(tags=["operations"])
+LEAST_ROOM_BYTES = 64 << 20
+router = guarded("", ["operations"])
 
 
 @router.get("/healthz", summary="The process answers")
@@ -59,7 +62,17 @@ def _blobs(parts: Parts) -> str:
 
 
 def _spool(parts: Parts) -> str:
-    return "ok" if os.access(parts.spool, os.W_OK) else "cannot be written to"
+    """The disk that takes uploads and, where storage is embedded, everything."""
+    path = parts.spool / "ready"
+    try:
+        with path.open("wb") as file:
+            file.write(b"ready")
+            os.fsync(file.fileno())
+        path.unlink()
+        room = shutil.disk_usage(parts.spool).free
+    except OSError as error:
+        return f"cannot be written to: {os.strerror(error.errno or 0)}"
+    return "ok" if room >= LEAST_ROOM_BYTES else f"only {room >> 20} MiB are free"
 
 
 @router.get("/metrics", summary="Prometheus metrics", response_class=Response)

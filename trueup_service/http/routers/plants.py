@@ -4,34 +4,47 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Query, Response
+from fastapi import Body, Query, Response
 
 from trueup_service.actions import find
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Page, Plant, page
 from trueup_service.registry.store import Reader
 
-router = APIRouter(prefix="/v1/plants", tags=["plants"])
+router = guarded("/v1/plants", ["plants"])
 
 
 @router.post("", status_code=201, response_model=Plant, summary="Register a plant", responses=there(Plant))
 def register(
     parts: With,
     stamp: By,
+    who: Asking,
     document: Annotated[dict[str, Any], Body(description="plant.json")],
+    project: Annotated[str | None, Query(max_length=63, description="default: the token's own")] = None,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Its declared model becomes version 1 and serves at generation 1. The same description again answers 200."""
+    """Its declared model becomes version 1 and serves at generation 1. The same description again answers 200.
+
+    Names are unique over all projects: one that another project has is refused, and nothing more is said of it.
+    """
     from trueup_service.actions.register_plant import register_plant  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    return create(parts, stamp, "plants", key, document, lambda w: register_plant(w, document, stamp), Plant)
+    if who.project is not None and project not in (None, who.project):
+        raise find.missing("project", str(project))
+    of = who.project or project
+    return create(parts, stamp, "plants", key, document, lambda w: register_plant(w, document, stamp, of), Plant)
 
 
 @router.get("", summary="List plants by name")
-def list_plants(parts: With, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100) -> Page[Plant]:
+def list_plants(parts: With, who: Asking, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100) -> Page[Plant]:
+    """Those that the token sees."""
     with parts.database.read() as connection:
-        found = Reader(connection).plants(after, limit)
+        reader = Reader(connection)
+        if who.plant is not None:
+            return Page(items=[Plant.model_validate(find.plant(reader, who.plant))] if who.plant > after else [])
+        found = reader.plants(after, limit, who.project)
     return page(Plant, found, limit, "name")
 
 

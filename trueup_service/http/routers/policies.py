@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Query, Response
+from fastapi import Body, Query, Response
 
 from trueup_service.actions import find
 from trueup_service.actions.declare_policy import declare_policy
 from trueup_service.errors import NotFound
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Page, Policy, page
 from trueup_service.registry.store import Reader
 
-router = APIRouter(prefix="/v1/plants/{plant}", tags=["policies"])
+router = guarded("/v1/plants/{plant}", ["policies"])
 
 
 @router.post("/policies", status_code=201, response_model=Policy, summary="Declare an update policy", responses=there(Policy))

@@ -6,16 +6,18 @@ import uuid
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup.canonical import Json
 from trueup.errors import PointerMoved
 from trueup_service.actions import find
+from trueup_service.actions.approve import require_approvals
 from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.move_pointer import previous_artifact, promote_decision, roll_back_pointer
 from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, run_once
+from trueup_service.http.guard import guarded
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas import Envelope, Page, Promotion, Rollback, Serving
 from trueup_service.http.serving_answers import document
@@ -23,7 +25,7 @@ from trueup_service.registry.store import Reader, Writer
 from trueup_service.signed_log import SignedLog
 from trueup_service.wiring import Parts
 
-router = APIRouter(prefix="/v1/plants/{plant}/serving", tags=["serving"])
+router = guarded("/v1/plants/{plant}/serving", ["serving"])
 ENVELOPE_TYPE, ENVELOPE_SCHEMA = "application/vnd.trueup.serving+json", "trueup.serving/1"
 AtTime = Annotated[
     str | None, Query(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z$", description="UTC, ISO 8601: only what was live then")
@@ -88,7 +90,7 @@ def _padded(at: str) -> str:
 
 @router.post("/promote", summary="Serve an accepted candidate")
 async def promote(request: Request, parts: With, stamp: By, plant: PlantName, promotion: Promotion, key: IdempotencyKey = None) -> Serving:
-    """Compare and swap: 409 if the pointer is not at `expected_generation`, or the decision was judged at another one."""
+    """Compare and swap: 409 if the pointer is elsewhere, the decision was judged at another one, or others must approve."""
 
     moved = await run_in_threadpool(_promote, parts, stamp, plant, promotion, key)
     request.app.state.answers.wake()
@@ -100,7 +102,8 @@ def _promote(parts: Parts, stamp: Stamp, plant: str, promotion: Promotion, key: 
     rehearsed = _rehearsed(parts, stamp, plant, promotion.decision)
 
     def act(writer: Writer) -> dict[str, Any]:
-        move = promote_decision(writer, plant, promotion.decision, promotion.expected_generation, rehearsed, stamp)
+        approved: dict[str, Json] = {"approved_by": require_approvals(writer, plant, promotion.decision, stamp)}
+        move = promote_decision(writer, plant, promotion.decision, promotion.expected_generation, rehearsed, stamp, approved)
         Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).moved(move)
         return document(move)
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup_service.http.context import By, IdempotencyKey, PlantName, With
+from trueup_service.http.guard import guarded
 from trueup_service.http.ingesting import against, ingest, inspect
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode
 from trueup_service.http.uploads import Received, received
 from trueup_service.inspection import as_mcap
 
-router = APIRouter(prefix="/v1/plants/{plant}/telemetry", tags=["episodes"])
+router = guarded("/v1/plants/{plant}/telemetry", ["episodes"])
 NUMBERS = {"type": "array", "items": {"type": "number"}, "minItems": 2}
 BATCH = {
     "requestBody": {

@@ -1,0 +1,91 @@
+"""Run the command with a fault waiting in it: `python -m tests.support.faults serve …`.
+
+The fault is written to the file that FAULT_FILE names, as `<what> <n>`: at the n-th step towards the disk or the database from then on,
+the process is killed (`kill`), or that step fails (`ENOSPC`, `EIO`, …). Steps are every write of an upload, fsync, link, rename, put into a
+store, and both sides of every commit. Once it has struck, the file is gone.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+FILE = Path(os.environ.get("FAULT_FILE", "/nonexistent"))
+_lock = threading.Lock()
+_left: dict[str, int] = {}
+
+
+def arm(path: Path, what: str, at: int) -> None:
+    """Let a fault wait in the process that watches this file."""
+    beside = path.with_suffix(".arming")
+    beside.write_text(f"{what} {at}")
+    beside.replace(path)
+
+
+def step(name: str, failed: Callable[[str], BaseException]) -> None:
+    """One step; the fault strikes if it is its turn."""
+    with _lock:
+        try:
+            what, at = FILE.read_text().split()
+        except (OSError, ValueError):
+            _left.clear()
+            return
+        left = _left[what] = _left.get(what, int(at)) - 1
+        if left > 0:
+            return
+        _left.clear()
+        FILE.unlink()
+    print(f"fault: {what} at {name}", file=sys.stderr, flush=True)
+    if what == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    raise failed(what)
+
+
+def _os_error(what: str) -> OSError:
+    number = getattr(errno, what)
+    return OSError(number, os.strerror(number))
+
+
+def _wrap(owner: Any, name: str, failed: Callable[[str], BaseException] = _os_error) -> None:
+    original = getattr(owner, name)
+
+    def stepped(*arguments: Any, **more: Any) -> Any:
+        step(name, failed)
+        return original(*arguments, **more)
+
+    setattr(owner, name, stepped)
+
+
+def install() -> None:
+    """Put the steps under watch."""
+    import obstore
+    from sqlalchemy.engine.default import DefaultDialect
+
+    from trueup_service.http.uploads import _Sink
+
+    for name in ("fsync", "fdatasync", "link", "replace"):
+        _wrap(os, name)
+    _wrap(_Sink, "take")
+    _wrap(obstore, "put")
+    commit = DefaultDialect.do_commit
+
+    def do_commit(self: Any, connection: Any) -> None:
+        lost: Callable[[str], BaseException] = self.dbapi.OperationalError
+        step("commit", lost)
+        commit(self, connection)
+        step("committed", lost)
+
+    DefaultDialect.do_commit = do_commit  # type: ignore[method-assign]
+
+
+if __name__ == "__main__":
+    from trueup_cli.main import main
+
+    install()
+    main()

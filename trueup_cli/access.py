@@ -1,0 +1,110 @@
+"""Commands on tokens and projects, for admins, and signing in."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import Annotated
+
+from cyclopts import App, Parameter
+
+from trueup_cli.options import DEFAULT_URL, Json, Url, connect, login_file
+from trueup_cli.show import as_json, err, moment, out, table
+from trueup_client import Client
+from trueup_client.records import Document
+
+tokens = App(name="token", help="Issue, list and revoke tokens.")
+projects = App(name="project", help="Create and list projects.")
+
+
+@tokens.command
+def issue(
+    name: str,
+    *roles: str,
+    project: Annotated[str | None, Parameter(help="Of this project alone; default: of all")] = None,
+    plant: Annotated[str | None, Parameter(help="Of this plant alone; a robot's must be")] = None,
+    days: Annotated[float, Parameter(help="Until it expires; 0 for never")] = 365.0,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """Issue a token and print it, this once.
+
+    Parameters
+    ----------
+    name: who it is for; stands in the log behind everything that is done with it
+    roles: robot, engineer, operator, auditor or admin; several but for a robot
+    """
+    made = connect(url).issue_token(name, list(roles), project, plant, days or None)
+    if as_json_:
+        as_json(made)
+        return
+    print(made["token"])
+    until = f"until {moment(made['expires_at'])}" if made["expires_at"] else "without an end"
+    err.print(f"[dim]{name}: {', '.join(made['roles'])}, {until}; kept nowhere: give it to its owner now[/]")
+
+
+@tokens.command(name="list")
+def list_tokens(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """List tokens, without their secrets."""
+    found = list(connect(url).tokens())
+    if as_json_:
+        as_json(found)
+        return
+    rows = [
+        (t["prefix"], t["name"], ", ".join(t["roles"]), t["project"], t["plant"], moment(t["expires_at"] or ""), _state(t)) for t in found
+    ]
+    table("", ["prefix", "name", "roles", "project", "plant", "expires", "state"], rows)
+
+
+def _state(token: Document) -> str:
+    return f"revoked by {token['revoked_by']}" if token["revoked_at"] else ""
+
+
+@tokens.command
+def revoke(prefix: str, *, url: Url = DEFAULT_URL) -> None:
+    """Revoke a token, for good.
+
+    Parameters
+    ----------
+    prefix: its public part, the twelve digits behind trueup_
+    """
+    gone = connect(url).revoke_token(prefix)
+    out.print(f"{gone['name']} is revoked")
+
+
+@projects.command
+def create(name: str, *, url: Url = DEFAULT_URL) -> None:
+    """Create a project: its plants are there for its own tokens, and for those of all projects."""
+    out.print(f"project [bold]{connect(url).create_project(name)['name']}[/] is there")
+
+
+@projects.command(name="list")
+def list_projects(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """List projects."""
+    found = list(connect(url).projects())
+    rows = [(p["name"], moment(p["created_at"]), p["created_by"]) for p in found]
+    as_json(found) if as_json_ else table("", ["project", "since", "by"], rows)
+
+
+def login(*, url: Url = DEFAULT_URL) -> None:
+    """Keep a token for an address, read from standard input, once the service knows it."""
+    import getpass
+
+    token = getpass.getpass("token: ") if sys.stdin.isatty() else sys.stdin.readline().strip()
+    who = Client(url, token=token).whoami()
+    path = login_file(url)
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+        file.write(token)
+    out.print(f"{url} knows you as [bold]{who['name']}[/] ({', '.join(who['roles'])}); the token is in {path}", soft_wrap=True)
+
+
+def whoami(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """Say whom the service takes you for."""
+    who = connect(url).whoami()
+    if as_json_:
+        as_json(who)
+    else:
+        seen = who["plant"] or who["project"] or "all projects"
+        out.print(f"[bold]{who['name']}[/]: {', '.join(who['roles'])}, {seen}")

@@ -1,0 +1,115 @@
+"""Who may do what: one row for each route. A route without a row is refused to everybody, and fails the tests.
+
+An admin may do everything. A token of a project sees the plants of that project alone, one of a plant that plant alone; what it does not
+see answers as what does not exist. What is `everywhere` shows the whole registry, and needs a token of all projects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from trueup_service.registry.records import Role
+
+ROBOT, ENGINEER, OPERATOR, AUDITOR, ADMIN = Role.ROBOT, Role.ENGINEER, Role.OPERATOR, Role.AUDITOR, Role.ADMIN
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """Which roles may use a route, an admin beside them; `public` for everybody, `everywhere` only with a token of all projects."""
+
+    roles: frozenset[Role] = frozenset()
+    public: bool = False
+    everywhere: bool = False
+
+
+def _of(*roles: Role, everywhere: bool = False) -> Rule:
+    return Rule(frozenset({*roles, ADMIN}), everywhere=everywhere)
+
+
+PUBLIC = Rule(public=True)
+ANYBODY = _of(ROBOT, ENGINEER, OPERATOR, AUDITOR)
+READERS = _of(ENGINEER, OPERATOR, AUDITOR)
+SENDERS = _of(ROBOT, ENGINEER)
+ENGINEERS = _of(ENGINEER)
+OPERATORS = _of(OPERATOR)
+ENGINEERS_AND_OPERATORS = _of(ENGINEER, OPERATOR)
+AUDITORS = _of(AUDITOR)
+WHOLE = _of(AUDITOR, everywhere=True)
+ADMINS = _of(everywhere=True)
+
+PLANT = "/v1/plants/{plant}"
+ACCESS: Mapping[tuple[str, str], Rule] = {
+    ("GET", "/healthz"): PUBLIC,
+    ("GET", "/readyz"): PUBLIC,
+    ("GET", "/metrics"): _of(OPERATOR, AUDITOR, everywhere=True),
+    ("POST", "/v1/session"): PUBLIC,
+    ("GET", "/v1/session"): ANYBODY,
+    ("DELETE", "/v1/session"): ANYBODY,
+    ("POST", "/v1/plants"): ENGINEERS,
+    ("GET", "/v1/plants"): READERS,
+    ("GET", PLANT): ANYBODY,
+    ("POST", f"{PLANT}/episodes"): SENDERS,
+    ("GET", f"{PLANT}/episodes"): READERS,
+    ("GET", f"{PLANT}/episodes/{{digest}}"): READERS,
+    ("GET", f"{PLANT}/episodes/{{digest}}/content"): READERS,
+    ("DELETE", f"{PLANT}/episodes/{{digest}}"): ENGINEERS,
+    ("POST", f"{PLANT}/telemetry"): SENDERS,
+    ("PUT", "/v1/blobs/{digest}"): ENGINEERS,
+    ("GET", "/v1/blobs/{digest}"): WHOLE,
+    ("POST", f"{PLANT}/artifacts"): ENGINEERS,
+    ("GET", f"{PLANT}/artifacts"): READERS,
+    ("GET", f"{PLANT}/artifacts/{{digest}}"): ANYBODY,
+    ("GET", f"{PLANT}/artifacts/{{digest}}/manifest"): ANYBODY,
+    ("GET", f"{PLANT}/artifacts/{{digest}}/arrays"): ANYBODY,
+    ("GET", f"{PLANT}/artifacts/{{digest}}/provenance"): ANYBODY,
+    ("GET", f"{PLANT}/artifacts/{{digest}}/evidence"): READERS,
+    ("DELETE", f"{PLANT}/artifacts/{{digest}}"): ENGINEERS,
+    ("GET", f"{PLANT}/versions/{{version}}"): READERS,
+    ("POST", f"{PLANT}/gates"): ENGINEERS,
+    ("GET", f"{PLANT}/gates"): READERS,
+    ("GET", f"{PLANT}/gates/{{digest}}"): READERS,
+    ("POST", f"{PLANT}/jobs"): ENGINEERS,
+    ("GET", f"{PLANT}/jobs"): READERS,
+    ("GET", "/v1/jobs/{job}"): READERS,
+    ("POST", "/v1/jobs/{job}/cancel"): ENGINEERS,
+    ("GET", f"{PLANT}/decisions"): READERS,
+    ("GET", f"{PLANT}/decisions/{{digest}}"): READERS,
+    ("GET", f"{PLANT}/decisions/{{digest}}/provenance"): ANYBODY,
+    ("POST", f"{PLANT}/decisions/{{digest}}/approvals"): OPERATORS,
+    ("GET", f"{PLANT}/decisions/{{digest}}/approvals"): READERS,
+    ("GET", "/v1/decisions/{digest}"): READERS,
+    ("GET", f"{PLANT}/serving"): ANYBODY,
+    ("GET", f"{PLANT}/serving/envelope"): ANYBODY,
+    ("GET", f"{PLANT}/serving/history"): READERS,
+    ("POST", f"{PLANT}/serving/promote"): OPERATORS,
+    ("POST", f"{PLANT}/serving/rollback"): OPERATORS,
+    ("GET", f"{PLANT}/monitor"): READERS,
+    ("GET", f"{PLANT}/monitors"): READERS,
+    ("GET", f"{PLANT}/monitors/{{digest}}"): READERS,
+    ("GET", f"{PLANT}/monitors/{{digest}}/watches"): READERS,
+    ("GET", f"{PLANT}/alarms"): READERS,
+    ("GET", f"{PLANT}/alarms/{{alarm}}"): READERS,
+    ("POST", f"{PLANT}/alarms/{{alarm}}/close"): ENGINEERS_AND_OPERATORS,
+    ("POST", f"{PLANT}/policies"): OPERATORS,
+    ("GET", f"{PLANT}/policies"): READERS,
+    ("GET", f"{PLANT}/policy"): READERS,
+    ("POST", f"{PLANT}/evidence"): ENGINEERS,
+    ("POST", f"{PLANT}/channels"): OPERATORS,
+    ("GET", f"{PLANT}/channels"): READERS,
+    ("GET", f"{PLANT}/channels/{{channel}}/serving"): ANYBODY,
+    ("POST", f"{PLANT}/channels/{{channel}}/move"): OPERATORS,
+    ("GET", "/v1/audit"): AUDITORS,
+    ("GET", "/v1/audit/key"): ANYBODY,
+    ("GET", "/v1/audit/checkpoint"): ANYBODY,
+    ("GET", "/v1/audit/inclusion"): ANYBODY,
+    ("GET", "/v1/audit/consistency"): ANYBODY,
+    ("GET", "/v1/audit/tile/entries/{tile:path}"): WHOLE,
+    ("GET", "/v1/audit/tile/{level}/{tile:path}"): ANYBODY,
+    ("GET", "/v1/audit/rows/{table}"): WHOLE,
+    ("POST", "/v1/projects"): ADMINS,
+    ("GET", "/v1/projects"): ADMINS,
+    ("POST", "/v1/tokens"): ADMINS,
+    ("GET", "/v1/tokens"): ADMINS,
+    ("POST", "/v1/tokens/{prefix}/revoke"): ADMINS,
+}

@@ -1,0 +1,91 @@
+"""Access: sessions of browsers, projects, and tokens."""
+
+from __future__ import annotations
+
+import secrets
+from datetime import UTC, datetime, timedelta
+from typing import Annotated
+
+from fastapi import Query, Request, Response
+
+from trueup_service.actions.stamp import time_text
+from trueup_service.actions.tokens import create_project, issue_token, revoke_token
+from trueup_service.http.context import By, IdempotencyKey, Limit, PrefixPath, With, create
+from trueup_service.http.guard import COOKIE, Asking, guarded
+from trueup_service.http.openapi import there
+from trueup_service.http.schemas import Identity, IssuedToken, NewProject, NewToken, Page, Project, SignIn, Token, page
+from trueup_service.identity import digest_of_secret, new_token
+from trueup_service.registry.records import Role, TokenRecord
+from trueup_service.registry.store import Reader, writing
+
+router = guarded("/v1", ["access"])
+
+
+@router.post("/session", summary="Sign in with a token, for a browser")
+def sign_in(request: Request, response: Response, parts: With, given: SignIn) -> Identity:
+    """Sets a cookie that scripts cannot read and other sites cannot send. Programs send their token with every request instead."""
+    who = request.app.state.identities.by_token(given.token)
+    now, secret = datetime.now(UTC), secrets.token_urlsafe(32)
+    ends = now + timedelta(seconds=parts.settings.session_s)
+    with writing(parts.database) as writer:
+        writer.add_session(digest_of_secret(secret), who.token, time_text(now), time_text(ends))
+    is_https = request.url.scheme == "https"
+    response.set_cookie(COOKIE, secret, max_age=int(parts.settings.session_s), httponly=True, samesite="strict", secure=is_https)
+    return Identity.model_validate(who)
+
+
+@router.get("/session", summary="Who asks")
+async def session(who: Asking) -> Identity:
+    return Identity.model_validate(who)
+
+
+@router.delete("/session", summary="Sign out", status_code=204)
+def sign_out(request: Request, response: Response, parts: With) -> None:
+    cookie = request.cookies.get(COOKIE)
+    if cookie is not None:
+        with writing(parts.database) as writer:
+            writer.end_session(digest_of_secret(cookie))
+    request.app.state.identities.forget()
+    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
+
+
+@router.post("/projects", status_code=201, response_model=Project, summary="Create a project", responses=there(Project))
+def add_project(parts: With, stamp: By, project: NewProject, key: IdempotencyKey = None) -> Response:
+    return create(parts, stamp, "projects", key, project.model_dump(), lambda w: create_project(w, project.name, stamp), Project)
+
+
+@router.get("/projects", summary="List projects")
+def list_projects(parts: With, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100) -> Page[Project]:
+    with parts.database.read() as connection:
+        found = Reader(connection).projects(after, limit)
+    return page(Project, found, limit, "name")
+
+
+@router.post("/tokens", status_code=201, summary="Issue a token")
+def issue(parts: With, stamp: By, wanted: NewToken) -> IssuedToken:
+    """`token` is shown this once; its hash alone is kept. A robot's is of one plant. It takes no idempotency key: a repeated answer would
+    have to keep the secret. Revoke one that did not arrive.
+    """
+    text, prefix, digest = new_token()
+    expires = None if wanted.days is None else time_text(datetime.now(UTC) + timedelta(days=wanted.days))
+    roles = [role.value for role in Role if role in wanted.roles]
+    record = TokenRecord(prefix, digest, wanted.name, roles, wanted.project, wanted.plant, stamp.now, stamp.actor, expires)
+    with writing(parts.database) as writer:
+        issued = issue_token(writer, record, stamp)
+    return IssuedToken(**Token.model_validate(issued).model_dump(), token=text)
+
+
+@router.get("/tokens", summary="List tokens")
+def list_tokens(parts: With, after: Annotated[str, Query(max_length=16)] = "", limit: Limit = 100) -> Page[Token]:
+    with parts.database.read() as connection:
+        found = Reader(connection).tokens(after, limit)
+    return page(Token, found, limit, "prefix")
+
+
+@router.post("/tokens/{prefix}/revoke", summary="Revoke a token")
+def revoke(request: Request, parts: With, stamp: By, prefix: PrefixPath) -> Token:
+    """For good. Other servers refuse it within `token_memory_s`."""
+    with writing(parts.database) as writer:
+        revoked = revoke_token(writer, prefix, stamp)
+    request.app.state.identities.forget()
+    return Token.model_validate(revoked)
