@@ -1,0 +1,56 @@
+"""What a service acknowledged, held against what it has in the end: nothing lost, nothing torn, nothing done twice, every job ended."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from dataclasses import dataclass, field
+
+from trueup.ledger.verification import verify
+from trueup_service.kept import Kept, lost_jobs
+from trueup_service.registry.records import FINAL
+from trueup_service.registry.store import Reader
+from trueup_service.wiring import Parts
+
+ONCE = ("episode:ingested", "artifact:added", "gate:declared", "decision:made", "job:submitted", "job:finished", "plant:registered")
+
+
+@dataclass
+class History:
+    """Acknowledged episodes and gates by plant and digest, jobs by id, moves by plant, generation and artifact."""
+
+    episodes: set[tuple[str, str]] = field(default_factory=set)
+    gates: set[tuple[str, str]] = field(default_factory=set)
+    jobs: set[str] = field(default_factory=set)
+    moves: set[tuple[str, int, str]] = field(default_factory=set)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def note(self, kind: str, what: object) -> None:
+        with self.lock:
+            getattr(self, kind).add(what)
+
+    def __len__(self) -> int:
+        return len(self.episodes) + len(self.gates) + len(self.jobs) + len(self.moves)
+
+
+def problems(history: History, parts: Parts) -> list[str]:
+    """What is lost, torn, doubled or never ended."""
+    found = [f"torn: {f.where}: {f.what}" for f in verify(Kept(parts.database, parts.blobs)).findings]
+    found += [f"lost: {f.where}: {f.what}" for f in lost_jobs(parts)]
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        found += [f"lost: episode {e}" for e in history.episodes if reader.episode(*e) is None]
+        found += [f"lost: gate {g}" for g in history.gates if reader.gate(*g) is None]
+        for job in history.jobs:
+            record = reader.job(job)
+            if record is None or record.state not in FINAL:
+                found.append(f"lost: job {job} is {record and record.state}")
+        for plant, generation, artifact in history.moves:
+            move = reader.move(plant, generation)
+            if move is None or move.artifact != artifact:
+                found.append(f"lost: move {generation} of {plant}")
+        entries = reader.audit_entries(0, 10**9)
+    counted = Counter((e.kind, e.plant, e.subject) for e in entries if e.kind in ONCE)
+    found += [f"doubled: {key}" for key, times in counted.items() if times > 1]
+    generations = Counter((e.plant, e.facts["generation"]) for e in entries if e.kind == "pointer:moved")
+    return found + [f"doubled: generation {key}" for key, times in generations.items() if times > 1]
