@@ -10,6 +10,8 @@ ALL = (
     "serving",
     "registry",
     "tampering",
+    "kills",
+    "linearizable",
     "scaled",
     "diagnosis",
     "robots",

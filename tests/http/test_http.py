@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.made import episode_bytes, mcap_bytes, plant_document, save
+from tests.support.made import episode_bytes, identified, mcap_bytes, plant_document, save
 from tests.support.service import ADMIN, Service
 from tests.support.storage import Storage, embedded
 from trueup.artifact.artifact import pack
@@ -56,10 +56,6 @@ def problem(service, method, path, body=None, **headers):
     assert document["request_id"] == answered["x-request-id"]
     assert document["hint"]
     return status, document["code"], document
-
-
-def identified(name, k=1.2):
-    return pack(Identified(Plant.from_document(plant_document(name)), (k, 0.6, 0.8)), {"origin": "test"})
 
 
 # -- uploads

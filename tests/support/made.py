@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from trueup.artifact.artifact import Artifact, pack
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.episode.role import Role
 from trueup.episode.writer import Encoding, write_episode
 from trueup.model.plant import Plant
+from trueup.model.predictor import Identified
 
 T0_NS = 1_760_000_000_000_000_000
 TRUE = (1.25, 0.62, 0.82)
@@ -31,6 +33,11 @@ def plant_document(name: str = "bench-joint") -> dict:
         "evaluation": {"horizon_s": 2.0},
         "topics": {"observation": "/joint_states", "command": "/joint_commands"},
     }
+
+
+def identified(name: str, k: float = 1.2) -> Artifact:
+    """A version of a plant's model with other numbers, as somebody would upload it."""
+    return pack(Identified(Plant.from_document(plant_document(name)), (k, 0.6, 0.8)), {"origin": "test"})
 
 
 def arm_layout(joints: int) -> Layout:
