@@ -23,6 +23,8 @@ FINAL = ("succeeded", "failed", "cancelled")
 JOB_LOOK_S = 0.1
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 5.0
 NOT_MODIFIED = 304
+IN_PARTS_FROM_BYTES = 32 << 20
+ATTEMPTS = 5  # of a part, none of which comes through
 Share = Callable[[float], None]
 
 
@@ -59,8 +61,13 @@ class Client:
         return self._pages("/v1/plants", "after")
 
     def upload_episode(self, plant: str, path: str | os.PathLike[str], progress: Share = _silent) -> Document:
-        """Upload an MCAP file, streamed, with its digest; the same file again is the same episode."""
+        """Upload an MCAP file, streamed, with its digest; the same file again is the same episode.
+
+        A long one goes in parts: where the line breaks it goes on from what came, in this call or the next.
+        """
         digest = _digest_of(path)
+        if os.path.getsize(path) > IN_PARTS_FROM_BYTES:
+            return self._upload_in_parts(f"/v1/plants/{_name(plant)}/uploads/{digest}", Path(path), progress)
         headers = {
             "Content-Digest": _content_digest(digest),
             "Content-Length": str(os.path.getsize(path)),
@@ -68,6 +75,21 @@ class Client:
             "Idempotency-Key": digest,
         }
         return self._send("POST", f"/v1/plants/{_name(plant)}/episodes", lambda: _Watched(path, progress), headers)
+
+    def _upload_in_parts(self, path: str, file: Path, progress: Share) -> Document:
+        """Send what is missing, then finish. Raises Unreachable once no part comes through any more."""
+        size, failed = file.stat().st_size, 0
+        while (offset := self._get(path)["offset_bytes"]) < size:
+            headers = {"Upload-Offset": str(offset), "Content-Length": str(size - offset), "Content-Type": "application/octet-stream"}
+            try:
+                self._to.once("PATCH", path, _Watched(file, progress, offset), headers)
+            except Unreachable:
+                came = self._get(path)["offset_bytes"] > offset
+                failed = 0 if came else failed + 1
+                if failed == ATTEMPTS:
+                    raise
+        progress(1.0)
+        return self._post(f"{path}/finish", None)
 
     def episodes(self, plant: str, role: str | None = None) -> Iterator[Document]:
         return self._pages(f"/v1/plants/{_name(plant)}/episodes", "after", **({"role": role} if role else {}))
@@ -410,8 +432,9 @@ class Client:
 class _Watched:
     """A file that tells how much of it has been read."""
 
-    def __init__(self, path: str | os.PathLike[str], progress: Share) -> None:
+    def __init__(self, path: str | os.PathLike[str], progress: Share, offset: int = 0) -> None:
         self._file: BinaryIO = open(path, "rb")  # noqa: SIM115  (closed by whoever sends it)
+        self._file.seek(offset)
         self._size, self._progress = max(os.path.getsize(path), 1), progress
 
     def read(self, length: int = STREAM_BYTES) -> bytes:

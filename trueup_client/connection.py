@@ -61,6 +61,18 @@ class Connection:
             time.sleep(pause_s)
         raise AssertionError
 
+    def once(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> bytes:
+        """Send once, and read the whole answer. Raises Problem, and Unreachable where it breaks off."""
+        try:
+            found = self._once(method, path, body, headers)
+            content = found.read()
+        except (http.client.HTTPException, OSError) as error:
+            self._http.close()
+            raise Unreachable(f"{self._url} broke off: {error}") from error
+        if found.status >= REFUSED:
+            raise Problem(found.status, _document(content))
+        return content
+
     def parts(self, path: str) -> Iterator[bytes]:
         """Read an answer in parts. Raises Problem, and Unreachable where it breaks off."""
         try:

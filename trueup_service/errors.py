@@ -103,6 +103,27 @@ class OtherKey(TrueupError):
     hint = "Give every server of one database the same TRUEUP_SIGNING_KEY; restore data_dir/signing.key if it was lost."
 
 
+class NotEmpty(TrueupError):
+    """The registry holds something already."""
+
+    code = "registry-not-empty"
+    hint = "Restore into a fresh database and an empty folder or bucket; `trueup import` adds one plant to a registry in use."
+
+
+class NotWhole(TrueupError):
+    """What came does not agree with its own log, or is not signed by the key that was given."""
+
+    code = "archive-not-whole"
+    hint = "Nothing was taken over. Fetch the archive again, and compare the key with the one of the site that it came from."
+
+
+class UploadElsewhere(TrueupError):
+    """The upload is not where this part begins."""
+
+    code = "upload-offset"
+    hint = "Ask how far it came (GET the upload), and go on from `offset_bytes`."
+
+
 class ApprovalMissing(TrueupError):
     """The plant's policy takes more people for a promotion."""
 

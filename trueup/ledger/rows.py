@@ -25,6 +25,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "serving": ("plant",),
     "moves": ("plant", "generation"),
     "approvals": ("plant", "decision", "token"),
+    "imports": ("plant",),
     "monitors": ("plant", "digest"),
     "watching": ("plant",),
     "watches": ("plant", "monitor", "sequence"),
@@ -36,6 +37,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 }
 FINAL = ("succeeded", "failed", "cancelled")
 BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")  # named by the digest of their document
+KEPT_APART = ("projects", "tokens")  # of a registry as a whole, never of one plant
+WHOLESALE = ("log:migrated", "plant:imported")  # entries that tell of rows that were there elsewhere
 MOVES = {"moves": ("pointer:moved", "plant:registered"), "channel_moves": ("channel:moved",)}  # entries that may tell of a move
 
 
@@ -69,5 +72,5 @@ def misnamed(table: str, row: Mapping[str, Any]) -> str | None:
 
 def blobs(table: str, row: Mapping[str, Any]) -> list[str]:
     """Digests of the bytes that a row stands for."""
-    named = {"episodes": "digest", "artifacts": "arrays"}.get(table)
+    named = {"episodes": "digest", "artifacts": "arrays", "imports": "entries"}.get(table)
     return [row[named]] if named and row[named] else []

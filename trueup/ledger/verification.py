@@ -17,7 +17,7 @@ from trueup.canonical import Json
 from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry, entry_bytes
 from trueup.ledger.merkle import NOTHING, Frontier, Node, leaf_hash
-from trueup.ledger.rows import KEYS, MOVES, blobs, misnamed, must_be_named, row_digest, row_name
+from trueup.ledger.rows import KEPT_APART, KEYS, MOVES, WHOLESALE, blobs, misnamed, must_be_named, row_digest, row_name
 
 Told = Callable[[float, str], None]
 LOOKS = 5  # at a registry that is being written to, before what does not agree counts
@@ -32,8 +32,8 @@ class Registry(Protocol):
     def entries(self, after: int, until: int) -> Iterable[AuditEntry]:
         """Entries in order, from behind one up to another."""
 
-    def nodes(self) -> Iterable[tuple[Node, bytes]]:
-        """Every hash of the tree that is kept."""
+    def nodes(self) -> Iterable[tuple[Node, bytes]] | None:
+        """Every hash of the tree that is kept; None where it is rebuilt."""
 
     def rows(self, table: str) -> Iterable[Mapping[str, Json]]:
         """Every row of a table, as it is stored."""
@@ -102,12 +102,26 @@ def verify(registry: Registry, told: Told = lambda _share, _stage: None, each: E
     findings = log.read(registry) or _hold_nodes(registry, log)
     if findings:
         return Verified(log.tree.size, log.tree.root(), 0, 0, [], findings)
+    return _hold_all(registry, log, told)
+
+
+def verify_part(registry: Registry, entries: Iterable[AuditEntry], told: Told = lambda _share, _stage: None) -> Verified:
+    """Verify what a part of the log tells of; whoever calls has proven its entries to be in the log."""
+    log = _Log(lambda _: ())
+    for entry in entries:
+        log.named |= {name: (digest, entry) for name, digest in entry.rows.items() if _of(name) not in KEPT_APART}
+    return _hold_all(registry, log, told, looks=0)  # there is nothing more to read
+
+
+def _hold_all(registry: Registry, log: _Log, told: Told, looks: int = LOOKS) -> Verified:
+    """Hold every table and every blob."""
+    findings: list[Finding] = []
     named: dict[str, list[str]] = {}
     held, decisions = 0, []
     for count, table in enumerate(KEYS):
         told(0.2 + 0.3 * count / len(KEYS), f"holding {table} against the log")
         wrong, rows = _hold(registry, log, table)
-        for _ in range(LOOKS):
+        for _ in range(looks):
             size = log.tree.size
             if not wrong or log.read(registry) or log.tree.size == size:
                 break
@@ -125,7 +139,8 @@ def verify(registry: Registry, told: Told = lambda _share, _stage: None, each: E
 def _hold_nodes(registry: Registry, log: _Log) -> list[Finding]:
     """Hold the hashes from which proofs are made against those of the entries; there may be more by now."""
     try:
-        kept = dict(registry.nodes())
+        found = registry.nodes()
+        kept = log.nodes if found is None else dict(found)
     except TrueupError as error:
         return [Finding("tree", error.message)]
     wrong = [node for node, made in log.nodes.items() if kept.get(node) != made]
@@ -154,7 +169,7 @@ def _differs(log: _Log, table: str, name: str, row: Mapping[str, Any]) -> str | 
     digest, entry = log.named[name]
     if row_digest(table, row) != digest:
         return f"it is not as entry {entry.sequence} ({entry.kind}) left it"
-    if table in MOVES and entry.kind not in (*MOVES[table], "log:migrated"):
+    if table in MOVES and entry.kind not in (*MOVES[table], *WHOLESALE):
         return f"entry {entry.sequence} ({entry.kind}) cannot tell of a move"
     return misnamed(table, row)
 

@@ -29,6 +29,7 @@ from trueup_service.http.routers import (
     policies,
     serving,
     telemetry,
+    uploads,
 )
 from trueup_service.http.serving_answers import ServingAnswers
 from trueup_service.identity import Identities
@@ -44,7 +45,8 @@ Errors are `application/problem+json` with a stable `code` and a `hint`. Every P
 
 
 ROUTERS = (
-    plants, episodes, telemetry, artifacts, gates, jobs, decisions, serving, monitors, policies, channels, audit, access, operations,
+    plants, episodes, uploads, telemetry, artifacts, gates, jobs, decisions, serving, monitors, policies, channels, audit, access,
+    operations,
 )  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from trueup_service.errors import TooLargeUpload
 from trueup_service.http.observing import App, Message, Receive, Scope, Send
 
 LIMIT_BYTES = 4 << 20
-UPLOADS = re.compile(r"/v1/(plants/[^/]+/episodes|blobs/[^/]+)")
+UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+)")
 
 
 class Limiting:

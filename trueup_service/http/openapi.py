@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from trueup_service.http.problems import MEDIA_TYPE
 from trueup_service.http.schemas import Problem
 
-METHODS = ("get", "put", "post", "delete")
+METHODS = ("get", "put", "post", "patch", "delete")
 
 
 def there(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:

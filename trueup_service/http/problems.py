@@ -19,6 +19,7 @@ from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted
 from trueup.canonical import NotCanonical
 from trueup.gate.evidence import BadEvidence
 from trueup.gate.policy import BadPolicy
+from trueup.ledger.archive import BadArchive
 from trueup.ledger.note import BadKey
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
 from trueup_service import errors as service
@@ -61,6 +62,10 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.BadRequest: HTTPStatus.BAD_REQUEST,
     service.SwitchbackFailed: HTTPStatus.CONFLICT,
     service.InspectionFailed: HTTPStatus.UNPROCESSABLE_ENTITY,
+    service.NotEmpty: HTTPStatus.CONFLICT,
+    service.NotWhole: HTTPStatus.UNPROCESSABLE_ENTITY,
+    BadArchive: HTTPStatus.UNPROCESSABLE_ENTITY,
+    service.UploadElsewhere: HTTPStatus.CONFLICT,
     service.ApprovalMissing: HTTPStatus.CONFLICT,
     service.Unauthenticated: HTTPStatus.UNAUTHORIZED,
     service.Forbidden: HTTPStatus.FORBIDDEN,

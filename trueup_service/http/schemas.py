@@ -134,6 +134,13 @@ class EpisodeContext(Episode):
     uses: dict[str, int]
 
 
+class Upload(BaseModel):
+    """An upload under way: how many of its bytes are here, and durable."""
+
+    digest: Digest
+    offset_bytes: int
+
+
 class Artifact(Answer):
     plant: str
     version: int

@@ -5,8 +5,11 @@ A put returns when the bytes are durable: on a folder the file and the folder th
 
 from __future__ import annotations
 
+import contextlib
 import filecmp
+import math
 import os
+import time
 import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     from obstore.store import S3Store
 
 STREAM_BYTES = 1 << 20
+YOUNG_S = 3600.0  # what was put in the last hour is not put again
 
 
 class BlobMissing(TrueupError):
@@ -63,6 +67,18 @@ class Blobs(ABC):
     def all(self) -> Iterator[str]:
         """Every digest that is kept."""
 
+    @abstractmethod
+    def remove(self, digest: str, older_than_s: float, *, dry_run: bool) -> int | None:
+        """Remove bytes that nobody has put for so long [s]; how many, None if they are younger. They can be brought back until `forget`."""
+
+    @abstractmethod
+    def bring_back(self, digest: str) -> None:
+        """Undo a removal."""
+
+    @abstractmethod
+    def forget(self) -> None:
+        """Let go for good of what was removed."""
+
 
 class FolderBlobs(Blobs):
     """Blobs as files `ab/cdef…` below a folder on the same file system as the files that are put."""
@@ -75,13 +91,23 @@ class FolderBlobs(Blobs):
         target = self._path(digest)
         target.parent.mkdir(exist_ok=True)
         _sync(source)
+        while not self._linked(source, target):
+            continue  # it was being removed: once it is gone it can be linked
+        for folder in (target.parent, self._root):  # also for a file that was there: whoever linked it may not have come this far
+            _sync(folder)
+
+    def _linked(self, source: Path, target: Path) -> bool:
+        """Link the file, or make the one that is there young again, so that nobody takes it for left over; False if it went meanwhile."""
         try:
             os.link(source, target)
         except FileExistsError:
-            self._mend(target, source)
-            _sync(target)
-        for folder in (target.parent, self._root):  # also for a file that was there: whoever linked it may not have come this far
-            _sync(folder)
+            try:
+                os.utime(target)
+                self._mend(target, source)
+                _sync(target)
+            except FileNotFoundError:
+                return False
+        return True
 
     @staticmethod
     def _mend(target: Path, source: Path) -> None:
@@ -114,6 +140,33 @@ class FolderBlobs(Blobs):
             if is_digest(digest := path.parent.name + path.name):
                 yield digest
 
+    def remove(self, digest: str, older_than_s: float, *, dry_run: bool) -> int | None:
+        path, aside = self._path(digest), self._aside(digest)
+        if time.time() - path.stat().st_mtime < older_than_s:
+            return None
+        if dry_run:
+            return path.stat().st_size
+        path.replace(aside)
+        found = aside.stat()
+        if time.time() - found.st_mtime < older_than_s:  # somebody has put it in this very moment
+            self.bring_back(digest)
+            return None
+        return found.st_size
+
+    def bring_back(self, digest: str) -> None:
+        with contextlib.suppress(FileExistsError):
+            os.link(self._aside(digest), self._path(digest))
+        self._aside(digest).unlink()
+        _sync(self._path(digest).parent)
+
+    def forget(self) -> None:
+        for path in self._root.glob("removed-*"):
+            path.unlink()
+        _sync(self._root)
+
+    def _aside(self, digest: str) -> Path:
+        return self._root / f"removed-{_checked(digest)}"
+
     def _path(self, digest: str) -> Path:
         return self._root / _checked(digest)[:2] / digest[2:]
 
@@ -123,11 +176,12 @@ class S3Blobs(Blobs):
 
     def __init__(self, store: S3Store) -> None:
         self._store = store
+        self._removed: dict[str, bytes] = {}
 
     def put(self, digest: str, source: Path) -> None:
         import obstore  # noqa: PLC0415  (only a scaled installation has a store)
 
-        if not self.holds(digest):
+        if self._age_s(digest) > YOUNG_S:  # put again what is old, so that nobody takes it for left over
             with source.open("rb") as file, _answering(digest):
                 obstore.put(self._store, _checked(digest), file)
 
@@ -150,6 +204,39 @@ class S3Blobs(Blobs):
         except BlobMissing:
             return False
         return True
+
+    def _age_s(self, digest: str) -> float:
+        """How long ago the bytes were put [s]; infinite where they are not there."""
+        import obstore  # noqa: PLC0415
+
+        try:
+            with _answering(digest):
+                found = obstore.head(self._store, _checked(digest))
+        except BlobMissing:
+            return math.inf
+        put_at: float = found["last_modified"].timestamp()
+        return time.time() - put_at
+
+    def remove(self, digest: str, older_than_s: float, *, dry_run: bool) -> int | None:
+        import obstore  # noqa: PLC0415
+
+        if self._age_s(digest) < max(older_than_s, YOUNG_S if older_than_s else 0.0):
+            return None
+        data = self.get(digest)
+        if not dry_run:
+            self._removed[digest] = data
+            with _answering(digest):
+                obstore.delete(self._store, _checked(digest))
+        return len(data)
+
+    def bring_back(self, digest: str) -> None:
+        import obstore  # noqa: PLC0415
+
+        with _answering(digest):
+            obstore.put(self._store, _checked(digest), self._removed[digest])
+
+    def forget(self) -> None:
+        self._removed.clear()
 
     def all(self) -> Iterator[str]:
         import obstore  # noqa: PLC0415

@@ -34,6 +34,13 @@ class Database:
             yield connection
 
     @contextmanager
+    def snapshot(self) -> Iterator[Connection]:
+        """One and the same state for as many statements as it takes, while others write."""
+        level = {} if self.is_sqlite else {"isolation_level": "REPEATABLE READ"}
+        with self.engine.connect().execution_options(**level) as connection:
+            yield connection
+
+    @contextmanager
     def glance(self) -> Iterator[Connection]:
         """For one statement that reads: no transaction is begun or ended, which on PostgreSQL spares two round trips."""
         with self.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:

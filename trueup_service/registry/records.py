@@ -171,6 +171,19 @@ class DecisionRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class ImportRecord:
+    """Where an imported plant came from: the archive, the head of its log, and the blob of its entries, each with its proof."""
+
+    plant: str
+    archive: str
+    origin: str
+    checkpoint: str
+    entries: str
+    at: str
+    actor: str
+
+
+@dataclass(frozen=True, slots=True)
 class MonitorRecord:
     """A calibrated monitor of one artifact."""
 

@@ -15,6 +15,12 @@ def plain(table: Table, values: Mapping[str, Any] | RowMapping) -> dict[str, Jso
     return {column.name: _plain(column, values[column.name]) for column in table.columns}
 
 
+def stored(table: Table, row: Mapping[str, Any]) -> dict[str, Any]:
+    """The inverse: a row as it is stored."""
+    wide = {c.name for c in table.columns if isinstance(c.type, BigInteger)}
+    return {name: int(value) if name in wide and value is not None else value for name, value in row.items()}
+
+
 def _plain(column: Column[Any], value: Any) -> Json:
     if isinstance(value, bytes | memoryview):
         return value.hex()

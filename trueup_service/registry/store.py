@@ -48,6 +48,7 @@ from trueup_service.registry.records import (
     EpisodeRecord,
     EvidenceRecord,
     GateRecord,
+    ImportRecord,
     JobRecord,
     JobState,
     MonitorRecord,
@@ -59,7 +60,7 @@ from trueup_service.registry.records import (
     Watch,
     Watching,
 )
-from trueup_service.registry.rows import plain
+from trueup_service.registry.rows import plain, stored
 
 R = TypeVar("R")
 _JSON = {"document", "summary", "request", "result", "facts", "kept", "seen", "requires", "evidence", "rows", "roles"}
@@ -370,12 +371,18 @@ class Reader:
         found: str | None = self.connection.scalar(select(t.audit_key.c.verifier))
         return found
 
-    def rows(self, table: Table, after: Sequence[Any], limit: int) -> list[dict[str, Any]]:
-        """Rows as they are stored, in the order of their keys, from behind one."""
+    def rows(self, table: Table, after: Sequence[Any], limit: int, plant: str | None = None) -> list[dict[str, Any]]:
+        """Rows as they are stored, in the order of their keys, from behind one; of all plants or of one."""
         key = tuple(table.primary_key.columns)
         query = select(table).order_by(*key).limit(limit)
+        query = query if plant is None else query.where((table.c.name if table is t.plants else table.c.plant) == plant)
         query = query.where(tuple_(*key) > tuple_(*(literal(v, c.type) for v, c in zip(after, key, strict=True)))) if after else query
         return [plain(table, row) for row in self.connection.execute(query).mappings()]
+
+    def names(self, digest: str) -> bool:
+        """Whether a row names these bytes."""
+        named = (t.episodes.c.digest, t.artifacts.c.arrays, t.imports.c.entries)
+        return any(self.connection.scalar(select(column).where(column == digest).limit(1)) is not None for column in named)
 
     def remembered(self, scope: str, key: str) -> tuple[str, dict[str, Json]] | None:
         """The request digest and the response kept under an idempotency key."""
@@ -557,6 +564,30 @@ class Writer(Reader):
         self.connection.execute(_MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()})
         self.written = {}
         return entry
+
+    def add_import(self, record: ImportRecord) -> None:
+        self._add(t.imports, asdict(record))
+
+    def add_row(self, table: Table, row: Mapping[str, Any]) -> None:
+        """Add a row as it was stored elsewhere, and name it."""
+        values = stored(table, row)
+        self.connection.execute(_INSERT[table.name], values)
+        self._note(table, values)
+
+    def put_row(self, table: Table, row: Mapping[str, Any]) -> None:
+        """Put a row back that the log names already."""
+        self.connection.execute(_INSERT[table.name], stored(table, row))
+
+    def put_log(self, entries: Iterable[AuditEntry]) -> Frontier:
+        """Put a whole log back, and make its tree anew."""
+        tree = Frontier(0, ())
+        for entry in entries:
+            tree, completed = tree.append(leaf_hash(entry_bytes(entry)))
+            self._add(t.audit, asdict(entry))
+            nodes = [{"level": level, "position": position, "hash": found} for (level, position), found in completed.items()]
+            self.connection.execute(_INSERT[t.audit_tree.name], nodes)
+        self.connection.execute(_MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()})
+        return tree
 
     def keep_audit_key(self, verifier: str) -> None:
         """Keep the public key of the log's signatures."""

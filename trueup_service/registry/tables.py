@@ -193,6 +193,18 @@ approvals = Table(
     Column("actor", Text, nullable=False),
 )
 
+imports = Table(
+    "imports",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    Column("archive", DIGEST, nullable=False),
+    Column("origin", Text, nullable=False),
+    Column("checkpoint", Text, nullable=False),
+    Column("entries", DIGEST, nullable=False),
+    Column("at", AT, nullable=False),
+    Column("actor", Text, nullable=False),
+)
+
 monitors = Table(
     "monitors",
     metadata,

@@ -1,4 +1,4 @@
-"""Projects, tokens, sessions, and promotions that need a second person."""
+"""Projects, tokens, sessions, promotions that need a second person, and plants that came from elsewhere."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -50,6 +50,18 @@ def upgrade() -> None:
         sa.Column("actor", sa.Text(), nullable=False),
         sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_approvals_plant_plants")),
         sa.PrimaryKeyConstraint("plant", "decision", "token", name=op.f("pk_approvals")),
+    )
+    op.create_table(
+        "imports",
+        sa.Column("plant", sa.String(length=63), nullable=False),
+        sa.Column("archive", sa.String(length=64), nullable=False),
+        sa.Column("origin", sa.Text(), nullable=False),
+        sa.Column("checkpoint", sa.Text(), nullable=False),
+        sa.Column("entries", sa.String(length=64), nullable=False),
+        sa.Column("at", sa.String(length=27), nullable=False),
+        sa.Column("actor", sa.Text(), nullable=False),
+        sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_imports_plant_plants")),
+        sa.PrimaryKeyConstraint("plant", name=op.f("pk_imports")),
     )
     op.add_column("plants", sa.Column("project", sa.String(length=63), nullable=True))
     op.create_index(op.f("ix_plants_project_name"), "plants", ["project", "name"], unique=False)

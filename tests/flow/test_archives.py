@@ -1,0 +1,282 @@
+"""A registry, or a plant of it, goes out as one file and comes in again, verified on the way by two programs that share no line."""
+
+import hashlib
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tarfile
+import uuid
+from contextlib import closing
+
+import pytest
+
+from tests.flow.test_failures import until
+from tests.support.made import episode_bytes, plant_document, save
+from tests.support.service import ROOT, Service, command, kill
+from tests.support.storage import embedded, scaled
+from tests.support.tampering import promoted
+from trueup.episode.role import Role
+from trueup_client import Client, Problem
+from trueup_client import client as module
+
+VERIFIER = ROOT / "tools" / "verify_archive.py"
+
+
+def run(storage, *arguments, check=True):
+    """A command on the storage itself."""
+    environment = {**os.environ, **storage.environment, "COLUMNS": "200", "NO_COLOR": "1"}
+    done = subprocess.run(
+        [sys.executable, "-m", "trueup_cli.main", *map(str, arguments)],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+    )
+    assert not check or done.returncode == 0, done.stderr
+    return done
+
+
+def verified(archive, *key):
+    """What the one-file verifier says, run where none of our packages can be imported."""
+    done = subprocess.run(
+        [sys.executable, "-I", str(VERIFIER), str(archive), *key], capture_output=True, text=True, check=False, cwd=archive.parent
+    )
+    return done.returncode, done.stdout
+
+
+@pytest.fixture(scope="module", params=["embedded", "scaled"])
+def site(request, tmp_path_factory):
+    """A site with a plant that was corrected, a second plant, and a job that nobody has begun."""
+    folder = tmp_path_factory.mktemp("site")
+    fixture = request.getfixturevalue
+    storage = embedded(folder / "data") if request.param == "embedded" else scaled(folder / "data", fixture("postgres"), fixture("s3"))
+    service = Service(storage)
+    service.start_server()
+    worker = service.start_worker()
+    client = Client(service.url)
+    candidate, decision = promoted(client, folder)
+    client.register_plant(plant_document("other"))
+    client.issue_token("secret", ["auditor"])
+    kill(worker)
+    waiting = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
+    key = client.audit_key()
+    yield storage, service, folder, key, (candidate, decision, waiting)
+    client.close()
+    service.stop()
+
+
+def elsewhere(site, postgres, s3, folder):
+    """Fresh storage of the other kind."""
+    return embedded(folder / "new") if site[0].name == "scaled" else scaled(folder / "new", postgres, s3)
+
+
+def test_a_backup_made_while_it_runs_is_restored_on_the_other_kind_of_storage_and_goes_on(site, postgres, s3, tmp_path):
+    storage, service, _, key, (_, decision, waiting) = site
+    backup = tmp_path / "backup"
+    assert "sha256:" in run(storage, "backup", backup).stdout
+    size = sum(p.stat().st_size for p in backup.rglob("*"))
+    assert "sha256:" in run(storage, "backup", backup).stdout  # a second one into the same folder keeps what is there
+    assert verified(backup, key) == (0, "holds\n")
+    assert size > 10_000
+    fresh = elsewhere(site, postgres, s3, tmp_path)
+    signing = storage.environment.get("TRUEUP_SIGNING_KEY") or (site[2] / "data" / "signing.key").read_text().strip()
+    fresh.environment["TRUEUP_SIGNING_KEY"] = signing
+    assert "1 jobs go on" in run(fresh, "restore", backup, "--key", key).stdout
+    assert "whole" in run(fresh, "fsck").stdout
+    assert run(fresh, "restore", backup, check=False).returncode == 1  # not over what is there
+    with Service(fresh).running() as restored, closing(Client(restored.url)) as client, closing(Client(service.url)) as before:
+        assert client.serving("p") == before.serving("p")
+        assert client.wait(waiting)["state"] == "succeeded"
+        assert command(restored, "replay", decision).returncode == 0
+        assert command(restored, "audit", "verify").returncode == 0
+        assert client.audit_key() == key
+
+
+def test_a_plant_goes_to_another_site_with_its_whole_history(site, postgres, s3, tmp_path):
+    storage, service, _, key, (_, decision, _) = site
+    archive = tmp_path / "p.tar"
+    run(storage, "export", "p", archive)
+    assert verified(archive, key) == (0, "holds\n")
+    assert "secret" not in archive.read_bytes().decode("latin-1")
+    with tarfile.open(archive) as opened:
+        told = next(m for m in opened.getmembers() if m.size and b'"sequence"' in opened.extractfile(m).read())
+        assert b'"plant":"other"' not in opened.extractfile(told).read()
+    there = elsewhere(site, postgres, s3, tmp_path)
+    run(there, "import", archive, "--key", key)
+    assert run(there, "import", archive, check=False).returncode == 1  # once
+    assert "whole" in run(there, "fsck").stdout
+    with Service(there).running() as other, closing(Client(other.url)) as client, closing(Client(service.url)) as before:
+        assert client.serving("p") == before.serving("p")
+        assert list(client.history("p")) == list(before.history("p"))
+        assert [e["kind"] for e in client.audit("p")] == ["plant:imported"]
+        assert [p["name"] for p in client.plants()] == ["p"]
+        assert command(other, "replay", decision).returncode == 0
+        assert command(other, "audit", "verify").returncode == 0
+        back = client.roll_back("p", client.serving("p").generation)
+        assert back.version == 1
+    again = tmp_path / "again.tar"
+    run(there, "export", "p", again)
+    assert verified(again)[0] == 0
+
+
+def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path):
+    storage, _, _, key, _ = site
+    run(storage, "export", "p", tmp_path / "good")
+    fresh = embedded(tmp_path / "fresh")
+    parts = sorted((tmp_path / "good" / "blobs" / "sha256").iterdir())
+    changed = 0
+    for part in parts:
+        shutil.rmtree(tmp_path / "bad", ignore_errors=True)
+        shutil.copytree(tmp_path / "good", tmp_path / "bad")
+        victim, data = tmp_path / "bad" / "blobs" / "sha256" / part.name, bytearray(part.read_bytes())
+        if not data:
+            continue
+        data[len(data) // 2] ^= 1
+        victim.write_bytes(data)
+        assert verified(tmp_path / "bad", key)[0] == 4
+        changed += 1
+        if changed in (1, 5):  # the other verifier, a process each
+            assert run(fresh, "import", tmp_path / "bad", check=False).returncode == 1
+    assert changed > 10
+    for name, edit in (("a row is gone", drop_a_row), ("a proof is of another", swap_a_proof)):
+        shutil.rmtree(tmp_path / "bad", ignore_errors=True)
+        shutil.copytree(tmp_path / "good", tmp_path / "bad")
+        edit(tmp_path / "bad")
+        code, said = verified(tmp_path / "bad", key)
+        assert (code, "cannot be read" in said) == (4, False), name
+        refused = run(fresh, "import", tmp_path / "bad", check=False)
+        assert (refused.returncode, "archive-not-whole" in refused.stderr) == (1, True), name
+    other = json.loads((ROOT / "tests" / "golden" / "tlog" / "vectors.json").read_text())["verifier"]
+    assert verified(tmp_path / "good", other)[0] == 4
+    assert run(fresh, "import", tmp_path / "good", "--key", other, check=False).returncode == 4
+    assert run(fresh, "import", tmp_path / "nothing", check=False).returncode == 1
+
+
+def rewrite(folder, title, change):
+    """Change a layer and name everything anew, as somebody would who knows the form."""
+
+    def put(data):
+        digest = hashlib.sha256(data).hexdigest()
+        (folder / "blobs" / "sha256" / digest).write_bytes(data)
+        return f"sha256:{digest}"
+
+    def get(digest):
+        return (folder / "blobs" / "sha256" / digest.partition(":")[2]).read_bytes()
+
+    index = json.loads((folder / "index.json").read_text())
+    manifest = json.loads(get(index["manifests"][0]["digest"]))
+    layer = next(x for x in manifest["layers"] if x["annotations"]["org.opencontainers.image.title"] == title)
+    layer["digest"] = put(change(get(layer["digest"])))
+    index["manifests"][0]["digest"] = put(json.dumps(manifest).encode())
+    (folder / "index.json").write_text(json.dumps(index))
+
+
+def drop_a_row(folder):
+    rewrite(folder, "rows/gates.jsonl", lambda data: b"".join(data.splitlines(keepends=True)[:-1]))
+
+
+def swap_a_proof(folder):
+    def swap(data):
+        told = [json.loads(line) for line in data.splitlines()]
+        told[0]["proof"], told[1]["proof"] = told[1]["proof"], told[0]["proof"]
+        return b"".join(json.dumps(line).encode() + b"\n" for line in told)
+
+    rewrite(folder, "log/entries.jsonl", swap)
+
+
+# -- what is left over
+
+
+def test_gc_removes_what_nothing_names_and_nothing_else(site, tmp_path):
+    storage, service, _, _, _ = site
+    parts = storage.build()
+    before = set(parts.blobs.all())
+    with closing(Client(service.url)) as client:
+        arrays = b"nobody will name this" + os.urandom(8)
+        digest = hashlib.sha256(arrays).hexdigest()
+        client._to.whole("PUT", f"/v1/blobs/{digest}", lambda: arrays, {"Content-Type": "application/octet-stream"})
+        assert set(parts.blobs.all()) == before | {digest}
+        assert "0 blobs" in run(storage, "gc").stdout  # it is young
+        assert "1 blobs" in run(storage, "gc", "--older-than-h", "0", "--dry-run").stdout
+        assert set(parts.blobs.all()) == before | {digest}
+        assert "1 blobs" in run(storage, "gc", "--older-than-h", "0").stdout
+        assert set(parts.blobs.all()) == before
+        assert "whole" in run(storage, "fsck").stdout
+    parts.close()
+
+
+def test_what_is_put_while_it_is_being_removed_stays(tmp_path):
+    from trueup_service.registry.blobs import FolderBlobs
+
+    blobs, data = FolderBlobs(tmp_path / "blobs"), b"left over"
+    source = save(tmp_path, "source", data)
+    digest = hashlib.sha256(data).hexdigest()
+    blobs.put(digest, source)
+    assert blobs.remove(digest, 3600, dry_run=False) is None
+    assert blobs.remove(digest, 0, dry_run=False) == len(data)
+    assert not blobs.holds(digest)
+    blobs.bring_back(digest)
+    assert blobs.get(digest) == data
+    old = blobs._path(digest)
+    os.utime(old, (0, 0))
+    blobs.put(digest, source)  # an upload finds its bytes there, and makes them young again
+    assert blobs.remove(digest, 3600, dry_run=False) is None
+    assert blobs.get(digest) == data
+
+
+# -- uploads in parts
+
+
+def test_an_upload_goes_on_where_it_broke_off(service, tmp_path, monkeypatch):
+
+    plant, data = f"p{uuid.uuid4().hex[:8]}", episode_bytes(3, 4000, role=Role.VALIDATION)
+    digest, path = hashlib.sha256(data).hexdigest(), save(tmp_path, "long.mcap", data)
+    with closing(Client(service.url)) as client:
+        client.register_plant(plant_document(plant))
+        at = f"/v1/plants/{plant}/uploads/{digest}"
+        assert client._get(at)["offset_bytes"] == 0
+        half = {"Upload-Offset": "0", "Content-Type": "application/octet-stream"}
+        client._to.once("PATCH", at, data[: len(data) // 2], half)
+        assert client._get(at)["offset_bytes"] == len(data) // 2
+        with pytest.raises(Problem) as refused:
+            client._to.once("PATCH", at, data, half)
+        assert (refused.value.code, refused.value.facts["offset_bytes"]) == ("upload-offset", len(data) // 2)
+        monkeypatch.setattr(module, "IN_PARTS_FROM_BYTES", 1000)
+        shares = []
+        assert client.upload_episode(plant, path, shares.append)["digest"] == digest
+        assert shares[-1] == 1.0
+        assert next(client.episodes(plant))["digest"] == digest
+        assert client._get(at)["offset_bytes"] == 0
+        with pytest.raises(Problem) as refused:
+            client._post(f"{at}/finish", None)
+        assert refused.value.code == "not-found"
+        wrong = f"/v1/plants/{plant}/uploads/{'0' * 64}"
+        client._to.once("PATCH", wrong, b"something else", half)
+        with pytest.raises(Problem) as refused:
+            client._post(f"{wrong}/finish", None)
+        assert refused.value.code == "digest-mismatch"
+        assert client._get(wrong)["offset_bytes"] == 0
+
+
+def test_parts_survive_the_death_of_the_server(tmp_path):
+
+    service = Service(embedded(tmp_path / "data"))
+    child, data = service.start_server(), episode_bytes(3, 4000)
+    digest = hashlib.sha256(data).hexdigest()
+    with closing(Client(service.url)) as client:
+        client.register_plant(plant_document("p"))
+        line = socket.create_connection(("127.0.0.1", service.port))
+        head = f"PATCH /v1/plants/p/uploads/{digest} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {os.environ['TRUEUP_TOKEN']}\r\n"
+        line.sendall(f"{head}Upload-Offset: 0\r\nContent-Length: {len(data)}\r\n\r\n".encode() + data[:10_000])
+        until(lambda: client._get(f"/v1/plants/p/uploads/{digest}")["offset_bytes"] == 10_000)
+        line.close()
+        kill(child)
+        service.start_server()
+        assert client._get(f"/v1/plants/p/uploads/{digest}")["offset_bytes"] == 10_000
+        client._upload_in_parts(f"/v1/plants/p/uploads/{digest}", save(tmp_path, "e.mcap", data), lambda _: None)
+        assert next(client.episodes("p"))["digest"] == digest
+    service.stop()

@@ -1,0 +1,318 @@
+"""A registry, or one plant of it, as one file: an OCI image layout, every part named by its SHA-256.
+
+    oci-layout, index.json          what it is, and its manifest
+    blobs/sha256/<digest>           the manifest, its configuration, and the layers:
+      rows/<table>.jsonl            rows as they are stored
+      log/entries.jsonl             entries of the log; of one plant, each with the proof that it is in the log
+      episodes/<digest>.mcap        recordings
+      arrays/<digest>.safetensors   what artifacts name
+
+The configuration holds the log's public key and its signed head. Of a whole registry all entries are there, and the tree is rebuilt from
+them; of one plant, its own, each proven. It is a folder, or a tar file of one, which is read where it lies: nothing in it names a path.
+Source: OCI image-layout and image-manifest specifications, version 1.1.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import json
+import os
+import tarfile
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+from trueup.canonical import Json, canonical_bytes, digest_of_bytes, is_digest
+from trueup.errors import TrueupError
+from trueup.ledger.audit import AuditEntry, entry_bytes
+from trueup.ledger.merkle import leaf_hash
+
+SCHEMA = "trueup.archive/1"
+ARTIFACT = "application/vnd.trueup.archive.v1"
+CONFIG, ROWS, ENTRIES = f"{ARTIFACT}.config+json", f"{ARTIFACT}.rows+jsonl", f"{ARTIFACT}.entries+jsonl"
+EPISODE, ARRAYS = "application/vnd.mcap", "application/vnd.safetensors"
+MANIFEST, INDEX = "application/vnd.oci.image.manifest.v1+json", "application/vnd.oci.image.index.v1+json"
+TITLE = "org.opencontainers.image.title"
+PART_BYTES = 1 << 20
+DOCUMENT_BYTES = 64 << 20  # a manifest names each episode in some 200 bytes
+
+
+class BadArchive(TrueupError):
+    """The file is no archive, or not whole."""
+
+    code = "bad-archive"
+    hint = "Export it again, or fetch another copy: every part is named by its digest."
+
+
+class ArchiveWriter:
+    """Writes an archive: add layers, then `close` with its configuration. A folder keeps what it has of an earlier one."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._layers = path, list[dict[str, Json]]()
+        self._tar = tarfile.open(path.with_name(f"{path.name}.part"), "w") if path.suffix == ".tar" else None  # noqa: SIM115
+        self._there: set[str] = set()
+        if self._tar is None:
+            (path / "blobs" / "sha256").mkdir(parents=True, exist_ok=True)
+
+    def __enter__(self) -> ArchiveWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._tar is not None:
+            self._tar.close()
+            self._path.with_name(f"{self._path.name}.part").unlink(missing_ok=True)
+
+    def add(self, title: str, media_type: str, data: bytes) -> None:
+        """A layer that fits into memory."""
+        self._layers.append(self._blob(media_type, data) | {"annotations": {TITLE: title}})
+
+    def add_parts(self, title: str, media_type: str, digest: str, size: int, parts: Iterable[bytes]) -> None:
+        """A layer of known digest and size, in parts. Raises BadArchive if it is another."""
+        if digest not in self._there and not (self._tar is None and self._file(digest).exists()):
+            self._store(digest, size, _Parts(parts, digest))
+        self._there.add(digest)
+        self._layers.append(_descriptor(media_type, digest, size) | {"annotations": {TITLE: title}})
+
+    def close(self, config: Mapping[str, Json]) -> str:
+        """Write the manifest and the index, make all durable; the digest of the manifest."""
+        manifest: dict[str, Json] = {
+            "schemaVersion": 2,
+            "mediaType": MANIFEST,
+            "artifactType": ARTIFACT,
+            "config": self._blob(CONFIG, canonical_bytes({"schema": SCHEMA, **config})),
+            "layers": self._layers,
+        }
+        described = self._blob(MANIFEST, canonical_bytes(manifest)) | {"artifactType": ARTIFACT}
+        index: dict[str, Json] = {"schemaVersion": 2, "mediaType": INDEX, "manifests": [described]}
+        self._named("oci-layout", canonical_bytes({"imageLayoutVersion": "1.0.0"}))
+        self._named("index.json", canonical_bytes(index))
+        if self._tar is not None:
+            self._tar.close()
+            part = self._path.with_name(f"{self._path.name}.part")
+            _sync(part)
+            part.replace(self._path)
+        _sync(self._path.parent)
+        return str(described["digest"]).removeprefix("sha256:")
+
+    def _blob(self, media_type: str, data: bytes) -> dict[str, Json]:
+        digest = digest_of_bytes(data)
+        if digest not in self._there:
+            self._store(digest, len(data), io.BytesIO(data))
+            self._there.add(digest)
+        return _descriptor(media_type, digest, len(data))
+
+    def _file(self, digest: str) -> Path:
+        return self._path / "blobs" / "sha256" / digest
+
+    def _store(self, digest: str, size: int, data: Any) -> None:
+        if self._tar is not None:
+            info = tarfile.TarInfo(f"blobs/sha256/{digest}")
+            info.size = size
+            self._tar.addfile(info, data)
+            return
+        _write(self._file(digest), data)
+
+    def _named(self, name: str, data: bytes) -> None:
+        if self._tar is not None:
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            self._tar.addfile(info, io.BytesIO(data))
+            return
+        _write(self._path / name, io.BytesIO(data))
+
+
+def _descriptor(media_type: str, digest: str, size: int) -> dict[str, Json]:
+    return {"mediaType": media_type, "digest": f"sha256:{digest}", "size": size}
+
+
+def _write(path: Path, data: Any) -> None:
+    beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
+    try:
+        with beside.open("xb") as file:
+            while part := data.read(PART_BYTES):
+                file.write(part)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+class _Parts:
+    """Parts as something that is read from, which must have the digest that they were announced with."""
+
+    def __init__(self, parts: Iterable[bytes], digest: str) -> None:
+        self._parts, self._digest, self._rest, self._hashed = iter(parts), digest, b"", hashlib.sha256()
+
+    def read(self, length: int = -1) -> bytes:
+        while len(self._rest) < length or length < 0:
+            part = next(self._parts, b"")
+            if not part:
+                break
+            self._hashed.update(part)
+            self._rest += part
+        found, self._rest = (self._rest, b"") if length < 0 else (self._rest[:length], self._rest[length:])
+        if not self._rest and len(found) < max(length, 1) and self._hashed.hexdigest() != self._digest:
+            raise BadArchive("the bytes are not those of their digest", digest=self._digest)
+        return found
+
+
+class Archive:
+    """An archive that is read, and verified as a registry is. Raises BadArchive."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            self._tar = tarfile.open(path, "r:") if path.is_file() else None  # noqa: SIM115
+            self._members = {m.name: m for m in self._tar.getmembers() if m.isfile()} if self._tar else {}
+        except (OSError, tarfile.TarError) as error:
+            raise BadArchive(f"{path} is neither a folder nor a tar file") from error
+        index: Any = self._document(self._named("index.json"))
+        try:
+            described = next(m for m in index["manifests"] if m.get("artifactType") == ARTIFACT)
+            self.digest = str(described["digest"]).removeprefix("sha256:")
+            manifest: Any = self._document(self._whole(self.digest))
+            self._layers = {layer["annotations"][TITLE]: str(layer["digest"]).removeprefix("sha256:") for layer in manifest["layers"]}
+            self.config: dict[str, Any] = self._document(self._whole(str(manifest["config"]["digest"]).removeprefix("sha256:")))
+            if self.config["schema"] != SCHEMA:
+                raise BadArchive(f"the archive is a {self.config['schema']}")
+            self.plant: str | None = self.config["plant"]
+            self._held = {digest for title, digest in self._layers.items() if title.startswith(("episodes/", "arrays/"))}
+        except (StopIteration, KeyError, TypeError, AttributeError) as error:
+            raise BadArchive(f"{path} does not describe itself as an archive") from error
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._tar is not None:
+            self._tar.close()
+
+    # -- as a registry that is verified
+
+    def head(self) -> tuple[int, bytes]:
+        """The head that the configuration holds; whoever reads it has verified its signature."""
+        _, size, root, *_ = str(self.config["checkpoint"]).splitlines()
+        return int(size), base64.b64decode(root)
+
+    def entries(self, after: int, until: int) -> Iterator[AuditEntry]:
+        """Entries in order."""
+        return (entry for entry, _ in self.proven() if after < entry.sequence <= until)
+
+    def proven(self) -> Iterator[tuple[AuditEntry, list[bytes]]]:
+        """Entries in order, each with its proof, which is empty where all entries are there."""
+        for line in self._lines("log/entries.jsonl"):
+            try:
+                yield AuditEntry(**line["entry"]), [base64.b64decode(h) for h in line["proof"]]
+            except (KeyError, TypeError, ValueError) as error:
+                raise BadArchive("an entry of the log has another form") from error
+
+    def nodes(self) -> None:
+        """None: the tree is rebuilt."""
+
+    def rows(self, table: str) -> Iterator[Mapping[str, Json]]:
+        """Rows as they were stored."""
+        return self._lines(f"rows/{table}.jsonl") if f"rows/{table}.jsonl" in self._layers else iter(())
+
+    def blob(self, digest: str) -> Iterator[bytes]:
+        """An episode's or an artifact's bytes in parts."""
+        if digest not in self._held:
+            raise BadArchive("the archive does not hold what a row names", digest=digest)
+        with self._open(digest) as file:
+            while part := file.read(PART_BYTES):
+                yield part
+
+    def blobs(self) -> list[str]:
+        """Digests of all episodes and arrays."""
+        return sorted(self._held)
+
+    def layer(self, title: str) -> str | None:
+        """The digest of a layer; None where there is none."""
+        return self._layers.get(title)
+
+    def part(self, digest: str) -> Iterator[bytes]:
+        """Any layer's bytes in parts, not verified."""
+        with self._open(digest) as file:
+            while found := file.read(PART_BYTES):
+                yield found
+
+    def _lines(self, title: str) -> Iterator[Any]:
+        digest = self._layers.get(title)
+        if digest is None:
+            raise BadArchive(f"the archive has no {title}")
+        hashed = hashlib.sha256()
+        with self._open(digest) as file:
+            for line in file:
+                hashed.update(line)
+                try:
+                    yield json.loads(line)
+                except ValueError as error:
+                    raise BadArchive(f"{title} is damaged", digest=digest) from error
+        if hashed.hexdigest() != digest:
+            raise BadArchive(f"{title} is not what its digest names", digest=digest)
+
+    def _whole(self, digest: str) -> bytes:
+        with self._open(digest) as file:
+            found = file.read(DOCUMENT_BYTES)
+        if digest_of_bytes(found) != digest:
+            raise BadArchive("a part is not what its digest names", digest=digest)
+        return found
+
+    def _document(self, data: bytes) -> Any:
+        try:
+            return json.loads(data)
+        except ValueError as error:
+            raise BadArchive("a document of the archive is damaged") from error
+
+    def _open(self, digest: str) -> BinaryIO:
+        if not is_digest(digest):
+            raise BadArchive(f"{digest[:80]!r} is no digest")
+        return self._member(f"blobs/sha256/{digest}")
+
+    def _named(self, name: str) -> bytes:
+        with self._member(name) as file:
+            return file.read(DOCUMENT_BYTES)
+
+    def _member(self, name: str) -> BinaryIO:
+        try:
+            if self._tar is None:
+                return (self._path / name).open("rb")
+            found: Any = self._tar.extractfile(self._members[name])
+        except (OSError, KeyError, tarfile.TarError) as error:
+            raise BadArchive(f"the archive has no {name}") from error
+        opened: BinaryIO = found
+        return opened
+
+
+def lines(items: Iterable[Mapping[str, Json]]) -> bytes:
+    """Documents as JSON lines."""
+    return b"".join(canonical_bytes(item) + b"\n" for item in items)
+
+
+def entry_line(entry: AuditEntry, proof: Iterable[bytes] = ()) -> dict[str, Json]:
+    """An entry as a line of an archive."""
+    told: dict[str, Json] = {name: getattr(entry, name) for name in AuditEntry.__slots__}
+    return {"entry": told, "proof": [base64.b64encode(h).decode() for h in proof]}
+
+
+Includes = Callable[[bytes, int, int, bytes, list[bytes]], bool]  # root, size, position, leaf, proof
+
+
+def unproven(archive: Archive, includes: Includes) -> list[int]:
+    """Sequence numbers of a plant's entries that are not proven to be in the signed log."""
+    size, root = archive.head()
+    return [
+        entry.sequence
+        for entry, proof in archive.proven()
+        if not includes(root, size, entry.sequence - 1, leaf_hash(entry_bytes(entry)), proof)
+    ]

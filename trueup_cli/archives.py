@@ -1,0 +1,133 @@
+"""Commands that take a registry or a plant out, and bring it in: backup, restore, export, import, gc. They work on the storage itself."""
+
+from __future__ import annotations
+
+import getpass
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Parameter
+
+from trueup_cli.show import out, progress
+
+if TYPE_CHECKING:
+    from trueup.ledger.archive import Archive
+    from trueup_service.wiring import Parts
+
+LogKey = Annotated[
+    str | None, Parameter(name="--key", env_var="TRUEUP_LOG_KEY", help="Public key of the log that it comes from; default: as it says")
+]
+
+
+@contextmanager
+def _parts() -> Iterator[Parts]:
+    from trueup_service.settings import Settings
+    from trueup_service.wiring import build
+
+    parts = build(Settings())
+    try:
+        yield parts
+    finally:
+        parts.close()
+
+
+def _now() -> str:
+    from trueup_service.actions.stamp import time_text
+
+    return time_text(datetime.now(UTC))
+
+
+def backup(to: Path) -> None:
+    """Write all that is kept, as it is at one moment, while the service runs; the signing key is not in it.
+
+    Parameters
+    ----------
+    to: a folder, which keeps what it has of an earlier backup, or a file that ends in .tar
+    """
+    _write(to, None)
+
+
+def export(plant: str, to: Path) -> None:
+    """Write a plant with its whole history: episodes, artifacts, gates, decisions, moves, and its part of the log with proofs.
+
+    Parameters
+    ----------
+    plant: name of the plant
+    to: a folder, or a file that ends in .tar
+    """
+    _write(to, plant)
+
+
+def _write(to: Path, plant: str | None) -> None:
+    from trueup_service.archives import export as write
+    from trueup_service.signed_log import open_log
+
+    with _parts() as parts, progress(f"writing {to}") as bar:
+        digest = write(parts, open_log(parts.settings, parts.database), to, plant, _now(), bar)
+    out.print(f"{to} is sha256:{digest}", soft_wrap=True)
+
+
+def restore(source: Path, *, key: LogKey = None) -> None:
+    """Bring a backup back into empty storage, once it holds against its own log; jobs that were under way go on.
+
+    Parameters
+    ----------
+    source: what `trueup backup` wrote
+    """
+    from trueup_service.archives import restore as bring
+
+    with _parts() as parts, _whole(source, key) as archive, progress("restoring") as bar:
+        jobs = bring(parts, archive, bar)
+    out.print(f"restored as it was {archive.config['created_at']}; {jobs} jobs go on", soft_wrap=True)
+    out.print("Its log is signed with the key that it had: give it back as TRUEUP_SIGNING_KEY, or as signing.key.", soft_wrap=True)
+
+
+def import_(source: Path, *, project: Annotated[str | None, Parameter(help="The plant will be of it")] = None, key: LogKey = None) -> None:
+    """Bring a plant in with its history, once it holds against the log that it comes from.
+
+    Parameters
+    ----------
+    source: what `trueup export` wrote
+    """
+    from trueup_service.actions.stamp import Stamp
+    from trueup_service.archives import import_plant
+
+    with _parts() as parts, _whole(source, key) as archive, progress("importing") as bar:
+        actor = os.environ.get("TRUEUP_ACTOR") or getpass.getuser()
+        plant = import_plant(parts, archive, project, Stamp(f"command for {actor}", _now()), bar)
+    out.print(f"plant [bold]{plant}[/] is here, from {archive.config['checkpoint'].splitlines()[0]}", soft_wrap=True)
+
+
+@contextmanager
+def _whole(source: Path, key: str | None) -> Iterator[Archive]:
+    """An archive whose head is signed and that holds against it. Raises NotSigned, NotWhole, BadArchive."""
+    from trueup.ledger.archive import Archive
+    from trueup_client.proof import Checkpoint, Key, includes
+    from trueup_service.archives import require_whole
+
+    archive = Archive(source)
+    try:
+        Checkpoint.of(str(archive.config["checkpoint"]), Key.from_text(key or str(archive.config["key"])))
+        with progress("verifying") as bar:
+            require_whole(archive, includes, bar)
+        yield archive
+    finally:
+        archive.close()
+
+
+def gc(
+    *,
+    older_than_h: Annotated[float, Parameter(help="Leave what came in later than this alone [h]")] = 24.0,
+    dry_run: Annotated[bool, Parameter(negative=(), help="Only say what would be removed")] = False,
+) -> None:
+    """Remove bytes that no row names: what uploads left that never ended. What was registered is never removed."""
+    from trueup_service.leftovers import remove_leftovers
+
+    with _parts() as parts, progress("looking for what is left over") as bar:
+        removed: dict[str, Any] = remove_leftovers(parts, older_than_h * 3600.0, dry_run=dry_run, told=bar)
+    what = "would be" if dry_run else "were"
+    out.print(f"{removed['blobs']} blobs and {removed['files']} files of uploads {what} removed, {removed['bytes'] / 1e6:.1f} MB")

@@ -1,0 +1,174 @@
+"""Take a registry, or a plant of it, out as an archive, and bring it in again.
+
+Rows come from one snapshot; bytes are named by digest and never removed while a row names them: so an archive made while the service runs
+is of one moment. What comes in is verified before anything of it is kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import uuid
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Table
+
+from trueup.canonical import Json
+from trueup.ledger.archive import ARRAYS, ENTRIES, EPISODE, ROWS, Archive, ArchiveWriter, Includes, entry_line, lines, unproven
+from trueup.ledger.merkle import inclusion, prove
+from trueup.ledger.rows import KEPT_APART, KEYS, blobs, must_be_named
+from trueup.ledger.verification import verify, verify_part
+from trueup_service.actions import find
+from trueup_service.actions.stamp import Stamp
+from trueup_service.errors import Conflict, NotEmpty, NotWhole
+from trueup_service.registry import tables as t
+from trueup_service.registry.blobs import Blobs
+from trueup_service.registry.records import ImportRecord
+from trueup_service.registry.store import Reader, writing
+from trueup_service.signed_log import SignedLog
+from trueup_service.wiring import Parts
+
+AT_ONCE = 1000
+BESIDE = ("job_reads", "idempotency")  # of a whole registry, beside what the log names
+NAMES = {EPISODE: "episodes/{}.mcap", ARRAYS: "arrays/{}.safetensors", ENTRIES: "imported/{}.jsonl"}
+KINDS = {"episodes": EPISODE, "artifacts": ARRAYS, "imports": ENTRIES}
+Told = Callable[[float, str], None]
+
+
+def export(parts: Parts, log: SignedLog, path: Path, plant: str | None, now: str, told: Told) -> str:
+    """Write an archive of a registry, or of one plant; its digest. Raises NotFound."""
+    with parts.database.snapshot() as connection, ArchiveWriter(path) as archive:
+        reader = Reader(connection)
+        tree = reader.audit_tree()
+        if plant is not None:
+            find.plant_digest(reader, plant)
+        named: dict[str, str] = {}
+        for count, table in enumerate(KEYS):
+            told(0.2 * count / len(KEYS), table)
+            if plant is not None and table in KEPT_APART:
+                continue
+            rows = [row for row in _rows(reader, t.metadata.tables[table], plant) if plant is None or must_be_named(table, row)]
+            archive.add(f"rows/{table}.jsonl", ROWS, lines(rows))
+            named |= {digest: KINDS[table] for row in rows for digest in blobs(table, row)}
+        for table in BESIDE if plant is None else ():
+            archive.add(f"beside/{table}.jsonl", ROWS, lines(_rows(reader, t.metadata.tables[table], None)))
+        archive.add("log/entries.jsonl", ENTRIES, lines(_entries(reader, plant, tree.size)))
+        for count, (digest, kind) in enumerate(sorted(named.items()), 1):
+            told(0.2 + 0.8 * count / len(named), f"blob {digest[:12]}")
+            size = sum(map(len, parts.blobs.stream(digest)))
+            archive.add_parts(NAMES[kind].format(digest), kind, digest, size, parts.blobs.stream(digest))
+        checkpoint = log.signer.checkpoint(tree.size, tree.root())
+        return archive.close({"plant": plant, "key": log.signer.verifier, "checkpoint": checkpoint, "created_at": now})
+
+
+def _rows(reader: Reader, table: Table, plant: str | None) -> Iterator[dict[str, Json]]:
+    after: list[Any] = []
+    while True:
+        found = reader.rows(table, after, AT_ONCE, plant)
+        yield from found
+        if len(found) < AT_ONCE:
+            return
+        after = [column.type.python_type(found[-1][column.name]) for column in table.primary_key.columns]
+
+
+def _entries(reader: Reader, plant: str | None, size: int) -> Iterator[dict[str, Json]]:
+    """All entries, or those of a plant, each with the proof that it is in the log of this size."""
+    after = 0
+    while found := reader.audit_entries(after, AT_ONCE, plant):
+        for entry in found:
+            plan = [] if plant is None else inclusion(entry.sequence - 1, size)
+            yield entry_line(entry, prove(plan, reader.audit_nodes([n for part in plan for n in part])) if plan else ())
+        after = found[-1].sequence
+
+
+def require_whole(archive: Archive, includes: Includes, told: Told) -> None:
+    """Hold an archive against its own log; whoever calls has verified the signature of its head. Raises NotWhole, BadArchive."""
+    if archive.plant is None:
+        findings = verify(archive, told).findings
+    else:
+        missing = unproven(archive, includes)
+        if missing:
+            raise NotWhole(f"{len(missing)} entries are not proven to be in the log, entry {missing[0]} among them", entries=missing[:10])
+        findings = verify_part(archive, (entry for entry, _ in archive.proven()), told).findings
+    if findings:
+        first = findings[0]
+        raise NotWhole(f"{len(findings)} things are not as the log says, such as {first.where}: {first.what}")
+
+
+def restore(parts: Parts, archive: Archive, told: Told) -> int:
+    """Bring a whole registry back into an empty one, as it was; the number of jobs that go on. Raises NotEmpty, NotWhole."""
+    if archive.plant is not None:
+        raise NotWhole("this is an archive of one plant", hint="`trueup import` takes it.")
+    with parts.database.read() as connection:
+        if Reader(connection).audit_tree().size:
+            raise NotEmpty
+    _take_blobs(parts, archive, told)
+    parts.queue.prepare()
+    with writing(parts.database) as writer:
+        for table in t.metadata.sorted_tables:
+            title = "beside" if table.name in BESIDE else "rows"
+            for row in _lines(archive, f"{title}/{table.name}.jsonl"):
+                writer.put_row(table, row)
+        writer.put_log(archive.entries(0, archive.head()[0]))
+        jobs = writer.jobs_under_way()
+        for job in jobs:
+            parts.queue.enqueue(writer.connection, job)
+    return len(jobs)
+
+
+def import_plant(parts: Parts, archive: Archive, project: str | None, stamp: Stamp, told: Told) -> str:
+    """Bring a plant in with its whole history; its name. Raises Conflict, NotFound, NotWhole."""
+    plant = archive.plant
+    if plant is None:
+        raise NotWhole("this is an archive of a whole registry", hint="`trueup restore` takes it.")
+    entries = archive.layer("log/entries.jsonl")
+    if entries is None:
+        raise NotWhole("the archive has no log")
+    _take_blobs(parts, archive, told)
+    _take(parts.blobs, parts.spool, entries, archive.part(entries))
+    note = str(archive.config["checkpoint"])
+    with writing(parts.database) as writer:
+        writer.lock_name(f"plant {plant}")
+        if project is not None:
+            find.project(writer, project)
+        if writer.plant(plant) is not None:
+            raise Conflict(f"there is a plant {plant!r} already", hint="A plant is imported once, where there is none of its name.")
+        for table in t.metadata.sorted_tables:
+            if table.name not in KEYS or table.name in (*KEPT_APART, t.imports.name):
+                continue
+            for row in _lines(archive, f"rows/{table.name}.jsonl"):
+                writer.add_row(table, row | {"project": project} if table is t.plants else row)
+        writer.add_import(ImportRecord(plant, archive.digest, note.split("\n", 1)[0], note, entries, stamp.now, stamp.actor))
+        facts: dict[str, Json] = {"archive": archive.digest, "checkpoint": note, "key": str(archive.config["key"]), "entries": entries}
+        writer.append_audit(at=stamp.now, kind="plant:imported", actor=stamp.actor, plant=plant, subject=archive.digest, facts=facts)
+    return plant
+
+
+def _lines(archive: Archive, title: str) -> Iterator[dict[str, Any]]:
+    digest = archive.layer(title)
+    if digest is not None:
+        yield from map(json.loads, b"".join(archive.part(digest)).splitlines())
+
+
+def _take_blobs(parts: Parts, archive: Archive, told: Told) -> None:
+    digests = archive.blobs()
+    for count, digest in enumerate(digests, 1):
+        told(count / len(digests), f"blob {digest[:12]}")
+        _take(parts.blobs, parts.spool, digest, archive.blob(digest))
+
+
+def _take(blobs: Blobs, spool: Path, digest: str, found: Iterator[bytes]) -> None:
+    """Keep bytes, hashed on the way. Raises NotWhole."""
+    path, hashed = spool / uuid.uuid4().hex, hashlib.sha256()
+    try:
+        with path.open("xb") as file:
+            for part in found:
+                hashed.update(part)
+                file.write(part)
+        if hashed.hexdigest() != digest:
+            raise NotWhole("bytes of the archive are not what they are named", digest=digest)
+        blobs.put(digest, path)
+    finally:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,64 @@
+"""Uploads in parts, for long recordings over lines that break: ask how far it came, go on from there, finish."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from fastapi import Header, Request, Response
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import ClientDisconnect
+
+from trueup_service.errors import DigestMismatch, NotFound
+from trueup_service.http.context import By, DigestPath, IdempotencyKey, PlantName, With
+from trueup_service.http.guard import guarded
+from trueup_service.http.ingesting import against, ingest, inspect
+from trueup_service.http.openapi import there
+from trueup_service.http.schemas import Episode, Upload
+from trueup_service.http.uploads import Received
+from trueup_service.partial_uploads import PartialUploads, digest_of_file
+
+router = guarded("/v1/plants/{plant}/uploads/{digest}", ["episodes"])
+PART = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+Offset = Annotated[int, Header(alias="Upload-Offset", ge=0, description="Where this part begins: `offset_bytes` of the last answer")]
+
+
+@router.get("", summary="How far an upload came")
+def offset(parts: With, plant: PlantName, digest: DigestPath) -> Upload:
+    """Zero where nothing came yet, at this server."""
+    return Upload(digest=digest, offset_bytes=PartialUploads(parts.settings.data_dir).offset(plant, digest))
+
+
+@router.patch("", summary="Send a part of an upload", openapi_extra=PART)
+async def append(request: Request, parts: With, plant: PlantName, digest: DigestPath, at: Offset) -> Upload:
+    """What is answered is durable. Where the connection breaks, what came is kept; 409 says where to go on."""
+    await run_in_threadpool(against, parts, plant)
+    uploads = PartialUploads(parts.settings.data_dir)
+    here = await uploads.append(plant, digest, at, _until_it_breaks(request), parts.settings.upload_limit_bytes)
+    return Upload(digest=digest, offset_bytes=here)
+
+
+async def _until_it_breaks(request: Request) -> AsyncIterator[bytes]:
+    try:
+        async for part in request.stream():
+            yield part
+    except ClientDisconnect:
+        return
+
+
+@router.post("/finish", status_code=201, response_model=Episode, summary="Make an upload an episode", responses=there(Episode))
+async def finish(request: Request, parts: With, stamp: By, plant: PlantName, digest: DigestPath, key: IdempotencyKey = None) -> Response:
+    """Its bytes must have the digest; then it is as if it had come at once. What is no episode, or other bytes, is dropped."""
+    uploads = PartialUploads(parts.settings.data_dir)
+    path = uploads.path(plant, digest)
+    held = await run_in_threadpool(against, parts, plant)
+    if not path.exists():
+        raise NotFound("there is no such upload here", noun="upload", name=digest, hint="Send its parts first, to this server.")
+    try:
+        found = await run_in_threadpool(digest_of_file, path)
+        if found != digest:
+            raise DigestMismatch("the parts together are not what the path names", expected=digest, found=found)
+        inspected = await inspect(request, parts, path, held)
+        return await run_in_threadpool(ingest, parts, stamp, plant, key, Received(path, digest, path.stat().st_size), inspected)
+    finally:
+        uploads.drop(plant, digest)
