@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 
 from trueup_service.jobs import JobQueue
@@ -11,6 +12,9 @@ from trueup_service.registry.blobs import Blobs, FolderBlobs, S3Blobs
 from trueup_service.registry.database import Database
 from trueup_service.registry.schema import migrate
 from trueup_service.settings import Settings
+
+STORE_RETRIES = 3  # of a request; the caller is told, and repeats it with its key
+STORE_CONNECT, STORE_PATIENCE = timedelta(seconds=5), timedelta(seconds=15)
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,13 @@ def _blobs(settings: Settings) -> Blobs:
         "access_key_id": settings.s3_access_key,
         "secret_access_key": settings.s3_secret_key and settings.s3_secret_key.get_secret_value(),
     }
-    options = {"allow_http": bool(settings.s3_endpoint and settings.s3_endpoint.startswith("http:"))}
+    is_plain = bool(settings.s3_endpoint and settings.s3_endpoint.startswith("http:"))
     config = {key: value for key, value in given.items() if value is not None}
-    return S3Blobs(S3Store(settings.s3_bucket, prefix=settings.s3_prefix, client_options=options, **config))
+    store = S3Store(
+        settings.s3_bucket,
+        prefix=settings.s3_prefix,
+        client_options={"allow_http": is_plain, "connect_timeout": STORE_CONNECT},
+        retry_config={"max_retries": STORE_RETRIES, "retry_timeout": STORE_PATIENCE},
+        **config,
+    )
+    return S3Blobs(store)
