@@ -7,6 +7,7 @@ ALL = (
     "kernel",
     "footprint",
     "ingest",
+    "malformed",
     "serving",
     "registry",
     "tampering",

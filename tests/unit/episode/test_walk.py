@@ -1,6 +1,7 @@
 """The bounded walk: what it reads, and each rule with a file that breaks it."""
 
 import contextlib
+import hashlib
 import io
 import json
 import struct
@@ -14,10 +15,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
+from tests.support.conformance import variants
 from trueup.episode.container import LIMITS, MAGIC, Limits, Op
 from trueup.episode.walk import Walk
 from trueup.errors import BadEpisode, MalformedMcap, TooLarge
 
+PUBLISHED = {  # SHA-256 of files of the suite that are not at hand
+    "OneSchemalessMessage-ch-pad-rch": "4047f3cadb4db6e3a5667c3086de582f691b7fa51d7c0b62f68c8bbf08656a46",
+    "TenMessages": "f0ac493fe49dd128fe676619e4198a326dde12d60cac8a27e8a4fb2a61a630c7",
+    "TenMessages-ch-chx-mx-pad-rch-rsh-st-sum": "54f3c5a0ca350cd4cf6326992926f491178a46aa694686e3781aa19c4255fc88",
+}
 CONFORMANCE = sorted((Path(__file__).parents[2] / "golden" / "mcap-conformance").glob("*.mcap"))
 
 
@@ -79,8 +86,27 @@ def test_a_conformance_file_reads_as_published(path):
     assert found.contents.attachments == sum(kind == "Attachment" for kind, _ in fields)
 
 
-def test_there_are_72_conformance_files():
-    assert len(CONFORMANCE) == 72
+def test_there_are_72_conformance_files_and_we_write_them_and_the_other_344_alike():
+    written = {v.name: v.data for v in variants()}
+    assert (len(CONFORMANCE), len(written)) == (72, 416)
+    assert all(written[path.stem] == path.read_bytes() for path in CONFORMANCE)
+    for name, digest in PUBLISHED.items():
+        assert hashlib.sha256(written[name]).hexdigest() == digest
+
+
+def test_all_416_variants_of_the_conformance_suite_are_read():
+    for variant in variants():
+        found = Walk(io.BytesIO(variant.data), len(variant.data), wanted=tuple(variant.metadata))
+        messages = [
+            (channel, log_ns, block.data[start : start + length])
+            for block in found
+            for channel, entries in block.messages.items()
+            for start, length, log_ns in entries
+        ]
+        assert messages == variant.messages, variant.name
+        assert {t.id: t.name for t in found.contents.topics.values()} == variant.channels, variant.name
+        assert {m.name: m.values for m in found.contents.metadata} == variant.metadata, variant.name
+        assert found.contents.attachments == variant.attachments, variant.name
 
 
 def pad(data: bytes) -> bytes:
