@@ -13,6 +13,7 @@ ALL = (
     "tampering",
     "kills",
     "linearizable",
+    "growth",
     "scaled",
     "diagnosis",
     "robots",

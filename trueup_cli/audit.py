@@ -128,8 +128,10 @@ class _Service:
             yield AuditEntry(**found)
 
     def nodes(self) -> Iterator[Any]:
+        from trueup.ledger.merkle import node_of
+
         for found in _had(self._client.rows("audit_tree")):
-            yield (found["level"], int(found["position"])), bytes.fromhex(found["hash"])
+            yield node_of(int(found["node"])), bytes.fromhex(found["hash"])
 
     def rows(self, table: str) -> Iterable[Mapping[str, Any]]:
         return _had(self._client.rows(table))

@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from trueup.canonical import Json
 from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry
-from trueup.ledger.merkle import Node
+from trueup.ledger.merkle import Node, node_of
 from trueup.ledger.rows import KEYS, blobs
 from trueup.ledger.verification import Finding
 from trueup_service.registry import tables as t
@@ -52,7 +52,7 @@ class Kept:
         """The hashes that are kept."""
         for row in self.rows(t.audit_tree.name):
             found: Any = row
-            yield (found["level"], int(found["position"])), bytes.fromhex(found["hash"])
+            yield node_of(int(found["node"])), bytes.fromhex(found["hash"])
 
     def rows(self, table: str) -> Iterator[dict[str, Json]]:
         """Rows as they are stored."""

@@ -51,7 +51,7 @@ def cut(parts: Parts, entries: Sequence[AuditEntry], size: int) -> None:
     """Cut the log to a size, entries, tree and head alike, so that what is left is a sound log."""
     with parts.database.write() as connection:
         connection.execute(text("DELETE FROM audit WHERE sequence > :n"), {"n": size})
-        connection.execute(text("DELETE FROM audit_tree WHERE ((position + 1) << level) > :n"), {"n": size})
+        connection.execute(text("DELETE FROM audit_tree WHERE (((node & 281474976710655) + 1) << (node >> 48)) > :n"), {"n": size})
         frontier = rebuild(entries[:size]).to_bytes()
         connection.execute(text("UPDATE audit_head SET size = :n, frontier = :f"), {"n": size, "f": frontier})
 

@@ -19,6 +19,7 @@ from typing import TypeAlias
 Node: TypeAlias = "tuple[int, int]"  # level and position of a perfect subtree
 Plan: TypeAlias = "list[list[Node]]"  # for each hash of a proof, the perfect subtrees that it is made of, left to right
 HASH_BYTES = 32
+POSITION_BITS = 48
 EMPTY = hashlib.sha256(b"").digest()
 
 
@@ -63,6 +64,16 @@ class Frontier:
 
 
 NOTHING = Frontier(0, ())
+
+
+def number_of(node: Node) -> int:
+    """A node as one number, under which it is kept: nodes of a level are neighbours."""
+    return node[0] << POSITION_BITS | node[1]
+
+
+def node_of(number: int) -> Node:
+    """The inverse."""
+    return number >> POSITION_BITS, number & ((1 << POSITION_BITS) - 1)
 
 
 def fold(hashes: Sequence[bytes]) -> bytes:

@@ -33,7 +33,7 @@ from sqlalchemy.engine import RowMapping
 from trueup.canonical import Json, canonical_bytes
 from trueup.errors import BrokenChain, PointerMoved
 from trueup.ledger.audit import AuditEntry, entry_bytes
-from trueup.ledger.merkle import Frontier, Node, leaf_hash
+from trueup.ledger.merkle import Frontier, Node, leaf_hash, node_of, number_of
 from trueup.ledger.rows import KEYS, row_digest, row_name
 from trueup_service.registry import tables as t
 from trueup_service.registry.database import Database
@@ -87,6 +87,7 @@ _LOCK_NAME = text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))")
 _HEAD = select(t.audit_head.c.size, t.audit_head.c.frontier).where(t.audit_head.c.id == 1)
 _LOCK_HEAD = _HEAD.with_for_update()
 _MOVE_HEAD = update(t.audit_head).values(size=bindparam("new_size"), frontier=bindparam("new_frontier"))
+_NODES = select(t.audit_tree).where(t.audit_tree.c.node.in_(bindparam("nodes", expanding=True)))
 _INSERT = {name: insert(table) for name, table in t.metadata.tables.items()}
 
 
@@ -357,13 +358,13 @@ class Reader:
 
     def audit_nodes(self, nodes: Iterable[Node]) -> dict[Node, bytes]:
         """The hashes of these perfect subtrees of the log's tree; those that there are not yet are left out."""
-        wanted = tuple_(t.audit_tree.c.level, t.audit_tree.c.position).in_(sorted(set(nodes)))
-        return {(row.level, row.position): bytes(row.hash) for row in self.connection.execute(select(t.audit_tree).where(wanted))}
+        found = self.connection.execute(_NODES, {"nodes": [number_of(node) for node in set(nodes)]})
+        return {node_of(row.node): bytes(row.hash) for row in found}
 
     def audit_tile(self, level: int, first: int, count: int) -> list[bytes]:
         """Neighbouring subtrees of one level, in order; fewer where the tree ends."""
-        at = t.audit_tree.c.position
-        query = select(t.audit_tree.c.hash).where(t.audit_tree.c.level == level, at >= first, at < first + count).order_by(at)
+        at, begin = t.audit_tree.c.node, number_of((level, first))
+        query = select(t.audit_tree.c.hash).where(at >= begin, at < begin + count).order_by(at)
         return [bytes(found) for found in self.connection.scalars(query)]
 
     def audit_key(self) -> str | None:
@@ -559,7 +560,7 @@ class Writer(Reader):
         entry = AuditEntry(head.size + 1, at, kind, actor, plant, subject, facts, self.written)
         tree, completed = Frontier.from_bytes(head.size, head.frontier).append(leaf_hash(entry_bytes(entry)))
         self._add(t.audit, asdict(entry))
-        nodes = [{"level": level, "position": position, "hash": found} for (level, position), found in completed.items()]
+        nodes = [{"node": number_of(node), "hash": made} for node, made in completed.items()]
         self.connection.execute(_INSERT[t.audit_tree.name], nodes)
         self.connection.execute(_MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()})
         self.written = {}
@@ -584,7 +585,7 @@ class Writer(Reader):
         for entry in entries:
             tree, completed = tree.append(leaf_hash(entry_bytes(entry)))
             self._add(t.audit, asdict(entry))
-            nodes = [{"level": level, "position": position, "hash": found} for (level, position), found in completed.items()]
+            nodes = [{"node": number_of(node), "hash": made} for node, made in completed.items()]
             self.connection.execute(_INSERT[t.audit_tree.name], nodes)
         self.connection.execute(_MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()})
         return tree

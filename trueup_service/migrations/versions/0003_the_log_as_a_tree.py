@@ -8,7 +8,7 @@ from alembic import op
 
 from trueup.canonical import canonical_bytes
 from trueup.ledger.audit import AuditEntry, entry_bytes
-from trueup.ledger.merkle import NOTHING, leaf_hash
+from trueup.ledger.merkle import NOTHING, leaf_hash, number_of
 from trueup.ledger.rows import row_digest, row_name
 from trueup_service.registry.rows import plain
 
@@ -40,10 +40,9 @@ def upgrade() -> None:
     )
     op.create_table(
         "audit_tree",
-        sa.Column("level", sa.Integer(), autoincrement=False, nullable=False),
-        sa.Column("position", sa.BigInteger(), autoincrement=False, nullable=False),
+        sa.Column("node", sa.BigInteger(), autoincrement=False, nullable=False),
         sa.Column("hash", sa.LargeBinary(length=32), nullable=False),
-        sa.PrimaryKeyConstraint("level", "position", name=op.f("pk_audit_tree")),
+        sa.PrimaryKeyConstraint("node", name=op.f("pk_audit_tree")),
     )
     op.create_table(
         "audit_key",
@@ -78,7 +77,7 @@ def _grow(connection: sa.Connection) -> None:
     frontier = NOTHING
     for entry in entries:
         frontier, completed = frontier.append(leaf_hash(entry_bytes(entry)))
-        nodes = [{"level": level, "position": position, "hash": node} for (level, position), node in completed.items()]
+        nodes = [{"node": number_of(node), "hash": made} for node, made in completed.items()]
         connection.execute(sa.insert(tree), nodes)
     head = {"id": 1, "size": frontier.size, "frontier": frontier.to_bytes()}
     connection.execute(sa.insert(found.tables["audit_head"]), head)
