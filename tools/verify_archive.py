@@ -7,7 +7,7 @@ ARCHIVE is what `trueup export` or `trueup backup` wrote, a folder or a tar file
 (<name>+<hash>+<base64>), without which the archive is believed to name its own. Exit 0 if all of this holds, 4 with a list otherwise:
 
 - every part of the archive is what its digest names;
-- the head of the log is signed by the key (Ed25519, C2SP signed note);
+- the head of the log, and the archive itself, are signed by the key (Ed25519, C2SP signed note);
 - every entry is in that log (RFC 9162): a plant's by its proof, a whole registry's by rebuilding the tree;
 - every row is as the last entry that names it left it, every row is named, and every named row is there;
 - artifacts, gates, decisions and episodes have the content that names them, and every byte that a row names is there;
@@ -132,7 +132,7 @@ def signed(key, signature, message):
 
 
 def opened(note, key):
-    """Size and root in a checkpoint that the key signed, None where it did not."""
+    """The text of a note that the key signed, None where it did not."""
     name, named, encoded = key.strip().split("+", 2)
     public = base64.b64decode(encoded)
     if public[:1] != b"\x01" or hashlib.sha256(name.encode() + b"\n" + public).hexdigest()[:8] != named:
@@ -142,8 +142,7 @@ def opened(note, key):
         signer, _, signature = line.removeprefix("— ").partition(" ")
         data = base64.b64decode(signature)
         if signer == name and data[:4].hex() == named and signed(public[1:], data[4:], f"{text}\n".encode()):
-            origin, size, root = text.split("\n")[:3]
-            return (int(size), base64.b64decode(root)) if origin == name else None
+            return text
     return None
 
 
@@ -199,6 +198,7 @@ class Archive:
         self.path = path
         index = json.loads(self.read("index.json"))
         described = next(m for m in index["manifests"] if m["artifactType"] == MANIFEST_TYPE)
+        self.digest, self.signature = described["digest"], described["annotations"][f"{MANIFEST_TYPE}.signature"]
         manifest = json.loads(self.blob(described["digest"]))
         self.config = json.loads(self.blob(manifest["config"]["digest"]))
         self.layers = {layer["annotations"][TITLE]: layer["digest"] for layer in manifest["layers"]}
@@ -224,10 +224,13 @@ class Archive:
 
 def findings(archive, key):
     """What does not hold."""
-    plant, head = archive.config["plant"], opened(archive.config["checkpoint"], key or archive.config["key"])
-    if head is None:
+    key = key or archive.config["key"]
+    plant, head = archive.config["plant"], opened(archive.config["checkpoint"], key)
+    if head is None or head.split("\n")[0] != key.split("+")[0]:
         return ["the head of the log is not signed by the key"]
-    size, root = head
+    if opened(archive.signature, key) != f"trueup.archive/1\n{archive.digest}":
+        return ["the archive is not signed by the key"]
+    size, root = int(head.split("\n")[1]), base64.b64decode(head.split("\n")[2])
     told = archive.lines("log/entries.jsonl")
     named = {}
     for line in told:
@@ -239,6 +242,9 @@ def findings(archive, key):
     else:
         proofs = [(line["entry"], [base64.b64decode(h) for h in line["proof"]]) for line in told]
         found = [f"entry {e['sequence']} is not proven" for e, p in proofs if root_by(p, leaf(e), e["sequence"] - 1, size) != root]
+        found += [f"entry {e['sequence']} is of another plant" for e, _ in proofs if e["plant"] != plant]
+        order = [e["sequence"] for e, _ in proofs]
+        found += [] if order == sorted(set(order)) else ["the entries are not in order"]
     return found + rows_that_differ(archive, named, plant) + bytes_that_are_missing(archive)
 
 
@@ -249,6 +255,8 @@ def rows_that_differ(archive, named, plant):
         for row in archive.lines(f"rows/{table}.jsonl"):
             name = "/".join([table, *(str(row[column]) for column in key.split())])
             seen.add(name)
+            if plant and row["name" if table == "plants" else "plant"] != plant:
+                found.append(f"{name}: it is of another plant")
             if name not in named:
                 if table != "jobs" or row["state"] in FINAL:
                     found.append(f"{name}: no entry tells of it")

@@ -16,6 +16,7 @@ from trueup.errors import TrueupError
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 
+EXACT, LARGEST_PLAIN = 2**53 - 1, 10**21  # integers that JSON holds exactly, and what is written without an exponent
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
@@ -27,11 +28,28 @@ class NotCanonical(TrueupError):
 
 
 def canonical_bytes(value: Json) -> bytes:
-    """The RFC 8785 bytes of a JSON value. Raises NotCanonical."""
+    """The RFC 8785 bytes of a JSON value. Raises NotCanonical.
+
+    A float such as 1e17 is written without a point and read back as an integer: it is the same number, and has the same bytes again.
+    """
     try:
-        return rfc8785.dumps(value)
+        try:
+            return rfc8785.dumps(value)
+        except rfc8785.IntegerDomainError:
+            return rfc8785.dumps(_as_written(value))
     except (rfc8785.CanonicalizationError, UnicodeEncodeError, RecursionError) as error:
         raise NotCanonical(f"the value has no canonical form: {type(error).__name__}: {ascii(str(error))[:200]}") from error
+
+
+def _as_written(value: Json) -> Json:
+    """The value with every large integer that is how a float is written as that float."""
+    if isinstance(value, Mapping):
+        return {key: _as_written(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_as_written(item) for item in value]
+    if isinstance(value, int) and EXACT < abs(value) < LARGEST_PLAIN and rfc8785.dumps(float(value)).decode() == str(value):
+        return float(value)
+    return value
 
 
 def digest_of_bytes(data: bytes | memoryview) -> str:

@@ -105,13 +105,17 @@ def import_(source: Path, *, project: Annotated[str | None, Parameter(help="The 
 @contextmanager
 def _whole(source: Path, key: str | None) -> Iterator[Archive]:
     """An archive whose head is signed and that holds against it. Raises NotSigned, NotWhole, BadArchive."""
-    from trueup.ledger.archive import Archive
+    from trueup.ledger.archive import Archive, statement_of
+    from trueup_client.problem import NotSigned
     from trueup_client.proof import Checkpoint, Key, includes
     from trueup_service.archives import require_whole
 
     archive = Archive(source)
     try:
-        Checkpoint.of(str(archive.config["checkpoint"]), Key.from_text(key or str(archive.config["key"])))
+        signer = Key.from_text(key or str(archive.config["key"]))
+        Checkpoint.of(str(archive.config["checkpoint"]), signer)
+        if signer.opened(archive.signature) != statement_of(f"sha256:{archive.digest}"):
+            raise NotSigned("the archive is not the one that its site signed")
         with progress("verifying") as bar:
             require_whole(archive, includes, bar)
         yield archive

@@ -14,11 +14,10 @@ from rich.markup import escape
 
 from trueup.errors import TrueupError
 from trueup_cli.complaints import EXIT_DISAGREES
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect, witness_file, witnessed
+from trueup_cli.options import DEFAULT_URL, Json, Url, connect, seen, witness_file, witnessed
 from trueup_cli.show import as_json, err, moment, out, progress, table
-from trueup_client import Client
+from trueup_client import Client, Witness
 from trueup_client.problem import ClientError
-from trueup_client.proof import Checkpoint, Key
 
 T = TypeVar("T")
 AGREEMENT = 1e-9  # relative: matrix products differ by some 1e-13 between processors
@@ -69,10 +68,11 @@ def provenance(plant: str, digest: str, *, url: Url = DEFAULT_URL, as_json_: Jso
     plant: name of the plant
     digest: digest of an artifact or a decision
     """
-    client = witnessed(url)
+    client, witness = seen(url)
     found = client.decision_provenance if any(d["digest"] == digest for d in client.decisions(plant)) else client.artifact_provenance
     envelope = found(plant, digest)
-    statement = Key.from_text(client.audit_key()).payload(envelope, envelope["payloadType"])
+    assert witness.key is not None
+    statement = witness.key.payload(envelope, envelope["payloadType"])
     as_json(envelope if as_json_ else statement)
 
 
@@ -86,9 +86,9 @@ def verify(
     """Hold the service against its log: every entry, every row, every byte, every decision; exit 4 with a list if anything differs."""
     from trueup.ledger.verification import verify as hold
 
-    client = witnessed(url)
+    client, witness = seen(url)
     with progress("verifying") as bar:
-        found = hold(_Service(client), lambda share, stage: bar(0.5 * share if replays else share, stage), _Labels())
+        found = hold(_Service(client, witness), lambda share, stage: bar(0.5 * share if replays else share, stage), _Labels())
         wrong = [(f.where, f.what) for f in found.findings]
         for count, decision in enumerate(found.decisions if replays and not wrong else [], 1):
             bar(0.5 + 0.5 * count / len(found.decisions), f"replaying decision {decision[:12]}")
@@ -111,12 +111,11 @@ def verify(
 class _Service:
     """A service as what is verified."""
 
-    def __init__(self, client: Client) -> None:
-        self._client = client
+    def __init__(self, client: Client, witness: Witness) -> None:
+        self._client, self._witness = client, witness
 
     def head(self) -> tuple[int, bytes]:
-        client = self._client
-        found = Checkpoint.of(client.checkpoint(), Key.from_text(client.audit_key()))
+        found = self._client.witness(self._witness)
         return found.size, found.root
 
     def entries(self, after: int, until: int) -> Iterator[Any]:

@@ -19,11 +19,16 @@ DEFAULT_URL = "http://127.0.0.1:8321"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
+def seen(url: str) -> tuple[Client, Witness]:
+    """The same, once the log was seen to extend what this user saw of it before, and who saw it. Raises NotSigned, Rewritten."""
+    client, witness = connect(url), Witness(witness_file(url), os.environ.get("TRUEUP_LOG_KEY"))
+    client.witness(witness)
+    return client, witness
+
+
 def witnessed(url: str) -> Client:
-    """The same, once the log was seen to extend what this user saw of it before. Raises NotSigned, Rewritten."""
-    client = connect(url)
-    client.witness(Witness(witness_file(url), os.environ.get("TRUEUP_LOG_KEY")))
-    return client
+    """The client alone."""
+    return seen(url)[0]
 
 
 def witness_file(url: str) -> Path:

@@ -83,11 +83,14 @@ class Client:
             headers = {"Upload-Offset": str(offset), "Content-Length": str(size - offset), "Content-Type": "application/octet-stream"}
             try:
                 self._to.once("PATCH", path, _Watched(file, progress, offset), headers)
-            except Unreachable:
+            except (Unreachable, Problem) as error:
+                if isinstance(error, Problem) and error.code != "upload-offset":
+                    raise
                 came = self._get(path)["offset_bytes"] > offset
                 failed = 0 if came else failed + 1
                 if failed == ATTEMPTS:
                     raise
+                time.sleep(FIRST_PAUSE_S * failed)
         progress(1.0)
         return self._post(f"{path}/finish", None)
 
@@ -132,12 +135,11 @@ class Client:
         """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte verified. Raises Untrue."""
         to = Path(folder)
         to.mkdir(parents=True, exist_ok=True)
-        record = self.artifact(plant, digest)
         self._save(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/manifest", digest, to / "manifest.json")
         (to / "arrays.safetensors").unlink(missing_ok=True)
-        if record["arrays"]:
-            path = f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/arrays"
-            self._save(path, record["arrays"], to / "arrays.safetensors")
+        arrays = arrays_of(to / "manifest.json")
+        if arrays is not None:
+            self._save(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/arrays", arrays, to / "arrays.safetensors")
         return to
 
     def declare_gate(self, plant: str, document: Document | None = None) -> Document:
@@ -422,11 +424,23 @@ class Client:
                 for part in self._to.parts(path):
                     hashed.update(part)
                     file.write(part)
+                file.flush()
+                os.fsync(file.fileno())
             if hashed.hexdigest() != digest:
                 raise Untrue(f"{path} gave {hashed.hexdigest()}")
             beside.replace(to)
+            sync_folder(to.parent)
         finally:
             beside.unlink(missing_ok=True)
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 class _Watched:
@@ -444,6 +458,22 @@ class _Watched:
 
     def close(self) -> None:
         self._file.close()
+
+
+def arrays_of(manifest: Path) -> str | None:
+    """The digest of the arrays that a manifest, whose own digest holds, names; None where it has none."""
+    named = json.loads(manifest.read_bytes())["arrays"]
+    return None if named is None else str(named["sha256"])
+
+
+def is_whole(folder: Path, digest: str) -> bool:
+    """Whether a fetched artifact is on disk as its digest names it, arrays included."""
+    manifest = folder / "manifest.json"
+    if not manifest.is_file() or _digest_of(manifest) != digest:
+        return False
+    arrays = arrays_of(manifest)
+    kept = folder / "arrays.safetensors"
+    return not kept.exists() if arrays is None else kept.is_file() and _digest_of(kept) == arrays
 
 
 def _digest_of(path: str | os.PathLike[str]) -> str:

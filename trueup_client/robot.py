@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import threading
 import uuid
 from collections.abc import Callable
@@ -21,8 +22,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from trueup_client.client import Client
-from trueup_client.problem import ClientError, NotSigned, Rewritten
+from trueup_client.client import Client, is_whole, sync_folder
+from trueup_client.problem import NotSigned, Rewritten
 from trueup_client.witness import Witness
 
 ENVELOPE_TYPE, SCHEMA = "application/vnd.trueup.serving+json", "trueup.serving/1"
@@ -85,6 +86,7 @@ class Robot:
         self._witness = Witness(self._folder / "witness.json", key)
         self._stop = threading.Event()
         self._model = self._kept()
+        self._highest = self._seen()
         self.problem: Exception | None = None  # why the last look changed nothing, None where it went well
 
     def current(self) -> Model | None:
@@ -111,11 +113,14 @@ class Robot:
             answer, checkpoint = self._opened(envelope)
             self._witness.see(checkpoint, client.consistency)
             self._require_later(answer)
+            self._highest = answer.generation, answer.artifact
+            _write(self._folder / "highest.json", list(self._highest))  # before anything that may fail: an older one cannot come back
             for digest in (answer.artifact, answer.fallback):
-                if digest and not self._models(digest).is_dir():
+                if digest and not is_whole(self._models(digest), digest):
                     self._fetch(client, digest)
-            self._keep(envelope)
-            self._model = Model(self._models(answer.artifact), answer)
+            if self._model is None or answer.generation > self._model.answer.generation or answer.issued_at > self._model.answer.issued_at:
+                _write(self._folder / "serving.json", envelope)
+                self._model = Model(self._models(answer.artifact), answer)
             return self._model
         finally:
             client.close()
@@ -133,7 +138,7 @@ class Robot:
             try:
                 self.refresh()
                 self.problem = None
-            except (ClientError, OSError) as error:
+            except Exception as error:  # noqa: BLE001  (whatever it is, the robot goes on, and asks again)
                 self.problem = error
             self._stop.wait(interval_s)
 
@@ -147,27 +152,20 @@ class Robot:
         return Answer(**{name: found[name] for name in Answer.__slots__}), found["checkpoint"]
 
     def _require_later(self, answer: Answer) -> None:
-        """Raises Rewritten for an answer older than the one in use, or another artifact under its generation."""
-        before = self._model.answer if self._model else None
-        if before is None or answer.generation > before.generation:
-            return
-        if (answer.generation, answer.artifact) != (before.generation, before.artifact) or answer.issued_at < before.issued_at:
-            raise Rewritten(f"generation {answer.generation} was answered after generation {before.generation}")
+        """Raises Rewritten for an answer older than one that was seen, or another artifact under its generation, NotSigned if expired."""
+        if not answer.is_current(self._clock()):
+            raise NotSigned(f"the answer expired at {answer.expires_at}: it is an old one, or a clock is wrong")
+        generation, artifact = self._highest
+        if answer.generation < generation or (answer.generation == generation and answer.artifact != artifact):
+            raise Rewritten(f"generation {answer.generation} was answered after generation {generation}")
 
     def _fetch(self, client: Client, digest: str) -> None:
         beside = self._models(f"{digest}.{uuid.uuid4().hex}.part")
         beside.parent.mkdir(exist_ok=True)
-        client.fetch(self._plant, digest, beside)
+        client.fetch(self._plant, digest, beside)  # every file of it is synced
+        shutil.rmtree(self._models(digest), ignore_errors=True)  # one that was damaged
         beside.replace(self._models(digest))
-
-    def _keep(self, envelope: dict[str, Any]) -> None:
-        path = self._folder / "serving.json"
-        beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
-        with beside.open("w") as file:
-            json.dump(envelope, file)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
+        sync_folder(beside.parent)
 
     def _kept(self) -> Model | None:
         """The last good model of an earlier run; None where there is none, or it was damaged."""
@@ -177,7 +175,27 @@ class Robot:
         except (OSError, ValueError, NotSigned):
             return None
         folder = self._models(answer.artifact)
-        return Model(folder, answer) if folder.is_dir() else None
+        return Model(folder, answer) if is_whole(folder, answer.artifact) else None
+
+    def _seen(self) -> tuple[int, str]:
+        """The highest generation that was seen, and its artifact."""
+        kept = (self._model.answer.generation, self._model.answer.artifact) if self._model else (0, "")
+        try:
+            generation, artifact = json.loads((self._folder / "highest.json").read_text())
+        except (OSError, ValueError):
+            return kept
+        return max(kept, (int(generation), str(artifact)))
 
     def _models(self, digest: str) -> Path:
         return self._folder / "models" / digest
+
+
+def _write(path: Path, document: Any) -> None:
+    """Write a document beside, sync it, then give it its name."""
+    beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
+    with beside.open("w") as file:
+        json.dump(document, file)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+    sync_folder(path.parent)

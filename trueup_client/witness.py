@@ -16,6 +16,7 @@ from typing import TypeAlias
 from trueup_client.problem import NotSigned, Problem, Rewritten
 from trueup_client.proof import Checkpoint, Key, extends
 
+BAD_REQUEST = 400  # how a log answers that is shorter than it was
 Proof: TypeAlias = "Callable[[int, int], Sequence[bytes]]"  # that a log of the second size extends one of the first
 
 
@@ -57,6 +58,8 @@ class Witness:
             try:
                 proof = prove(old.size, new.size) if 0 < old.size < new.size else []
             except Problem as error:
+                if error.status != BAD_REQUEST:
+                    raise  # it cannot answer now
                 raise Rewritten(f"a log of {new.size} entries was seen, and is not there any more ({self._path})") from error
             if not extends(old.size, old.root, new.size, new.root, proof):
                 raise Rewritten(f"a log of {new.size} entries does not extend the one of {old.size}; what was seen is in {self._path}")

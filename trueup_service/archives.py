@@ -7,7 +7,6 @@ is of one moment. What comes in is verified before anything of it is kept.
 from __future__ import annotations
 
 import hashlib
-import json
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any
 from sqlalchemy import Table
 
 from trueup.canonical import Json
-from trueup.ledger.archive import ARRAYS, ENTRIES, EPISODE, ROWS, Archive, ArchiveWriter, Includes, entry_line, lines, unproven
+from trueup.ledger.archive import ARRAYS, ENTRIES, EPISODE, ROWS, Archive, ArchiveWriter, Includes, entry_line, lines, of_others, unproven
 from trueup.ledger.merkle import inclusion, prove
 from trueup.ledger.rows import KEPT_APART, KEYS, blobs, must_be_named
 from trueup.ledger.verification import verify, verify_part
@@ -59,8 +58,8 @@ def export(parts: Parts, log: SignedLog, path: Path, plant: str | None, now: str
             told(0.2 + 0.8 * count / len(named), f"blob {digest[:12]}")
             size = sum(map(len, parts.blobs.stream(digest)))
             archive.add_parts(NAMES[kind].format(digest), kind, digest, size, parts.blobs.stream(digest))
-        checkpoint = log.signer.checkpoint(tree.size, tree.root())
-        return archive.close({"plant": plant, "key": log.signer.verifier, "checkpoint": checkpoint, "created_at": now})
+        config = {"plant": plant, "key": log.signer.verifier, "checkpoint": log.checkpoint_of(reader, tree), "created_at": now}
+        return archive.close(config, log.signer.note)
 
 
 def _rows(reader: Reader, table: Table, plant: str | None) -> Iterator[dict[str, Json]]:
@@ -88,9 +87,11 @@ def require_whole(archive: Archive, includes: Includes, told: Told) -> None:
     if archive.plant is None:
         findings = verify(archive, told).findings
     else:
-        missing = unproven(archive, includes)
+        missing, others = unproven(archive, includes), of_others(archive)
         if missing:
             raise NotWhole(f"{len(missing)} entries are not proven to be in the log, entry {missing[0]} among them", entries=missing[:10])
+        if others:
+            raise NotWhole(f"{len(others)} rows are of another plant, {others[0]} among them", rows=others[:10])
         findings = verify_part(archive, (entry for entry, _ in archive.proven()), told).findings
     if findings:
         first = findings[0]
@@ -108,9 +109,10 @@ def restore(parts: Parts, archive: Archive, told: Told) -> int:
     parts.queue.prepare()
     with writing(parts.database) as writer:
         for table in t.metadata.sorted_tables:
-            title = "beside" if table.name in BESIDE else "rows"
-            for row in _lines(archive, f"{title}/{table.name}.jsonl"):
-                writer.put_row(table, row)
+            if table.name in (*KEYS, *BESIDE):
+                for row in archive.documents(f"{'beside' if table.name in BESIDE else 'rows'}/{table.name}.jsonl"):
+                    writer.put_row(table, row)
+        writer.keep_audit_key(str(archive.config["key"]))
         writer.put_log(archive.entries(0, archive.head()[0]))
         jobs = writer.jobs_under_way()
         for job in jobs:
@@ -138,18 +140,13 @@ def import_plant(parts: Parts, archive: Archive, project: str | None, stamp: Sta
         for table in t.metadata.sorted_tables:
             if table.name not in KEYS or table.name in (*KEPT_APART, t.imports.name):
                 continue
-            for row in _lines(archive, f"rows/{table.name}.jsonl"):
-                writer.add_row(table, row | {"project": project} if table is t.plants else row)
+            for row in archive.rows(table.name):
+                if must_be_named(table.name, row):
+                    writer.add_row(table, {**row, "project": project} if table is t.plants else row)
         writer.add_import(ImportRecord(plant, archive.digest, note.split("\n", 1)[0], note, entries, stamp.now, stamp.actor))
         facts: dict[str, Json] = {"archive": archive.digest, "checkpoint": note, "key": str(archive.config["key"]), "entries": entries}
         writer.append_audit(at=stamp.now, kind="plant:imported", actor=stamp.actor, plant=plant, subject=archive.digest, facts=facts)
     return plant
-
-
-def _lines(archive: Archive, title: str) -> Iterator[dict[str, Any]]:
-    digest = archive.layer(title)
-    if digest is not None:
-        yield from map(json.loads, b"".join(archive.part(digest)).splitlines())
 
 
 def _take_blobs(parts: Parts, archive: Archive, told: Told) -> None:

@@ -64,6 +64,7 @@ class Identities:
     def __init__(self, settings: Settings, database: Database, clock: Callable[[], float] = time.monotonic) -> None:
         self._database, self._clock, self._memory_s = database, clock, settings.token_memory_s
         self._admin = settings.admin_token.get_secret_value() if settings.admin_token else None
+        self._admin_prefix = None if self._admin is None else FROM_SETTINGS + digest_of_secret(self._admin)[: len(FROM_SETTINGS)]
         self._known: dict[str, tuple[Who, float]] = {}
 
     def remembered(self, credential: str) -> Who | None:
@@ -74,7 +75,7 @@ class Identities:
     def by_token(self, text: str) -> Who:
         """Who a token is of. Raises Unauthenticated."""
         if self._admin is not None and hmac.compare_digest(text.encode(), self._admin.encode()):
-            return self._remember(text, Who("admin", FROM_SETTINGS, frozenset({Role.ADMIN}), None, None))
+            return self._remember(text, self._from_settings())
         _, prefix, secret = ([*text.split("_", PARTS - 1), "", ""])[:PARTS]
         with self._database.read() as connection:
             found = Reader(connection).token(prefix)
@@ -89,11 +90,15 @@ class Identities:
             reader = Reader(connection)
             prefix = reader.session(digest_of_secret(cookie), _now())
             found = None if prefix is None else reader.token(prefix)
-        if prefix == FROM_SETTINGS and self._admin is not None:
-            return self._remember(cookie, Who("admin", FROM_SETTINGS, frozenset({Role.ADMIN}), None, None))
+        if prefix is not None and prefix == self._admin_prefix:
+            return self._remember(cookie, self._from_settings())
         if found is None:
             raise Unauthenticated("the session has ended", hint="Sign in again.")
         return self._remember(cookie, _holder(found))
+
+    def _from_settings(self) -> Who:
+        """Who has the token of the settings; its stand-in for a prefix changes with it, and so ends the sessions that it began."""
+        return Who("admin", str(self._admin_prefix), frozenset({Role.ADMIN}), None, None)
 
     def forget(self) -> None:
         """Ask the database again for everybody."""

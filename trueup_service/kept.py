@@ -76,8 +76,12 @@ class Kept:
 
 
 def published(parts: Parts) -> list[Finding]:
-    """Whether the log extends the head that this installation has published."""
+    """Whether the log ends where it says, and extends the head that this installation has published."""
     path = parts.settings.data_dir / CHECKPOINT_FILE
+    with parts.database.read() as connection:
+        beyond = Reader(connection).audit_beyond()
+    if beyond:
+        return [Finding("log", f"{beyond} entries are kept behind its end")]
     if not path.exists():
         return []
     size, root = head_of(path.read_text())

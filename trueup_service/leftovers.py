@@ -6,9 +6,12 @@ once they are older than any upload takes, and an upload that finds its bytes th
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 
+from trueup_service.errors import Conflict
 from trueup_service.kept import unnamed
+from trueup_service.locks import try_lock
 from trueup_service.partial_uploads import PartialUploads
 from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
@@ -17,17 +20,34 @@ Told = Callable[[float, str], None]
 
 
 def remove_leftovers(parts: Parts, older_than_s: float, *, dry_run: bool, told: Told) -> dict[str, int]:
-    """How many blobs and files of uploads were removed, or would be, and how many bytes."""
+    """How many blobs and files of uploads were removed, or would be, and how many bytes. Raises Conflict while another does it."""
+    lock = try_lock(parts.settings.data_dir / "gc.lock")
+    if lock is None:
+        raise Conflict("somebody is at it already", hint="Wait for it to end.")
+    try:
+        return _remove(parts, older_than_s, dry_run=dry_run, told=told)
+    finally:
+        os.close(lock)
+
+
+def _remove(parts: Parts, older_than_s: float, *, dry_run: bool, told: Told) -> dict[str, int]:
     told(0.0, "reading what is named")
+    for digest in [] if dry_run else list(parts.blobs.removed()):  # somebody was killed over these
+        if _is_named(parts, digest) and not parts.blobs.holds(digest):
+            parts.blobs.bring_back(digest)
+        else:
+            parts.blobs.forget(digest)
     found = unnamed(parts)
     blobs, size = 0, 0
     for count, digest in enumerate(found, 1):
         told(count / len(found), f"blob {digest[:12]}")
         gone = parts.blobs.remove(digest, older_than_s, dry_run=dry_run)
-        if gone is not None and not dry_run and _is_named(parts, digest):
-            parts.blobs.bring_back(digest)  # an upload of the same bytes came in between
-            gone = None
-        parts.blobs.forget()
+        if gone is not None and not dry_run:
+            if _is_named(parts, digest):
+                parts.blobs.bring_back(digest)  # an upload of the same bytes came in between
+                gone = None
+            else:
+                parts.blobs.forget(digest)
         blobs, size = blobs + (gone is not None), size + (gone or 0)
     files, more = PartialUploads(parts.settings.data_dir).remove_old(older_than_s, dry_run=dry_run)
     return {"blobs": blobs, "files": files, "bytes": size + more}

@@ -46,7 +46,7 @@ class PartialUploads:
         Raises UploadElsewhere where the upload is not at this offset or somebody else is writing it, TooLargeUpload.
         """
         self._folder.mkdir(mode=0o700, exist_ok=True)
-        with _alone(self.path(plant, digest)) as file:
+        with self.alone(plant, digest, create=True) as file:
             here = file.seek(0, os.SEEK_END)
             if here != offset:
                 raise UploadElsewhere(f"the upload is at {here}, not at {offset}", offset_bytes=here)
@@ -54,10 +54,25 @@ class PartialUploads:
                 async for part in parts:
                     if file.tell() + len(part) > limit_bytes:
                         raise TooLargeUpload(f"the upload has more than {limit_bytes} bytes", limit_bytes=limit_bytes)
-                    file.write(part)
+                    write_all(file, part)
             finally:
                 await asyncio.to_thread(os.fsync, file.fileno())
             return file.tell()
+
+    @contextmanager
+    def alone(self, plant: str, digest: str, *, create: bool = False) -> Iterator[FileIO]:
+        """The upload's file, while nobody else writes it. Raises UploadElsewhere, FileNotFoundError."""
+        path = self.path(plant, digest)
+        flags = os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0)
+        with open(os.open(path, flags, 0o600), "r+b", buffering=0) as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise UploadElsewhere("somebody else is sending this upload") from error
+            found = os.fstat(file.fileno())
+            if found.st_nlink != 1 or not path.exists() or path.stat().st_ino != found.st_ino:
+                raise UploadElsewhere("the upload has just been finished")  # its bytes are an episode's by now
+            yield file
 
     def drop(self, plant: str, digest: str) -> None:
         """Forget an upload."""
@@ -75,15 +90,11 @@ class PartialUploads:
         return files, size
 
 
-@contextmanager
-def _alone(path: Path) -> Iterator[FileIO]:
-    """The file, while nobody else writes it. Raises UploadElsewhere."""
-    with open(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600), "r+b", buffering=0) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise UploadElsewhere("somebody else is sending this upload") from error
-        yield file
+def write_all(file: FileIO, data: bytes | bytearray) -> None:
+    """Write every byte, however few the kernel takes at once."""
+    view = memoryview(data)
+    while view:
+        view = view[file.write(view) or 0 :]
 
 
 def digest_of_file(path: Path) -> str:

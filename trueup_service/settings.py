@@ -25,6 +25,9 @@ class Settings(BaseSettings):
     s3_secret_key: SecretStr | None = Field(None, description="Secret access key.")
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: int = Field(8321, ge=0, le=65535, description="Port to listen on; 0 for any free one.")
+    public_url: str | None = Field(
+        None, description="Address under which browsers reach the service, such as https://registry.example.com; unset: as they ask."
+    )
     upload_limit_bytes: int = Field(2 << 30, ge=1, description="Largest upload [bytes].")
     inspection_memory_bytes: int = Field(1 << 30, ge=256 << 20, description="Address space of the process that inspects an upload [bytes].")
     inspection_timeout_s: float = Field(120.0, gt=0, description="Time that the inspection of an upload may take [s].")

@@ -42,6 +42,11 @@ class SignedLog:
             self._last = tree.size, tree.root()
         return self.signer.checkpoint(*self._last)
 
+    def checkpoint_of(self, reader: Reader, tree: Frontier) -> str:
+        """The head of a state that somebody reads. Raises LogRewound."""
+        self._require_extends(reader, tree, or_before=True)
+        return self.signer.checkpoint(tree.size, tree.root())
+
     def publish(self) -> None:
         """Write the head to its file, if it has moved. Raises LogRewound."""
         note = self.checkpoint()
@@ -52,8 +57,11 @@ class SignedLog:
         """A document in an envelope signed by the log's key."""
         return self.signer.envelope(payload_type, document)
 
-    def _require_extends(self, reader: Reader, tree: Frontier) -> None:
+    def _require_extends(self, reader: Reader, tree: Frontier, *, or_before: bool = False) -> None:
+        """Raises LogRewound. A state that was read before the last head was signed is shorter, and sound."""
         size, root = self._last
+        if tree.size < size and or_before:
+            size, root = tree.size, tree.root()
         if tree.size < size:
             raise LogRewound(f"the log has {tree.size} entries, {size} were published", published=size, found=tree.size)
         if root_at(reader, size) != root or root_at(reader, tree.size) != tree.root():

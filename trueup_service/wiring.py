@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import uuid
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 
+from trueup.canonical import digest_of_bytes
 from trueup_service.jobs import JobQueue
 from trueup_service.locks import own_folder
 from trueup_service.registry.blobs import Blobs, FolderBlobs, S3Blobs
@@ -40,6 +42,17 @@ def build(settings: Settings) -> Parts:
     return Parts(
         settings, database, _blobs(settings), JobQueue(settings.sqlalchemy_url, database.engine), own_folder(settings.data_dir / "spool")
     )
+
+
+def keep_bytes(parts: Parts, data: bytes) -> str:
+    """Put bytes into the blob store; their digest. Repeating it changes nothing."""
+    digest, path = digest_of_bytes(data), parts.spool / uuid.uuid4().hex
+    path.write_bytes(data)
+    try:
+        parts.blobs.put(digest, path)
+    finally:
+        path.unlink(missing_ok=True)
+    return digest
 
 
 def _blobs(settings: Settings) -> Blobs:

@@ -19,6 +19,8 @@ from tests.support.service import ROOT, Service, command, kill
 from tests.support.storage import embedded, scaled
 from tests.support.tampering import promoted
 from trueup.episode.role import Role
+from trueup.ledger.archive import SIGNATURE, statement_of
+from trueup.ledger.note import Signer
 from trueup_client import Client, Problem
 from trueup_client import client as module
 
@@ -142,10 +144,14 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
         if changed in (1, 5):  # the other verifier, a process each
             assert run(fresh, "import", tmp_path / "bad", check=False).returncode == 1
     assert changed > 10
-    for name, edit in (("a row is gone", drop_a_row), ("a proof is of another", swap_a_proof)):
+    kept = storage.environment.get("TRUEUP_SIGNING_KEY") or (site[2] / "data" / "signing.key").read_text()
+    rewrite(tmp_path / "bad", "log/entries.jsonl", lambda data: data, None)  # by somebody who knows the form, and has no key
+    assert "not signed" in verified(tmp_path / "bad", key)[1]
+    assert run(fresh, "import", tmp_path / "bad", "--key", key, check=False).returncode == 4
+    for name, (title, change) in EDITS.items():  # and by somebody who has it
         shutil.rmtree(tmp_path / "bad", ignore_errors=True)
         shutil.copytree(tmp_path / "good", tmp_path / "bad")
-        edit(tmp_path / "bad")
+        rewrite(tmp_path / "bad", title, change, Signer.from_text(kept))
         code, said = verified(tmp_path / "bad", key)
         assert (code, "cannot be read" in said) == (4, False), name
         refused = run(fresh, "import", tmp_path / "bad", check=False)
@@ -156,8 +162,8 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
     assert run(fresh, "import", tmp_path / "nothing", check=False).returncode == 1
 
 
-def rewrite(folder, title, change):
-    """Change a layer and name everything anew, as somebody would who knows the form."""
+def rewrite(folder, title, change, signer):
+    """Change a layer and name everything anew; signed again where there is a key."""
 
     def put(data):
         digest = hashlib.sha256(data).hexdigest()
@@ -171,21 +177,30 @@ def rewrite(folder, title, change):
     manifest = json.loads(get(index["manifests"][0]["digest"]))
     layer = next(x for x in manifest["layers"] if x["annotations"]["org.opencontainers.image.title"] == title)
     layer["digest"] = put(change(get(layer["digest"])))
-    index["manifests"][0]["digest"] = put(json.dumps(manifest).encode())
+    described = index["manifests"][0]
+    described["digest"] = put(json.dumps(manifest).encode())
+    described["size"] = len(json.dumps(manifest).encode())
+    if signer is not None:
+        described["annotations"] = {SIGNATURE: signer.note(statement_of(described["digest"]))}
     (folder / "index.json").write_text(json.dumps(index))
 
 
-def drop_a_row(folder):
-    rewrite(folder, "rows/gates.jsonl", lambda data: b"".join(data.splitlines(keepends=True)[:-1]))
+def swapped_proofs(data):
+    told = [json.loads(line) for line in data.splitlines()]
+    told[0]["proof"], told[1]["proof"] = told[1]["proof"], told[0]["proof"]
+    return b"".join(json.dumps(line).encode() + b"\n" for line in told)
 
 
-def swap_a_proof(folder):
-    def swap(data):
-        told = [json.loads(line) for line in data.splitlines()]
-        told[0]["proof"], told[1]["proof"] = told[1]["proof"], told[0]["proof"]
-        return b"".join(json.dumps(line).encode() + b"\n" for line in told)
+def without_the_last(data):
+    return b"".join(data.splitlines(keepends=True)[:-1])
 
-    rewrite(folder, "log/entries.jsonl", swap)
+
+EDITS = {
+    "a row is gone": ("rows/gates.jsonl", without_the_last),
+    "a proof is of another": ("log/entries.jsonl", swapped_proofs),
+    "entries in another order": ("log/entries.jsonl", lambda data: b"".join(data.splitlines(keepends=True)[::-1])),
+    "a row of another plant": ("rows/episodes.jsonl", lambda data: data.replace(b'"plant":"p"', b'"plant":"q"')),
+}
 
 
 # -- what is left over
@@ -251,15 +266,16 @@ def test_an_upload_goes_on_where_it_broke_off(service, tmp_path, monkeypatch):
         assert shares[-1] == 1.0
         assert next(client.episodes(plant))["digest"] == digest
         assert client._get(at)["offset_bytes"] == 0
-        with pytest.raises(Problem) as refused:
-            client._post(f"{at}/finish", None)
-        assert refused.value.code == "not-found"
+        assert client._post(f"{at}/finish", None)["digest"] == digest  # its answer may have been lost
         wrong = f"/v1/plants/{plant}/uploads/{'0' * 64}"
         client._to.once("PATCH", wrong, b"something else", half)
         with pytest.raises(Problem) as refused:
             client._post(f"{wrong}/finish", None)
         assert refused.value.code == "digest-mismatch"
         assert client._get(wrong)["offset_bytes"] == 0
+        with pytest.raises(Problem) as refused:
+            client._post(f"{wrong}/finish", None)
+        assert refused.value.code == "not-found"
 
 
 def test_parts_survive_the_death_of_the_server(tmp_path):

@@ -311,3 +311,50 @@ def test_a_server_signs_no_log_shorter_than_the_one_it_published(tmp_path):
     with pytest.raises(OtherKey):
         open_log(parts.settings, parts.database)
     parts.close()
+
+
+def test_a_number_that_is_written_like_an_integer_stays_verifiable(told, kept):
+    rules = [{"rule": "one_step_no_worse", "slack": 1e17}]
+    told[2].declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": GATE_SCORING})
+    assert found(kept) == []
+
+
+def test_an_entry_kept_behind_the_end_of_the_log_is_found_and_not_shown(told, kept):
+    with kept.database.write() as connection:
+        columns = 'sequence, at, kind, actor, plant, subject, facts, "rows"'
+        copy = f"INSERT INTO audit ({columns}) SELECT 1000000, at, kind, actor, plant, subject, facts, '{{}}' FROM audit WHERE sequence = 1"
+        connection.execute(text(copy))
+    try:
+        assert [f.where for f in published(kept)] == ["log"]
+        assert max(e["sequence"] for e in told[2].audit()) < 1000000
+    finally:
+        with kept.database.write() as connection:
+            connection.execute(text("DELETE FROM audit WHERE sequence = 1000000"))
+
+
+def test_a_robot_keeps_the_highest_generation_that_it_saw_though_it_could_not_fetch_it(told, tmp_path, monkeypatch):
+    service, _, client, _, _ = told
+    robot = Robot(service.url, "p", tmp_path / "robot", client.audit_key())
+    old, before = client.serving_envelope("p"), robot.refresh()
+    move(client, "p", 1.4)
+    monkeypatch.setattr(Robot, "_fetch", lambda *_: (_ for _ in ()).throw(OSError("the download was blocked")))
+    with pytest.raises(OSError, match="blocked"):
+        robot.refresh()
+    assert robot.current() == before
+    again = Robot(service.url, "p", tmp_path / "robot")
+    with pytest.raises(Rewritten):
+        again._require_later(again._opened(old)[0])
+    late = Robot(service.url, "p", tmp_path / "other", clock=lambda: datetime.now(UTC) + timedelta(days=2))
+    late._witness.pin(client.audit_key())
+    with pytest.raises(NotSigned):
+        late._require_later(late._opened(old)[0])
+
+
+def test_a_robot_does_not_take_a_damaged_model_for_whole(told, tmp_path):
+    service, _, client, _, _ = told
+    model = Robot(service.url, "p", tmp_path / "robot", client.audit_key()).refresh()
+    (model.folder / "manifest.json").write_bytes(b"")
+    again = Robot(service.url, "p", tmp_path / "robot")
+    assert again.current() is None
+    assert again.refresh().folder == model.folder
+    assert (model.folder / "manifest.json").stat().st_size > 0

@@ -331,3 +331,44 @@ def test_a_rejected_decision_is_not_approved(service, somebody):
     with closing(Client(service.url)) as admin, pytest.raises(Problem) as refused:
         admin.approve(somebody["ours"], "0" * 64)
     assert refused.value.code == "not-found"
+
+
+def test_an_operator_does_not_let_promotions_take_fewer_people(service):
+    plant = f"p{uuid.uuid4().hex[:8]}"
+    with closing(Client(service.url)) as admin:
+        admin.register_plant(plant_document(plant))
+        gate = admin.declare_gate(plant)["digest"]
+        policy = {"schema": "trueup.policy/1", "gate": gate, "on_acceptance": "ask"}
+        admin.declare_policy(plant, policy | {"approvals": 2})
+        token = admin.issue_token("alone", ["operator"])["token"]
+        with closing(Client(service.url, token=token)) as operator:
+            with pytest.raises(Problem) as refused:
+                operator.declare_policy(plant, policy | {"approvals": 1})
+            assert refused.value.code == "forbidden"
+            operator.declare_policy(plant, policy | {"approvals": 3})
+        admin.declare_policy(plant, policy | {"approvals": 1})
+
+
+def test_a_token_of_one_plant_registers_none_and_is_of_a_plant_of_its_project(service, somebody):
+    with closing(Client(service.url)) as admin:
+        token = admin.issue_token("narrow", ["engineer"], plant=somebody["ours"])["token"]
+        with pytest.raises(Problem) as refused:
+            admin.issue_token("wrong", ["engineer"], project=somebody["project"], plant=somebody["ours"])
+        assert refused.value.code == "not-found"
+    with closing(Client(service.url, token=token)) as narrow, pytest.raises(Problem) as refused:
+        narrow.register_plant(plant_document(somebody["theirs"]))
+    assert (refused.value.code, refused.value.facts) == ("forbidden", {})
+
+
+def test_a_session_that_was_begun_with_an_old_admins_token_ends_with_it(tmp_path):
+    parts = build(Settings(data_dir=tmp_path, admin_token="a" * 40))
+    old, new = (Identities(Settings(data_dir=tmp_path, admin_token=c * 40, token_memory_s=0), parts.database) for c in "ab")
+    from trueup_service.identity import digest_of_secret
+    from trueup_service.registry.store import writing
+
+    with writing(parts.database) as writer:
+        writer.add_session(digest_of_secret("cookie"), old.by_token("a" * 40).token, "2026", "9999")
+    assert old.by_session("cookie").name == "admin"
+    with pytest.raises(Unauthenticated):
+        new.by_session("cookie")
+    parts.close()

@@ -30,15 +30,18 @@ from trueup.canonical import Json, canonical_bytes, digest_of_bytes, is_digest
 from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry, entry_bytes
 from trueup.ledger.merkle import leaf_hash
+from trueup.ledger.rows import KEYS, row_name
 
 SCHEMA = "trueup.archive/1"
 ARTIFACT = "application/vnd.trueup.archive.v1"
 CONFIG, ROWS, ENTRIES = f"{ARTIFACT}.config+json", f"{ARTIFACT}.rows+jsonl", f"{ARTIFACT}.entries+jsonl"
 EPISODE, ARRAYS = "application/vnd.mcap", "application/vnd.safetensors"
 MANIFEST, INDEX = "application/vnd.oci.image.manifest.v1+json", "application/vnd.oci.image.index.v1+json"
+SIGNATURE = f"{ARTIFACT}.signature"
 TITLE = "org.opencontainers.image.title"
 PART_BYTES = 1 << 20
-DOCUMENT_BYTES = 64 << 20  # a manifest names each episode in some 200 bytes
+DOCUMENT_BYTES = 1 << 20
+LARGEST_MANIFEST = 4 << 30  # some 300 bytes for each episode
 
 
 class BadArchive(TrueupError):
@@ -77,8 +80,8 @@ class ArchiveWriter:
         self._there.add(digest)
         self._layers.append(_descriptor(media_type, digest, size) | {"annotations": {TITLE: title}})
 
-    def close(self, config: Mapping[str, Json]) -> str:
-        """Write the manifest and the index, make all durable; the digest of the manifest."""
+    def close(self, config: Mapping[str, Json], sign: Callable[[str], str]) -> str:
+        """Write the manifest and the index, signed, and make all durable; the digest of the manifest."""
         manifest: dict[str, Json] = {
             "schemaVersion": 2,
             "mediaType": MANIFEST,
@@ -87,6 +90,9 @@ class ArchiveWriter:
             "layers": self._layers,
         }
         described = self._blob(MANIFEST, canonical_bytes(manifest)) | {"artifactType": ARTIFACT}
+        described["annotations"] = {SIGNATURE: sign(statement_of(str(described["digest"])))}
+        if self._tar is None:
+            _sync(self._path / "blobs" / "sha256")
         index: dict[str, Json] = {"schemaVersion": 2, "mediaType": INDEX, "manifests": [described]}
         self._named("oci-layout", canonical_bytes({"imageLayoutVersion": "1.0.0"}))
         self._named("index.json", canonical_bytes(index))
@@ -95,6 +101,8 @@ class ArchiveWriter:
             part = self._path.with_name(f"{self._path.name}.part")
             _sync(part)
             part.replace(self._path)
+        else:
+            _sync(self._path)
         _sync(self._path.parent)
         return str(described["digest"]).removeprefix("sha256:")
 
@@ -113,6 +121,8 @@ class ArchiveWriter:
             info = tarfile.TarInfo(f"blobs/sha256/{digest}")
             info.size = size
             self._tar.addfile(info, data)
+            if data.read(1) or (isinstance(data, _Parts) and not data.holds()):
+                raise BadArchive("the bytes are not those of their digest", digest=digest)
             return
         _write(self._file(digest), data)
 
@@ -123,6 +133,11 @@ class ArchiveWriter:
             self._tar.addfile(info, io.BytesIO(data))
             return
         _write(self._path / name, io.BytesIO(data))
+
+
+def statement_of(digest: str) -> str:
+    """What the site signs of an archive: that this very one, whole and in this order, is its own."""
+    return f"{SCHEMA}\n{digest}\n"
 
 
 def _descriptor(media_type: str, digest: str, size: int) -> dict[str, Json]:
@@ -164,9 +179,13 @@ class _Parts:
             self._hashed.update(part)
             self._rest += part
         found, self._rest = (self._rest, b"") if length < 0 else (self._rest[:length], self._rest[length:])
-        if not self._rest and len(found) < max(length, 1) and self._hashed.hexdigest() != self._digest:
+        if not self._rest and len(found) < max(length, 1) and not self.holds():
             raise BadArchive("the bytes are not those of their digest", digest=self._digest)
         return found
+
+    def holds(self) -> bool:
+        """Whether what was read has the digest."""
+        return self._hashed.hexdigest() == self._digest
 
 
 class Archive:
@@ -183,13 +202,14 @@ class Archive:
         try:
             described = next(m for m in index["manifests"] if m.get("artifactType") == ARTIFACT)
             self.digest = str(described["digest"]).removeprefix("sha256:")
-            manifest: Any = self._document(self._whole(self.digest))
+            self.signature = str(described["annotations"][SIGNATURE])
+            manifest: Any = self._document(self._whole(self.digest, int(described["size"])))
             self._layers = {layer["annotations"][TITLE]: str(layer["digest"]).removeprefix("sha256:") for layer in manifest["layers"]}
             self.config: dict[str, Any] = self._document(self._whole(str(manifest["config"]["digest"]).removeprefix("sha256:")))
             if self.config["schema"] != SCHEMA:
                 raise BadArchive(f"the archive is a {self.config['schema']}")
             self.plant: str | None = self.config["plant"]
-            self._held = {digest for title, digest in self._layers.items() if title.startswith(("episodes/", "arrays/"))}
+            self._held = {digest for title, digest in self._layers.items() if title.startswith(("episodes/", "arrays/", "imported/"))}
         except (StopIteration, KeyError, TypeError, AttributeError) as error:
             raise BadArchive(f"{path} does not describe itself as an archive") from error
 
@@ -222,7 +242,7 @@ class Archive:
 
     def rows(self, table: str) -> Iterator[Mapping[str, Json]]:
         """Rows as they were stored."""
-        return self._lines(f"rows/{table}.jsonl") if f"rows/{table}.jsonl" in self._layers else iter(())
+        return self.documents(f"rows/{table}.jsonl")
 
     def blob(self, digest: str) -> Iterator[bytes]:
         """An episode's or an artifact's bytes in parts."""
@@ -246,6 +266,10 @@ class Archive:
             while found := file.read(PART_BYTES):
                 yield found
 
+    def documents(self, title: str) -> Iterator[Any]:
+        """The documents of a layer, which must be what its digest names; none where there is no such layer."""
+        return self._lines(title) if title in self._layers else iter(())
+
     def _lines(self, title: str) -> Iterator[Any]:
         digest = self._layers.get(title)
         if digest is None:
@@ -261,9 +285,9 @@ class Archive:
         if hashed.hexdigest() != digest:
             raise BadArchive(f"{title} is not what its digest names", digest=digest)
 
-    def _whole(self, digest: str) -> bytes:
+    def _whole(self, digest: str, size: int = DOCUMENT_BYTES) -> bytes:
         with self._open(digest) as file:
-            found = file.read(DOCUMENT_BYTES)
+            found = file.read(min(size, LARGEST_MANIFEST))
         if digest_of_bytes(found) != digest:
             raise BadArchive("a part is not what its digest names", digest=digest)
         return found
@@ -309,10 +333,21 @@ Includes = Callable[[bytes, int, int, bytes, list[bytes]], bool]  # root, size, 
 
 
 def unproven(archive: Archive, includes: Includes) -> list[int]:
-    """Sequence numbers of a plant's entries that are not proven to be in the signed log."""
-    size, root = archive.head()
+    """Sequence numbers of entries that are not proven to be in the signed log, in order, and of the archive's plant."""
+    (size, root), last, found = archive.head(), 0, []
+    for entry, proof in archive.proven():
+        proven = includes(root, size, entry.sequence - 1, leaf_hash(entry_bytes(entry)), proof)
+        if not proven or entry.sequence <= last or entry.plant != archive.plant:
+            found.append(entry.sequence)
+        last = entry.sequence
+    return found
+
+
+def of_others(archive: Archive) -> list[str]:
+    """Rows that are not of the archive's plant."""
     return [
-        entry.sequence
-        for entry, proof in archive.proven()
-        if not includes(root, size, entry.sequence - 1, leaf_hash(entry_bytes(entry)), proof)
+        row_name(table, row)
+        for table in KEYS
+        for row in archive.rows(table)
+        if row["name" if table == "plants" else "plant"] != archive.plant
     ]

@@ -9,18 +9,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
-from trueup.canonical import Json
+from trueup.canonical import Json, digest_of, digest_of_bytes
 from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry, entry_bytes
 from trueup.ledger.merkle import NOTHING, Frontier, Node, leaf_hash
 from trueup.ledger.rows import KEPT_APART, KEYS, MOVES, WHOLESALE, blobs, misnamed, must_be_named, row_digest, row_name
 
 Told = Callable[[float, str], None]
-LOOKS = 5  # at a registry that is being written to, before what does not agree counts
+LOOKS = 8  # at rows that change while they are read, before what does not agree counts
 
 
 class Registry(Protocol):
@@ -61,6 +61,7 @@ class _Log:
     tree: Frontier = NOTHING
     nodes: dict[Node, bytes] = field(default_factory=dict)
     named: dict[str, tuple[str, AuditEntry]] = field(default_factory=dict)
+    asked: dict[str, str] = field(default_factory=dict)  # the digest of each job's request, as it was submitted
 
     def read(self, registry: Registry) -> list[Finding]:
         """Read on to the signed head."""
@@ -73,6 +74,8 @@ class _Log:
                 self.tree, completed = self.tree.append(leaf_hash(entry_bytes(entry)))
                 self.nodes |= completed
                 self.named |= {name: (digest, entry) for name, digest in entry.rows.items()}
+                if entry.kind == "job:submitted":
+                    self.asked[entry.subject] = digest_of(entry.facts["request"])
                 findings += self.each(entry)
         except TrueupError as error:
             return [Finding("log", error.message)]
@@ -120,12 +123,13 @@ def _hold_all(registry: Registry, log: _Log, told: Told, looks: int = LOOKS) -> 
     held, decisions = 0, []
     for count, table in enumerate(KEYS):
         told(0.2 + 0.3 * count / len(KEYS), f"holding {table} against the log")
-        wrong, rows = _hold(registry, log, table)
-        for _ in range(looks):
-            size = log.tree.size
-            if not wrong or log.read(registry) or log.tree.size == size:
+        for look in range(looks + 1):
+            rows, unread = _read(registry, table)
+            if looks:
+                findings += log.read(registry)  # whatever was written before these rows were read
+            wrong = unread or _differing(log, table, rows)
+            if not wrong or look == looks or not looks:
                 break
-            wrong, rows = _hold(registry, log, table)
         findings += wrong
         held += len(rows)
         for row in rows:
@@ -147,16 +151,19 @@ def _hold_nodes(registry: Registry, log: _Log) -> list[Finding]:
     return [Finding(f"tree/{level}/{position}", "it is not the hash of its entries") for level, position in wrong]
 
 
-def _hold(registry: Registry, log: _Log, table: str) -> tuple[list[Finding], list[Mapping[str, Any]]]:
-    """Hold a table's rows against the log."""
+def _read(registry: Registry, table: str) -> tuple[list[Mapping[str, Any]], list[Finding]]:
     try:
-        rows = list(registry.rows(table))
+        return list(registry.rows(table)), []
     except TrueupError as error:
-        return [Finding(table, error.message)], []
+        return [], [Finding(table, error.message)]
+
+
+def _differing(log: _Log, table: str, rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
+    """Hold a table's rows against the log."""
     there = {row_name(table, row): row for row in rows}
     wrong = [Finding(name, what) for name, row in there.items() if (what := _differs(log, table, name, row))]
     wrong += [Finding(name, "the log names it, and it is not there") for name in log.named if _of(name) == table and name not in there]
-    return wrong, rows
+    return wrong
 
 
 def _of(name: str) -> str:
@@ -164,6 +171,8 @@ def _of(name: str) -> str:
 
 
 def _differs(log: _Log, table: str, name: str, row: Mapping[str, Any]) -> str | None:
+    if table == "jobs" and row["id"] in log.asked and digest_of_bytes(str(row["request"]).encode()) != log.asked[row["id"]]:
+        return "its request is not the one that was submitted"
     if name not in log.named:
         return "no entry of the log tells of it" if must_be_named(table, row) else None
     digest, entry = log.named[name]

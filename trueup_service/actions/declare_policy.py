@@ -8,18 +8,27 @@ from typing import Any
 from trueup.gate.policy import UpdatePolicy
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
+from trueup_service.errors import Forbidden
 from trueup_service.registry.records import PolicyRecord
 from trueup_service.registry.store import Reader, Writer
 
 
-def declare_policy(writer: Writer, plant: str, document: Mapping[str, Any], stamp: Stamp) -> tuple[PolicyRecord, bool]:
-    """The policy, and whether it is another than held before. Raises BadPolicy, NotFound for a gate that is not declared."""
+def declare_policy(
+    writer: Writer, plant: str, document: Mapping[str, Any], stamp: Stamp, *, by_admin: bool = False
+) -> tuple[PolicyRecord, bool]:
+    """The policy, and whether it is another than held before.
+
+    Raises BadPolicy, NotFound for a gate that is not declared, Forbidden where somebody but an admin lets promotions take fewer people.
+    """
     policy = UpdatePolicy.from_document(document)
     find.gate(writer, plant, policy.gate)
     writer.lock_plant(plant)
     held = writer.policy(plant)
     if held is not None and held.digest == policy.digest:
         return held, False
+    before = policy_of(writer, plant)
+    if before is not None and policy.approvals < before.approvals and not by_admin:
+        raise Forbidden(f"the policy that holds takes {before.approvals} people", hint="An admin may declare one that takes fewer.")
     record = PolicyRecord(plant, held.sequence + 1 if held else 1, policy.digest, policy.document(), stamp.now, stamp.actor)
     writer.add_policy(record)
     writer.append_audit(

@@ -29,7 +29,9 @@ def issue_token(writer: Writer, token: TokenRecord, stamp: Stamp) -> TokenRecord
     if token.project is not None:
         find.project(writer, token.project)
     if token.plant is not None:
-        find.plant_digest(writer, token.plant)
+        plant = find.plant(writer, token.plant)
+        if token.project is not None and plant.project != token.project:
+            raise find.missing("plant", token.plant)
     writer.add_token(token)
     facts: dict[str, Json] = {
         "name": token.name,

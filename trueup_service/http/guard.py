@@ -63,9 +63,15 @@ def _require_own_page(request: Request) -> None:
     if request.method in SAFE:
         return
     origin = request.headers.get("origin")
-    ours = f"{request.url.scheme}://{request.headers.get('host', '')}"
+    ours = origin_of(request)
     if request.headers.get("sec-fetch-site", "same-origin") != "same-origin" or origin != ours:
         raise Forbidden("the request does not come from a page of this service", hint="Programs send a token, not a cookie.")
+
+
+def origin_of(request: Request) -> str:
+    """Scheme and host under which a browser reaches the service; behind a proxy the settings say so."""
+    public: str | None = request.app.state.parts.settings.public_url
+    return public.rstrip("/") if public else f"{request.url.scheme}://{request.headers.get('host', '')}"
 
 
 def _require(who: Who, rule: Rule) -> None:

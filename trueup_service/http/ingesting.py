@@ -56,7 +56,16 @@ def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Receiv
             Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).go_on(plant)
         return record, new
 
-    return create(parts, stamp, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)
+    answer = create(parts, stamp, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)
+    if not parts.blobs.holds(file.digest):
+        parts.blobs.put(file.digest, file.path)  # taken for left over in this very moment, before its row was there
+    return answer
+
+
+def known_episode(parts: Parts, plant: str, digest: str) -> EpisodeRecord | None:
+    """An episode that is here already."""
+    with parts.database.read() as connection:
+        return Reader(connection).episode(plant, digest)
 
 
 def _is_waited_for(parts: Parts, plant: str) -> bool:

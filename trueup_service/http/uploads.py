@@ -18,6 +18,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from trueup_service.errors import BadRequest, DigestMismatch, TooLargeUpload
+from trueup_service.partial_uploads import write_all
 
 PART_BYTES, SYNC_BYTES = 1 << 20, 4 << 20
 
@@ -77,7 +78,7 @@ class _Sink:
 
     def take(self, part: bytearray) -> None:
         self.hashed.update(part)
-        self._file.write(part)
+        write_all(self._file, part)
         self._unsynced += len(part)
         if self._unsynced >= SYNC_BYTES:
             os.fdatasync(self._file.fileno())

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import filecmp
+import hashlib
 import math
 import os
 import time
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from obstore.store import S3Store
 
 STREAM_BYTES = 1 << 20
+ASIDE = "removed/"
 YOUNG_S = 3600.0  # what was put in the last hour is not put again
 
 
@@ -76,8 +78,12 @@ class Blobs(ABC):
         """Undo a removal."""
 
     @abstractmethod
-    def forget(self) -> None:
+    def forget(self, digest: str) -> None:
         """Let go for good of what was removed."""
+
+    @abstractmethod
+    def removed(self) -> Iterator[str]:
+        """What was removed and neither forgotten nor brought back, as by somebody who was killed over it."""
 
 
 class FolderBlobs(Blobs):
@@ -112,7 +118,8 @@ class FolderBlobs(Blobs):
     @staticmethod
     def _mend(target: Path, source: Path) -> None:
         """Replace a kept file whose bytes have changed since, by the right ones that have come again."""
-        if not filecmp.cmp(target, source, shallow=False):
+        named = target.parent.name + target.name
+        if not filecmp.cmp(target, source, shallow=False) and _digest_of(source) == named:
             beside = target.with_name(f"{target.name}.{uuid.uuid4().hex}")
             os.link(source, beside)
             beside.replace(target)
@@ -159,10 +166,12 @@ class FolderBlobs(Blobs):
         self._aside(digest).unlink()
         _sync(self._path(digest).parent)
 
-    def forget(self) -> None:
-        for path in self._root.glob("removed-*"):
-            path.unlink()
+    def forget(self, digest: str) -> None:
+        self._aside(digest).unlink(missing_ok=True)
         _sync(self._root)
+
+    def removed(self) -> Iterator[str]:
+        return (path.name.removeprefix("removed-") for path in self._root.glob("removed-*"))
 
     def _aside(self, digest: str) -> Path:
         return self._root / f"removed-{_checked(digest)}"
@@ -176,7 +185,6 @@ class S3Blobs(Blobs):
 
     def __init__(self, store: S3Store) -> None:
         self._store = store
-        self._removed: dict[str, bytes] = {}
 
     def put(self, digest: str, source: Path) -> None:
         import obstore  # noqa: PLC0415  (only a scaled installation has a store)
@@ -222,21 +230,32 @@ class S3Blobs(Blobs):
 
         if self._age_s(digest) < max(older_than_s, YOUNG_S if older_than_s else 0.0):
             return None
-        data = self.get(digest)
-        if not dry_run:
-            self._removed[digest] = data
-            with _answering(digest):
-                obstore.delete(self._store, _checked(digest))
-        return len(data)
+        with _answering(digest):
+            size = int(obstore.head(self._store, _checked(digest))["size"])
+            if not dry_run:
+                obstore.copy(self._store, digest, f"{ASIDE}{digest}")
+                obstore.delete(self._store, digest)
+        return size
 
     def bring_back(self, digest: str) -> None:
         import obstore  # noqa: PLC0415
 
         with _answering(digest):
-            obstore.put(self._store, _checked(digest), self._removed[digest])
+            obstore.copy(self._store, f"{ASIDE}{_checked(digest)}", digest)
+        self.forget(digest)
 
-    def forget(self) -> None:
-        self._removed.clear()
+    def forget(self, digest: str) -> None:
+        import obstore  # noqa: PLC0415
+
+        with _answering(digest):
+            obstore.delete(self._store, f"{ASIDE}{_checked(digest)}")
+
+    def removed(self) -> Iterator[str]:
+        import obstore  # noqa: PLC0415
+
+        with _answering("0" * 64):
+            for listed in obstore.list(self._store, prefix=ASIDE.rstrip("/")):
+                yield from (str(found["path"]).removeprefix(ASIDE) for found in listed)
 
     def all(self) -> Iterator[str]:
         import obstore  # noqa: PLC0415
@@ -263,6 +282,11 @@ def _checked(digest: str) -> str:
     if not is_digest(digest):
         raise BlobMissing(f"{digest!r} is no digest")
     return digest
+
+
+def _digest_of(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _sync(path: Path) -> None:

@@ -85,6 +85,7 @@ _SWAP = (
 )
 _LOCK_NAME = text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))")
 _HEAD = select(t.audit_head.c.size, t.audit_head.c.frontier).where(t.audit_head.c.id == 1)
+_SIZE = select(t.audit_head.c.size).where(t.audit_head.c.id == 1).scalar_subquery()
 _LOCK_HEAD = _HEAD.with_for_update()
 _MOVE_HEAD = update(t.audit_head).values(size=bindparam("new_size"), frontier=bindparam("new_frontier"))
 _NODES = select(t.audit_tree).where(t.audit_tree.c.node.in_(bindparam("nodes", expanding=True)))
@@ -343,7 +344,7 @@ class Reader:
 
     def audit_entries(self, after: int, limit: int, plant: str | None = None, project: str | None = None) -> list[AuditEntry]:
         """Entries in order, all of them, or those of a plant or of a project's plants."""
-        query = select(t.audit).where(t.audit.c.sequence > after)
+        query = select(t.audit).where(t.audit.c.sequence > after, t.audit.c.sequence <= _SIZE)
         of_project = select(t.plants.c.name).where(t.plants.c.project == project)
         query = query if project is None else query.where(t.audit.c.plant.in_(of_project))
         query = query if plant is None else query.where(t.audit.c.plant == plant)
@@ -355,6 +356,10 @@ class Reader:
         if row is None:
             raise BrokenChain("the log has no head")
         return Frontier.from_bytes(row.size, row.frontier)
+
+    def audit_beyond(self) -> int:
+        """How many entries are kept behind the end of the log, where none can be."""
+        return int(self.connection.scalar(select(func.count()).select_from(t.audit).where(t.audit.c.sequence > _SIZE)) or 0)
 
     def audit_nodes(self, nodes: Iterable[Node]) -> dict[Node, bytes]:
         """The hashes of these perfect subtrees of the log's tree; those that there are not yet are left out."""

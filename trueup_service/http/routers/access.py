@@ -11,7 +11,7 @@ from fastapi import Query, Request, Response
 from trueup_service.actions.stamp import time_text
 from trueup_service.actions.tokens import create_project, issue_token, revoke_token
 from trueup_service.http.context import By, IdempotencyKey, Limit, PrefixPath, With, create
-from trueup_service.http.guard import COOKIE, Asking, guarded
+from trueup_service.http.guard import COOKIE, Asking, guarded, origin_of
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Identity, IssuedToken, NewProject, NewToken, Page, Project, SignIn, Token, page
 from trueup_service.identity import digest_of_secret, new_token
@@ -29,7 +29,7 @@ def sign_in(request: Request, response: Response, parts: With, given: SignIn) ->
     ends = now + timedelta(seconds=parts.settings.session_s)
     with writing(parts.database) as writer:
         writer.add_session(digest_of_secret(secret), who.token, time_text(now), time_text(ends))
-    is_https = request.url.scheme == "https"
+    is_https = origin_of(request).startswith("https:")
     response.set_cookie(COOKIE, secret, max_age=int(parts.settings.session_s), httponly=True, samesite="strict", secure=is_https)
     return Identity.model_validate(who)
 

@@ -22,7 +22,7 @@ from trueup_service.http.schemas import Artifact, Envelope, Page, page
 from trueup_service.http.uploads import Received, received
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.store import Reader
-from trueup_service.wiring import Parts
+from trueup_service.wiring import Parts, keep_bytes
 
 router = guarded("/v1", ["artifacts"])
 MANIFEST = {"requestBody": {"required": True, "content": {"application/json": {"schema": {"type": "object"}}}}}
@@ -51,7 +51,7 @@ def get_blob(parts: With, digest: DigestPath) -> StreamingResponse:
 def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     if not blobs.holds(digest):
         raise NotFound(f"there is no blob {digest!r} here", noun="blob", name=digest)
-    headers = {"ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
+    headers = {"ETag": f'"{digest}"', "Cache-Control": "private, max-age=31536000, immutable"}
     return StreamingResponse(blobs.stream(digest), media_type="application/octet-stream", headers=headers)
 
 
@@ -77,7 +77,10 @@ def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | Non
     artifact = Bytes.of(manifest, lambda document: _arrays(parts.blobs, document))
     unpack(artifact)
     request = {"digest": artifact.digest}
-    return create(parts, stamp, f"artifacts/{plant}", key, request, lambda w: add_artifact(w, plant, artifact, None, stamp), Artifact)
+    answer = create(parts, stamp, f"artifacts/{plant}", key, request, lambda w: add_artifact(w, plant, artifact, None, stamp), Artifact)
+    if artifact.arrays:
+        keep_bytes(parts, artifact.arrays)  # they may have been put long ago, and been taken for left over before this row was there
+    return answer
 
 
 def _arrays(blobs: Blobs, manifest: Mapping[str, Any]) -> bytes:
@@ -122,7 +125,7 @@ def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
     """Their SHA-256 is the artifact's name."""
     with parts.database.read() as connection:
         found = find.artifact(Reader(connection), plant, digest)
-    headers = {"ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
+    headers = {"ETag": f'"{digest}"', "Cache-Control": "private, max-age=31536000, immutable"}
     return Response(found.manifest, media_type="application/json", headers=headers)
 
 

@@ -29,13 +29,13 @@ from trueup_service.signed_log import SignedLog
 router = guarded("/v1/audit", ["audit"])
 TILE = 256
 TABLES = {name: metadata.tables[name] for name in (*KEYS, "audit_tree")}
-TilePath = Annotated[str, Path(pattern=r"^(x[0-9]{3}/)*[0-9]{3}(\.p/[0-9]{1,3})?$", description="tile number as x001/x234/067, .p/<width>")]
+TilePath = Annotated[str, Path(pattern=r"^(x[0-9]{3}/){0,5}[0-9]{3}(\.p/[0-9]{1,3})?$", description="tile as x001/x234/067, .p/<width>")]
 Size = Annotated[int, Query(ge=0, le=2**62, description="entries of the log; default: all there are")]
 TEXT: dict[int | str, dict[str, Any]] = {200: {"content": {"text/plain": {"schema": {"type": "string"}}}}}
 OCTETS: dict[int | str, dict[str, Any]] = {
     200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
 }
-IMMUTABLE = {"Cache-Control": "public, max-age=31536000, immutable"}
+IMMUTABLE = {"Cache-Control": "private, max-age=31536000, immutable"}
 
 
 @router.get("", summary="List entries in order")
@@ -149,6 +149,8 @@ def rows(
     try:
         key = orjson.loads(after) if after else []
         key = [column.type.python_type(value) for column, value in zip(columns, key, strict=True)] if key else []
+        if any(isinstance(value, int) and not -(2**63) <= value < 2**63 for value in key):
+            raise ValueError
     except (orjson.JSONDecodeError, ValueError, TypeError) as error:
         raise BadRequest("after is `next` of the page before") from error
     with parts.database.read() as connection:

@@ -88,7 +88,7 @@ def download(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResp
         found = find.episode(Reader(connection), plant, digest)
     if not parts.blobs.holds(digest):
         raise BlobMissing(digest=digest)
-    headers = {"Content-Length": str(found.size_bytes), "ETag": f'"{digest}"', "Cache-Control": "public, max-age=31536000, immutable"}
+    headers = {"Content-Length": str(found.size_bytes), "ETag": f'"{digest}"', "Cache-Control": "private, max-age=31536000, immutable"}
     return StreamingResponse(parts.blobs.stream(digest), media_type="application/octet-stream", headers=headers)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import uuid
 
 from fastapi import Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
@@ -63,7 +64,7 @@ def _blobs(parts: Parts) -> str:
 
 def _spool(parts: Parts) -> str:
     """The disk that takes uploads and, where storage is embedded, everything."""
-    path = parts.spool / "ready"
+    path = parts.spool / f"ready-{uuid.uuid4().hex}"
     try:
         with path.open("wb") as file:
             file.write(b"ready")

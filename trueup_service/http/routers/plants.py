@@ -7,6 +7,7 @@ from typing import Annotated, Any
 from fastapi import Body, Query, Response
 
 from trueup_service.actions import find
+from trueup_service.errors import Forbidden
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.openapi import there
@@ -31,6 +32,8 @@ def register(
     """
     from trueup_service.actions.register_plant import register_plant  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
+    if who.plant is not None:
+        raise Forbidden(f"the token is of plant {who.plant!r} alone", hint="Ask an admin for a token of the project.")
     if who.project is not None and project not in (None, who.project):
         raise find.missing("project", str(project))
     of = who.project or project

@@ -10,10 +10,11 @@ from trueup_service.actions import find
 from trueup_service.actions.declare_policy import declare_policy
 from trueup_service.errors import NotFound
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
-from trueup_service.http.guard import guarded
+from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Page, Policy, page
-from trueup_service.registry.store import Reader
+from trueup_service.registry.records import PolicyRecord, Role
+from trueup_service.registry.store import Reader, Writer
 
 router = guarded("/v1/plants/{plant}", ["policies"])
 
@@ -22,12 +23,17 @@ router = guarded("/v1/plants/{plant}", ["policies"])
 def declare(
     parts: With,
     stamp: By,
+    who: Asking,
     plant: PlantName,
     document: Annotated[dict[str, Any], Body(description="A policy: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h, …")],
     key: IdempotencyKey = None,
 ) -> Response:
-    """It holds from now on; the ones before it stay on record."""
-    return create(parts, stamp, f"policies/{plant}", key, document, lambda w: declare_policy(w, plant, document, stamp), Policy)
+    """It holds from now on; the ones before it stay on record. That promotions take fewer people than before, an admin alone can say."""
+
+    def act(writer: Writer) -> tuple[PolicyRecord, bool]:
+        return declare_policy(writer, plant, document, stamp, by_admin=Role.ADMIN in who.roles)
+
+    return create(parts, stamp, f"policies/{plant}", key, document, act, Policy)
 
 
 @router.get("/policies", summary="List the policies that held, in order")

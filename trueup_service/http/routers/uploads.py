@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from typing import Annotated
 
@@ -9,17 +10,22 @@ from fastapi import Header, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
+from trueup.errors import BadEpisode
+from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import DigestMismatch, NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, PlantName, With
 from trueup_service.http.guard import guarded
-from trueup_service.http.ingesting import against, ingest, inspect
+from trueup_service.http.ingesting import against, ingest, inspect, known_episode
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode, Upload
 from trueup_service.http.uploads import Received
+from trueup_service.inspection import Against
 from trueup_service.partial_uploads import PartialUploads, digest_of_file
+from trueup_service.wiring import Parts
 
 router = guarded("/v1/plants/{plant}/uploads/{digest}", ["episodes"])
 PART = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+SILENCE_S = 60.0  # of a line that neither sends nor breaks
 Offset = Annotated[int, Header(alias="Upload-Offset", ge=0, description="Where this part begins: `offset_bytes` of the last answer")]
 
 
@@ -39,26 +45,45 @@ async def append(request: Request, parts: With, plant: PlantName, digest: Digest
 
 
 async def _until_it_breaks(request: Request) -> AsyncIterator[bytes]:
-    try:
-        async for part in request.stream():
-            yield part
-    except ClientDisconnect:
-        return
+    """The body, until the connection breaks or falls silent."""
+    parts = request.stream()
+    while True:
+        try:
+            part = await asyncio.wait_for(anext(parts), SILENCE_S)
+        except (StopAsyncIteration, ClientDisconnect, TimeoutError):
+            return
+        yield part
 
 
 @router.post("/finish", status_code=201, response_model=Episode, summary="Make an upload an episode", responses=there(Episode))
 async def finish(request: Request, parts: With, stamp: By, plant: PlantName, digest: DigestPath, key: IdempotencyKey = None) -> Response:
-    """Its bytes must have the digest; then it is as if it had come at once. What is no episode, or other bytes, is dropped."""
+    """Its bytes must have the digest; then it is as if it had come at once. What is no episode, or other bytes, is dropped; where the
+    service itself fails, the upload stays, and can be finished again.
+    """
+    uploads = PartialUploads(parts.settings.data_dir)
+    held = await run_in_threadpool(against, parts, plant)
+    try:
+        with uploads.alone(plant, digest):
+            answer = await _finished(request, parts, stamp, plant, digest, key, held)
+            uploads.drop(plant, digest)
+            return answer
+    except FileNotFoundError as error:
+        known = await run_in_threadpool(known_episode, parts, plant, digest)
+        if known is None:
+            hint = "Send its parts first, to this server."
+            raise NotFound("there is no such upload here", noun="upload", name=digest, hint=hint) from error
+        return Response(Episode.model_validate(known).model_dump_json(), 200, media_type="application/json")
+
+
+async def _finished(request: Request, parts: Parts, stamp: Stamp, plant: str, digest: str, key: str | None, held: Against) -> Response:
     uploads = PartialUploads(parts.settings.data_dir)
     path = uploads.path(plant, digest)
-    held = await run_in_threadpool(against, parts, plant)
-    if not path.exists():
-        raise NotFound("there is no such upload here", noun="upload", name=digest, hint="Send its parts first, to this server.")
     try:
         found = await run_in_threadpool(digest_of_file, path)
         if found != digest:
             raise DigestMismatch("the parts together are not what the path names", expected=digest, found=found)
         inspected = await inspect(request, parts, path, held)
-        return await run_in_threadpool(ingest, parts, stamp, plant, key, Received(path, digest, path.stat().st_size), inspected)
-    finally:
+    except (DigestMismatch, BadEpisode):
         uploads.drop(plant, digest)
+        raise
+    return await run_in_threadpool(ingest, parts, stamp, plant, key, Received(path, digest, path.stat().st_size), inspected)

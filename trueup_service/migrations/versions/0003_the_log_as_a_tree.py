@@ -1,4 +1,4 @@
-"""The log as a Merkle tree, whose entries name every row; what was there before is named by one entry of its own."""
+"""The log as a Merkle tree, whose entries name every row; what was there before is named by one entry for each plant."""
 
 import json
 from datetime import UTC, datetime
@@ -54,7 +54,7 @@ def upgrade() -> None:
 
 
 def _grow(connection: sa.Connection) -> None:
-    """Make the tree of the entries that there are, and one more that names every row."""
+    """Make the tree of the entries that there are, and one more for each plant that names its rows."""
     found = sa.MetaData()
     found.reflect(connection)
     audit, tree = found.tables["audit"], found.tables["audit_tree"]
@@ -62,15 +62,15 @@ def _grow(connection: sa.Connection) -> None:
         AuditEntry(**{name: row[name] for name in FIELDS}, facts=json.loads(row["facts"]), rows={})
         for row in connection.execute(sa.select(audit).order_by(audit.c.sequence)).mappings()
     ]
-    rows = {
-        row_name(table.name, row): row_digest(table.name, plain(table, row))
-        for table in (found.tables[name] for name in NAMED)
-        for row in connection.execute(sa.select(table)).mappings()
-        if table.name != "jobs" or row["state"] in FINAL
-    }
-    if rows:
-        at = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
-        last = AuditEntry(len(entries) + 1, at, "log:migrated", "migration", None, revision, {}, rows)
+    of_plants: dict[str, dict[str, str]] = {}
+    for table in (found.tables[name] for name in NAMED):
+        for row in connection.execute(sa.select(table)).mappings():
+            if table.name != "jobs" or row["state"] in FINAL:
+                rows = of_plants.setdefault(row["name" if table.name == "plants" else "plant"], {})
+                rows[row_name(table.name, row)] = row_digest(table.name, plain(table, row))
+    at = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
+    for plant, rows in sorted(of_plants.items()):
+        last = AuditEntry(len(entries) + 1, at, "log:migrated", "migration", plant, revision, {}, rows)
         told = {name: getattr(last, name) for name in FIELDS} | {"facts": "{}", "rows": canonical_bytes(rows).decode()}
         connection.execute(sa.insert(audit), told)
         entries.append(last)
