@@ -80,7 +80,7 @@ def gate(at):
     return json.dumps({"schema": "trueup.gate/1", "rules": RULES, "scoring": {"horizon_s": 2.0 + at / 100, "windows": "first"}})
 
 
-@pytest.mark.parametrize("what", ["EIO", "ENOSPC"])
+@pytest.mark.parametrize(("storage", "what"), [("embedded", "EIO"), ("embedded", "ENOSPC"), ("scaled", "EIO")], indirect=["storage"])
 def test_whatever_fails_the_caller_is_told_and_the_same_request_again_is_done_once(faulty, what):
     uploads = faulty.everywhere(what, "POST", "/v1/plants/p/episodes", lambda at: episode_bytes(at, 60))
     gates = faulty.everywhere(what, "POST", "/v1/plants/p/gates", gate)
