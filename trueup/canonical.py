@@ -24,7 +24,7 @@ class NotCanonical(TrueupError):
     """The value has no canonical form."""
 
     code = "not-canonical"
-    hint = "RFC 8785 knows no NaN, no infinity and no integer from 2^53 on: send such integers as strings."
+    hint = "RFC 8785 knows no NaN, no infinity and no integer that a float does not hold exactly: send such integers as strings."
 
 
 def canonical_bytes(value: Json) -> bytes:

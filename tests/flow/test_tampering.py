@@ -10,7 +10,9 @@ from tests.support.made import episode_bytes, plant_document, save
 from tests.support.service import Service, command
 from tests.support.storage import embedded
 from trueup.episode.role import Role
+from trueup.ledger.verification import verify
 from trueup_client import Client, Problem
+from trueup_service.kept import Kept
 
 RULES = [{"rule": "one_step_no_worse", "slack": 1e9}]
 LENIENT = {"schema": "trueup.gate/1", "rules": RULES, "scoring": {"horizon_s": 2.0, "windows": "first"}}
@@ -56,6 +58,14 @@ def edited(told):
     kept.close()
 
 
+def findings(service):
+    """What the verification finds, in this process."""
+    parts = service.storage.build()
+    found = verify(Kept(parts.database, parts.blobs)).findings
+    parts.close()
+    return found
+
+
 def changed(path, value):
     def change(text):
         document = json.loads(text)
@@ -90,7 +100,7 @@ def test_an_edited_decision_is_found_by_replay_and_by_verification(told, edited,
     service, _, _, decisions = told
     edited("decisions", column, value, f"digest = '{decisions[0]}'")
     assert command(service, "replay", decisions[0], check=False).returncode == 4
-    assert command(service, "audit", "verify", "--no-replay", check=False).returncode == 4
+    assert [f.where for f in findings(service)] == [f"decisions/{decisions[0]}"]
 
 
 @pytest.mark.parametrize(
@@ -109,7 +119,13 @@ def test_an_edited_decision_is_found_by_replay_and_by_verification(told, edited,
 )
 def test_an_edited_row_is_found_by_verification(told, edited, table, column, value, where):
     edited(table, column, value, where)
-    assert command(told[0], "audit", "verify", "--no-replay", check=False).returncode == 4
+    assert len(findings(told[0])) > 0
+
+
+def test_what_differs_ends_the_command_with_4_and_is_listed(told, edited):
+    edited("gates", "document", changed(["scoring", "horizon_s"], 9.0), "document LIKE '%one_step%'")
+    done = command(told[0], "audit", "verify", "--no-replay", check=False)
+    assert (done.returncode, "gates/p/" in done.stdout) == (4, True)
 
 
 def test_a_rejected_decision_that_was_edited_to_accepted_moves_nothing(told, edited):

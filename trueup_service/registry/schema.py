@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sqlalchemy import inspect, text
+from sqlalchemy import insert, inspect, text
 
+from trueup_service.registry import tables as t
 from trueup_service.registry.database import Database
 
 HEAD = "0004"
@@ -15,7 +16,7 @@ ADVISORY_LOCK = 0x7472756575  # "trueu": one migration at a time among many serv
 
 def migrate(database: Database) -> None:
     """Run the migrations that are missing. An up-to-date schema costs one query, for the migration tool loads slowly."""
-    if current(database) == HEAD:
+    if current(database) == HEAD or _made(database):
         return
     from alembic import command  # noqa: PLC0415
     from alembic.config import Config  # noqa: PLC0415
@@ -27,6 +28,20 @@ def migrate(database: Database) -> None:
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": ADVISORY_LOCK})
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
+
+
+def _made(database: Database) -> bool:
+    """Make the tables of an empty database at once, as the migrations would; False where there is something already."""
+    with database.write() as connection:
+        if not database.is_sqlite:
+            connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": ADVISORY_LOCK})
+        if inspect(connection).get_table_names():
+            return False
+        t.metadata.create_all(connection)
+        connection.execute(insert(t.audit_head), {"id": 1, "size": 0, "frontier": b""})
+        connection.execute(text("CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY)"))
+        connection.execute(text("INSERT INTO alembic_version VALUES (:head)"), {"head": HEAD})
+    return True
 
 
 def current(database: Database) -> str | None:

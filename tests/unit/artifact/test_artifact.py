@@ -105,7 +105,7 @@ def test_a_nominal_model_needs_no_arrays():
     assert unpack(made).kind == "nominal"
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), 2**53, {"a": -float("inf")}])
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), 2**53 + 1, 10**22, {"a": -float("inf")}])
 def test_what_has_no_canonical_form_is_refused(value):
     with pytest.raises(NotCanonical):
         digest_of(value)
@@ -116,3 +116,9 @@ def test_canonical_bytes_follow_rfc_8785():
         canonical_bytes({"b": [1e21, -0.0, 1e-7, 333333333.33333329], "a": "€\u0007"})
         == '{"a":"€\\u0007","b":[1e+21,0,1e-7,333333333.3333333]}'.encode()
     )
+
+
+@pytest.mark.parametrize("value", [1e17, 2.0**53, 123456789012345680000.0, -1e20, 1e21, 5e-324, {"a": [1e18, 1]}])
+def test_canonical_bytes_are_read_back_as_themselves(value):
+    written = canonical_bytes(value)
+    assert canonical_bytes(json.loads(written)) == written
