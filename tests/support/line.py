@@ -23,7 +23,7 @@ class Line:
     def set(self, state: str) -> None:
         """`up`, `down` (every connection breaks), or `away` (every request is answered 503)."""
         self.state = state
-        for line in list(self._open):
+        for line in list(self._open) if state != "up" else ():
             self._close(line)
 
     def close(self) -> None:
