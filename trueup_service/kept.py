@@ -102,13 +102,8 @@ def lost_jobs(parts: Parts) -> list[Finding]:
     return [Finding(f"jobs/{job}", "it was accepted, and the job engine does not know it") for job in waiting if not parts.queue.knows(job)]
 
 
-def named_blobs(parts: Parts) -> set[str]:
-    """Digests of blobs that a row names."""
-    kept = Kept(parts.database, parts.blobs)
-    return {digest for table in KEYS for row in kept.rows(table) for digest in blobs(table, row)}
-
-
 def unnamed(parts: Parts) -> list[str]:
     """Digests of blobs that no row names."""
-    named = named_blobs(parts)
+    kept = Kept(parts.database, parts.blobs)
+    named = {digest for table in KEYS for row in kept.rows(table) for digest in blobs(table, row)}
     return [digest for digest in parts.blobs.all() if digest not in named]

@@ -18,8 +18,6 @@ from pathlib import Path
 
 from trueup_service.errors import TooLargeUpload, UploadElsewhere
 
-PART_BYTES = 1 << 20
-
 
 class PartialUploads:
     """The uploads of a data folder."""

@@ -248,9 +248,7 @@ class Archive:
         """An episode's or an artifact's bytes in parts."""
         if digest not in self._held:
             raise BadArchive("the archive does not hold what a row names", digest=digest)
-        with self._open(digest) as file:
-            while part := file.read(PART_BYTES):
-                yield part
+        yield from self.part(digest)
 
     def blobs(self) -> list[str]:
         """Digests of all episodes and arrays."""

@@ -563,10 +563,7 @@ class Writer(Reader):
         """Add the next entry of the log."""
         head = self.connection.execute(_LOCK_HEAD).one()
         entry = AuditEntry(head.size + 1, at, kind, actor, plant, subject, facts, self.written)
-        tree, completed = Frontier.from_bytes(head.size, head.frontier).append(leaf_hash(entry_bytes(entry)))
-        self._add(t.audit, asdict(entry))
-        nodes = [{"node": number_of(node), "hash": made} for node, made in completed.items()]
-        self.connection.execute(_INSERT[t.audit_tree.name], nodes)
+        tree = self._grow(Frontier.from_bytes(head.size, head.frontier), entry)
         self.connection.execute(_MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()})
         self.written = {}
         return entry
@@ -588,12 +585,17 @@ class Writer(Reader):
         """Put a whole log back, and make its tree anew."""
         tree = Frontier(0, ())
         for entry in entries:
-            tree, completed = tree.append(leaf_hash(entry_bytes(entry)))
-            self._add(t.audit, asdict(entry))
-            nodes = [{"node": number_of(node), "hash": made} for node, made in completed.items()]
-            self.connection.execute(_INSERT[t.audit_tree.name], nodes)
+            tree = self._grow(tree, entry)
         self.connection.execute(_MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()})
         return tree
+
+    def _grow(self, tree: Frontier, entry: AuditEntry) -> Frontier:
+        """Add an entry and the nodes of the tree that it completes; the tree with it."""
+        grown, completed = tree.append(leaf_hash(entry_bytes(entry)))
+        self._add(t.audit, asdict(entry))
+        nodes = [{"node": number_of(node), "hash": made} for node, made in completed.items()]
+        self.connection.execute(_INSERT[t.audit_tree.name], nodes)
+        return grown
 
     def keep_audit_key(self, verifier: str) -> None:
         """Keep the public key of the log's signatures."""
