@@ -11,13 +11,14 @@ from trueup.canonical import Json
 from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry
 from trueup.ledger.merkle import Node, node_of
+from trueup.ledger.note import head_of
 from trueup.ledger.rows import KEYS, blobs
 from trueup.ledger.verification import Finding
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.database import Database
 from trueup_service.registry.store import Reader
-from trueup_service.signed_log import CHECKPOINT_FILE, head_of, root_at
+from trueup_service.signed_log import CHECKPOINT_FILE, root_at
 from trueup_service.wiring import Parts
 
 AT_ONCE = 1000

@@ -5,7 +5,6 @@ Each server keeps the last head that it signed, and signs no other one that does
 
 from __future__ import annotations
 
-import base64
 import os
 import secrets
 import threading
@@ -14,7 +13,7 @@ from pathlib import Path
 
 from trueup.canonical import Json
 from trueup.ledger.merkle import EMPTY, Frontier, cover, fold
-from trueup.ledger.note import Signer
+from trueup.ledger.note import Signer, head_of
 from trueup_service.errors import LogRewound, OtherKey
 from trueup_service.registry.database import Database
 from trueup_service.registry.store import Reader, writing
@@ -109,12 +108,6 @@ def _key_text(path: Path) -> str:
             beside.unlink()
         _sync_folder(path.parent)
     return path.read_text()
-
-
-def head_of(note: str) -> tuple[int, bytes]:
-    """Size and root in a checkpoint of our own."""
-    _, size, root, *_ = note.splitlines()
-    return int(size), base64.b64decode(root)
 
 
 def _replace(path: Path, text: str) -> None:

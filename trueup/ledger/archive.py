@@ -30,6 +30,7 @@ from trueup.canonical import Json, canonical_bytes, digest_of_bytes, is_digest
 from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry, entry_bytes
 from trueup.ledger.merkle import leaf_hash
+from trueup.ledger.note import head_of
 from trueup.ledger.rows import KEYS, row_name
 
 SCHEMA = "trueup.archive/1"
@@ -222,8 +223,7 @@ class Archive:
 
     def head(self) -> tuple[int, bytes]:
         """The head that the configuration holds; whoever reads it has verified its signature."""
-        _, size, root, *_ = str(self.config["checkpoint"]).splitlines()
-        return int(size), base64.b64decode(root)
+        return head_of(str(self.config["checkpoint"]))
 
     def entries(self, after: int, until: int) -> Iterator[AuditEntry]:
         """Entries in order."""

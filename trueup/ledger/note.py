@@ -106,5 +106,11 @@ class Signer:
         }
 
 
+def head_of(note: str) -> tuple[int, bytes]:
+    """Size and root in a checkpoint whose signature holds, or is our own."""
+    _, size, root, *_ = note.splitlines()
+    return int(size), base64.b64decode(root)
+
+
 def _base64(data: bytes) -> str:
     return base64.b64encode(data).decode()
