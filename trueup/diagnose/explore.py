@@ -255,7 +255,7 @@ def polished(
 def _started(plant: Plant, episode: Episode, s: Series, best: Candidate) -> Series:
     """A series whose windows start from positions alone where an effect of the composition hides the velocity."""
     hidden = any(kind(t).hides_velocity for t in best.hypothesis.effects)
-    return replace(s, begin=smoothed_states(plant, episode, from_positions=True)[np.flatnonzero(s.resets >= 0)]) if hidden else s
+    return replace(s, begin=smoothed_states(plant, episode, np.flatnonzero(s.resets >= 0), from_positions=True)) if hidden else s
 
 
 def _refined(search: Search, generation: Sequence[Candidate], most: int) -> list[Candidate]:

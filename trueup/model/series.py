@@ -96,7 +96,7 @@ def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int6
         np.isfinite(observed) & ~held_frames(observed),
         np.cumsum(resets >= 0) - 1,
         resets,
-        smoothed_states(plant, episode)[first],
+        smoothed_states(plant, episode, first),
         episode.period_s,
         plant.command_scales,
     )

@@ -14,23 +14,25 @@ from trueup.episode.episode import GAP_PERIODS, Episode
 from trueup.model.plant import Plant
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64] | slice
+ALL = slice(None)
 SPAN_S = 0.01  # long against encoder noise at 1 kHz, short against a joint's own motion
 MOST_SAMPLES = 201  # at 10 kHz; more adds cost and no knowledge
 BLOCK_VALUES = 1_000_000  # rows are taken in blocks of about so many numbers, 8 MB
 LEAST_SAMPLES = 5  # a parabola through noise needs more than its three points
 
 
-def past_states(plant: Plant, episode: Episode) -> Array:
-    """State at each sample from this and earlier samples, `(samples, 2 x joints)`."""
-    return _states(plant, episode, 0, from_positions=False)
+def past_states(plant: Plant, episode: Episode, rows: Rows = ALL) -> Array:
+    """State at each sample, or at some `rows` of them, from this and earlier samples, `(samples, 2 x joints)`."""
+    return _states(plant, episode, rows, 0, from_positions=False)
 
 
-def smoothed_states(plant: Plant, episode: Episode, *, from_positions: bool = False) -> Array:
-    """State at each sample from samples on both sides, `(samples, 2 x joints)`; for fits, never for predictions.
+def smoothed_states(plant: Plant, episode: Episode, rows: Rows = ALL, *, from_positions: bool = False) -> Array:
+    """State at each sample, or at some `rows`, from samples on both sides, `(samples, 2 x joints)`; for fits, never for predictions.
 
     With `from_positions` logged velocities are left aside.
     """
-    return _states(plant, episode, _span(episode) // 2, from_positions)
+    return _states(plant, episode, rows, _span(episode) // 2, from_positions)
 
 
 def known_from(plant: Plant, episode: Episode) -> int:
@@ -53,27 +55,27 @@ def _period_s(t_s: Array) -> float:
     return float(np.quantile(np.diff(t_s), 0.9))
 
 
-def _states(plant: Plant, episode: Episode, ahead: int, from_positions: bool) -> Array:
+def _states(plant: Plant, episode: Episode, rows: Rows, ahead: int, from_positions: bool) -> Array:
     states = np.full((len(episode.t_s), 2 * plant.dynamics.joints), np.nan)
     states[:, plant.state_columns] = episode.observations
     joints = plant.dynamics.joints
     asked = np.flatnonzero(np.isnan(states[:, joints:]).any(axis=0) | from_positions)
+    wanted = states[rows]
     if len(asked):
-        states[:, joints + asked] = _slopes(episode.t_s, states[:, asked], _span(episode), ahead)
-    return states
+        at = np.arange(len(episode.t_s))[rows]
+        wanted[:, joints + asked] = _slopes(at, episode.t_s, states[:, asked], _span(episode), ahead)
+    return wanted
 
 
-def _slopes(t_s: Array, q: Array, span: int, ahead: int) -> Array:
-    """Slope of each joint's positions `(samples, joints)` at each sample, of the parabola through `span` samples that end `ahead` samples
-    later, `(samples, joints)`.
+def _slopes(at: NDArray[np.int64], t_s: Array, q: Array, span: int, ahead: int) -> Array:
+    """Slope of each joint's positions `(samples, joints)` at the samples `at`, of the parabola through `span` samples that end `ahead`
+    samples later, `(at, joints)`.
 
     Samples on the other side of a gap do not count; of two a line is left, of one nothing, and the slope is 0.
     """
     reach_s = GAP_PERIODS * span * _period_s(t_s)
-    slopes = [
-        _slopes_at(rows, t_s, q, span, ahead, reach_s) for rows in np.array_split(np.arange(len(t_s)), len(t_s) * span // BLOCK_VALUES + 1)
-    ]
-    return np.concatenate(slopes)
+    blocks = np.array_split(at, len(at) * span // BLOCK_VALUES + 1)
+    return np.concatenate([_slopes_at(rows, t_s, q, span, ahead, reach_s) for rows in blocks])
 
 
 def _slopes_at(rows: NDArray[np.int64], t_s: Array, q: Array, span: int, ahead: int, reach_s: float) -> Array:

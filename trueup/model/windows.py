@@ -58,7 +58,7 @@ def cut(plant: Plant, episode: Episode, first: NDArray[np.int64], lengths: NDArr
     h_s, steps = intervals(episode.t_s, plant.timestep_s)
     runs = np.arange(lengths.max()) < lengths[:, None] - 1
     return Windows(
-        episode, first, lengths, past_states(plant, episode)[first], episode.commands[rows], h_s[rows], np.where(runs, steps[rows], 0)
+        episode, first, lengths, past_states(plant, episode, first), episode.commands[rows], h_s[rows], np.where(runs, steps[rows], 0)
     )
 
 
