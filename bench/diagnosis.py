@@ -125,7 +125,7 @@ def house(machine: Hidden) -> dict[str, Given]:
         "always Coulomb": search.found[Hypothesis(("coulomb_friction",))],
     }
     for name, c in rules.items():
-        predictor = corrected(plant, admission, c.fit, search.adaptation[0].scheme, adaptation)
+        predictor = corrected(plant, admission, c.fit, search.problem.scheme, adaptation)
         names = [*c.hypothesis.effects, *counted]
         others = [
             [*c.hypothesis.without(e).effects, twin, *counted] for e, twin in twins(c.hypothesis)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.diagnose.admission import Admission, admit
-from trueup.diagnose.explore import WINDOW_S
+from trueup.diagnose.laying_out import WINDOW_S
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable

@@ -18,7 +18,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from trueup.diagnose.search import Candidate
+from trueup.diagnose.problem import Candidate
 from trueup.diagnose.twins import are_twins
 from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import RolloutFit

@@ -15,6 +15,7 @@ from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
 from trueup.diagnose.probe import Experiment, next_experiment
 from trueup.diagnose.report import report
+from trueup.diagnose.task import Solve, in_threads
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
@@ -45,11 +46,17 @@ class Diagnosis:
     experiment: Experiment | None
 
 
-def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress: Progress = lambda _stage, _part: None) -> Diagnosis:
+def diagnose(
+    plant: Plant,
+    episodes: Sequence[Episode],
+    seed: int = 0,
+    progress: Progress = lambda _stage, _part: None,
+    solve: Solve = in_threads,
+) -> Diagnosis:
     """Diagnose the gap between a nominal model and recorded episodes.
 
     Adaptation episodes are fitted; validation episodes compare and measure. Raises NotIdentifiable where there are none of either,
-    or where the joint never moves.
+    or where the joint never moves. The tasks of the search are done by whoever may `solve` them; the answer is the same.
     """
     episodes = sorted(episodes, key=lambda e: e.digest)  # however they were handed in, the report is the same
     adaptation = [e for e in episodes if e.role is Role.ADAPTATION]
@@ -58,17 +65,18 @@ def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress:
         raise NotIdentifiable("there is no validation episode to compare on", hint="Give at least one episode the role validation.")
     progress("looking at the episodes", 0.0)
     admission = admit(plant, adaptation)
-    search = explore(plant, admission, adaptation, validation, progress)
-    nominal = search.nominal(plant.parameters)
+    search = explore(plant, admission, adaptation, validation, progress, solve)
+    problem = search.problem
+    nominal = problem.nominal(plant.parameters)
     choice = decide(list(search), nominal, yardstick(episodes))
     for _ in range(TWICE):
         search.mirror(choice.winner)
         choice = decide(list(search), nominal, yardstick(episodes))
     progress("measuring on held-out episodes", 0.0)
     base = search.found[Hypothesis()]
-    best, scheme = polished(plant, admission, search, choice.winner, adaptation, validation)
+    best, scheme = polished(plant, problem, choice.winner, adaptation, validation)
     predictor = corrected(plant, admission, best.fit, scheme, adaptation)
-    refitted = corrected(plant, admission, base.fit, search.adaptation[0].scheme, adaptation)
+    refitted = corrected(plant, admission, base.fit, problem.scheme, adaptation)
     gap = measure(Nominal(plant), refitted, predictor, validation, admission.noise, seed)
     progress("what the data speak against", 0.0)
     excluded, unexcited = bounds(search, choice.winner, plant)
@@ -81,10 +89,10 @@ def diagnose(plant: Plant, episodes: Sequence[Episode], seed: int = 0, progress:
         choice=choice,
         nominal=nominal,
         gap=gap,
-        effects=estimates(best.fit, choice.winner.fit, search.fitter, plant, shares(search, choice, nominal)),
+        effects=estimates(best.fit, choice.winner.fit, problem.fitter, plant, shares(search, choice, nominal)),
         alternatives=[alternative(plant, search, rival) for rival in choice.rivals],
         patch=changes,
-        parameters=parameter_table(plant, search.fitter.directions, best.fit, choice.winner.fit),
+        parameters=parameter_table(plant, problem.fitter.directions, best.fit, choice.winner.fit),
         excluded=excluded,
         unexcited=unexcited,
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),

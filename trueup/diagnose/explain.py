@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
-from trueup.diagnose.search import RESOLUTION, Candidate, Search, has_already
+from trueup.diagnose.problem import RESOLUTION, Candidate
+from trueup.diagnose.search import Search, has_already
 from trueup.episode.layout import Field
 from trueup.fit.rollout_fit import Directions, Fitter, RolloutFit, Screening, in_parallel
 from trueup.model.block import joint, kind
@@ -187,28 +188,28 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 
 def alternative(plant: Plant, search: Search, rival: Candidate) -> Json:
     """A composition that cannot be told from the answer as it was fitted: its model, its estimates, and the nominal form's numbers."""
-    model = Corrected(plant, rival.hypothesis, tuple(float(x) for x in rival.fit.values), search.adaptation[0].scheme)
+    model = Corrected(plant, rival.hypothesis, tuple(float(x) for x in rival.fit.values), search.problem.scheme)
     described = model.description()
     return {
         "model": {name: described[name] for name in ("parameters", "effects", "scheme")},
-        "effects": estimates(rival.fit, rival.fit, search.fitter, plant, {}),
-        "parameters": parameter_table(plant, search.fitter.directions, rival.fit, rival.fit),
+        "effects": estimates(rival.fit, rival.fit, search.problem.fitter, plant, {}),
+        "parameters": parameter_table(plant, search.problem.fitter.directions, rival.fit, rival.fit),
     }
 
 
 def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
     """Of each effect that the winner has not: a bound, or why there is none. Two lists."""
     terms = [t for t in search.terms if not has_already(winner.hypothesis, t)]
-    data, fit, linear = search.adaptation, winner.fit, None
+    data, fit, linear = search.problem.adaptation, winner.fit, None
     if len(plant.joints) > 1:  # where terms raced is enough, and every joint has its own
-        near = search.near(fit)
-        data, fit, linear = search.short, near.fit, near.linear
-    found = list(in_parallel(lambda term: _bound(search, search.fitter.screen(data, fit, term, linear), fit, term, plant), terms))
+        near = search.problem.near(fit)
+        data, fit, linear = search.problem.short, near.fit, near.linear
+    found = list(in_parallel(lambda term: _bound(search, search.problem.fitter.screen(data, fit, term, linear), fit, term, plant), terms))
     return [b for b in found if b.value is not None], [b for b in found if b.value is None]
 
 
 def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plant: Plant) -> Bound:
-    effect, fitter, at = kind(term), search.fitter, joint(term)
+    effect, fitter, at = kind(term), search.problem.fitter, joint(term)
     name, where = effect.name, plant.joint_name(at) if len(plant.joints) > 1 else None
     error = BOUNDING * screened.error * np.sqrt(max(fit.misfit, 1.0))
     number = effect.params[0]

@@ -10,36 +10,26 @@ import numpy as np
 
 from trueup.diagnose.admission import NUMERICAL, Admission
 from trueup.diagnose.decide import PHYSICAL, Yardstick, enough, total, yardstick
-from trueup.diagnose.periodicity import pitches
-from trueup.diagnose.search import SETTLE, Candidate, Search, searchable
+from trueup.diagnose.laying_out import SHORTER, in_pieces, lay_out, sought
+from trueup.diagnose.problem import SETTLE, Candidate, Problem
+from trueup.diagnose.search import Search
+from trueup.diagnose.task import Solve, in_threads
 from trueup.episode.episode import Episode
-from trueup.fit.base_parameters import directions
-from trueup.fit.identify import identify
-from trueup.fit.rollout_fit import Fitter, Start, in_parallel
-from trueup.model.block import joint, kind
+from trueup.fit.rollout_fit import Start, in_parallel
+from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.series import DECLARED, Scheme, Series, refined, series
 from trueup.model.state import smoothed_states
 
 Progress = Callable[[str, float], None]
-WINDOW_S = 2.0
-SHORT_S = 0.5  # windows for beginnings,
-SHORTER = 4  # of a robot so many in one that is fitted: the further the nominal form is off, the shorter a linear model reaches
-HALVED = 3  # times at most, windows in which the nominal form runs away
-SHORTEST = 16  # samples, and no fewer: noise is all that a window of less would show
-TELLING = 2  # episodes on which they race
-TELLING_ROWS = 15_000  # samples of all joints that they race on, at most
 SPREAD = 2  # of the best compositions are looked for at every joint, where they do not explain the gap at one
 HOPELESS = 0.25  # of the gap left by the best of a size: no effect more makes an explanation of that
 HOPELESS_PAIR = 0.5  # the same of two effects of a robot: none in the place of one of them does
 HOPELESS_ON_MACHINE = 0.6  # the same of one effect in a robot's real recording
-ENOUGH_SAMPLES = 6000  # in all adaptation episodes; more than twice as many are thinned where they are close together
-FINE = 0.02  # of the time in which the joint crosses its travel: a step that still integrates well
 FINER = 4  # steps for one of the search
 PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
-EVIDENT = 0.3  # of the force that is missing at a robot's joint: what repeats with the position and is so much of it races in any case
 FAR_BEHIND = 4.0  # times the best misfit
 HALF = 0.5  # of a robot's misfit: less is gained by no other integration, nor by an effect at every joint, that is worth following
 WORSE = 2.0  # times the misfit on validation episodes: a last fit that does that went astray
@@ -73,8 +63,21 @@ def effort(plant: Plant) -> Effort:
     return ONE_JOINT if joints == 1 else ROBOT if joints < MANY_JOINTS else LARGE_ROBOT
 
 
-def explore(plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], progress: Progress) -> Search:
+def explore(
+    plant: Plant,
+    admission: Admission,
+    adaptation: Sequence[Episode],
+    validation: Sequence[Episode],
+    progress: Progress,
+    solve: Solve = in_threads,
+) -> Search:
     """The search under the scheme of integration that explains the episodes best."""
+
+    def laid_out(scheme: Scheme, parts: int) -> Search:
+        problem, base = lay_out(plant, admission, adaptation, validation, scheme, parts)
+        progress("the nominal form refitted", 1.0)
+        return Search(problem, sought(plant), solve, {Hypothesis(): base})
+
     schemes = [refined(plant), DECLARED]
     if yardstick(adaptation) is PHYSICAL:
         schemes = schemes[:1]  # a machine has no step
@@ -83,14 +86,13 @@ def explore(plant: Plant, admission: Admission, adaptation: Sequence[Episode], v
     best: Search | None = None
     parts = 1
     for scheme in schemes:
-        search = _laid_out(plant, admission, adaptation, validation, scheme, parts)
-        progress("the nominal form refitted", 1.0)
+        search = laid_out(scheme, parts)
         if best is not None and len(plant.joints) > 1 and not _promises(search, best):
             break
         generation = _first(plant, search, progress)
         if best is None and _astray(search):
             parts = SHORTER
-            search = _laid_out(plant, admission, adaptation, validation, scheme, parts)
+            search = laid_out(scheme, parts)
             generation = _first(plant, search, progress)
         _grow(plant, search, generation, yardstick(adaptation), progress)
         if best is None or min(map(total, search)) < min(map(total, best)):
@@ -105,9 +107,9 @@ def _promises(search: Search, best: Search) -> bool:
     """Whether the nominal form, or the best composition of another search, does much better under a robot's search's own scheme."""
     winner = min(best, key=total)
     at, base = winner.fit, Hypothesis()
-    again = search.fitter.fit(
-        search.adaptation, at.hypothesis, at.values, search.placed(search.adaptation, at), iterations=SETTLE, fixed=search.still(at)
-    )
+    problem = search.problem
+    data = problem.adaptation
+    again = problem.fitter.fit(data, at.hypothesis, at.values, problem.placed(data, at), iterations=SETTLE, fixed=problem.still(at))
     return again.cost < HALF * at.cost or total(search.found[base]) < HALF * total(best.found[base])
 
 
@@ -115,54 +117,6 @@ def quiet(admission: Admission) -> bool:
     """Whether the noise is below what integration does."""
     seen = admission.observed
     return bool((admission.noise[seen] < NUMERICAL * admission.motion[seen]).all())
-
-
-def window_s(plant: Plant, episodes: Sequence[Episode]) -> float:
-    """Length of the windows that are fitted [s]: the horizon of evaluation on a machine, whose disturbances no model foresees, and of a
-    robot, which soon goes its own way; else two seconds at least.
-    """
-    shortest = min(float(e.t_s[-1]) for e in episodes)
-    given = len(plant.joints) > 1 or yardstick(episodes) is PHYSICAL
-    return min(plant.horizon_s if given else max(WINDOW_S, plant.horizon_s), shortest)
-
-
-def _laid_out(
-    plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme, parts: int
-) -> Search:
-    """A search that has found the nominal form alone, on windows of which so many `parts` make one of full length, or more where the
-    nominal form runs away.
-    """
-    length = window_s(plant, [*adaptation, *validation])
-    if scheme.alpha:
-        every = thinning(admission, adaptation)
-        adaptation, validation = ([thinned(e, every) for e in group] for group in (adaptation, validation))
-    fitter = Fitter(plant.form, directions(plant, adaptation), admission.scales, admission.sigma)
-    begins = _begins(plant, adaptation)
-    for part_s in length / parts / 2.0 ** np.arange(HALVED + 1):
-        search = Search(
-            fitter,
-            [series(plant, e, scheme, part_s) for e in adaptation],
-            [series(plant, e, scheme, part_s) for e in validation],
-            [series(plant, e, scheme, min(SHORT_S, part_s)) for e in adaptation],
-        )
-        base = search.base(begins)
-        if np.isfinite(total(base)):
-            break
-    search.length_s = float(part_s)
-    search.terms = searchable([bool(c >= 0) for c in plant.command_columns])
-    repeating = [t for t in search.terms if kind(t).periodic]
-    for t in repeating:
-        search.pitches[t], taken = pitches(plant, admission, joint(t), adaptation)
-        if taken > EVIDENT and len(plant.joints) > 1:
-            search.evident.append(t)
-    alone = len(plant.joints) == 1
-    search.exact = alone or yardstick(adaptation) is not PHYSICAL
-    if not alone:
-        short_s = min(SHORT_S, max(search.length_s / SHORTER, SHORTEST * max(e.period_s for e in adaptation)))
-        search.short = [series(plant, e, scheme, short_s) for e in _telling(base, adaptation, len(plant.joints))]
-        search.declared = plant.parameters
-        search.pieces = {e.digest: series(plant, e, scheme, search.length_s, SHORTER) for e in [*adaptation, *validation]}
-    return search
 
 
 def _first(plant: Plant, search: Search, progress: Progress) -> list[Candidate]:
@@ -175,7 +129,7 @@ def _first(plant: Plant, search: Search, progress: Progress) -> list[Candidate]:
 def _astray(search: Search) -> bool:
     """Whether an effect that did well in a robot's short windows ends far behind none in its long ones: descent does not reach so far."""
     base = search.found[Hypothesis()]
-    return len(search.pieces) > 0 and search.exact and any(c.fit.cost > FAR_BEHIND * base.fit.cost for c in search)
+    return len(search.problem.pieces) > 0 and search.problem.exact and any(c.fit.cost > FAR_BEHIND * base.fit.cost for c in search)
 
 
 def _grow(plant: Plant, search: Search, generation: list[Candidate], by: Yardstick, progress: Progress) -> None:
@@ -188,7 +142,7 @@ def _grow(plant: Plant, search: Search, generation: list[Candidate], by: Yardsti
             leaders = _swapped(search, leaders, base, by, spent)
             list(in_parallel(search.shrink, leaders[:2]))
         left = _left(search, base)
-        hopeless = left > HOPELESS if size > PAIR else left > HOPELESS_ON_MACHINE and not search.exact
+        hopeless = left > HOPELESS if size > PAIR else left > HOPELESS_ON_MACHINE and not search.problem.exact
         if hopeless or any(enough(c, base, by) and c.misfit < by.far for c in search):
             return
         near = [c for c in leaders if not total(c) > FAR_BEHIND * total(leaders[0])]
@@ -196,7 +150,7 @@ def _grow(plant: Plant, search: Search, generation: list[Candidate], by: Yardsti
         others = near[many : many + spent.partners]
         generation = search.extend(near[:many], search.terms, says, most=spent.grown, settled=spent.settled, others=others)
     leaders = _leaders(search, generation, base, by, spent)
-    if largest == PAIR and search.exact and not _left(search, base) > HOPELESS_PAIR:
+    if largest == PAIR and search.problem.exact and not _left(search, base) > HOPELESS_PAIR:
         leaders = _swapped(search, leaders, base, by, spent)
     for c in leaders[: min(2, spent.parents)]:
         (search.shrink if alone else search.peel)(c)
@@ -207,32 +161,24 @@ def _left(search: Search, base: Candidate) -> float:
     return (min(c.misfit for c in search) - 1.0) / max(base.misfit - 1.0, 1e-12)
 
 
-def _begins(plant: Plant, adaptation: Sequence[Episode]) -> list[Sequence[float]]:
-    """Parameters from which the nominal form is fitted: the declared ones, and of a robot those of a regression."""
-    if len(plant.joints) == 1:
-        return [plant.parameters]
-    return [plant.parameters, identify(plant, adaptation)[0].parameters]
-
-
 def polished(
-    plant: Plant, admission: Admission, search: Search, best: Candidate, adaptation: Sequence[Episode], validation: Sequence[Episode]
+    plant: Plant, problem: Problem, best: Candidate, adaptation: Sequence[Episode], validation: Sequence[Episode]
 ) -> tuple[Candidate, Scheme]:
     """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates.
 
     On a machine the windows start where the log says: what no law explains must not hide in their starts.
     """
-    scheme = search.adaptation[0].scheme
-    physical = yardstick(adaptation) is PHYSICAL
+    scheme, physical = problem.scheme, yardstick(adaptation) is PHYSICAL
     if scheme.alpha == 0.0 and not physical:
         return best, scheme
-    finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha and search.exact else scheme
-    length, several = search.length_s, len(plant.joints) > 1 and search.exact
-    last = Search(
-        search.fitter,
-        [_started(plant, e, series(plant, e, finer, length), best) for e in adaptation],
-        [series(plant, e, finer, length) for e in validation],
-        search.short,
-        pieces={e.digest: series(plant, e, finer, length, SHORTER) for e in [*adaptation, *validation] if several},
+    finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha and problem.exact else scheme
+    several = len(plant.joints) > 1 and problem.exact
+    last = Problem(
+        problem.fitter,
+        [_started(plant, e, series(plant, e, finer, problem.length_s), best) for e in adaptation],
+        [series(plant, e, finer, problem.length_s) for e in validation],
+        problem.short,
+        pieces=in_pieces(plant, [*adaptation, *validation], finer, problem.length_s) if several else {},
     )
     if several:
         starts = last.placed(last.adaptation, best.fit)
@@ -244,11 +190,11 @@ def polished(
         best.fit.values,
         starts,
         iterations=25,
-        tolerance=1e-7 if search.exact else 1e-4,
+        tolerance=1e-7 if problem.exact else 1e-4,
         hold_starts=physical,
-        fixed=search.still(best.fit),
+        fixed=problem.still(best.fit),
     )
-    done = last.keep(fit if physical else last.pruned(fit))
+    done = last.candidate(fit if physical else last.pruned(fit))
     return (done, finer) if done.misfit < WORSE * best.misfit else (best, scheme)
 
 
@@ -261,7 +207,7 @@ def _started(plant: Plant, episode: Episode, s: Series, best: Candidate) -> Seri
 def _refined(search: Search, generation: Sequence[Candidate], most: int) -> list[Candidate]:
     """The best of a generation, fitted until nothing moves, the best first; those far behind are left as they are."""
     near = [c for c in generation[:most] if total(c) < FAR_BEHIND * max(total(generation[0]), 1.0)]
-    refined = [*in_parallel(search.refine, near), *(c for c in generation[:most] if c not in near)]
+    refined = [*search.refine(near), *(c for c in generation[:most] if c not in near)]
     return sorted((c for c in refined if c.resolved), key=total)
 
 
@@ -283,53 +229,11 @@ def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, b
     return sorted([*leaders, *(c for c in made if c.resolved)], key=total)
 
 
-def _telling(base: Candidate, episodes: Sequence[Episode], joints: int) -> list[Episode]:
-    """Where terms of a robot race: the episodes that the nominal form explains worst, and of a long one the stretch that it does."""
-    by_episode = base.fit.by_episode
-    worst = sorted(episodes, key=lambda e: -by_episode[e.digest])[:TELLING]
-    most = TELLING_ROWS // (len(worst) * joints)
-    ends = np.cumsum([len(s.windows) for s in base.fit.starts.values()])
-    costs = dict(zip(base.fit.starts, np.split(base.fit.costs, ends[:-1]), strict=True))
-    return [_stretch(e, costs[e.digest], most) for e in worst]
-
-
-def _stretch(episode: Episode, costs: np.ndarray, most: int) -> Episode:
-    """No more than so many samples of an episode that follow each other, those whose windows cost most `(windows,)`."""
-    samples = len(episode.t_s)
-    if samples <= most:
-        return episode
-    many = max(1, int(len(costs) * most / samples))
-    first = int(np.argmax(np.convolve(costs, np.ones(many), "valid"))) * samples // len(costs)
-    kept = slice(min(first, samples - most), min(first, samples - most) + most)
-    t = episode.t_s[kept] - episode.t_s[kept][0]
-    cut = f"{episode.digest}, samples {kept.start} to {kept.stop}"  # its hidden states begin elsewhere
-    return replace(episode, t_s=t, commands=episode.commands[kept].copy(), observations=episode.observations[kept].copy(), digest=cut)
-
-
 def _swapped(search: Search, leaders: list[Candidate], base: Candidate, by: Yardstick, spent: Effort) -> list[Candidate]:
     """The best, with those in which one of its effects gave way to another: one effect alone may look like what two together are not."""
     if not leaders or any(enough(c, base, by) for c in leaders):
         return leaders
-    best = min(leaders, key=lambda c: (len(c.hypothesis.effects) > PAIR and len(search.declared) > 0, total(c)))
+    best = min(leaders, key=lambda c: (len(c.hypothesis.effects) > PAIR and len(search.problem.declared) > 0, total(c)))
     parts = [search.fitted(best.hypothesis.without(name), best) for name in best.hypothesis.effects]
     generation = search.extend(parts, search.terms, most=SWAPPED, settled=spent.settled)
     return sorted([*leaders, *_refined(search, generation, spent.refined)], key=total)
-
-
-def thinning(admission: Admission, episodes: Sequence[Episode]) -> int:
-    """How many samples become one, where there are many and they follow each other much faster than the motion."""
-    many = sum(len(e.t_s) for e in episodes) // ENOUGH_SAMPLES
-    crossing = min(s.position / s.velocity for s in admission.scales)
-    fast = int(FINE * crossing / max(e.period_s for e in episodes))
-    return max(1, min(many, fast))
-
-
-def thinned(episode: Episode, every: int) -> Episode:
-    """Each `every`-th sample of an episode, with the mean of the commands in between."""
-    if every == 1:
-        return episode
-    kept = slice(0, len(episode.t_s), every)
-    spans = np.diff(episode.t_s, append=2.0 * episode.t_s[-1] - episode.t_s[-2])[:, None]
-    starts = np.arange(0, len(episode.t_s), every)
-    commands = np.add.reduceat(episode.commands * spans, starts) / np.add.reduceat(spans, starts)
-    return replace(episode, t_s=episode.t_s[kept].copy(), commands=commands, observations=episode.observations[kept].copy())

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.diagnose.search import Candidate, Search, trajectory
+from trueup.diagnose.problem import Candidate, trajectory
+from trueup.diagnose.search import Search
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, Start
 from trueup.model.block import kind
@@ -126,8 +127,8 @@ def _by_joint(s: Strides) -> tuple[Array, Array]:
 def _channels(plant: Plant, search: Search, nominal: RolloutFit) -> list[Json]:
     names = {int(column): c.name for column, c in zip(plant.state_columns, plant.layout.observations, strict=True)}
     squares = np.zeros(2 * len(plant.joints))
-    for s in search.validation:
-        missed = (s.observed - trajectory(search.fitter, nominal, s)) / search.fitter.sigma
+    for s in search.problem.validation:
+        missed = (s.observed - trajectory(search.problem.fitter, nominal, s)) / search.problem.fitter.sigma
         squares += np.where(s.usable, missed**2, 0.0).sum(axis=0)
     whole_ = max(float(squares.sum()), 1e-300)
     return [{"channel": name, "share": float(squares[column] / whole_)} for column, name in names.items()]
@@ -152,10 +153,10 @@ def strides_of(plant: Plant, search: Search, of: Candidate, episodes: Sequence[E
     for count, e in enumerate(episodes):
         every = max(LEAST, round(STRIDE_S / e.period_s))
         first = np.arange(0, len(e.t_s) - every, every)
-        s = whole(plant, e, search.adaptation[0].scheme, first)
+        s = whole(plant, e, search.problem.scheme, first)
         states = smoothed_states(plant, e)
         fit = replace(of.fit, starts={s.digest: Start(states[first], of.fit.starts[e.digest].memory if e.digest in of.fit.starts else {})})
-        path = trajectory(search.fitter, fit, s)
+        path = trajectory(search.problem.fitter, fit, s)
         end, middle = first + every - 1, first + every // 2
         span = (e.t_s[end] - e.t_s[first])[:, None]
         missed = (states[end, joints:] - path[end, joints:]) / span

@@ -19,7 +19,8 @@ from trueup.canonical import Json
 from trueup.collect.excitation import DETECTABLE
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
-from trueup.diagnose.search import Candidate, Search
+from trueup.diagnose.problem import Candidate
+from trueup.diagnose.search import Search
 from trueup.diagnose.twins import TWINS, how_to_part
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.block import term as term_at
@@ -89,8 +90,8 @@ def _ground(plant: Plant, search: Search) -> Series:
     """What an experiment adds a wave to: rest of a single joint, the commands of a recorded episode of a robot, which would fall else."""
     if len(plant.joints) == 1:
         t = np.asarray(np.arange(round(DURATION_S / plant.timestep_s) + 1) * plant.timestep_s, np.float64)
-        return unobserved(search.adaptation[0].scheme, t, np.zeros((len(t), 1)), plant.command_scales, plant.timestep_s)
-    recorded = search.adaptation[0]
+        return unobserved(search.problem.scheme, t, np.zeros((len(t), 1)), plant.command_scales, plant.timestep_s)
+    recorded = search.problem.adaptation[0]
     kept = slice(0, int(np.searchsorted(recorded.t_s, DURATION_S, "right")))
     steps = recorded.steps[kept].copy()
     steps[-1] = 0
@@ -129,7 +130,7 @@ def _separation(
 
 def _predicted(search: Search, candidate: Candidate, s: Series, *, jacobian: bool) -> Array:
     """Predictions `(1 + free + states, samples, states)`: as fitted, then with each parameter and start moved a little."""
-    fitter, fit = search.fitter, candidate.fit
+    fitter, fit = search.problem.fitter, candidate.fit
     n, states = (len(fit.free.rows) if jacobian else 0), len(fitter.start_steps)
     lanes = -(-(1 + n + states) // BLOCK) * BLOCK
     p = np.repeat(fit.values[:, None], lanes, axis=1)

@@ -13,7 +13,8 @@ from trueup.diagnose.decide import Choice, Verdict, total
 from trueup.diagnose.explain import Bound, counted
 from trueup.diagnose.measure import Gap
 from trueup.diagnose.probe import Experiment
-from trueup.diagnose.search import Candidate, Search
+from trueup.diagnose.problem import Candidate
+from trueup.diagnose.search import Search
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import joint, kind

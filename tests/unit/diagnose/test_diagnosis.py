@@ -9,6 +9,7 @@ from tests.support.simulated import recorded
 from trueup.diagnose.admission import admit
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.page import page, sentence
+from trueup.diagnose.problem import Problem
 from trueup.diagnose.search import Search
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
@@ -236,7 +237,7 @@ def test_a_lag_below_one_sample_is_no_effect():
     admission = admit(plant, episodes)
     fitter = Fitter(plant.form, Directions.of_family(plant.dynamics.parameter_names), admission.scales, admission.sigma)
     data = [series(plant, e, DECLARED, 2.0) for e in episodes]
-    search = Search(fitter, data, data, data)
+    search = Search(Problem(fitter, data, data, data))
     values = fitter.begin(plant.parameters)
     for periods, resolved in ((0.5, False), (3.0, True)):
         values[plant.block.rows_of("velocity_lag")["time_constant"]] = periods * episodes[0].period_s

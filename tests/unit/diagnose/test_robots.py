@@ -14,7 +14,8 @@ from trueup.diagnose.explore import _astray
 from trueup.diagnose.locate import Strides, _pushed
 from trueup.diagnose.page import page, pushed, sentence
 from trueup.diagnose.periodicity import pitches
-from trueup.diagnose.search import Candidate, Search
+from trueup.diagnose.problem import Candidate, Problem
+from trueup.diagnose.search import Search
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.residual import fit_residual
@@ -229,9 +230,10 @@ def test_a_robot_is_searched_in_shorter_windows_where_a_fit_ends_far_behind_none
     (episode,) = recorded(plant, rubs, (0,), ("adaptation",))
     admission, windows = admit(plant, [episode]), [series(plant, episode, DECLARED, 0.5)]
     fitter = Fitter(plant.form, directions(plant, [episode]), admission.scales, admission.sigma)
-    search = Search(fitter, windows, windows, windows, pieces={episode.digest: series(plant, episode, DECLARED, 0.5, 4)})
-    base = search.base([plant.parameters])
+    problem = Problem(fitter, windows, windows, windows, pieces={episode.digest: series(plant, episode, DECLARED, 0.5, 4)})
+    base = problem.refitted([plant.parameters])
+    search = Search(problem, found={base.hypothesis: base})
     far = replace(base.fit, hypothesis=Hypothesis() | "cogging", cost=times * base.fit.cost)
     search.found[far.hypothesis] = Candidate(far, base.check)
     assert _astray(search) is astray
-    assert not _astray(replace(search, pieces={}))  # a joint's windows are as long as its motion is foretold
+    assert not _astray(replace(search, problem=replace(problem, pieces={})))  # a joint's windows are as long as its motion is foretold
