@@ -15,6 +15,7 @@ ALL = (
     "linearizable",
     "growth",
     "scaled",
+    "fan_out",
     "diagnosis",
     "robots",
     "drift",

@@ -1,4 +1,4 @@
-"""The job engine behind four calls: enqueue in our own transaction, and what a worker needs to run and to take over.
+"""The job engine behind a few calls: enqueue in our own transaction, ask others to help, and what a worker needs to run and to take over.
 
 DBOS keeps its queue in the same database as the registry, so that a job and its engine entry commit together. It is imported on
 first use: a server that only serves never loads it.
@@ -7,17 +7,45 @@ first use: a server that only serves never loads it.
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 from sqlalchemy import Connection, Engine, make_url
 
 if TYPE_CHECKING:
-    from dbos import DBOSClient
+    from dbos import DBOSClient, EnqueueOptions
 
 QUEUE = "trueup"
 WORKFLOW = "trueup.job"
+HELP = "trueup.help"
+AFTER_JOBS = 1  # the priority of help: a job that waits is begun first
 ENGINE_VERSION = "1"  # of what is queued, not of the code: a new release must pick up what an old one queued
+
+
+class Helped(StrEnum):
+    """How far a part of a job is."""
+
+    WAITING = "waiting"
+    TAKEN = "taken"
+    DONE = "done"
+    FAILED = "failed"
+
+    @staticmethod
+    def of(status: str) -> Helped:
+        """The same by the engine's word."""
+        known = {"ENQUEUED": Helped.WAITING, "DELAYED": Helped.WAITING, "PENDING": Helped.TAKEN, "SUCCESS": Helped.DONE}
+        return known.get(status, Helped.FAILED)
+
+
+@dataclass(frozen=True, slots=True)
+class Help:
+    """One part of a job as it stands, with what its worker answered."""
+
+    state: Helped
+    answer: str | None
 
 
 class JobQueue:
@@ -41,6 +69,37 @@ class JobQueue:
     def knows(self, job: str) -> bool:
         """Whether the engine has an entry of a job."""
         return bool(self._client.list_workflows(workflow_ids=[job], load_input=False, load_output=False))
+
+    def ask_for_help(self, job: str, parcels: Mapping[str, str]) -> None:
+        """Queue parts of a running job, each by a name of its own, for workers that have nothing else to do; one known already stays as it
+        is.
+        """
+        with self._engine.begin() as connection:
+            for name, parcel in parcels.items():
+                options: EnqueueOptions = {
+                    "workflow_name": HELP,
+                    "queue_name": QUEUE,
+                    "workflow_id": name,
+                    "app_version": ENGINE_VERSION,
+                    "priority": AFTER_JOBS,
+                }
+                self._client.enqueue_in_transaction(connection, options, job, parcel)
+
+    def help(self, names: Sequence[str]) -> dict[str, Help]:
+        """How far each of the parts is; one that is missing was withdrawn."""
+        found = self._client.list_workflows(workflow_ids=list(names), load_input=False)
+        return {w.workflow_id: Help(Helped.of(w.status), w.output) for w in found}
+
+    def withdraw(self, names: Sequence[str]) -> None:
+        """Take back what nobody needs to do any more."""
+        if names:
+            self._client.cancel_workflows(list(names))
+
+    def forget(self, prefix: str) -> None:
+        """Remove every part whose name begins so."""
+        names = [w.workflow_id for w in self._client.list_workflows(workflow_id_prefix=prefix, load_input=False, load_output=False)]
+        if names:
+            self._client.delete_workflows(names)
 
     @cached_property
     def _client(self) -> DBOSClient:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from trueup.artifact.artifact import unpack
@@ -18,7 +18,6 @@ from trueup_service.actions.switchback import load_artifact
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.store import Reader, writing
 from trueup_service.wiring import Parts
-from trueup_worker.progress import Progress
 
 
 def read_plant(parts: Parts, job: JobRecord) -> Plant:
@@ -27,7 +26,7 @@ def read_plant(parts: Parts, job: JobRecord) -> Plant:
         return Plant.from_document(find.plant(Reader(connection), job.plant).document)
 
 
-def read_episodes(parts: Parts, job: JobRecord, plant: Plant, roles: Sequence[Role], progress: Progress) -> list[Episode]:
+def read_episodes(parts: Parts, job: JobRecord, plant: Plant, roles: Sequence[Role], progress: Callable[[float], None]) -> list[Episode]:
     """The episodes that the job's request names. Raises RoleRefused, BadEpisode if the stored bytes are not what their digest names."""
     digests: Any = job.request["episodes"]
     with writing(parts.database) as writer:

@@ -12,8 +12,10 @@ import uuid
 
 from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 
-from trueup_service.jobs import ENGINE_VERSION, QUEUE, WORKFLOW, plain_url
+from trueup_service.jobs import ENGINE_VERSION, HELP, QUEUE, WORKFLOW, plain_url
 from trueup_service.wiring import Parts
+from trueup_worker.fan_out import PREFIX
+from trueup_worker.run_help import Helping
 from trueup_worker.run_job import compute, finish
 from trueup_worker.schedule import keep
 from trueup_worker.takeover import FileLives, Lives, PostgresLives, watch
@@ -60,6 +62,13 @@ def _launch(parts: Parts, name: str) -> None:
         "run_migrations": False,
     }
     DBOS(config=config)
+    logging.getLogger("dbos").addFilter(_Withdrawn())
+
+    helping = Helping(parts)
+
+    @DBOS.workflow(name=HELP)  # type: ignore[untyped-decorator]
+    def help_with(job_id: str, parcel: str) -> str:
+        return helping.answer(job_id, parcel)  # it changes nothing, so a repetition needs no step
 
     @DBOS.workflow(name=WORKFLOW)  # type: ignore[untyped-decorator]
     def job(job_id: str) -> str:
@@ -68,6 +77,14 @@ def _launch(parts: Parts, name: str) -> None:
 
     DBOS.launch()
     DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=parts.settings.job_poll_interval_s, on_conflict="always_update")
+
+
+class _Withdrawn(logging.Filter):
+    """Drops the engine's alarm at help that was taken back while it was given."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        error = record.exc_info[1] if record.exc_info else ""
+        return f"workflow {PREFIX}" not in f"{record.getMessage()} {error}".lower()
 
 
 def _lives(parts: Parts) -> Lives:

@@ -17,6 +17,7 @@ from trueup_service.registry.store import Writer
 from trueup_service.wiring import Parts
 from trueup_worker.code_identity import code_identity
 from trueup_worker.cycle import cycle_of
+from trueup_worker.fan_out import FanOut
 from trueup_worker.inputs import read_episodes, read_plant, sources
 from trueup_worker.outputs import keep_arrays
 from trueup_worker.progress import Progress
@@ -31,7 +32,8 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     episodes = read_episodes(parts, job, plant, roles, progress.stage("reading episodes", 0.0, READING))
     request: dict[str, Any] = dict(job.request)
     seed = int(request["seed"])
-    found = diagnose(plant, episodes, seed, lambda stage, part: progress.stage(stage, READING, 1.0)(part))
+    with FanOut(parts.queue, job.id) as fan_out:
+        found = diagnose(plant, episodes, seed, lambda stage, part: progress.stage(stage, READING, 1.0)(part), fan_out)
     provenance: dict[str, Json] = {
         "origin": "diagnosis",
         "episodes": sources(episodes),

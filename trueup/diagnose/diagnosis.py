@@ -11,13 +11,13 @@ from trueup.diagnose.decide import Choice, decide, yardstick
 from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore, polished
 from trueup.diagnose.filtering import corrected
+from trueup.diagnose.laying_out import by_role
 from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
 from trueup.diagnose.probe import Experiment, next_experiment
 from trueup.diagnose.report import report
 from trueup.diagnose.task import Solve, in_threads
 from trueup.episode.episode import Episode
-from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
@@ -58,9 +58,7 @@ def diagnose(
     Adaptation episodes are fitted; validation episodes compare and measure. Raises NotIdentifiable where there are none of either,
     or where the joint never moves. The tasks of the search are done by whoever may `solve` them; the answer is the same.
     """
-    episodes = sorted(episodes, key=lambda e: e.digest)  # however they were handed in, the report is the same
-    adaptation = [e for e in episodes if e.role is Role.ADAPTATION]
-    validation = [e for e in episodes if e.role is Role.VALIDATION]
+    adaptation, validation = by_role(episodes)
     if not validation:
         raise NotIdentifiable("there is no validation episode to compare on", hint="Give at least one episode the role validation.")
     progress("looking at the episodes", 0.0)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.diagnose.admission import Admission
-from trueup.diagnose.measure import knows_beginnings, squared_errors
+from trueup.diagnose.measure import knows_beginnings, squared_errors, windows_of
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, in_parallel
 from trueup.model.block import joint as joint_of
@@ -52,10 +52,11 @@ def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Schem
         moments, unknown = known([_moments(plant, e) for e in episodes])
         model = replace(model, known=moments)
     period = episodes[0].period_s
+    far, near = (windows_of(plant, episodes, length, beginnings=knows_beginnings(model)) for length in (plant.horizon_s, period))
 
     def tried(kind: tuple[float, bool]) -> tuple[Array, Corrected]:
         candidate = replace(model, gain=_gain(plant, admission, model, 10.0 ** kind[0], period, unknown, wanders=kind[1]))
-        return _errors(candidate, admission, episodes, plant.horizon_s), candidate
+        return squared_errors(candidate, far, admission.motion), candidate
 
     def tried_all(kinds: Sequence[tuple[float, bool]]) -> dict[tuple[float, bool], tuple[Array, Corrected]]:
         return dict(zip(kinds, in_parallel(tried, kinds), strict=True))
@@ -68,13 +69,8 @@ def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Schem
         width /= 2.0
     least = min((errors for errors, _ in found.values()), key=lambda errors: errors.mean())
     alike = [candidate for errors, candidate in found.values() if _as_well(errors - least)]
-    nearest = list(in_parallel(lambda c: _errors(c, admission, episodes, period).mean(), alike))
+    nearest = list(in_parallel(lambda c: squared_errors(c, near, admission.motion).mean(), alike))
     return alike[int(np.argmin(nearest))]
-
-
-def _errors(model: Corrected, admission: Admission, episodes: Sequence[Episode], horizon_s: float) -> Array:
-    """Mean squared normalised error of each window of a horizon, `(windows,)`."""
-    return np.concatenate([squared_errors(model, e, horizon_s, admission.motion, beginnings=knows_beginnings(model)) for e in episodes])
 
 
 def _as_well(worse: Array) -> bool:

@@ -13,6 +13,7 @@ from trueup.diagnose.periodicity import pitches
 from trueup.diagnose.problem import Candidate, Problem
 from trueup.diagnose.search import searchable
 from trueup.episode.episode import Episode
+from trueup.episode.role import Role
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.rollout_fit import Fitter, RolloutFit
@@ -30,6 +31,12 @@ TELLING_ROWS = 15_000  # samples of all joints that they race on, at most
 ENOUGH_SAMPLES = 6000  # in all adaptation episodes; more than twice as many are thinned where they are close together
 FINE = 0.02  # of the time in which the joint crosses its travel: a step that still integrates well
 EVIDENT = 0.3  # of the force that is missing at a robot's joint: what repeats with the position and is so much of it races in any case
+
+
+def by_role(episodes: Sequence[Episode]) -> tuple[list[Episode], list[Episode]]:
+    """Those that are fitted and those that compare, in an order of their own: however they were handed in, the report is the same."""
+    ordered = sorted(episodes, key=lambda e: e.digest)
+    return [e for e in ordered if e.role is Role.ADAPTATION], [e for e in ordered if e.role is Role.VALIDATION]
 
 
 def lay_out(

@@ -62,9 +62,9 @@ class Gap:
         }
 
 
-def squared_errors(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array, *, beginnings: bool = True) -> Array:
-    """Mean squared normalised error of each window, `(windows,)`, with or without the one with which the log begins."""
-    return np.asarray(_by_channel(predictor, episode, horizon_s, motion, beginnings).mean(axis=1))
+def squared_errors(predictor: Predictor, windows: Sequence[Windows], motion: Array) -> Array:
+    """Mean squared normalised error of each window of some episodes, `(windows,)`."""
+    return np.asarray(_by_channel(predictor, windows, motion).mean(axis=1))
 
 
 def knows_beginnings(model: Predictor) -> bool:
@@ -82,22 +82,30 @@ def _floor(
     again = replace(episode, observations=episode.observations + noise, digest=episode.digest + "/again")
     paths = []
     for e in (episode, again):
-        windows = _windows(plant, e, horizon_s, beginnings)
+        (windows,) = windows_of(plant, [e], horizon_s, beginnings=beginnings)
         paths.append(plant.observe(corrected.rollout(windows)))
     moved = np.where(windows.inside[:, :, None], (paths[1] - paths[0]) / motion[seen], 0.0) ** 2
     return np.asarray(moved.sum(axis=1) / windows.inside.sum(axis=1)[:, None] + (np.nan_to_num(sigma[seen]) / motion[seen]) ** 2)
 
 
-def _windows(plant: Plant, episode: Episode, horizon_s: float, beginnings: bool) -> Windows:
-    """Windows at each multiple of the horizon; without beginnings, or where a velocity is not observed, the first only if it is alone."""
-    first = starts_every(episode.t_s[:-1], horizon_s)
-    return cut(plant, episode, first if (beginnings and is_observed(plant, episode)) or len(first) == 1 else first[1:])
+def windows_of(plant: Plant, episodes: Sequence[Episode], horizon_s: float, *, beginnings: bool) -> list[Windows]:
+    """Windows of each episode at each multiple of the horizon; without beginnings, or without an observed velocity, the first only if it
+    is alone.
+    """
+    found = []
+    for e in episodes:
+        first = starts_every(e.t_s[:-1], horizon_s)
+        found.append(cut(plant, e, first if (beginnings and is_observed(plant, e)) or len(first) == 1 else first[1:]))
+    return found
 
 
-def _by_channel(predictor: Predictor, episode: Episode, horizon_s: float, motion: Array, beginnings: bool) -> Array:
+def _by_channel(predictor: Predictor, windows: Sequence[Windows], motion: Array) -> Array:
     """Mean squared normalised error of each window and observed channel, `(windows, channels)`."""
-    plant = predictor.plant
-    windows = _windows(plant, episode, horizon_s, beginnings)
+    return np.concatenate([_of_episode(predictor, w, motion) for w in windows])
+
+
+def _of_episode(predictor: Predictor, windows: Windows, motion: Array) -> Array:
+    plant, episode = predictor.plant, windows.episode
     with np.errstate(over="ignore", invalid="ignore"):
         missed = (plant.observe(predictor.rollout(windows)) - episode.observations[windows.rows]) / motion[plant.state_columns]
         missed = np.clip(np.nan_to_num(missed, nan=RAN_AWAY, posinf=RAN_AWAY, neginf=RAN_AWAY), -RAN_AWAY, RAN_AWAY)
@@ -113,7 +121,8 @@ def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episo
     motion = _motion(plant, episodes)
     horizon = plant.horizon_s
     begun = knows_beginnings(corrected)
-    tables = [np.concatenate([_by_channel(p, e, horizon, motion, begun) for e in episodes]) for p in (nominal, refitted, corrected)]
+    windows = windows_of(plant, episodes, horizon, beginnings=begun)
+    tables = [_by_channel(p, windows, motion) for p in (nominal, refitted, corrected)]
     before, parameters, after = (t.mean(axis=1) for t in tables)
     floor = np.concatenate([_floor(corrected, e, horizon, motion, sigma, rng, begun) for e in episodes])
     least = np.nan_to_num(floor.mean(axis=1))
@@ -127,18 +136,16 @@ def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episo
     names = [c.name for c in plant.layout.observations]
     channels = {n: (float(np.sqrt(tables[0][:, i].mean())), float(np.sqrt(tables[2][:, i].mean()))) for i, n in enumerate(names)}
     rms = [float(np.sqrt(x.mean())) for x in (before, parameters, after, least)]
-    counted = all(_windows(plant, e, horizon, begun).first[0] == 0 for e in episodes)
+    counted = all(w.first[0] == 0 for w in windows)
     return Gap(horizon, rms[0], rms[1], rms[2], rms[3], closed, interval, channels, counted)
 
 
 def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -> float | None:
     """The part of the nominal model's gap that a predictor closes on further episodes; None where there was none above their noise."""
     plant = corrected.plant
-    motion, begun = _motion(plant, episodes), knows_beginnings(corrected)
-    before, after = (
-        float(np.mean(np.concatenate([squared_errors(p, e, plant.horizon_s, motion, beginnings=begun) for e in episodes])))
-        for p in (Nominal(plant), corrected)
-    )
+    motion = _motion(plant, episodes)
+    windows = windows_of(plant, episodes, plant.horizon_s, beginnings=knows_beginnings(corrected))
+    before, after = (float(np.mean(squared_errors(p, windows, motion))) for p in (Nominal(plant), corrected))
     floor = float(np.mean((np.nan_to_num(sigma) / motion)[plant.state_columns] ** 2))
     return _closed(before, after, floor) if before > AT_THE_FLOOR * floor else None
 

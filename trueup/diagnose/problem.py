@@ -101,13 +101,13 @@ class Problem:
     def near(self, parent: RolloutFit) -> Near:
         """A fit on short windows."""
         known = self._near.get(parent.hypothesis)
-        if known is None or known.parent is not parent:
+        if known is None or not _begins_alike(known.parent, parent):
             fit = self.fitter.started(self.short, parent.hypothesis, parent.values, _remembering(self.short, parent), iterations=2)
             known = self._near[parent.hypothesis] = Near(parent, fit, self.fitter.linear(self.short, fit), {})
         return known
 
     def race(self, parent: RolloutFit, name: str, expected: np.ndarray) -> list[RolloutFit]:
-        """Short fits of a composition with one term more from several starts, the best first.
+        """Short fits of a composition with one term more from several starts: those that go on, the best first.
 
         `expected` is the cost that a linear model expects of each of the term's starts.
         """
@@ -119,19 +119,13 @@ class Problem:
             tried = [fit(b, iterations=GLANCE) for b in [*begins, *others]]
             begins = [f.values for f in sorted(tried, key=lambda f: f.cost)[: len(begins)]]
         fits = [fit(b, iterations=RACE, tolerance=1e-2) for b in begins]
-        return sorted(fits, key=lambda f: f.cost)
-
-    def going_on(self, raced: Sequence[RolloutFit]) -> Sequence[RolloutFit]:
-        """Those of a race that are fitted to the end."""
-        return raced[: KEPT if self.exact else 1]
+        return sorted(fits, key=lambda f: f.cost)[: KEPT if self.exact else 1]
 
     def settle(self, parent_cost: float, name: str, raced: Sequence[RolloutFit]) -> Candidate:
         """The best fit of what did best in a race, a value between corners zoomed in on where that is better than the parent."""
         hypothesis, fit = raced[0].hypothesis, self.fitter.fit
         resting = self.resting(raced[0].values, [name])
-        near = [
-            fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3, fixed=resting) for f in self.going_on(raced)
-        ]
+        near = [fit(self.short, hypothesis, f.values, f.starts, iterations=SETTLE, tolerance=1e-3, fixed=resting) for f in raced]
         apart = [f for i, f in enumerate(near) if not any(_same(f, g) for g in near[:i])]
         settled = [
             fit(self.adaptation, hypothesis, f.values, self._begun(self.adaptation, f), iterations=SETTLE, tolerance=1e-3, fixed=resting)
@@ -338,6 +332,12 @@ def _apart(expected: np.ndarray) -> list[int]:
         if all(abs(int(i) - j) > max(1, len(expected) // FAR) for j in chosen):
             chosen.append(int(i))
     return chosen[:most]
+
+
+def _begins_alike(one: RolloutFit, other: RolloutFit) -> bool:
+    """Whether fits of one composition are the same where a fit of other windows begins from them."""
+    memories = [{digest: dict(start.memory) for digest, start in fit.starts.items()} for fit in (one, other)]
+    return one is other or (np.array_equal(one.values, other.values) and memories[0] == memories[1])
 
 
 def _asks(without: RolloutFit, best: RolloutFit) -> bool:

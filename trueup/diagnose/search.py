@@ -58,7 +58,7 @@ class Search:
             raced.sort(key=lambda found: found[2][0].cost)
         if settled and raced and raced[0][2][0].misfit < WON:
             raced = [found for found in raced if found[2][0].misfit < BEATEN]
-        tasks = [Settle(parent.fit.cost, name, tuple(self.problem.going_on(fits))) for parent, name, fits in raced[: settled or None]]
+        tasks = [Settle(parent.fit.cost, name, fits) for parent, name, fits in raced[: settled or None]]
         done = self.solve(self.problem, tasks, lambda share: progress(RACE_SHARE + (1.0 - RACE_SHARE) * share))
         return sorted((c for c in map(self.adopt, done) if c.resolved), key=lambda c: c.misfit)
 

@@ -25,7 +25,7 @@ class Race:
     expected: NDArray[np.float64]
 
     def done(self, problem: Problem) -> Sequence[RolloutFit]:
-        """The fits, the best first."""
+        """The fits that go on, the best first."""
         return problem.race(self.parent, self.term, self.expected)
 
 
@@ -60,6 +60,9 @@ Solve = Callable[[Problem, Sequence[Task], Share], list[Any]]  # what each task 
 
 def in_threads(problem: Problem, tasks: Sequence[Task], told: Share) -> list[Any]:
     """Solve tasks by threads of this process."""
+    for task in tasks:
+        if isinstance(task, Race):
+            problem.near(task.parent)  # once, before several threads ask for it
     answers = []
     for answer in in_parallel(lambda task: task.done(problem), tasks):
         answers.append(answer)

@@ -80,7 +80,7 @@ class Corrected(Predictor):
 
     def rollout(self, windows: Windows) -> Array:
         plant, joints = self.plant, len(self.plant.joints)
-        series = whole(plant, windows.episode, self.scheme, windows.first)
+        series = whole(plant, windows.episode, self.scheme, windows.first, windows.initial)
         first = np.nan_to_num(past_states(plant, windows.episode, slice(1)))
         if self.known and not np.isfinite(positions_and_velocities(plant, windows.episode)[0, 1]):
             first[0, 1] = self.known.velocity(first[0, 0], series.issued[0, 0])

@@ -76,8 +76,8 @@ def series(plant: Plant, episode: Episode, scheme: Scheme, window_s: float, part
     return whole(plant, episode, scheme, starts_every(t[:-1], span / count * (1 + 1e-9), float(t[begins])))
 
 
-def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int64]) -> Series:
-    """An episode with windows that start at the `first` samples `(windows,)`."""
+def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int64], begin: Array | None = None) -> Series:
+    """An episode with windows that start at the `first` samples `(windows,)`, from where they `begin`, else from smoothed states."""
     t = episode.t_s
     h, steps = intervals(t, plant.timestep_s)
     observed = positions_and_velocities(plant, episode)
@@ -96,7 +96,7 @@ def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int6
         np.isfinite(observed) & ~held_frames(observed),
         np.cumsum(resets >= 0) - 1,
         resets,
-        smoothed_states(plant, episode, first),
+        smoothed_states(plant, episode, first) if begin is None else begin,
         episode.period_s,
         plant.command_scales,
     )

@@ -1,0 +1,193 @@
+"""Parcel: tasks and what they answer as text, from one process to another; every number comes out as it went in, bit for bit.
+
+A line of JSON, then the bytes of the arrays that it refers to, each once however often it occurs; compressed, and as base64 for engines
+that keep text.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from trueup.diagnose.problem import Candidate, Problem
+from trueup.diagnose.task import Race, Refine, Settle, Task
+from trueup.fit.rollout_fit import Free, RolloutFit, Start
+from trueup.model.hypothesis import Hypothesis
+from trueup.model.series import Scheme
+
+Array = NDArray[np.float64]
+KINDS = {"<f8": np.float64, "<i8": np.int64}  # of the numbers that fits hold
+FAST = 1  # the level: a parcel is read once
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """From what others lay out the same problem: the scheme, the windows' length [s], and the nominal form refitted."""
+
+    scheme: Scheme
+    length_s: float
+    base: RolloutFit
+
+
+def pack_tasks(problem: Problem, tasks: Sequence[Task]) -> str:
+    """A problem's outline and some tasks. Its text is the same whenever they are."""
+    assert problem.base is not None
+    packing = _Packing()
+    outline = {
+        "alpha": problem.scheme.alpha,
+        "parts": problem.scheme.parts,
+        "length_s": problem.length_s,
+        "base": packing.fit(problem.base),
+    }
+    return packing.text({"outline": outline, "tasks": [_task(packing, task) for task in tasks]})
+
+
+def unpack_tasks(text: str) -> tuple[Outline, list[Task]]:
+    """The same again. Raises ValueError, KeyError, TypeError or zlib.error where the text is none of ours."""
+    found, unpacking = _Unpacking.of(text)
+    given = found["outline"]
+    outline = Outline(Scheme(given["alpha"], given["parts"]), given["length_s"], unpacking.fit(given["base"]))
+    return outline, [_task_of(unpacking, task) for task in found["tasks"]]
+
+
+def pack_answers(answers: Sequence[Any]) -> str:
+    """What tasks answered: a candidate each, or the fits of a race."""
+    packing = _Packing()
+    return packing.text([_candidate(packing, a) if isinstance(a, Candidate) else [packing.fit(fit) for fit in a] for a in answers])
+
+
+def unpack_answers(text: str) -> list[Any]:
+    """The same again. Raises what `unpack_tasks` does."""
+    found, unpacking = _Unpacking.of(text)
+    return [_candidate_of(unpacking, a) if isinstance(a, dict) else [unpacking.fit(fit) for fit in a] for a in found]
+
+
+def _task(packing: _Packing, task: Task) -> dict[str, Any]:
+    if isinstance(task, Race):
+        return {"race": task.term, "parent": packing.fit(task.parent), "expected": packing.array(task.expected)}
+    if isinstance(task, Settle):
+        return {"settle": task.term, "parent_cost": _number(task.parent_cost), "raced": [packing.fit(fit) for fit in task.raced]}
+    return {"refine": _candidate(packing, task.candidate)}
+
+
+def _task_of(unpacking: _Unpacking, given: Mapping[str, Any]) -> Task:
+    if "race" in given:
+        return Race(unpacking.fit(given["parent"]), given["race"], unpacking.array(given["expected"]))
+    if "settle" in given:
+        return Settle(float.fromhex(given["parent_cost"]), given["settle"], [unpacking.fit(fit) for fit in given["raced"]])
+    return Refine(_candidate_of(unpacking, given["refine"]))
+
+
+def _candidate(packing: _Packing, candidate: Candidate) -> dict[str, Any]:
+    return {"fit": packing.fit(candidate.fit), "check": packing.fit(candidate.check), "resolved": candidate.resolved}
+
+
+def _candidate_of(unpacking: _Unpacking, given: Mapping[str, Any]) -> Candidate:
+    return Candidate(unpacking.fit(given["fit"]), unpacking.fit(given["check"]), given["resolved"])
+
+
+def _number(value: float) -> str:
+    """A number exactly, with those that JSON has not."""
+    return float(value).hex()
+
+
+@dataclass(slots=True)
+class _Packing:
+    """What stands once: arrays by their bytes, fits by who they are."""
+
+    arrays: dict[tuple[str, tuple[int, ...], bytes], int] = field(default_factory=dict)
+    fits: list[dict[str, Any]] = field(default_factory=list)
+    known: dict[int, tuple[int, RolloutFit]] = field(default_factory=dict)
+
+    def array(self, given: NDArray[Any]) -> int:
+        """The place of an array."""
+        plain = np.ascontiguousarray(given)
+        kind = next(name for name, of in KINDS.items() if plain.dtype == of)
+        return self.arrays.setdefault((kind, plain.shape, plain.tobytes()), len(self.arrays))
+
+    def fit(self, given: RolloutFit) -> int:
+        """The place of a fit."""
+        if id(given) not in self.known:
+            self.fits.append(self._fit(given))
+            self.known[id(given)] = len(self.fits) - 1, given
+        return self.known[id(given)][0]
+
+    def _fit(self, fit: RolloutFit) -> dict[str, Any]:
+        free = fit.free
+        return {
+            "effects": fit.hypothesis.effects,
+            "values": self.array(fit.values),
+            "free": [free.names, *(self.array(x) for x in (free.rows, free.step, free.low, free.high, free.along))],
+            "starts": [
+                [digest, self.array(start.windows), [[*key, _number(x)] for key, x in start.memory.items()]]
+                for digest, start in fit.starts.items()
+            ],
+            "cost": _number(fit.cost),
+            "costs": self.array(fit.costs),
+            "samples": fit.samples,
+            "information": self.array(fit.information),
+            "converged": bool(fit.converged),
+        }
+
+    def text(self, given: Any) -> str:
+        """All of it."""
+        arrays = [[kind, shape] for kind, shape, _ in self.arrays]
+        line = orjson.dumps({"arrays": arrays, "fits": self.fits, "given": given})
+        packed = b"\n".join([line, b"".join(data for _, _, data in self.arrays)])
+        return base64.b64encode(zlib.compress(packed, FAST)).decode()
+
+
+@dataclass(frozen=True, slots=True)
+class _Unpacking:
+    """The same on the other side."""
+
+    arrays: list[NDArray[Any]]
+    fits: list[RolloutFit]
+
+    @staticmethod
+    def of(text: str) -> tuple[Any, _Unpacking]:
+        """What was given, and what it refers to."""
+        line, _, data = zlib.decompress(base64.b64decode(text, validate=True)).partition(b"\n")
+        found = orjson.loads(line)
+        counts = [int(np.prod(shape)) for _, shape in found["arrays"]]
+        begins = [8 * sum(counts[:i]) for i in range(len(counts))]
+        arrays = [
+            np.frombuffer(data, KINDS[kind], count, begin).reshape(shape).copy()
+            for (kind, shape), count, begin in zip(found["arrays"], counts, begins, strict=True)
+        ]
+        unpacking = _Unpacking(arrays, [])
+        unpacking.fits.extend(unpacking._fit(fit) for fit in found["fits"])
+        return found["given"], unpacking
+
+    def array(self, at: int) -> NDArray[Any]:
+        """The array at a place."""
+        return self.arrays[at]
+
+    def fit(self, at: int) -> RolloutFit:
+        """The fit at a place."""
+        return self.fits[at]
+
+    def _fit(self, given: Mapping[str, Any]) -> RolloutFit:
+        names, *of_free = given["free"]
+        rows, step, low, high, along = (self.arrays[at] for at in of_free)
+        return RolloutFit(
+            Hypothesis(tuple(given["effects"])),
+            self.arrays[given["values"]],
+            Free(rows, tuple((owner, name) for owner, name in names), step, low, high, along),
+            {
+                digest: Start(self.arrays[windows], {(term, state): float.fromhex(x) for term, state, x in memory})
+                for digest, windows, memory in given["starts"]
+            },
+            float.fromhex(given["cost"]),
+            self.arrays[given["costs"]],
+            given["samples"],
+            self.arrays[given["information"]],
+            given["converged"],
+        )
