@@ -97,9 +97,12 @@ class JobQueue:
 
     def forget(self, prefix: str) -> None:
         """Remove every part whose name begins so."""
-        names = [w.workflow_id for w in self._client.list_workflows(workflow_id_prefix=prefix, load_input=False, load_output=False)]
-        if names:
+        if names := self.names(prefix):
             self._client.delete_workflows(names)
+
+    def names(self, prefix: str) -> list[str]:
+        """Everything whose name begins so."""
+        return [w.workflow_id for w in self._client.list_workflows(workflow_id_prefix=prefix, load_input=False, load_output=False)]
 
     @cached_property
     def _client(self) -> DBOSClient:

@@ -60,13 +60,13 @@ class FanOut:
         try:
             while step.missing:
                 step.wait(LOOK_S)
-                told(1.0 - len(step.missing) / len(tasks))
                 asked.look(step)
+                told(1.0 - len(step.missing) / len(tasks))
         finally:
             step.end()
             asked.end()
         if named:
-            self._is_helped = asked.brought > 0
+            self._is_helped = asked.was_heard
         return step.answers
 
     def _name(self, parcel: str) -> str:
@@ -161,7 +161,7 @@ class _Asked:
     def __init__(self, queue: JobQueue, parts: dict[str, Sequence[int]]) -> None:
         self._queue, self._parts = queue, parts
         self._taken: dict[str, float] = {}  # when a helper was first seen at it
-        self.brought = 0
+        self.was_heard = False
 
     def look(self, step: _Step) -> None:
         """Gather what was done, and give our own idle hands the first part that nobody has, or that was taken too long ago."""
@@ -175,12 +175,14 @@ class _Asked:
                 step.take(self._parts.pop(name))
             elif helped.state is Helped.DONE and helped.answer:
                 step.bring(part, unpack_answers(helped.answer))
-                self.brought += 1
+                self.was_heard = True
                 del self._parts[name]
             elif helped.state is Helped.WAITING:
                 waiting.append(name)
-            elif now - self._taken.setdefault(name, now) > max(PATIENCE_S, PATIENCE * step.longest_s * len(part)):
-                late.append(name)
+            else:
+                self.was_heard = True
+                if now - self._taken.setdefault(name, now) > max(PATIENCE_S, PATIENCE * step.longest_s * len(part)):
+                    late.append(name)
         if step.has_idle_hands and (waiting or late):
             name = [*waiting, *late][0]
             self._queue.withdraw([name] if waiting else [])

@@ -1,0 +1,53 @@
+"""Workers help one diagnosis; one of them is killed at it, and the report is that of the command, bit for bit."""
+
+import json
+
+import numpy as np
+
+from tests.flow.test_failures import until
+from tests.support.made import T0_NS
+from tests.support.service import Service, kill
+from tests.support.simulated import recorded
+from trueup.diagnose.diagnosis import diagnose
+from trueup.episode.mcap import read_episode
+from trueup.episode.writer import write_episode
+from trueup_client import Client
+from trueup_worker.fan_out import PREFIX
+
+KILLED = 2  # parcels that were helped with, at which one of two workers is killed
+
+
+def test_the_report_is_the_same_whoever_helped_and_died(storage, tmp_path, capfd):
+    plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21)
+    files = []
+    for i, e in enumerate(episodes):
+        stamps = T0_NS + 10**10 * i + np.rint(e.t_s * 1e9).astype(np.int64)
+        files.append(tmp_path / f"{i}.mcap")
+        with files[-1].open("wb") as file:
+            write_episode(
+                file, stamps_ns=stamps, observations=e.observations, commands=e.commands, layout=plant.layout, role=e.role, conditions={}
+            )
+    expected = diagnose(plant, [read_episode(file.read_bytes(), plant.layout) for file in files])
+    service, heard = Service(storage, log_level="INFO"), []
+
+    def helped(often):
+        heard.extend(line for line in capfd.readouterr().err.splitlines() if '"helped"' in line)
+        return len(heard) >= often or client.job(job)["result"]
+
+    with service.running(worker=False):
+        workers = [service.start_worker() for _ in range(2)]
+        client = Client(service.url, actor="tester")
+        client.register_plant(dict(plant.document))
+        for file in files:
+            client.upload_episode(plant.name, file)
+        job = client.submit(plant.name, {"kind": "diagnose"})["id"]
+        until(lambda: helped(KILLED))
+        kill(workers.pop())
+        done = client.wait(job)
+        client.close()
+    assert done["state"] == "succeeded", done
+    assert done["result"]["report"] == json.loads(json.dumps(dict(expected.document)))
+    assert len(heard) >= KILLED
+    parts = storage.build()
+    assert not parts.queue.names(PREFIX)
+    parts.close()

@@ -1,0 +1,137 @@
+"""A step of a search is done whoever helps, dies, declines or is not there, with the same answers."""
+
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import trueup_worker.fan_out as module
+from tests.support.simulated import recorded
+from trueup.diagnose.admission import admit
+from trueup.diagnose.help import Helper
+from trueup.diagnose.laying_out import by_role, lay_out
+from trueup.diagnose.parcel import pack_answers
+from trueup.diagnose.search import searchable
+from trueup.diagnose.task import Race, in_threads
+from trueup.model.series import refined
+from trueup_service.jobs import Help, Helped
+from trueup_worker.fan_out import FanOut
+from trueup_worker.likeness import likeness
+
+TERMS = tuple(searchable()[:8])
+
+
+class Others:
+    """A queue in memory, whose parcels fare as `fares` says."""
+
+    def __init__(self, fares):
+        self.fares, self.parcels, self.withdrawn, self.asked = fares, {}, set(), []
+
+    def ask_for_help(self, job, parcels):
+        self.asked.append(len(parcels))
+        self.parcels |= {name: (job, parcel) for name, parcel in parcels.items()}
+
+    def help(self, names):
+        found = {name: self.fares(*self.parcels[name]) for name in names if name not in self.withdrawn}
+        return {name: help_ for name, help_ in found.items() if help_ is not None}
+
+    def withdraw(self, names):
+        self.withdrawn.update(names)
+
+    def forget(self, prefix):
+        self.parcels = {name: p for name, p in self.parcels.items() if not name.startswith(prefix)}
+
+
+@pytest.fixture(scope="module")
+def case():
+    plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21)
+    adaptation, validation = by_role(episodes)
+    problem, base = lay_out(plant, admit(plant, adaptation), adaptation, validation, refined(plant), 1)
+    tasks = [Race(base.fit, term, np.zeros(1)) for term in TERMS]
+    return Helper(plant, episodes), problem, tasks, pack_answers(in_threads(problem, tasks, lambda _: None))
+
+
+@pytest.fixture(autouse=True)
+def one_core(monkeypatch):
+    monkeypatch.setattr(module, "cores", lambda: 1)
+    monkeypatch.setattr(module, "LOOK_S", 0.001)
+    monkeypatch.setattr(module, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(module, "PATIENCE", 0.01)
+
+
+def helpful(helper):
+    def fares(job, parcel):
+        assert job == "job"
+        like, text = parcel.split(" ")
+        assert like == likeness()
+        return Help(Helped.DONE, helper.answer(text))
+
+    return fares
+
+
+FARES = {
+    "nobody is there": lambda _: lambda *_: Help(Helped.WAITING, None),
+    "somebody helps": helpful,
+    "somebody took it and died": lambda _: lambda *_: Help(Helped.TAKEN, None),
+    "somebody declines": lambda _: lambda *_: Help(Helped.DONE, ""),
+    "the engine gave it up": lambda _: lambda *_: Help(Helped.FAILED, None),
+    "it is gone": lambda _: lambda *_: None,
+}
+
+
+@pytest.mark.parametrize("fares", FARES)
+def test_the_answers_are_the_same_where(case, fares):
+    helper, problem, tasks, expected = case
+    others, shares = Others(FARES[fares](helper)), []
+    with FanOut(others, "job") as fan_out:
+        assert pack_answers(fan_out(problem, tasks, shares.append)) == expected
+        assert pack_answers(fan_out(problem, tasks, shares.append)) == expected
+    assert others.asked == [len(tasks) - 1] * 2 if "somebody" in fares and "declines" not in fares else [len(tasks) - 1, 1]
+    assert not others.parcels
+    assert max(shares) == 1.0
+
+
+def test_one_parcel_is_offered_while_nobody_helps_and_all_once_somebody_does(case):
+    helper, problem, tasks, _ = case
+    there = threading.Event()
+    others = Others(lambda *p: helpful(helper)(*p) if there.is_set() else Help(Helped.WAITING, None))
+    with FanOut(others, "job") as fan_out:
+        for step in range(4):
+            if step == 2:
+                there.set()
+            fan_out(problem, [replace(t, expected=t.expected + step) for t in tasks], lambda _: None)  # as parcels that are new
+    assert others.asked == [7, 1, 1, 7]
+
+
+def test_a_parcel_has_the_name_of_its_content(case):
+    _, problem, tasks, _ = case
+    names = []
+    for _ in range(2):
+        others = Others(lambda *_: Help(Helped.WAITING, None))
+        with FanOut(others, "job") as fan_out:
+            fan_out(problem, tasks, lambda _: None)
+            names.append(set(others.parcels))
+    assert names[0] == names[1]
+    assert all(name.startswith("help.job.") for name in names[0])
+
+
+def test_a_cancelled_job_takes_back_what_it_asked_for(case):
+    _, problem, tasks, _ = case
+    others = Others(lambda *_: Help(Helped.TAKEN, None))
+
+    def told(_):
+        raise InterruptedError
+
+    with pytest.raises(InterruptedError), FanOut(others, "job") as fan_out:
+        fan_out(problem, tasks, told)
+    assert len(others.withdrawn) == len(tasks) - 1
+    assert not others.parcels
+
+
+def test_a_task_that_fails_fails_the_step(case):
+    _, problem, tasks, _ = case
+    others = Others(lambda *_: Help(Helped.WAITING, None))
+    broken = Race(tasks[0].parent, "no such effect", np.zeros(1))
+    with pytest.raises(KeyError), FanOut(others, "job") as fan_out:
+        fan_out(problem, [broken, *tasks], lambda _: None)
