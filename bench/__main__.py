@@ -14,6 +14,7 @@ ALL = (
     "kills",
     "linearizable",
     "growth",
+    "load",
     "scaled",
     "fan_out",
     "diagnosis",

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.load import run, send
+from bench.generator import run, send
 from bench.report import Figure, show
 from bench.servers import ROOT, ours, resident_mib
 

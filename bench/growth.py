@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.load import get, run
+from bench.generator import get, run
 from bench.report import Figure, show
 from bench.servers import call, ours
 from tests.support.made import plant_document

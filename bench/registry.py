@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.load import Load, get, run, send
+from bench.generator import Load, get, run, send
 from bench.report import Figure, show
 from bench.servers import Peer, call, ours, peer
 from tests.support.made import plant_document

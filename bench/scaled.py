@@ -6,7 +6,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from bench.load import forever, get, run
+from bench.generator import forever, get, run
 from bench.report import Figure, show
 from bench.servers import ROOT, call, ours
 from tests.support.postgres import start_postgres

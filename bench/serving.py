@@ -6,7 +6,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from bench.load import Load, forever, get, run
+from bench.generator import Load, forever, get, run
 from bench.report import Figure, show
 from bench.servers import ROOT, call, ours, peer
 

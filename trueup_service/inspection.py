@@ -1,17 +1,12 @@
-"""Inspect an upload in a process of its own, with limits, that can be killed.
-
-    python -m trueup_service.inspection FILE < {"plant": …, "limits": …}
-
-The child walks the container, decodes the episode and prints what it is, or the error, as one JSON document. A batch of telemetry it writes
-as MCAP first, beside the file.
-"""
+"""Inspect an upload in a process of its own, with limits: a child of the inspector, which has loaded what that needs."""
 
 from __future__ import annotations
 
 import asyncio
-import json
 import os
-import resource
+import socket
+import struct
+import subprocess
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,10 +14,12 @@ from pathlib import Path
 import orjson
 
 from trueup.canonical import Json
-from trueup.errors import BadEpisode, TrueupError
+from trueup.errors import BadEpisode
 from trueup_service.errors import InspectionFailed
 
-CHILD_CPU_MARGIN_S = 1
+LENGTH = "!Q"  # before a request
+CPU_MARGIN_S = 1
+ENDING_S = 5.0  # for the inspector to end by itself
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,96 +41,91 @@ class Against:
     coverage: list[Json]
 
 
-async def inspect_upload(path: Path, against: Against, memory_bytes: int, timeout_s: float, *, telemetry: bool = False) -> Inspected:
-    """What the file holds as an episode of a plant; a batch of telemetry becomes the MCAP file `as_mcap(path)`.
-
-    Raises BadEpisode with the child's code and facts, InspectionFailed at a limit.
-    """
-    child = await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
-        "trueup_service.inspection",
-        str(path),
-        stdin=asyncio.subprocess.PIPE,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # a pool for each core would eat the address space
-    )
-    request = orjson.dumps(
-        {**asdict(against), "telemetry": telemetry, "memory_bytes": memory_bytes, "cpu_s": int(timeout_s) + CHILD_CPU_MARGIN_S}
-    )
-    try:
-        out, err = await asyncio.wait_for(child.communicate(request), timeout_s)
-    except TimeoutError as error:
-        raise InspectionFailed(f"the inspection took longer than {timeout_s:g} s", limit="inspection_timeout_s") from error
-    finally:
-        if child.returncode is None:
-            child.kill()
-            await child.wait()
-    return _answer(out, err, child.returncode)
-
-
-def _answer(out: bytes, err: bytes, code: int | None) -> Inspected:
-    try:
-        answer = orjson.loads(out)
-    except orjson.JSONDecodeError as error:
-        said = err.decode(errors="replace")
-        limit = "inspection_memory_bytes" if "MemoryError" in said or (code or 0) < 0 else "none"
-        raise InspectionFailed(f"the inspection ended with code {code}", limit=limit, detail=said[-200:]) from error
-    if "problem" in answer:
-        problem = answer["problem"]
-        refused = BadEpisode(problem["message"], hint=problem["hint"], **problem["facts"])
-        refused.code = problem["code"]
-        raise refused
-    return Inspected(**answer)
-
-
 def as_mcap(path: Path) -> Path:
     """Where a batch of telemetry becomes an episode."""
     return path.with_suffix(".mcap")
 
 
-def convert_file(path: Path, plant: dict[str, Json]) -> Path:
-    """A batch of telemetry as an MCAP file beside it. Raises BadEpisode, BadPlant."""
-    from trueup.episode.telemetry import telemetry_to_mcap  # noqa: PLC0415
-    from trueup.model.plant import Plant  # noqa: PLC0415
+class Inspector:
+    """Inspects uploads, so many at once; its process is started when it is first asked, and again should it die."""
 
-    with as_mcap(path).open("xb") as file:
-        telemetry_to_mcap(path.read_bytes(), Plant.from_document(plant).layout, file)
-    return as_mcap(path)
+    def __init__(self, at_once: int, memory_bytes: int, timeout_s: float) -> None:
+        self._slots = asyncio.Semaphore(at_once)
+        self._memory_bytes, self._timeout_s = memory_bytes, timeout_s
+        self._process: subprocess.Popen[bytes] | None = None
+        self._control: socket.socket | None = None
+
+    async def inspect(self, path: Path, against: Against, *, telemetry: bool = False) -> Inspected:
+        """What the file holds as an episode of a plant; a batch of telemetry becomes the MCAP file `as_mcap(path)`.
+
+        Raises BadEpisode with the child's code and facts, InspectionFailed at a limit.
+        """
+        request = orjson.dumps(
+            {
+                **asdict(against),
+                "path": str(path.absolute()),
+                "telemetry": telemetry,
+                "memory_bytes": self._memory_bytes,
+                "cpu_s": int(self._timeout_s) + CPU_MARGIN_S,
+            }
+        )
+        async with self._slots:
+            reader, writer = await asyncio.open_connection(sock=self._child())
+            try:
+                writer.write(struct.pack(LENGTH, len(request)) + request)
+                answer = await asyncio.wait_for(reader.read(), self._timeout_s)
+            except TimeoutError as error:
+                raise InspectionFailed(f"the inspection took longer than {self._timeout_s:g} s", limit="inspection_timeout_s") from error
+            except OSError:
+                answer = b""  # it died before it had read
+            finally:
+                writer.close()  # whoever still works on it dies of that
+        return _inspected(answer)
+
+    def close(self) -> None:
+        """Let the process end."""
+        if self._process is not None and self._control is not None:
+            self._control.close()
+            try:
+                self._process.wait(ENDING_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._process = self._control = None
+
+    def _child(self) -> socket.socket:
+        """A connection to a fresh child of the inspector."""
+        ours, theirs = socket.socketpair()
+        with theirs:
+            try:
+                socket.send_fds(self._started(), [b"?"], [theirs.fileno()])
+            except OSError:  # it died: another one
+                self.close()
+                socket.send_fds(self._started(), [b"?"], [theirs.fileno()])
+        return ours
+
+    def _started(self) -> socket.socket:
+        if self._control is None:
+            self._control, theirs = socket.socketpair()
+            with theirs:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-m", "trueup_service.inspector"],
+                    stdin=theirs.fileno(),
+                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # a pool for each core would eat the address space
+                )
+        return self._control
 
 
-def inspect_file(path: Path, against: Against) -> Inspected:
-    """The same in this process, without limits. Raises BadEpisode, BadPlant."""
-    from trueup.collect.coverage import Coverage  # noqa: PLC0415
-    from trueup.collect.measured import measured  # noqa: PLC0415
-    from trueup.episode.mcap import read_episode_stream  # noqa: PLC0415  (numpy: the server that waits for the child needs none)
-    from trueup.episode.summary import summarise  # noqa: PLC0415
-    from trueup.model.plant import Plant  # noqa: PLC0415
-
-    described = Plant.from_document(against.plant)
-    with path.open("rb") as file:
-        episode = read_episode_stream(file, path.stat().st_size, described.layout)
-    end_ns = episode.start_ns + round(float(episode.t_s[-1]) * 1e9)
-    fitted_on = [Coverage.from_document(c) for c in against.coverage]  # type: ignore[arg-type]
-    summary = {**summarise(episode), "collection": measured(described, episode, fitted_on)}
-    return Inspected(episode.digest, str(episode.role), episode.start_ns, end_ns, summary)
-
-
-def main() -> None:
-    """The child."""
-    request = json.load(sys.stdin)
-    resource.setrlimit(resource.RLIMIT_AS, (request["memory_bytes"],) * 2)
-    resource.setrlimit(resource.RLIMIT_CPU, (request["cpu_s"],) * 2)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+def _inspected(answer: bytes) -> Inspected:
     try:
-        path = Path(sys.argv[1])
-        held = convert_file(path, request["plant"]) if request["telemetry"] else path
-        answer: object = asdict(inspect_file(held, Against(request["plant"], request["coverage"])))
-    except TrueupError as error:
-        answer = {"problem": {"code": error.code, "message": error.message, "hint": error.hint, "facts": error.facts}}
-    sys.stdout.buffer.write(orjson.dumps(answer))
-
-
-if __name__ == "__main__":
-    main()
+        found = orjson.loads(answer)
+    except orjson.JSONDecodeError as error:
+        raise InspectionFailed("the inspection died of what it read", limit="inspection_memory_bytes") from error
+    if "limit" in found:
+        raise InspectionFailed("the inspection met a limit", limit=found["limit"])
+    if "problem" in found:
+        problem = found["problem"]
+        refused = BadEpisode(problem["message"], hint=problem["hint"], **problem["facts"])
+        refused.code = problem["code"]
+        raise refused
+    return Inspected(**found)

@@ -33,6 +33,7 @@ from trueup_service.http.routers import (
 )
 from trueup_service.http.serving_answers import ServingAnswers
 from trueup_service.identity import Identities
+from trueup_service.inspection import Inspector
 from trueup_service.signed_log import SignedLog, open_log
 from trueup_service.wiring import Parts
 
@@ -69,10 +70,12 @@ def create_app(parts: Parts) -> FastAPI:
     @asynccontextmanager
     async def alive(app: FastAPI) -> AsyncIterator[None]:
         app.state.answers = ServingAnswers(parts.database, parts.settings.watch_interval_s)
-        app.state.inspections = asyncio.Semaphore(parts.settings.inspections)
+        limits = parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s
+        app.state.inspector = Inspector(parts.settings.inspections, *limits)
         publishing = asyncio.create_task(_publish(app.state.log, parts.settings.checkpoint_interval_s))
         yield
         publishing.cancel()
+        app.state.inspector.close()
         parts.close()
 
     app = FastAPI(title="trueup", version=__version__, description=DESCRIPTION, lifespan=alive, docs_url=None, redoc_url=None)

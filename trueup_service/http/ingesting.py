@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import uuid
 from pathlib import Path
 
@@ -18,7 +17,7 @@ from trueup_service.actions.stamp import Stamp
 from trueup_service.http.context import create
 from trueup_service.http.schemas import Episode
 from trueup_service.http.uploads import Received
-from trueup_service.inspection import Against, Inspected, inspect_upload
+from trueup_service.inspection import Against, Inspected, Inspector
 from trueup_service.registry.records import EpisodeRecord
 from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
@@ -35,12 +34,10 @@ def against(parts: Parts, plant: str) -> Against:
     return Against(document, coverage if isinstance(coverage, list) else [])
 
 
-async def inspect(request: Request, parts: Parts, path: Path, held: Against, *, telemetry: bool = False) -> Inspected:
+async def inspect(request: Request, path: Path, held: Against, *, telemetry: bool = False) -> Inspected:
     """What a file holds, once there is a slot to look at it. Raises BadEpisode, InspectionFailed."""
-    slots: asyncio.Semaphore = request.app.state.inspections
-    settings = parts.settings
-    async with slots:
-        return await inspect_upload(path, held, settings.inspection_memory_bytes, settings.inspection_timeout_s, telemetry=telemetry)
+    inspector: Inspector = request.app.state.inspector
+    return await inspector.inspect(path, held, telemetry=telemetry)
 
 
 def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected) -> Response:

@@ -40,7 +40,7 @@ async def upload(request: Request, parts: With, stamp: By, plant: PlantName, key
     held = await run_in_threadpool(against, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         known = await run_in_threadpool(_known, parts, plant, file.digest)
-        inspected = known or await inspect(request, parts, file.path, held)
+        inspected = known or await inspect(request, file.path, held)
         return await run_in_threadpool(ingest, parts, stamp, plant, key, file, inspected)
 
 

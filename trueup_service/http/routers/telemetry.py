@@ -49,7 +49,7 @@ async def send(request: Request, parts: With, stamp: By, plant: PlantName, key: 
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         path = as_mcap(file.path)
         try:
-            inspected = await inspect(request, parts, file.path, held, telemetry=True)
+            inspected = await inspect(request, file.path, held, telemetry=True)
             episode = Received(path, inspected.digest, path.stat().st_size)
             return await run_in_threadpool(ingest, parts, stamp, plant, key, episode, inspected)
         finally:

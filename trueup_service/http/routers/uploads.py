@@ -82,7 +82,7 @@ async def _finished(request: Request, parts: Parts, stamp: Stamp, plant: str, di
         found = await run_in_threadpool(digest_of_file, path)
         if found != digest:
             raise DigestMismatch("the parts together are not what the path names", expected=digest, found=found)
-        inspected = await inspect(request, parts, path, held)
+        inspected = await inspect(request, path, held)
     except (DigestMismatch, BadEpisode):
         uploads.drop(plant, digest)
         raise

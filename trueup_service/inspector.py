@@ -1,0 +1,118 @@
+"""The process that inspects uploads: it loads what that needs once, and forks a child for each.
+
+    python -m trueup_service.inspector < SOCKET
+
+Standard input is a socket on which each message brings another one: from that the child reads what is wanted, as a length and as much JSON,
+and there it answers with one JSON document and ends. A child that meets its limits, or whose asker hangs up, dies alone. Telemetry
+it writes as MCAP first, beside the file.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import socket
+import struct
+import sys
+import threading
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import orjson
+
+from trueup.canonical import Json
+from trueup.collect.coverage import Coverage
+from trueup.collect.measured import measured
+from trueup.episode.mcap import read_episode_stream
+from trueup.episode.summary import summarise
+from trueup.episode.telemetry import telemetry_to_mcap
+from trueup.errors import TrueupError
+from trueup.model.plant import Plant
+from trueup_service.inspection import LENGTH, Against, Inspected, as_mcap
+
+
+def inspect_file(path: Path, against: Against) -> Inspected:
+    """What a file holds as an episode of a plant. Raises BadEpisode, BadPlant."""
+    described = Plant.from_document(against.plant)
+    with path.open("rb") as file:
+        episode = read_episode_stream(file, path.stat().st_size, described.layout)
+    end_ns = episode.start_ns + round(float(episode.t_s[-1]) * 1e9)
+    fitted_on = [Coverage.from_document(c) for c in against.coverage]  # type: ignore[arg-type]
+    summary = {**summarise(episode), "collection": measured(described, episode, fitted_on)}
+    return Inspected(episode.digest, str(episode.role), episode.start_ns, end_ns, summary)
+
+
+def convert_file(path: Path, plant: dict[str, Json]) -> Path:
+    """A batch of telemetry as an MCAP file beside it. Raises BadEpisode, BadPlant."""
+    with as_mcap(path).open("xb") as file:
+        telemetry_to_mcap(path.read_bytes(), Plant.from_document(plant).layout, file)
+    return as_mcap(path)
+
+
+def answer(request: dict[str, Any]) -> dict[str, Any]:
+    """What a request's file holds, its problem, or that there was too little memory for it."""
+    path = Path(request["path"])
+    try:
+        held = convert_file(path, request["plant"]) if request["telemetry"] else path
+        return asdict(inspect_file(held, Against(request["plant"], request["coverage"])))
+    except TrueupError as error:
+        return {"problem": {"code": error.code, "message": error.message, "hint": error.hint, "facts": error.facts}}
+    except MemoryError:
+        return {"limit": "inspection_memory_bytes"}
+
+
+def _child(asked: socket.socket) -> None:
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    (length,) = struct.unpack(LENGTH, _exactly(asked, struct.calcsize(LENGTH)))
+    request = json.loads(_exactly(asked, length))
+    threading.Thread(target=_until_hung_up, args=(asked,), daemon=True).start()
+    resource.setrlimit(resource.RLIMIT_AS, (request["memory_bytes"],) * 2)
+    resource.setrlimit(resource.RLIMIT_CPU, (request["cpu_s"],) * 2)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    asked.sendall(orjson.dumps(answer(request)))
+
+
+def _until_hung_up(asked: socket.socket) -> None:
+    asked.recv(1)
+    os._exit(0)
+
+
+def _exactly(asked: socket.socket, count: int) -> bytes:
+    found = b""
+    while len(found) < count:
+        part = asked.recv(min(count - len(found), 1 << 20))
+        if not part:
+            os._exit(0)
+        found += part
+    return found
+
+
+def main() -> None:
+    """Fork children until whoever started this is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever serves decides
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for a child
+    control = socket.socket(fileno=sys.stdin.fileno())
+    while True:
+        message, handles, _, _ = socket.recv_fds(control, 1, 1)
+        if not message:
+            return
+        if os.fork() == 0:
+            code = 1
+            try:
+                control.close()
+                with socket.socket(fileno=handles[0]) as asked:
+                    _child(asked)
+                code = 0
+            except Exception:  # noqa: BLE001  (told, and the process ends)
+                sys.excepthook(*sys.exc_info())
+            finally:
+                os._exit(code)
+        for handle in handles:
+            os.close(handle)
+
+
+if __name__ == "__main__":
+    main()
