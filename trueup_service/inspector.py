@@ -9,6 +9,7 @@ it writes as MCAP first, beside the file.
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import resource
@@ -16,22 +17,35 @@ import signal
 import socket
 import struct
 import sys
+import tempfile
 import threading
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import orjson
 
 from trueup.canonical import Json
 from trueup.collect.coverage import Coverage
 from trueup.collect.measured import measured
 from trueup.episode.mcap import read_episode_stream
+from trueup.episode.role import Role
 from trueup.episode.summary import summarise
 from trueup.episode.telemetry import telemetry_to_mcap
+from trueup.episode.writer import write_episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
 from trueup_service.inspection import LENGTH, Against, Inspected, as_mcap
+
+REHEARSED_SAMPLES = 200
+REHEARSED: dict[str, Json] = {
+    "name": "rehearsal",
+    "nominal": {"family": "oscillator", "parameters": {"k": 1.0, "c": 1.0, "b": 1.0}, "timestep_s": 0.01},
+    "commands": [{"name": "u", "unit": "1", "limits": [-1.0, 1.0]}],
+    "observations": [{"name": "q", "unit": "rad"}],
+    "evaluation": {"horizon_s": 1.0},
+}
 
 
 def inspect_file(path: Path, against: Against) -> Inspected:
@@ -90,10 +104,31 @@ def _exactly(asked: socket.socket, count: int) -> bytes:
     return found
 
 
+def rehearse() -> None:
+    """Inspect a small episode, so that what is loaded on first use is loaded here and not by every child."""
+    plant = Plant.from_document(REHEARSED)
+    t, one = np.arange(REHEARSED_SAMPLES), np.ones((REHEARSED_SAMPLES, 1))
+    with tempfile.TemporaryDirectory() as folder, (path := Path(folder) / "small.mcap").open("w+b") as file:
+        write_episode(
+            file,
+            stamps_ns=t * 10**7,
+            observations=np.sin(0.01 * t)[:, None],
+            commands=one,
+            layout=plant.layout,
+            role=Role.TELEMETRY,
+            conditions={},
+        )
+        file.flush()
+        inspect_file(path, Against(dict(plant.document), []))
+    gc.collect()
+    gc.freeze()  # what children share with us is not to be touched by their collector
+
+
 def main() -> None:
     """Fork children until whoever started this is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever serves decides
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for a child
+    rehearse()
     control = socket.socket(fileno=sys.stdin.fileno())
     while True:
         message, handles, _, _ = socket.recv_fds(control, 1, 1)

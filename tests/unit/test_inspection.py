@@ -61,10 +61,12 @@ def test_a_file_that_is_no_episode_is_told_with_its_code(tmp_path):
 
 
 @pytest.mark.parametrize(("limits", "limit"), [((64 << 20, 60.0), "inspection_memory_bytes"), ((MEMORY, 1e-4), "inspection_timeout_s")])
-def test_a_limit_is_told(sound, limits, limit):
+def test_a_limit_is_told(tmp_path, limits, limit):
+    large = save(tmp_path, "large.mcap", episode_bytes(1, 20_000))
+
     async def one():
         async with inspecting(*limits) as inspector:
-            await inspector.inspect(sound, HELD)
+            await inspector.inspect(large, HELD)
 
     with pytest.raises(InspectionFailed) as failed:
         asyncio.run(one())
