@@ -51,7 +51,7 @@ ROBOTS, WEARS = int(os.environ.get("ROBOTS", "1000")), 10
 POLL_S, UPLOAD_S = 10.0, 120.0
 SECONDS, FLEET_S, DRAIN_S = 5.0, float(os.environ.get("FLEET_S", "60")), 120.0
 CONFIGURATIONS = ((1, 1), (1, 2), (2, 1), (2, 2))  # servers, workers
-STEP_S, BATCH_S, SIGMA, K, C, B, WORN = 0.02, 12.0, (0.003, 0.005), 2.0, 0.4, 1.0, 0.08
+STEP_S, BATCH_S, SIGMA, K, C, B, WORN = 0.02, 12.0, (0.003, 0.005), 2.0, 0.4, 1.0, 0.15
 REFERENCE, PROMISE_H, RUNS = 40, 1.0, 24
 STAMP = Stamp("bench", "2026-01-01T00:00:00.000000Z")
 
@@ -79,6 +79,8 @@ def main() -> None:
 def _measured(fleet: Fleet, parts: Parts, ports: list[int], pids: list[int], labour: list[int]) -> list[Figure]:
     name = f"{len(ports)} servers, {len(labour)} workers"
     figures = []
+    for port in ports:  # a server loads the job engine when it is first asked to submit something
+        assert run(port, [iter([fleet.upload(fleet.robots[1])])], 60.0).statuses == {201: 1}
     if len(labour) == 1:  # workers have nothing to do with these
         reads = [forever(get(f"/v1/plants/{fleet.robots[i].plant}/serving")) for i in range(16)]
         uploads = [itertools.starmap(fleet.upload, itertools.repeat((fleet.robots[-1 - i],))) for i in range(8)]

@@ -21,7 +21,7 @@ import tempfile
 import threading
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import orjson
@@ -129,24 +129,28 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever serves decides
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for a child
     rehearse()
-    control = socket.socket(fileno=sys.stdin.fileno())
-    while True:
-        message, handles, _, _ = socket.recv_fds(control, 1, 1)
-        if not message:
-            return
-        if os.fork() == 0:
-            code = 1
-            try:
+    with socket.socket(fileno=sys.stdin.fileno()) as control:
+        while True:
+            message, handles, _, _ = socket.recv_fds(control, 1, 1)
+            if not message:
+                return
+            if os.fork() == 0:
                 control.close()
-                with socket.socket(fileno=handles[0]) as asked:
-                    _child(asked)
-                code = 0
-            except Exception:  # noqa: BLE001  (told, and the process ends)
-                sys.excepthook(*sys.exc_info())
-            finally:
-                os._exit(code)
-        for handle in handles:
-            os.close(handle)
+                _in_child(handles[0])
+            for handle in handles:
+                os.close(handle)
+
+
+def _in_child(handle: int) -> NoReturn:
+    code = 1
+    try:
+        with socket.socket(fileno=handle) as asked:
+            _child(asked)
+        code = 0
+    except Exception:  # noqa: BLE001  (told, and the process ends)
+        sys.excepthook(*sys.exc_info())
+    finally:
+        os._exit(code)
 
 
 if __name__ == "__main__":
