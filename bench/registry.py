@@ -13,9 +13,10 @@ import numpy as np
 from bench.generator import Load, get, run, send
 from bench.report import Figure, show
 from bench.servers import Peer, call, ours, peer
-from tests.support.made import plant_document
+from tests.support.made import episode_bytes, plant_document
 from trueup.artifact.artifact import pack
 from trueup.canonical import digest_of
+from trueup.episode.role import Role
 from trueup.gate.decision import default_gate
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
@@ -100,6 +101,9 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
     artifacts = [pack(Identified(plant, (k, 0.6, 0.8)), {}) for k in (1.1, 1.2)]
     for artifact in artifacts:
         assert run(port, [iter([send("POST", f"/v1/plants/{name}/artifacts", artifact.manifest)])], 10.0).statuses == {201: 1}
+    held_out = send("POST", f"/v1/plants/{name}/episodes", episode_bytes(9, 60, role=Role.VALIDATION), "application/octet-stream")
+    assert run(port, [iter([held_out])], 60.0).statuses == {201: 1}  # on which the way back is rehearsed before each move
+    episode = call(port, "GET", f"/v1/plants/{name}/episodes")["items"][0]["digest"]
     serving = call(port, "GET", f"/v1/plants/{name}/serving")["artifact"]
     parts, requests = build(Settings(data_dir=data)), []
     with parts.database.write() as connection:
@@ -113,6 +117,7 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
                 "incumbent": serving,
                 "generation": generation,
                 "accepted": True,
+                "episodes": [episode],
                 "plant": plant.digest,
             }
             record_decision(writer, name, document, None, STAMP)

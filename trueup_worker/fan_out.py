@@ -11,6 +11,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import zlib
 from collections import deque
 from collections.abc import Sequence
 from types import TracebackType
@@ -19,7 +20,7 @@ from typing import Any
 from trueup.canonical import digest_of_bytes
 from trueup.diagnose.parcel import pack_tasks, unpack_answers
 from trueup.diagnose.problem import Problem
-from trueup.diagnose.task import Race, Share, Task
+from trueup.diagnose.task import Share, Task, get_ready
 from trueup.model.compose import cores
 from trueup_service.jobs import Helped, JobQueue
 from trueup_worker.likeness import likeness
@@ -47,9 +48,7 @@ class FanOut:
 
     def __call__(self, problem: Problem, tasks: Sequence[Task], told: Share) -> list[Any]:
         """What each task answers, in order. Raises what `told` raises, and then does no more."""
-        for task in tasks:
-            if isinstance(task, Race):
-                problem.near(task.parent)  # once, before several threads ask for it
+        get_ready(problem, tasks)
         size = max(cores(), -(-len(tasks) // MOST_PARCELS))
         parcels = [range(i, min(i + size, len(tasks))) for i in range(0, len(tasks), size)]
         offered = parcels[1:] if self._is_helped else parcels[1:][-1:]
@@ -171,12 +170,13 @@ class _Asked:
         states = self._queue.help(list(self._parts))
         for name, part in list(self._parts.items()):
             helped = states.get(name)
-            if helped is None or helped.state is Helped.FAILED or (helped.state is Helped.DONE and not helped.answer):
+            if helped is None or helped.state is Helped.FAILED:
                 step.take(self._parts.pop(name))
-            elif helped.state is Helped.DONE and helped.answer:
-                step.bring(part, unpack_answers(helped.answer))
-                self.was_heard = True
-                del self._parts[name]
+            elif helped.state is Helped.DONE:
+                answers = _answers(helped.answer, len(part))
+                self.was_heard = self.was_heard or bool(answers)
+                step.bring(part[: len(answers)], answers)
+                step.take(self._parts.pop(name))
             elif helped.state is Helped.WAITING:
                 waiting.append(name)
             else:
@@ -191,3 +191,15 @@ class _Asked:
     def end(self) -> None:
         """Take back what is left."""
         self._queue.withdraw(list(self._parts))
+
+
+def _answers(text: str | None, many: int) -> list[Any]:
+    """What a helper answered; nothing where it declined, or where that cannot be read."""
+    if not text:
+        return []
+    try:
+        answers = unpack_answers(text)
+    except (ValueError, LookupError, TypeError, zlib.error):
+        log.exception("what a helper answered cannot be read")
+        return []
+    return answers if len(answers) == many else []

@@ -58,11 +58,16 @@ Share = Callable[[float], None]
 Solve = Callable[[Problem, Sequence[Task], Share], list[Any]]  # what each task answers, in order, while the share done is told
 
 
-def in_threads(problem: Problem, tasks: Sequence[Task], told: Share) -> list[Any]:
-    """Solve tasks by threads of this process."""
+def get_ready(problem: Problem, tasks: Sequence[Task]) -> None:
+    """Find out once what several threads would ask for at the same time."""
     for task in tasks:
         if isinstance(task, Race):
-            problem.near(task.parent)  # once, before several threads ask for it
+            problem.near(task.parent)
+
+
+def in_threads(problem: Problem, tasks: Sequence[Task], told: Share) -> list[Any]:
+    """Solve tasks by threads of this process."""
+    get_ready(problem, tasks)
     answers = []
     for answer in in_parallel(lambda task: task.done(problem), tasks):
         answers.append(answer)
