@@ -32,6 +32,7 @@ from trueup.episode.role import Role
 from trueup_client import Client
 from trueup_client.problem import ClientError
 from trueup_service.registry.blobs import FolderBlobs
+from trueup_service.registry.store import writing
 from trueup_service.wiring import Parts
 
 KILLS, USERS, SEED = int(os.environ.get("KILLS", "500")), 3, 99
@@ -192,9 +193,8 @@ def _planted(history: History, parts: Parts) -> str:
         connection.commit()
         seen += any(p.startswith("lost") for p in problems(history, parts))
         connection.execute(text("UPDATE episodes SET digest = :d WHERE plant = :p AND digest = 'gone'"), where)
-        copy = "SELECT :n, at, kind, actor, plant, subject, facts, '{}' FROM audit WHERE kind = 'episode:ingested' AND subject = :d"
-        columns = 'sequence, at, kind, actor, plant, subject, facts, "rows"'
-        connection.execute(text(f"INSERT INTO audit ({columns}) {copy}"), {"n": 10**9, "d": digest})
         connection.commit()
-        seen += any(p.startswith("doubled") for p in problems(history, parts))
+    with writing(parts.database) as writer:
+        writer.append_audit(at="2026-01-01T00:00:00.000000Z", kind="episode:ingested", actor="bench", plant=plant, subject=digest, facts={})
+    seen += any(p.startswith("doubled") for p in problems(history, parts))
     return f"{seen} of 3 found"
