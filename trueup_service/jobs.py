@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from dbos import DBOSClient, EnqueueOptions
 
 QUEUE = "trueup"
+WATCHING = "trueup.watching"  # looks at new episodes take milliseconds, and must not wait for a diagnosis
 WORKFLOW = "trueup.job"
 HELP = "trueup.help"
 AFTER_JOBS = 1  # the priority of help: a job that waits is begun first
@@ -60,10 +61,10 @@ class JobQueue:
         with self._lock:
             self._client  # noqa: B018
 
-    def enqueue(self, connection: Connection, job: str) -> None:
+    def enqueue(self, connection: Connection, job: str, kind: str) -> None:
         """Queue a job in the caller's transaction; the job's id is the workflow's, so a second time changes nothing."""
         self._client.enqueue_in_transaction(
-            connection, {"workflow_name": WORKFLOW, "queue_name": QUEUE, "workflow_id": job, "app_version": ENGINE_VERSION}, job
+            connection, {"workflow_name": WORKFLOW, "queue_name": queue_of(kind), "workflow_id": job, "app_version": ENGINE_VERSION}, job
         )
 
     def knows(self, job: str) -> bool:
@@ -110,6 +111,11 @@ class JobQueue:
 
         migrate_engine(self._url)
         return DBOSClient(system_database_engine=self._engine, serializer=DBOSPortableJSONSerializer())
+
+
+def queue_of(kind: str) -> str:
+    """Where jobs of a kind wait."""
+    return WATCHING if kind == "watch" else QUEUE
 
 
 def migrate_engine(url: str) -> None:

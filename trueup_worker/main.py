@@ -12,7 +12,7 @@ import uuid
 
 from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 
-from trueup_service.jobs import ENGINE_VERSION, HELP, QUEUE, WORKFLOW, plain_url
+from trueup_service.jobs import ENGINE_VERSION, HELP, QUEUE, WATCHING, WORKFLOW, plain_url
 from trueup_service.wiring import Parts
 from trueup_worker.fan_out import PREFIX
 from trueup_worker.run_help import Helping
@@ -22,6 +22,7 @@ from trueup_worker.takeover import FileLives, Lives, PostgresLives, watch
 
 log = logging.getLogger("trueup.worker")
 
+WATCHED_AT_ONCE = 4  # a job begins when the queue is looked at: one at a time would be ten a second
 RETRIED: StepOptions = {
     "retries_allowed": True,
     "interval_seconds": 0.5,
@@ -76,7 +77,10 @@ def _launch(parts: Parts, name: str) -> None:
         return str(DBOS.run_step({"name": "finish", **RETRIED}, finish, parts, job_id, found))
 
     DBOS.launch()
-    DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=parts.settings.job_poll_interval_s, on_conflict="always_update")
+    for queue, at_once in ((QUEUE, 1), (WATCHING, WATCHED_AT_ONCE)):
+        DBOS.register_queue(
+            queue, worker_concurrency=at_once, polling_interval_sec=parts.settings.job_poll_interval_s, on_conflict="always_update"
+        )
 
 
 class _Withdrawn(logging.Filter):

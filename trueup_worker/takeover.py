@@ -25,7 +25,7 @@ from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 from trueup.canonical import Json
 from trueup_service.actions.finish_job import finish_job
 from trueup_service.actions.stamp import Stamp, time_text
-from trueup_service.jobs import ENGINE_VERSION, QUEUE
+from trueup_service.jobs import ENGINE_VERSION, QUEUE, queue_of
 from trueup_service.locks import try_lock
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import FINAL, JobRecord, JobState
@@ -109,14 +109,14 @@ def take_over(lives: Lives, own: str) -> list[str]:
         with lives.seize(name) as gone:
             if gone:
                 resumed += [
-                    _resume(w.workflow_id, name)
+                    _resume(w.workflow_id, w.queue_name or QUEUE, name)
                     for w in DBOS.list_workflows(status="PENDING", executor_id=name, load_input=False, load_output=False)
                 ]
     return resumed
 
 
-def _resume(job: str, dead: str) -> str:
-    DBOS.resume_workflow(job, queue_name=QUEUE)
+def _resume(job: str, queue: str, dead: str) -> str:
+    DBOS.resume_workflow(job, queue_name=queue)
     log.warning("taken over", extra={"job": job, "dead_worker": dead})
     return job
 
@@ -140,20 +140,20 @@ def revive(database: Database) -> list[str]:
         else:
             last = max(attempts, key=lambda a: (a.created_at or 0, len(a.workflow_id), a.workflow_id))
             try:
-                _begin_again(job, last.workflow_id, len(attempts))
+                _begin_again(found, last.workflow_id, len(attempts))
             except IntegrityError:
                 continue  # another worker was quicker
             revived.append(job)
     return revived
 
 
-def _begin_again(job: str, last: str, attempts: int) -> None:
+def _begin_again(job: JobRecord, last: str, attempts: int) -> None:
     """One more attempt under a name that only one worker can take."""
     steps = DBOS.list_workflow_steps(last)
     failed = next((s["function_id"] for s in steps if s["error"] is not None), len(steps) + 1)
-    with SetWorkflowID(f"{job}{AGAIN}{attempts}"):
-        DBOS.fork_workflow(last, failed, application_version=ENGINE_VERSION, queue_name=QUEUE)
-    log.warning("begun again", extra={"job": job, "attempt": attempts + 1})
+    with SetWorkflowID(f"{job.id}{AGAIN}{attempts}"):
+        DBOS.fork_workflow(last, failed, application_version=ENGINE_VERSION, queue_name=queue_of(job.kind))
+    log.warning("begun again", extra={"job": job.id, "attempt": attempts + 1})
 
 
 def _fail(database: Database, job: JobRecord) -> None:

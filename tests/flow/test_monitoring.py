@@ -123,6 +123,20 @@ def test_a_drift_is_noticed_and_diagnosed(watched, service):
     assert [a["id"] for a in client.alarms("watched")] == [alarm["id"]]
 
 
+def test_new_episodes_are_looked_at_while_a_diagnosis_runs(watched):
+    client, folder, _ = watched
+    before = client.monitor("watched")["episodes"]
+    job = client.submit("watched", {"kind": "diagnose"})["id"]
+    end = time.monotonic() + LEAST
+    while client.job(job)["state"] == "queued":
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    upload(client, folder, 300, Role.ADAPTATION)
+    until(client, lambda s: s["episodes"] == before + 1)
+    assert client.job(job)["state"] == "running"
+    client.cancel(job)
+
+
 @pytest.mark.parametrize(
     ("spoil", "rule"),
     [
