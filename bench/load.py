@@ -25,6 +25,7 @@ import numpy as np
 from bench.generator import Asked, Load, forever, get, pace, run, send
 from bench.report import Figure, show
 from bench.servers import ROOT, ours, resident_mib
+from tests.support.fleet import SECONDS, SIGMA, STEP_S, B, C, K, plant_document
 from tests.support.made import T0_NS
 from tests.support.postgres import start_postgres
 from trueup.artifact.artifact import nominal_artifact, unpack
@@ -49,9 +50,9 @@ from trueup_service.wiring import Parts, build
 
 ROBOTS, WEARS = int(os.environ.get("ROBOTS", "1000")), 10
 POLL_S, UPLOAD_S = 10.0, 120.0
-SECONDS, FLEET_S, DRAIN_S = 5.0, float(os.environ.get("FLEET_S", "60")), 120.0
+CLOSED_S, FLEET_S, DRAIN_S = 5.0, float(os.environ.get("FLEET_S", "60")), 120.0
 CONFIGURATIONS = ((1, 1), (1, 2), (2, 1), (2, 2))  # servers, workers
-STEP_S, BATCH_S, SIGMA, K, C, B, WORN = 0.02, 12.0, (0.003, 0.005), 2.0, 0.4, 1.0, 0.15
+WORN = 0.15  # friction of a robot that wears
 REFERENCE, PROMISE_H, RUNS = 40, 1.0, 24
 STAMP = Stamp("bench", "2026-01-01T00:00:00.000000Z")
 
@@ -110,7 +111,7 @@ def _measured(fleet: Fleet, parts: Parts, ports: list[int], pids: list[int], lab
 
 
 def _run_on(ports: list[int], streams: list[Iterator[bytes]]) -> Load:
-    return run([ports[i % len(ports)] for i in range(len(streams))], streams, SECONDS)
+    return run([ports[i % len(ports)] for i in range(len(streams))], streams, CLOSED_S)
 
 
 def _closed(what: str, load: Load) -> Figure:
@@ -166,7 +167,7 @@ class Fleet:
     @staticmethod
     def commissioned(parts: Parts) -> Fleet:
         """Plants, tokens and monitors, the latter calibrated once, for all of them are alike."""
-        plant, rng = Plant.from_document(document("robot-0000")), np.random.default_rng(5)
+        plant, rng = Plant.from_document(plant_document("robot-0000")), np.random.default_rng(5)
         healthy, worn = ([recorded(friction, i, rng) for i in range(RUNS)] for friction in (0.0, WORN))
         fleet = Fleet([], plant, healthy, worn, itertools.count(1))
         reference = [fleet.episode(recorded(0.0, i, rng), Role.REFERENCE) for i in range(REFERENCE)]
@@ -221,27 +222,16 @@ def recorded(friction: float, number: int, rng: np.random.Generator) -> Recorded
     """A batch of a machine that is as its model says but for friction."""
     machine = Machine("oscillator", K, C, B, 1.0)
     machine = machine.having("coulomb_friction", {"level": friction}) if friction else machine
-    series = 0.8 * planned(SHAPES[number % len(SHAPES)], round(BATCH_S / STEP_S) + 51, STEP_S, rng)
+    series = 0.8 * planned(SHAPES[number % len(SHAPES)], round(SECONDS / STEP_S) + 51, STEP_S, rng)
     found = simulated(machine, series, STEP_S, 20, SIGMA, rng, warm_up=50)
     return Recorded(found.t_s, found.observed, found.issued[:, None])
-
-
-def document(name: str) -> dict[str, object]:
-    """A plant of the fleet."""
-    return {
-        "name": name,
-        "nominal": {"family": "oscillator", "parameters": {"k": K, "c": C, "b": B}, "timestep_s": STEP_S},
-        "commands": [{"name": "u", "unit": "rad/s^2", "limits": [-1.0, 1.0]}],
-        "observations": [{"name": "q", "unit": "rad"}, {"name": "v", "unit": "rad/s"}],
-        "evaluation": {"horizon_s": 2.0},
-    }
 
 
 def _commissioned(parts: Parts, monitor: Monitor, name: str, *, wears: bool) -> Robot:
     token, prefix, secret = new_token()
     with writing(parts.database) as writer:
-        record, _ = register_plant(writer, document(name), STAMP)
-        artifact = nominal_artifact(Plant.from_document(document(name))).digest
+        record, _ = register_plant(writer, plant_document(name), STAMP)
+        artifact = nominal_artifact(Plant.from_document(plant_document(name))).digest
         mine = replace(monitor, plant=record.digest, artifact=artifact)
         kept = {detector: list(state) for detector, state in mine.begin().items()}
         add_monitor(writer, name, json.loads(json.dumps(mine.document())), kept, None, STAMP.now, STAMP)

@@ -116,7 +116,8 @@ def restore(parts: Parts, archive: Archive, told: Told) -> int:
         writer.put_log(archive.entries(0, archive.head()[0]))
         jobs = writer.jobs_under_way()
         for job in jobs:
-            parts.queue.enqueue(writer.connection, job, find.job(writer, job).kind)
+            found = find.job(writer, job)
+            parts.queue.enqueue(writer.connection, job, found.kind, found.plant)
     return len(jobs)
 
 

@@ -147,6 +147,8 @@ def _in_child(handle: int) -> NoReturn:
         with socket.socket(fileno=handle) as asked:
             _child(asked)
         code = 0
+    except BrokenPipeError:
+        code = 0  # whoever asked is gone
     except Exception:  # noqa: BLE001  (told, and the process ends)
         sys.excepthook(*sys.exc_info())
     finally:

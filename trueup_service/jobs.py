@@ -61,11 +61,17 @@ class JobQueue:
         with self._lock:
             self._client  # noqa: B018
 
-    def enqueue(self, connection: Connection, job: str, kind: str) -> None:
+    def enqueue(self, connection: Connection, job: str, kind: str, plant: str) -> None:
         """Queue a job in the caller's transaction; the job's id is the workflow's, so a second time changes nothing."""
-        self._client.enqueue_in_transaction(
-            connection, {"workflow_name": WORKFLOW, "queue_name": queue_of(kind), "workflow_id": job, "app_version": ENGINE_VERSION}, job
-        )
+        options: EnqueueOptions = {
+            "workflow_name": WORKFLOW,
+            "queue_name": queue_of(kind),
+            "workflow_id": job,
+            "app_version": ENGINE_VERSION,
+        }
+        if (alone := alone_with(kind, plant)) is not None:
+            options["queue_partition_key"] = alone
+        self._client.enqueue_in_transaction(connection, options, job)
 
     def knows(self, job: str) -> bool:
         """Whether the engine has an entry of a job."""
@@ -116,6 +122,11 @@ class JobQueue:
 def queue_of(kind: str) -> str:
     """Where jobs of a kind wait."""
     return WATCHING if kind == "watch" else QUEUE
+
+
+def alone_with(kind: str, plant: str) -> str | None:
+    """What no two jobs of a kind do at once: two looks at one plant would both read what only one may count."""
+    return plant if kind == "watch" else None
 
 
 def migrate_engine(url: str) -> None:

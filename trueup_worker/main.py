@@ -77,10 +77,15 @@ def _launch(parts: Parts, name: str) -> None:
         return str(DBOS.run_step({"name": "finish", **RETRIED}, finish, parts, job_id, found))
 
     DBOS.launch()
-    for queue, at_once in ((QUEUE, 1), (WATCHING, WATCHED_AT_ONCE)):
-        DBOS.register_queue(
-            queue, worker_concurrency=at_once, polling_interval_sec=parts.settings.job_poll_interval_s, on_conflict="always_update"
-        )
+    every_s = parts.settings.job_poll_interval_s
+    DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=every_s, on_conflict="always_update")
+    DBOS.register_queue(
+        WATCHING,
+        worker_concurrency=WATCHED_AT_ONCE,
+        partition_concurrency=1,  # over all workers, of one plant
+        polling_interval_sec=every_s,
+        on_conflict="always_update",
+    )
 
 
 class _Withdrawn(logging.Filter):

@@ -25,7 +25,7 @@ from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 from trueup.canonical import Json
 from trueup_service.actions.finish_job import finish_job
 from trueup_service.actions.stamp import Stamp, time_text
-from trueup_service.jobs import ENGINE_VERSION, QUEUE, queue_of
+from trueup_service.jobs import ENGINE_VERSION, QUEUE, alone_with, queue_of
 from trueup_service.locks import try_lock
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import FINAL, JobRecord, JobState
@@ -152,7 +152,13 @@ def _begin_again(job: JobRecord, last: str, attempts: int) -> None:
     steps = DBOS.list_workflow_steps(last)
     failed = next((s["function_id"] for s in steps if s["error"] is not None), len(steps) + 1)
     with SetWorkflowID(f"{job.id}{AGAIN}{attempts}"):
-        DBOS.fork_workflow(last, failed, application_version=ENGINE_VERSION, queue_name=queue_of(job.kind))
+        DBOS.fork_workflow(
+            last,
+            failed,
+            application_version=ENGINE_VERSION,
+            queue_name=queue_of(job.kind),
+            queue_partition_key=alone_with(job.kind, job.plant),
+        )
     log.warning("begun again", extra={"job": job.id, "attempt": attempts + 1})
 
 

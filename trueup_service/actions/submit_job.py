@@ -150,7 +150,7 @@ def _digests(episodes: Sequence[EpisodeRecord]) -> list[str]:
 def _submit(writer: Writer, queue: JobQueue, job: str, plant: str, kind: str, frozen: dict[str, Json], stamp: Stamp) -> JobRecord:
     record = JobRecord(job, plant, kind, frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now)
     writer.add_job(record)
-    queue.enqueue(writer.connection, job, kind)
+    queue.enqueue(writer.connection, job, kind, plant)
     writer.append_audit(
         at=stamp.now,
         kind="job:submitted",
