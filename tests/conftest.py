@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from tests.support.postgres import Postgres, start_postgres
 from tests.support.s3 import S3, start_s3
@@ -15,6 +16,8 @@ from tests.support.service import ADMIN, Service
 from tests.support.storage import Storage, embedded, scaled
 from trueup_client import Client
 
+settings.register_profile("trueup", deadline=None)  # no test is about how fast a machine is
+settings.load_profile("trueup")
 os.environ["TRUEUP_ADMIN_TOKEN"] = os.environ["TRUEUP_TOKEN"] = ADMIN
 EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
 

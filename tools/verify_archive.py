@@ -32,6 +32,7 @@ KEYS = {
     "imports": "plant", "monitors": "plant digest", "watching": "plant", "watches": "plant monitor sequence", "alarms": "id",
     "policies": "plant sequence", "evidence": "plant digest", "channels": "plant name", "channel_moves": "plant channel generation",
 }  # fmt: skip
+ENDORSEMENT = "trueup: the log is signed from here on by"
 APART = ("projects", "tokens")
 BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")
 TELL_OF_MOVES = {"moves": ("pointer:moved", "plant:registered"), "channel_moves": ("channel:moved",)}
@@ -146,6 +147,15 @@ def opened(note, key):
     return None
 
 
+def followed(key, endorsements):
+    """The last of the keys that take over from one another, each endorsed by the one before."""
+    for note in endorsements:
+        first, _, then = (opened(note, key) or "").partition("\n")
+        if first == ENDORSEMENT and then.split("+")[0] == key.split("+")[0]:
+            key = then
+    return key
+
+
 # -- the log's tree (RFC 9162)
 
 
@@ -224,7 +234,7 @@ class Archive:
 
 def findings(archive, key):
     """What does not hold."""
-    key = key or archive.config["key"]
+    key = followed(key or archive.config["key"], archive.config.get("endorsements", ()))
     plant, head = archive.config["plant"], opened(archive.config["checkpoint"], key)
     if head is None or head.split("\n")[0] != key.split("+")[0]:
         return ["the head of the log is not signed by the key"]

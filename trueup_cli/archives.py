@@ -112,7 +112,8 @@ def _whole(source: Path, key: str | None) -> Iterator[Archive]:
 
     archive = Archive(source)
     try:
-        signer = Key.from_text(key or str(archive.config["key"]))
+        believed = Key.from_text(key or str(archive.config["key"]))
+        signer = [believed, *believed.followed(archive.endorsements)][-1]
         Checkpoint.of(str(archive.config["checkpoint"]), signer)
         if signer.opened(archive.signature) != statement_of(f"sha256:{archive.digest}"):
             raise NotSigned("the archive is not the one that its site signed")

@@ -333,6 +333,10 @@ class Client:
         """The log's public key, as the service gives it: keep it."""
         return self._to.whole("GET", "/v1/audit/key", lambda: None).decode().strip()
 
+    def endorsements(self) -> list[str]:
+        """The notes by which keys of the log handed over to the next, in order."""
+        return [key["endorsement"] for key in self._get("/v1/audit/keys")["items"] if key["endorsement"]]
+
     def checkpoint(self) -> str:
         """The log's signed head, as a note."""
         return self._to.whole("GET", "/v1/audit/checkpoint", lambda: None).decode()
@@ -349,7 +353,7 @@ class Client:
         """Let a witness see the log as it is now. Raises NotSigned, Rewritten."""
         if witness.key is None:
             witness.pin(self.audit_key())
-        return witness.see(self.checkpoint(), self.consistency)
+        return witness.see(self.checkpoint(), self.consistency, self.endorsements)
 
     def rows(self, table: str) -> Iterator[Document]:
         """The registry's rows of a table, as they are stored."""

@@ -9,7 +9,7 @@ import base64
 import binascii
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,7 @@ from trueup_client.problem import NotSigned
 
 HASH_BYTES, KEY_HASH_BYTES = 32, 4
 ED25519 = b"\x01"
+ENDORSEMENT = "trueup: the log is signed from here on by"
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +28,11 @@ class Key:
     name: str
     hash: bytes
     public: bytes
+
+    @property
+    def text(self) -> str:
+        """The key as one line."""
+        return f"{self.name}+{self.hash.hex()}+{base64.b64encode(ED25519 + self.public).decode()}"
 
     @staticmethod
     def from_text(text: str) -> Key:
@@ -54,6 +60,19 @@ class Key:
                     return f"{text}\n"
                 break
         raise NotSigned(f"the note is not signed by {self.name}")
+
+    def followed(self, endorsements: Iterable[str]) -> list[Key]:
+        """The keys that take over from this one, in order: each is endorsed by the one before, for the same log."""
+        found = [self]
+        for note in endorsements:
+            try:
+                first, verifier, *_ = found[-1].opened(note).split("\n")
+                then = Key.from_text(verifier)
+            except (NotSigned, ValueError):
+                continue
+            if first == ENDORSEMENT and then.name == self.name:
+                found.append(then)
+        return found[1:]
 
     def payload(self, envelope: dict[str, Any], payload_type: str) -> Any:
         """The document in an envelope, if this key signed it as of this type. Raises NotSigned."""

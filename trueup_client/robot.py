@@ -24,6 +24,7 @@ from typing import Any
 
 from trueup_client.client import Client, is_whole, sync_folder
 from trueup_client.problem import NotSigned, Rewritten
+from trueup_client.proof import Key
 from trueup_client.witness import Witness
 
 ENVELOPE_TYPE, SCHEMA = "application/vnd.trueup.serving+json", "trueup.serving/1"
@@ -110,7 +111,7 @@ class Robot:
             if self._witness.key is None:
                 self._witness.pin(client.audit_key())
             envelope = client.serving_envelope(self._plant)
-            answer, checkpoint = self._opened(envelope)
+            answer, checkpoint = self._witness.believed(lambda key: self._opened(envelope, key), client.endorsements)
             self._witness.see(checkpoint, client.consistency)
             self._require_later(answer)
             self._highest = answer.generation, answer.artifact
@@ -142,11 +143,9 @@ class Robot:
                 self.problem = error
             self._stop.wait(interval_s)
 
-    def _opened(self, envelope: dict[str, Any]) -> tuple[Answer, str]:
+    def _opened(self, envelope: dict[str, Any], key: Key) -> tuple[Answer, str]:
         """The answer in an envelope, and the checkpoint beside it. Raises NotSigned."""
-        if self._witness.key is None:
-            raise NotSigned("no key is pinned yet")
-        found = self._witness.key.payload(envelope, ENVELOPE_TYPE)
+        found = key.payload(envelope, ENVELOPE_TYPE)
         if found.get("schema") != SCHEMA or found.get("plant") != self._plant:
             raise NotSigned(f"the answer is not for plant {self._plant!r}")
         return Answer(**{name: found[name] for name in Answer.__slots__}), found["checkpoint"]
@@ -169,13 +168,14 @@ class Robot:
 
     def _kept(self) -> Model | None:
         """The last good model of an earlier run; None where there is none, or it was damaged."""
-        path = self._folder / "serving.json"
-        try:
-            answer, _ = self._opened(json.loads(path.read_text()))
-        except (OSError, ValueError, NotSigned):
-            return None
-        folder = self._models(answer.artifact)
-        return Model(folder, answer) if is_whole(folder, answer.artifact) else None
+        for key in self._witness.keys:  # an answer of before the key was replaced is still the last good one
+            try:
+                answer, _ = self._opened(json.loads((self._folder / "serving.json").read_text()), key)
+            except (OSError, ValueError, NotSigned):
+                continue
+            folder = self._models(answer.artifact)
+            return Model(folder, answer) if is_whole(folder, answer.artifact) else None
+        return None
 
     def _seen(self) -> tuple[int, str]:
         """The highest generation that was seen, and its artifact."""

@@ -1,6 +1,7 @@
 """A client as a witness of the log: it keeps the last checkpoint that it saw, and refuses a log that does not extend it.
 
-The file holds the log's public key, pinned at the first look unless it was given, and the checkpoint. Many witnesses who never talk to
+The file holds the log's public key, pinned at the first look unless it was given, and the checkpoint. Where the log has another key by
+now, the witness follows if the pinned one endorses it, from each to the next. Many witnesses who never talk to
 each other still make it costly to show each of them another history: each refuses what does not extend its own.
 """
 
@@ -9,13 +10,15 @@ from __future__ import annotations
 import json
 import os
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 from trueup_client.problem import NotSigned, Problem, Rewritten
 from trueup_client.proof import Checkpoint, Key, extends
 
+T = TypeVar("T")
+Endorsements: TypeAlias = "Callable[[], Iterable[str]]"  # the notes by which keys handed over, asked for where the pinned key did not sign
 BAD_REQUEST = 400  # how a log answers that is shorter than it was
 Proof: TypeAlias = "Callable[[int, int], Sequence[bytes]]"  # that a log of the second size extends one of the first
 
@@ -29,30 +32,45 @@ class Witness:
     def __init__(self, path: str | os.PathLike[str], key: str | None = None) -> None:
         self._path = Path(path)
         found = json.loads(self._path.read_text()) if self._path.exists() else {}
-        pinned = found.get("key")
-        if key is not None and pinned is not None and key.strip() != pinned:
+        pinned = [*found.get("before", []), found["key"]] if "key" in found else []
+        if key is not None and pinned and key.strip() not in pinned:
             raise NotSigned(f"{self._path} was pinned to another key")
-        self._key_text: str | None = key.strip() if key else pinned
-        self.key: Key | None = Key.from_text(self._key_text) if self._key_text else None
-        self.last: Checkpoint | None = Checkpoint.of(found["checkpoint"], self.key) if self.key and "checkpoint" in found else None
+        self.keys: list[Key] = [Key.from_text(text) for text in pinned or ([key] if key else [])]  # the one to believe last
+        self.last: Checkpoint | None = Checkpoint.of(found["checkpoint"], self.keys[-1]) if self.keys and "checkpoint" in found else None
+
+    @property
+    def key(self) -> Key | None:
+        """The key to believe, None before one was pinned."""
+        return self.keys[-1] if self.keys else None
 
     def pin(self, key: str) -> Key:
         """The key to believe: the one pinned, else this one from now on. Raises NotSigned where it is another."""
         offered = Key.from_text(key)
-        if self.key is None:
-            self.key, self._key_text = offered, key.strip()
-        if offered != self.key:
+        self.keys = self.keys or [offered]
+        if offered != self.keys[-1]:
             raise NotSigned(f"the log is signed by another key than the one pinned in {self._path}")
-        return self.key
+        return offered
 
-    def see(self, note: str, prove: Proof) -> Checkpoint:
+    def believed(self, read: Callable[[Key], T], endorsements: Endorsements) -> T:
+        """What a key to believe signed: the pinned one, else one that it endorses. Raises NotSigned."""
+        if not self.keys:
+            raise NotSigned("no key is pinned yet")
+        try:
+            return read(self.keys[-1])
+        except NotSigned:
+            then = self.keys[-1].followed(endorsements())
+            if not then:
+                raise
+        found = read(then[-1])
+        self.keys += then
+        return found
+
+    def see(self, note: str, prove: Proof, endorsements: Endorsements = list) -> Checkpoint:
         """Take a checkpoint, if it is signed and extends the last one. Raises NotSigned, Rewritten.
 
         An older one of the same log changes nothing, so that answers may overtake each other.
         """
-        if self.key is None:
-            raise NotSigned("no key is pinned yet")
-        seen, last = Checkpoint.of(note, self.key), self.last
+        seen, last = self.believed(lambda key: Checkpoint.of(note, key), endorsements), self.last
         if last is not None:
             old, new = sorted((last, seen), key=lambda c: c.size)
             try:
@@ -73,7 +91,8 @@ class Witness:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         beside = self._path.with_name(f"{self._path.name}.{uuid.uuid4().hex}")
         with beside.open("w") as file:
-            json.dump({"key": self._key_text, "checkpoint": self.last.note}, file)
+            *before, key = [key.text for key in self.keys]
+            json.dump({"key": key, "before": before, "checkpoint": self.last.note}, file)
             file.flush()
             os.fsync(file.fileno())
         beside.replace(self._path)

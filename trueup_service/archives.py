@@ -30,7 +30,7 @@ from trueup_service.signed_log import SignedLog
 from trueup_service.wiring import Parts
 
 AT_ONCE = 1000
-BESIDE = ("job_reads", "idempotency")  # of a whole registry, beside what the log names
+BESIDE = ("audit_key", "job_reads", "idempotency")  # of a whole registry, beside what the log names
 NAMES = {EPISODE: "episodes/{}.mcap", ARRAYS: "arrays/{}.safetensors", ENTRIES: "imported/{}.jsonl"}
 KINDS = {"episodes": EPISODE, "artifacts": ARRAYS, "imports": ENTRIES}
 Told = Callable[[float, str], None]
@@ -58,7 +58,13 @@ def export(parts: Parts, log: SignedLog, path: Path, plant: str | None, now: str
             told(0.2 + 0.8 * count / len(named), f"blob {digest[:12]}")
             size = sum(map(len, parts.blobs.stream(digest)))
             archive.add_parts(NAMES[kind].format(digest), kind, digest, size, parts.blobs.stream(digest))
-        config = {"plant": plant, "key": log.signer.verifier, "checkpoint": log.checkpoint_of(reader, tree), "created_at": now}
+        config = {
+            "plant": plant,
+            "key": log.signer.verifier,
+            "endorsements": [key.endorsement for key in reader.audit_keys() if key.endorsement],
+            "checkpoint": log.checkpoint_of(reader, tree),
+            "created_at": now,
+        }
         return archive.close(config, log.signer.note)
 
 
@@ -112,7 +118,6 @@ def restore(parts: Parts, archive: Archive, told: Told) -> int:
             if table.name in (*KEYS, *BESIDE):
                 for row in archive.documents(f"{'beside' if table.name in BESIDE else 'rows'}/{table.name}.jsonl"):
                     writer.put_row(table, row)
-        writer.keep_audit_key(str(archive.config["key"]))
         writer.put_log(archive.entries(0, archive.head()[0]))
         jobs = writer.jobs_under_way()
         for job in jobs:

@@ -100,7 +100,10 @@ class OtherKey(TrueupError):
     """The log is signed with another key than this server's."""
 
     code = "other-key"
-    hint = "Give every server of one database the same TRUEUP_SIGNING_KEY; restore data_dir/signing.key if it was lost."
+    hint = (
+        "Give every server of one database the same TRUEUP_SIGNING_KEY; restore data_dir/signing.key if it was lost. "
+        "To replace the key, give the one before as TRUEUP_SIGNING_KEY_BEFORE, too."
+    )
 
 
 class NotEmpty(TrueupError):

@@ -44,6 +44,11 @@ class Settings(BaseSettings):
         description="Private key that signs the log, one line of `trueup keygen`; unset: data_dir/signing.key, made at the first start. "
         "All servers of one database need the same.",
     )
+    signing_key_before: SecretStr | None = Field(
+        None,
+        description="Private key that the signing key takes over from, needed at one start; for a key in a file, "
+        "data_dir/signing.key.before.",
+    )
     admin_token: SecretStr | None = Field(
         None,
         min_length=32,

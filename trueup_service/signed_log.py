@@ -9,17 +9,21 @@ import os
 import secrets
 import threading
 import uuid
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 from trueup.canonical import Json
 from trueup.ledger.merkle import EMPTY, Frontier, cover, fold
 from trueup.ledger.note import Signer, head_of
+from trueup_service.actions.stamp import time_text
 from trueup_service.errors import LogRewound, OtherKey
 from trueup_service.registry.database import Database
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.records import AuditKey
+from trueup_service.registry.store import Reader, Writer, writing
 from trueup_service.settings import Settings
 
-KEY_FILE, CHECKPOINT_FILE = "signing.key", "checkpoint"
+KEY_FILE, KEY_FILE_BEFORE, CHECKPOINT_FILE = "signing.key", "signing.key.before", "checkpoint"
 
 
 class SignedLog:
@@ -75,19 +79,44 @@ def root_at(reader: Reader, size: int) -> bytes:
 
 
 def open_log(settings: Settings, database: Database) -> SignedLog:
-    """The log with its key, which is made at the first start. Raises BadKey, OtherKey."""
-    if settings.signing_key is not None:
-        signer = Signer.from_text(settings.signing_key.get_secret_value())
-    else:
-        signer = Signer.from_text(_key_text(settings.data_dir / KEY_FILE))
+    """The log with its key, which is made at the first start, and takes over from the one before. Raises BadKey, OtherKey."""
+    signer, before = _signers(settings)
     with writing(database) as writer:
         writer.lock_name("audit key")
-        known = writer.audit_key()
-        if known is None:
-            writer.keep_audit_key(signer.verifier)
-        elif known != signer.verifier:
-            raise OtherKey(f"the log is signed with {known}", log=known, server=signer.verifier)
+        keys = writer.audit_keys()
+        if not keys:
+            writer.add_audit_key(AuditKey(signer.verifier, None))
+        elif keys[-1].verifier != signer.verifier:
+            _take_over(writer, keys, signer, before)
     return SignedLog(database, signer, settings.data_dir / CHECKPOINT_FILE)
+
+
+def _signers(settings: Settings) -> tuple[Signer, Signer | None]:
+    """The key that signs, and the one that it takes over from, if that is at hand."""
+    if settings.signing_key is not None:
+        before = settings.signing_key_before
+        return Signer.from_text(settings.signing_key.get_secret_value()), Signer.from_text(before.get_secret_value()) if before else None
+    path = settings.data_dir / KEY_FILE_BEFORE
+    old = Signer.from_text(path.read_text()) if path.exists() else None
+    return Signer.from_text(_key_text(settings.data_dir / KEY_FILE, old.name if old else None)), old
+
+
+def _take_over(writer: Writer, keys: Sequence[AuditKey], signer: Signer, before: Signer | None) -> None:
+    """The key before endorses this one, and the log says so. Raises OtherKey."""
+    known = keys[-1].verifier
+    told = {"log": known, "server": signer.verifier}
+    if before is None or before.verifier != known:
+        raise OtherKey(f"the log is signed with {known}", **told)
+    if before.name != signer.name:
+        raise OtherKey(f"the log is {before.name!r}, and the key that is to take over is for {signer.name!r}", **told)
+    if signer.verifier in [key.verifier for key in keys]:
+        raise OtherKey("the key that is to take over has been replaced before", **told)
+    endorsement = before.endorsement(signer.verifier)
+    writer.add_audit_key(AuditKey(signer.verifier, endorsement))
+    facts: dict[str, Json] = {"before": known, "endorsement": endorsement}
+    writer.append_audit(
+        at=time_text(datetime.now(UTC)), kind="key:replaced", actor="server", plant=None, subject=signer.verifier, facts=facts
+    )
 
 
 def new_signer(name: str | None = None) -> Signer:
@@ -95,11 +124,11 @@ def new_signer(name: str | None = None) -> Signer:
     return Signer(name or f"trueup-{secrets.token_hex(6)}", secrets.token_bytes(32))
 
 
-def _key_text(path: Path) -> str:
+def _key_text(path: Path, name: str | None) -> str:
     """The key of a folder, made if there is none; of several processes that start at once, one makes it."""
     if not path.exists():
         beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
-        _write(beside, new_signer().text + "\n")
+        _write(beside, new_signer(name).text + "\n")
         try:
             os.link(beside, path)
         except FileExistsError:

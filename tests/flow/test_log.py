@@ -5,8 +5,11 @@ import json
 import random
 import shutil
 import struct
+import subprocess
+import sys
 import urllib.error
 import urllib.request
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -22,8 +25,10 @@ from trueup.ledger.note import Signer
 from trueup.ledger.verification import verify
 from trueup_client import Client, NotSigned, Problem, Rewritten, Robot, Witness
 from trueup_client.proof import Checkpoint, Key, includes, leaf_hash
+from trueup_service.archives import export
 from trueup_service.errors import LogRewound, OtherKey
 from trueup_service.kept import Kept, lost_jobs, published, unnamed
+from trueup_service.registry.store import Reader
 from trueup_service.settings import Settings
 from trueup_service.signed_log import open_log
 from trueup_service.wiring import build
@@ -178,13 +183,13 @@ def test_a_robot_refuses_an_older_generation_a_forged_answer_and_one_for_another
     moved = move(client, "p", 1.3)
     assert robot.refresh().answer.generation == moved.generation
     with pytest.raises(Rewritten):
-        robot._require_later(robot._opened(old)[0])
+        robot._require_later(robot._opened(old, robot._witness.key)[0])
     payload = json.loads(base64.b64decode(old["payload"]))
     with pytest.raises(NotSigned):
-        robot._opened(old | {"payload": base64.b64encode(json.dumps(payload | {"generation": 99}).encode()).decode()})
+        robot._opened(old | {"payload": base64.b64encode(json.dumps(payload | {"generation": 99}).encode()).decode()}, robot._witness.key)
     client.register_plant(plant_document("q"))
     with pytest.raises(NotSigned):
-        robot._opened(client.serving_envelope("q"))
+        robot._opened(client.serving_envelope("q"), robot._witness.key)
     assert robot.current().answer.generation == moved.generation
 
 
@@ -194,6 +199,79 @@ def test_a_robot_whose_kept_answer_was_changed_has_none(told, tmp_path):
     kept = tmp_path / "robot" / "serving.json"
     kept.write_text(kept.read_text().replace('"sig": "', '"sig": "A'))
     assert Robot("http://127.0.0.1:9", "p", tmp_path / "robot").current() is None
+
+
+# -- a key that takes over
+
+
+def test_a_key_takes_over_and_whoever_pinned_the_one_before_follows_by_its_word_alone(tmp_path):
+    service, folder = Service(embedded(tmp_path / "data")), tmp_path / "data"
+    with service.running(worker=False):
+        with closing(Client(service.url)) as client:
+            client.register_plant(plant_document("p"))
+            first = client.audit_key()
+            for name in ("robot", "cut off"):
+                Robot(service.url, "p", tmp_path / name, first).refresh()
+            client.witness(Witness(tmp_path / "seen.json", first))
+            before = Checkpoint.of(client.checkpoint(), Key.from_text(first))
+        service.stop()
+        (folder / "signing.key").rename(folder / "signing.key.before")
+        service.start_server()
+        with closing(Client(service.url)) as client:
+            then = client.audit_key()
+            (folder / "signing.key.before").unlink()
+            assert then != first
+            assert client.witness(Witness(tmp_path / "seen.json", first)).size == before.size + 1
+            again = Witness(tmp_path / "seen.json", first)  # as a script names it that has not been told
+            assert [key.text for key in again.keys] == [first, then]
+            assert again.last.size == before.size + 1
+            with pytest.raises(NotSigned):
+                client.witness(Witness(tmp_path / "other.json", GOLDEN_KEY))
+            cut_off = Robot("http://127.0.0.1:9", "p", tmp_path / "cut off", first)
+            cut_off._witness.keys = again.keys  # it stopped between the new key and the new answer
+            assert cut_off._kept() is not None
+            robot = Robot(service.url, "p", tmp_path / "robot", first)
+            kept = (tmp_path / "robot" / "serving.json").read_text()
+            assert robot.refresh().answer.generation == 1
+            assert (tmp_path / "robot" / "serving.json").read_text() != kept
+            assert Robot("http://127.0.0.1:9", "p", tmp_path / "robot", first).current() is not None
+            (entry,) = (e for e in client.audit() if e["kind"] == "key:replaced")
+            assert (entry["subject"], entry["facts"]["before"]) == (then, first)
+        assert command(service, "audit", "verify").returncode == 0
+    parts = build(Settings(data_dir=folder))
+    export(parts, open_log(parts.settings, parts.database), tmp_path / "p.tar", "p", "2026-01-01T00:00:00.000000Z", lambda *_: None)
+    parts.close()
+    verifier = [sys.executable, str(Path(__file__).parents[2] / "tools" / "verify_archive.py"), str(tmp_path / "p.tar")]
+    for key, expected in ((first, 0), (then, 0), (GOLDEN_KEY, 4)):
+        done = subprocess.run([*verifier, key], capture_output=True, text=True, check=False)
+        assert done.returncode == expected, done.stdout
+
+
+def test_a_key_takes_over_only_from_the_one_that_signs_and_for_the_same_log(tmp_path):
+    def opened(key, before=None):
+        log = open_log(Settings(data_dir=tmp_path, signing_key=key.text, signing_key_before=before and before.text), parts.database)
+        return log.signer.verifier
+
+    first, second, third = (Signer("log.example", bytes([n]) * 32) for n in range(3))
+    parts = build(Settings(data_dir=tmp_path))
+    opened(first)
+    for key, before in ((second, None), (second, third), (second, second), (Signer("another.example", bytes(32)), first)):
+        with pytest.raises(OtherKey):
+            opened(key, before)
+    assert opened(second, first) == opened(second) == second.verifier
+    with pytest.raises(OtherKey):
+        opened(first, second)  # what was taken out of use stays out
+    assert opened(third, second) == third.verifier
+    with parts.database.read() as connection:
+        keys = Reader(connection).audit_keys()
+    parts.close()
+    notes = [key.endorsement for key in keys if key.endorsement]
+    pinned = Key.from_text(first.verifier)
+    assert [key.text for key in pinned.followed(notes)] == [second.verifier, third.verifier]
+    assert pinned.followed(reversed(notes)) == pinned.followed(notes[:1])
+    stolen = Signer("log.example", bytes([9]) * 32)
+    for note in (stolen.endorsement(stolen.verifier), first.note(f"another line\n{stolen.verifier}\n"), first.checkpoint(3, bytes(32)), ""):
+        assert pinned.followed([note]) == []
 
 
 # -- provenance
@@ -343,11 +421,11 @@ def test_a_robot_keeps_the_highest_generation_that_it_saw_though_it_could_not_fe
     assert robot.current() == before
     again = Robot(service.url, "p", tmp_path / "robot")
     with pytest.raises(Rewritten):
-        again._require_later(again._opened(old)[0])
+        again._require_later(again._opened(old, again._witness.key)[0])
     late = Robot(service.url, "p", tmp_path / "other", clock=lambda: datetime.now(UTC) + timedelta(days=2))
     late._witness.pin(client.audit_key())
     with pytest.raises(NotSigned):
-        late._require_later(late._opened(old)[0])
+        late._require_later(late._opened(old, late._witness.key)[0])
 
 
 def test_a_robot_does_not_take_a_damaged_model_for_whole(told, tmp_path):

@@ -7,8 +7,9 @@
       episodes/<digest>.mcap        recordings
       arrays/<digest>.safetensors   what artifacts name
 
-The configuration holds the log's public key and its signed head. Of a whole registry all entries are there, and the tree is rebuilt from
-them; of one plant, its own, each proven. It is a folder, or a tar file of one, which is read where it lies: nothing in it names a path.
+The configuration holds the log's public key, the notes by which earlier keys handed over to it, and its signed head. Of a whole registry
+all entries are there, and the tree is rebuilt from them; of one plant, its own, each proven. It is a folder, or a tar file of one, which is
+read where it lies: nothing in it names a path.
 Source: OCI image-layout and image-manifest specifications, version 1.1.
 """
 
@@ -210,6 +211,7 @@ class Archive:
             if self.config["schema"] != SCHEMA:
                 raise BadArchive(f"the archive is a {self.config['schema']}")
             self.plant: str | None = self.config["plant"]
+            self.endorsements: list[str] = [str(note) for note in self.config.get("endorsements", ())]
             self._held = {digest for title, digest in self._layers.items() if title.startswith(("episodes/", "arrays/", "imported/"))}
         except (StopIteration, KeyError, TypeError, AttributeError) as error:
             raise BadArchive(f"{path} does not describe itself as an archive") from error

@@ -3,6 +3,7 @@
     key          <name>+<hash>+<base64(0x01 || public key)>, hash being the first four bytes of SHA-256(name, newline, 0x01, public key)
     note         text, an empty line, and for each key: "— <name> <base64(hash || signature)>"
     checkpoint   a note of three lines: origin, size of the log, base64 of its root
+    endorsement  a note of two lines, by which a key hands over to the next: ENDORSEMENT, and that key
     envelope     {"payload", "payloadType", "signatures"}; what is signed is "DSSEv1", lengths, type and payload (PAE)
 
 Ed25519 signs the same bytes the same way each time, so a document signed again is the same envelope.
@@ -26,6 +27,7 @@ from trueup.errors import TrueupError
 ED25519 = b"\x01"
 SEED_BYTES = 32
 PRIVATE = "PRIVATE+KEY+"
+ENDORSEMENT = "trueup: the log is signed from here on by"  # no checkpoint begins so: an origin has no space
 _NAME = re.compile(r"[^\s+]+")
 
 
@@ -94,6 +96,10 @@ class Signer:
     def checkpoint(self, size: int, root: bytes) -> str:
         """The state of the log as a signed note."""
         return self.note(f"{self.name}\n{size}\n{_base64(root)}\n")
+
+    def endorsement(self, verifier: str) -> str:
+        """That the log goes on under another key, as a signed note."""
+        return self.note(f"{ENDORSEMENT}\n{verifier}\n")
 
     def envelope(self, payload_type: str, document: Json) -> dict[str, Json]:
         """A document, canonical, in a DSSE envelope."""

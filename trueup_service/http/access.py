@@ -104,6 +104,7 @@ ACCESS: Mapping[tuple[str, str], Rule] = {
     ("POST", f"{PLANT}/channels/{{channel}}/move"): OPERATORS,
     ("GET", "/v1/audit"): AUDITORS,
     ("GET", "/v1/audit/key"): ANYBODY,
+    ("GET", "/v1/audit/keys"): ANYBODY,
     ("GET", "/v1/audit/checkpoint"): ANYBODY,
     ("GET", "/v1/audit/inclusion"): ANYBODY,
     ("GET", "/v1/audit/consistency"): ANYBODY,

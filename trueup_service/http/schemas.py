@@ -355,6 +355,19 @@ class AuditEntry(Answer):
     rows: dict[str, Digest] = Field(description="Every row that was written: table/key, and its digest as it was then")
 
 
+class AuditKey(BaseModel):
+    """A public key under which the log was signed; `endorsement` is the note in which the one before hands over to it."""
+
+    verifier: str
+    endorsement: str | None
+
+
+class AuditKeys(BaseModel):
+    """The keys of the log, in order; the last one signs."""
+
+    items: list[AuditKey]
+
+
 class Proof(BaseModel):
     """A proof of RFC 9162, in a log of `size` entries."""
 

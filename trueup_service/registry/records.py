@@ -184,6 +184,14 @@ class ImportRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class AuditKey:
+    """A public key under which the log was signed, and the note in which the one before handed over to it."""
+
+    verifier: str
+    endorsement: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class MonitorRecord:
     """A calibrated monitor of one artifact."""
 

@@ -42,6 +42,7 @@ from trueup_service.registry.records import (
     AlarmRecord,
     Approval,
     ArtifactRecord,
+    AuditKey,
     ChannelMove,
     ChannelRecord,
     DecisionRecord,
@@ -372,10 +373,10 @@ class Reader:
         query = select(t.audit_tree.c.hash).where(at >= begin, at < begin + count).order_by(at)
         return [bytes(found) for found in self.connection.scalars(query)]
 
-    def audit_key(self) -> str | None:
-        """The public key of the log's signatures."""
-        found: str | None = self.connection.scalar(select(t.audit_key.c.verifier))
-        return found
+    def audit_keys(self) -> list[AuditKey]:
+        """The public keys under which the log was signed, the one that signs now last."""
+        query = select(t.audit_key.c.verifier, t.audit_key.c.endorsement).order_by(t.audit_key.c.id)
+        return [AuditKey(*row) for row in self.connection.execute(query)]
 
     def rows(self, table: Table, after: Sequence[Any], limit: int, plant: str | None = None) -> list[dict[str, Any]]:
         """Rows as they are stored, in the order of their keys, from behind one; of all plants or of one."""
@@ -597,9 +598,9 @@ class Writer(Reader):
         self.connection.execute(_INSERT[t.audit_tree.name], nodes)
         return grown
 
-    def keep_audit_key(self, verifier: str) -> None:
-        """Keep the public key of the log's signatures."""
-        self._add(t.audit_key, {"id": 1, "verifier": verifier})
+    def add_audit_key(self, key: AuditKey) -> None:
+        """Keep the public key that signs the log from now on."""
+        self._add(t.audit_key, {"id": 1 + len(self.audit_keys()), **asdict(key)})
 
     def _add(self, table: Table, values: dict[str, Any]) -> None:
         stored = {k: _text(v) if k in _JSON and v is not None else v for k, v in values.items()}

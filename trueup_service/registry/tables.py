@@ -343,6 +343,7 @@ audit_key = Table(
     metadata,
     Column("id", Integer, primary_key=True, autoincrement=False),
     Column("verifier", Text, nullable=False),
+    Column("endorsement", Text),
 )
 
 idempotency = Table(

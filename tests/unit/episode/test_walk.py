@@ -241,7 +241,7 @@ def test_a_limit_is_held(name):
     assert refused.value.facts["limit"] == limit
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.integers(0, len(SOUND) - 1), st.integers(1, 255))
 def test_a_flipped_byte_is_read_or_refused_but_never_anything_else(at, by):
     data = bytearray(file(SCHEMA, CHANNEL, chunk(MESSAGE * 3), MESSAGE, summary=statistics(4, 1)))

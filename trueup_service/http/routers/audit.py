@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import re
 import struct
+from dataclasses import asdict
 from typing import Annotated, Any
 
 import orjson
@@ -21,7 +22,7 @@ from trueup.ledger.rows import KEYS
 from trueup_service.errors import BadRequest, NotFound
 from trueup_service.http.context import Limit, With
 from trueup_service.http.guard import Asking, guarded
-from trueup_service.http.schemas import AuditEntry, Page, Proof, Rows, page
+from trueup_service.http.schemas import AuditEntry, AuditKey, AuditKeys, Page, Proof, Rows, page
 from trueup_service.registry.store import Reader
 from trueup_service.registry.tables import metadata
 from trueup_service.signed_log import SignedLog
@@ -56,6 +57,13 @@ def list_entries(
 async def key(request: Request) -> Response:
     """`<name>+<hash>+<key>`, as C2SP signed-note has it. Keep it: whoever asks again at each use believes whoever answers."""
     return Response(_log(request).signer.verifier + "\n", media_type="text/plain")
+
+
+@router.get("/keys", summary="The keys under which the log was signed")
+def keys(parts: With) -> AuditKeys:
+    """In order, each but the first endorsed by the one before: whoever pinned an earlier one need not be told of the last by hand."""
+    with parts.database.read() as connection:
+        return AuditKeys(items=[AuditKey(**asdict(key)) for key in Reader(connection).audit_keys()])
 
 
 @router.get("/checkpoint", summary="The signed head of the log", response_class=Response, responses=TEXT)
