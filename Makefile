@@ -44,7 +44,7 @@ serve: $(RUN) ## run the service on embedded storage in .trueup, with a worker b
 	@$(BIN)/trueup serve
 
 test: $(DEV) ## run every test; brings its own PostgreSQL and S3 server
-	@$(BIN)/python -m pytest -n 2 --dist loadfile
+	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: $(DEV) ## format, lint, types, layers
 	@$(BIN)/ruff format --check .

@@ -1,5 +1,6 @@
 """Killed workers, killed servers, restarts: nothing acknowledged is lost, nothing happens twice."""
 
+import itertools
 import threading
 import time
 
@@ -26,15 +27,50 @@ def long_episode(tmp_path_factory):
     return save(tmp_path_factory.mktemp("long"), "long.mcap", data)
 
 
-@pytest.fixture
-def lone(storage):
-    """A service of this test alone, without a worker."""
-    service = Service(storage)
+@pytest.fixture(scope="module", params=["embedded", "scaled"])
+def server(request, tmp_path_factory):
+    """A server without a worker."""
+    folder, given = tmp_path_factory.mktemp("server"), request.getfixturevalue
+    service = Service(embedded(folder) if request.param == "embedded" else scaled(folder, given("postgres"), given("s3")))
     service.start_server()
-    client = Client(service.url, actor="tester")
-    yield service, client
-    client.close()
+    yield service
     service.stop()
+
+
+class Lone:
+    """One test's plant on a server, and its workers."""
+
+    def __init__(self, service, plant):
+        self.service, self.plant = service, plant
+        self.client = Client(service.url, actor="tester")
+        self.client.register_plant(plant_document(plant))
+        self.workers = []
+
+    def start_worker(self):
+        self.workers.append(self.service.start_worker())
+        return self.workers[-1]
+
+    def begun(self, episode):
+        """A fit that is under way."""
+        self.client.upload_episode(self.plant, episode)
+        return self.client.submit(self.plant, {"kind": "fit", "method": "residual"})["id"]
+
+    def count(self, kind):
+        return sum(e["kind"] == kind for e in self.client.audit(self.plant))
+
+    def end(self):
+        self.client.close()
+        self.service.stop(self.workers)
+
+
+_plants = itertools.count()
+
+
+@pytest.fixture
+def lone(server):
+    found = Lone(server, f"p{next(_plants)}")
+    yield found
+    found.end()
 
 
 def until(condition, seconds=60.0):
@@ -47,40 +83,29 @@ def until(condition, seconds=60.0):
     raise AssertionError("it did not come about")
 
 
-def count(client, kind):
-    return sum(e["kind"] == kind for e in client.audit())
-
-
-def begun(client, long_episode):
-    """A fit that is under way."""
-    client.register_plant(plant_document("p"))
-    client.upload_episode("p", long_episode)
-    return client.submit("p", {"kind": "fit", "method": "residual"})["id"]
-
-
 def test_a_killed_workers_job_is_finished_by_another_once(lone, long_episode):
-    service, client = lone
-    first = service.start_worker()
-    job = begun(client, long_episode)
+    client = lone.client
+    first = lone.start_worker()
+    job = lone.begun(long_episode)
     until(lambda: client.job(job)["state"] == "running")
     kill(first)
     assert client.job(job)["state"] == "running"
-    service.start_worker()
+    lone.start_worker()
     done = client.wait(job)
     assert done["state"] == "succeeded"
-    assert [a["version"] for a in client.artifacts("p")] == [1, 2]
-    assert (count(client, "artifact:added"), count(client, "job:finished")) == (1, 1)
+    assert [a["version"] for a in client.artifacts(lone.plant)] == [1, 2]
+    assert (lone.count("artifact:added"), lone.count("job:finished")) == (1, 1)
 
 
 def test_a_living_worker_takes_over_by_itself(lone, long_episode):
-    service, client = lone
-    workers = [service.start_worker(), service.start_worker()]
-    job = begun(client, long_episode)
+    client = lone.client
+    workers = [lone.start_worker(), lone.start_worker()]
+    job = lone.begun(long_episode)
     until(lambda: client.job(job)["state"] == "running")
     kill(workers[0])
-    again = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
+    again = client.submit(lone.plant, {"kind": "fit", "method": "identify"})["id"]
     assert client.wait(job)["state"] == client.wait(again)["state"] == "succeeded"
-    assert count(client, "job:finished") == 2
+    assert lone.count("job:finished") == 2
 
 
 def given_up_on(service, job, times=1):
@@ -98,52 +123,54 @@ def given_up_on(service, job, times=1):
 
 
 def test_what_the_engine_gave_up_on_is_begun_again(lone, long_episode):
-    service, client = lone
-    job = begun(client, long_episode)
-    given_up_on(service, job, times=2)
-    service.start_worker()
+    client = lone.client
+    job = lone.begun(long_episode)
+    given_up_on(lone.service, job, times=2)
+    lone.start_worker()
     until(lambda: client.job(job)["state"] == "succeeded")
-    assert (count(client, "artifact:added"), count(client, "job:finished")) == (1, 1)
+    assert (lone.count("artifact:added"), lone.count("job:finished")) == (1, 1)
 
 
 def test_what_it_gives_up_on_again_and_again_fails_and_says_so(lone, long_episode):
-    service, client = lone
-    job = begun(client, long_episode)
-    given_up_on(service, job, times=5)
-    service.start_worker()
+    client = lone.client
+    job = lone.begun(long_episode)
+    given_up_on(lone.service, job, times=5)
+    lone.start_worker()
     until(lambda: client.job(job)["state"] == "failed")
     assert client.job(job)["result"]["problem"]["code"] == "given-up"
-    assert count(client, "artifact:added") == 0
+    assert lone.count("artifact:added") == 0
 
 
 def test_a_running_job_can_be_cancelled(lone, long_episode):
-    service, client = lone
-    service.start_worker()
-    job = begun(client, long_episode)
+    client = lone.client
+    lone.start_worker()
+    job = lone.begun(long_episode)
     until(lambda: client.job(job)["state"] == "running")
     client.cancel(job)
     until(lambda: client.job(job)["state"] == "cancelled")
-    assert [a["version"] for a in client.artifacts("p")] == [1]
+    assert [a["version"] for a in client.artifacts(lone.plant)] == [1]
     assert client.job(job)["result"]["problem"]["code"] == "cancelled"
 
 
 def test_a_waiting_job_is_cancelled_at_once_and_never_runs(lone, long_episode):
-    service, client = lone
-    job = begun(client, long_episode)
+    client = lone.client
+    job = lone.begun(long_episode)
     assert client.cancel(job)["state"] == "cancelled"
-    other = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
-    service.start_worker()
+    other = client.submit(lone.plant, {"kind": "fit", "method": "identify"})["id"]
+    lone.start_worker()
     client.wait(other)
     assert client.job(job)["state"] == "cancelled"
     assert client.job(job)["reads"] == {}
 
 
 def test_a_job_waits_out_a_whole_restart(lone, long_episode):
-    service, client = lone
-    job = begun(client, long_episode)
-    service.stop()
-    service.start_server(worker=True)
+    client = lone.client
+    job = lone.begun(long_episode)
+    lone.service.stop()
+    lone.service.start_server(worker=True)
     assert client.wait(job)["state"] == "succeeded"
+    lone.service.stop()
+    lone.service.start_server()
 
 
 def test_a_killed_server_has_lost_nothing_that_it_acknowledged(storage, tmp_path):

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from tests.flow.test_failures import until
 from tests.support.made import T0_NS
@@ -17,18 +18,24 @@ from trueup_worker.fan_out import PREFIX
 KILLED = 2  # parcels that were helped with, at which one of two workers is killed
 
 
-def test_the_report_is_the_same_whoever_helped_and_died(storage, tmp_path, capfd):
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """A plant, its recordings, and the report of the library."""
     plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21)
-    files = []
+    folder, files = tmp_path_factory.mktemp("recordings"), []
     for i, e in enumerate(episodes):
         stamps = T0_NS + 10**10 * i + np.rint(e.t_s * 1e9).astype(np.int64)
-        files.append(tmp_path / f"{i}.mcap")
+        files.append(folder / f"{i}.mcap")
         with files[-1].open("wb") as file:
             write_episode(
                 file, stamps_ns=stamps, observations=e.observations, commands=e.commands, layout=plant.layout, role=e.role, conditions={}
             )
-    expected = diagnose(plant, [read_episode(file.read_bytes(), plant.layout) for file in files])
-    service, heard = Service(storage, log_level="INFO"), []
+    return plant, files, diagnose(plant, [read_episode(file.read_bytes(), plant.layout) for file in files])
+
+
+def test_the_report_is_the_same_whoever_helped_and_died(alone, storage, capfd):
+    plant, files, expected = alone
+    service, heard = Service(storage, log_level="INFO", job_poll_interval_s=0.1), []
 
     def helped(often):
         heard.extend(line for line in capfd.readouterr().err.splitlines() if '"helped"' in line)

@@ -7,7 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -48,15 +48,17 @@ class Service:
     def start_worker(self, module: str = "trueup_cli.main") -> subprocess.Popen:
         return self._start(module, "work")
 
-    def stop(self) -> None:
-        for child in self._children:
+    def stop(self, children: Sequence[subprocess.Popen] | None = None) -> None:
+        """Stop all that runs, or some of it."""
+        stopped = list(self._children if children is None else children)
+        for child in stopped:
             child.terminate()
-        for child in self._children:
+        for child in stopped:
             child.wait(timeout=30)
-        self._children.clear()
+        self._children = [child for child in self._children if child not in stopped]
 
     def _start(self, module: str, *arguments: str) -> subprocess.Popen:
-        quiet = {"TRUEUP_LOG_LEVEL": "WARNING", "PYTHONWARNINGS": "default"}
+        quiet = {"TRUEUP_LOG_LEVEL": "WARNING", "PYTHONWARNINGS": "default", "TRUEUP_JOB_POLL_INTERVAL_S": "0.3"}
         environment = {**os.environ, **self.storage.environment, **quiet, **self._settings}
         child = subprocess.Popen([sys.executable, "-m", module, *arguments], env=environment, cwd=ROOT)
         self._children.append(child)
