@@ -8,6 +8,7 @@ ALL = (
     "footprint",
     "ingest",
     "malformed",
+    "openapi",
     "serving",
     "registry",
     "tampering",
