@@ -43,7 +43,7 @@ demo-arm: $(RUN) ## the same for a six-joint arm given as MJCF, on its real reco
 serve: $(RUN) ## run the service on embedded storage in .trueup, with a worker beside
 	@$(BIN)/trueup serve
 
-test: $(DEV) ## run every test; brings its own PostgreSQL and S3 server
+test: $(DEV) ## run every test; brings its own PostgreSQL, S3 server and strace
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 check: $(DEV) ## format, lint, types, layers
