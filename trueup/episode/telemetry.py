@@ -23,6 +23,7 @@ from trueup.errors import NotAnEpisode
 
 ALLOWED = ("start_ns", "t_s", "observations", "commands", "conditions", "role")
 LATEST_NS = 2**62
+LONGEST_S = 1e9
 
 
 def telemetry_to_mcap(data: bytes, layout: Layout, out: BinaryIO) -> None:
@@ -34,9 +35,12 @@ def telemetry_to_mcap(data: bytes, layout: Layout, out: BinaryIO) -> None:
     if not isinstance(batch, dict) or set(batch) - set(ALLOWED):
         raise _refused(f"a batch holds {', '.join(ALLOWED)}, nothing else", "fields")
     t_s = _numbers(batch.get("t_s"), "t_s")
-    if len(t_s) < 2 or not (np.diff(t_s) > 0.0).all():  # noqa: PLR2004  (one sample is no motion)
+    if len(t_s) < 2 or not (t_s[1:] > t_s[:-1]).all():  # noqa: PLR2004  (one sample is no motion)
         raise _refused("t_s needs two times at least, each later than the one before", "t_s")
     start = _start_ns(batch.get("start_ns"))
+    stamps_ns = start + np.rint(1e9 * np.clip(t_s, -LONGEST_S, LONGEST_S)).astype(np.int64)
+    if np.abs(t_s).max() > LONGEST_S or stamps_ns[0] < 0 or stamps_ns[-1] > LATEST_NS:
+        raise _refused("t_s counts seconds from start_ns, lies between 1970 and 2116, and is shorter than 31 years", "t_s")
     role = batch.get("role", Role.TELEMETRY)
     if role not in (Role.TELEMETRY, Role.REFERENCE):
         raise _refused("the role of a batch is telemetry or reference", "role")
@@ -45,7 +49,7 @@ def telemetry_to_mcap(data: bytes, layout: Layout, out: BinaryIO) -> None:
         raise _refused("conditions are names with text; the role stands beside them", "conditions")
     write_episode(
         out,
-        stamps_ns=start + np.rint(t_s * 1e9).astype(np.int64),
+        stamps_ns=stamps_ns,
         observations=_columns(batch.get("observations"), layout.observations, len(t_s), "observations"),
         commands=_columns(batch.get("commands"), layout.commands, len(t_s), "commands"),
         layout=layout,
