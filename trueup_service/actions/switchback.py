@@ -20,6 +20,8 @@ from trueup_service.errors import SwitchbackFailed
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ArtifactRecord
 
+HELD: dict[str, Json] = {"loads": True, "digests_hold": True, "answers_probe": True, "fits_plant": True}
+
 
 def load_artifact(blobs: Blobs, record: ArtifactRecord) -> Artifact:
     """An artifact's bytes, as they are kept."""
@@ -28,15 +30,21 @@ def load_artifact(blobs: Blobs, record: ArtifactRecord) -> Artifact:
 
 def test_switchback(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> dict[str, Json]:
     """What held: it loads, its digests hold, it answers its recorded probe, it was made for the plant as it is. Raises SwitchbackFailed."""
+    _able(blobs, record, plant_digest)
+    return {**HELD, "artifact": record.digest}
+
+
+def _able(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> Predictor:
+    """An artifact that can serve. Raises SwitchbackFailed."""
     try:
         artifact = load_artifact(blobs, record)
-        unpack(artifact, record.digest)
+        found = unpack(artifact, record.digest)
         require_plant(artifact, plant_digest)
     except TrueupError as error:
         raise SwitchbackFailed(
             f"version {record.version} cannot serve: {error.message}", cause=error.code, artifact=record.digest
         ) from error
-    return {"artifact": record.digest, "loads": True, "digests_hold": True, "answers_probe": True, "fits_plant": True}
+    return found
 
 
 def rehearse(
@@ -47,13 +55,13 @@ def rehearse(
     The record says when, how long it took to be ready [s], and what going back would change. Raises SwitchbackFailed.
     """
     began = perf_counter()
-    tested = test_switchback(blobs, back, plant_digest)
-    predictor = unpack(load_artifact(blobs, back), back.digest)
+    predictor = _able(blobs, back, plant_digest)
     seconds = perf_counter() - began
-    errors = {"back": predictor, "forward": candidate}
-    scored = {name: float(score(p, [probe], scoring).rollout[0]) for name, p in errors.items()}
+    both = {"back": predictor, "forward": candidate}
+    scored = {name: float(score(p, [probe], scoring).rollout[0]) for name, p in both.items()}
     return {
-        **tested,
+        **HELD,
+        "artifact": back.digest,
         "at": now,
         "seconds": seconds,
         "probe": probe.digest,
