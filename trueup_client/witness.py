@@ -26,17 +26,16 @@ Proof: TypeAlias = "Callable[[int, int], Sequence[bytes]]"  # that a log of the 
 class Witness:
     """What was seen of one log, in a file.
 
-    `key` is the log's public key as its operator gave it; without it, the first one seen is kept.
+    `key` is the log's public key as its operator gave it, and believed from then on; without it, the first one seen is kept.
     """
 
     def __init__(self, path: str | os.PathLike[str], key: str | None = None) -> None:
         self._path = Path(path)
         found = json.loads(self._path.read_text()) if self._path.exists() else {}
-        pinned = [*found.get("before", []), found["key"]] if "key" in found else []
-        if key is not None and pinned and key.strip() not in pinned:
-            raise NotSigned(f"{self._path} was pinned to another key")
-        self.keys: list[Key] = [Key.from_text(text) for text in pinned or ([key] if key else [])]  # the one to believe last
-        self.last: Checkpoint | None = Checkpoint.of(found["checkpoint"], self.keys[-1]) if self.keys and "checkpoint" in found else None
+        self.keys = [Key.from_text(text) for text in (*found.get("before", []), found.get("key")) if text]  # the one to believe last
+        self.last: Checkpoint | None = Checkpoint.of(found["checkpoint"], self.keys[-1]) if "checkpoint" in found else None
+        if key is not None and Key.from_text(key) not in self.keys:
+            self.keys.append(Key.from_text(key))
 
     @property
     def key(self) -> Key | None:

@@ -225,8 +225,13 @@ def test_a_key_takes_over_and_whoever_pinned_the_one_before_follows_by_its_word_
             again = Witness(tmp_path / "seen.json", first)  # as a script names it that has not been told
             assert [key.text for key in again.keys] == [first, then]
             assert again.last.size == before.size + 1
-            with pytest.raises(NotSigned):
-                client.witness(Witness(tmp_path / "other.json", GOLDEN_KEY))
+            told_by_hand = Witness(tmp_path / "told.json", first)
+            told_by_hand.see(before.note, client.consistency)
+            assert [key.text for key in Witness(tmp_path / "told.json", then).keys] == [first, then]
+            assert client.witness(Witness(tmp_path / "told.json", then)).size == before.size + 1
+            for seen in ("other.json", "told.json"):
+                with pytest.raises(NotSigned):
+                    client.witness(Witness(tmp_path / seen, GOLDEN_KEY))
             cut_off = Robot("http://127.0.0.1:9", "p", tmp_path / "cut off", first)
             cut_off._witness.keys = again.keys  # it stopped between the new key and the new answer
             assert cut_off._kept() is not None
