@@ -60,7 +60,7 @@ def run(
         document = run_job(connect(url), target, {"kind": "blindtrial", "trials": trials}, "blind trial")["result"]["report"]
         out.mkdir(parents=True, exist_ok=True)
     write(document, out)
-    from trueup.blindtrial.page import sentence
+    from trueup_pages.blindtrial import sentence
 
     console.print(sentence(document))
     console.print(f"report: {out / 'report.html'}")
@@ -151,7 +151,7 @@ def _local(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str
 
 def write(document: dict[str, Any], out: Path) -> None:
     """The report as JSON and as a page."""
-    from trueup.blindtrial.page import page
+    from trueup_pages.blindtrial import page
 
     (out / "report.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
     (out / "report.html").write_text(page(document))

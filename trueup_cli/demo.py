@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from rich.text import Text
 
-from trueup.diagnose.page import sentence
+from trueup.diagnose.words import sentence
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.fit.score import rollout_rms

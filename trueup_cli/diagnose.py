@@ -11,11 +11,13 @@ import trueup
 from trueup.artifact.artifact import pack
 from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
-from trueup.diagnose.page import page, pushed, sentence
+from trueup.diagnose.figures import figures
 from trueup.diagnose.report import COMMAND_FILE
+from trueup.diagnose.words import pushed, sentence
 from trueup.episode.episode import Episode
 from trueup.model.mjcf_writer import write as write_corrected
 from trueup_cli.show import progress
+from trueup_pages.diagnosis import report_page
 
 
 def run(case: Path, *, out: Path, seed: int = 0) -> None:
@@ -60,7 +62,7 @@ def write(found: Diagnosis, episodes: list[Episode], out: Path) -> None:
             rows = zip(found.experiment.t_s, found.experiment.command[:, driven], strict=True)
             writer.writerows([repr(float(t)), *(repr(float(u)) for u in row)] for t, row in rows)
     (out / "report.json").write_text(json.dumps(found.document, indent=1) + "\n")
-    (out / "report.html").write_text(page(found))
+    (out / "report.html").write_text(report_page(found.document, figures(found, episodes)))
 
 
 def write_mjcf(found: Diagnosis, case: Path, out: Path) -> dict[str, Path]:

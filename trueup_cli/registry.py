@@ -69,7 +69,7 @@ def diagnosis(plant: str, *, seed: int = 0, url: Url = DEFAULT_URL, as_json_: Js
     if as_json_:
         as_json(found)
         return
-    from trueup.diagnose.page import sentence
+    from trueup.diagnose.words import sentence
 
     out.print(sentence(found["result"]["report"]))
     out.print(f"candidate [bold]{found['result']['artifact']}[/]")

@@ -8,7 +8,7 @@ from trueup.artifact.artifact import Artifact, pack
 from trueup.canonical import Json, digest_of, digest_of_bytes
 from trueup.collect.coverage import coverage_of
 from trueup.diagnose.diagnosis import diagnose
-from trueup.diagnose.page import sentence
+from trueup.diagnose.words import sentence
 from trueup.episode.role import Role
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actions.stamp import Stamp

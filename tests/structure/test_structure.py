@@ -28,7 +28,7 @@ from trueup_service.registry.tables import metadata
 from trueup_service.settings import Settings
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("trueup", "trueup_service", "trueup_worker", "trueup_cli", "trueup_client")
+PACKAGES = ("trueup", "trueup_pages", "trueup_service", "trueup_worker", "trueup_cli", "trueup_client")
 SOURCES = sorted(p for package in PACKAGES for p in (ROOT / package).rglob("*.py") if "migrations" not in p.parts)
 
 

@@ -16,9 +16,11 @@ from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
 from trueup.diagnose.probe import Experiment, next_experiment
 from trueup.diagnose.report import report
+from trueup.diagnose.search import Search
 from trueup.diagnose.task import Solve, in_threads
 from trueup.episode.episode import Episode
 from trueup.errors import NotIdentifiable
+from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.mjcf_patch import Patch, patch
@@ -44,6 +46,8 @@ class Diagnosis:
     gap: Gap
     choice: Choice
     experiment: Experiment | None
+    search: Search
+    nominal: RolloutFit
 
 
 def diagnose(
@@ -99,4 +103,4 @@ def diagnose(
         seed=seed,
     )
     progress("done", 1.0)
-    return Diagnosis(document, predictor, changes, plant, validation, gap, choice, experiment)
+    return Diagnosis(document, predictor, changes, plant, validation, gap, choice, experiment, search, nominal)

@@ -38,12 +38,15 @@ OF_MOTION = 0.2  # of the force of a joint's own motion: less is no push worth a
 class Strides:
     """What a fit misses over short strides: residual force, and where each stride was, `(strides, joints)` each.
 
+    `missed` `(strides, 2 x joints)` is by how much the state at a stride's end differs from the prediction.
+
     Forces are in units of each joint's own inertia, so a single joint's are accelerations. What a joint's force does to the others is
     taken out by the mass matrix: `travelled` is the residual acceleration before that. `motion` is the acceleration itself; `turned`
     whether a joint did, `t` of the episode, `episode` and `spacing_s`, from one
     stride to the next, `(strides,)` each.
     """
 
+    missed: Array
     residual: Array
     travelled: Array
     motion: Array
@@ -62,7 +65,7 @@ def locate(
 ) -> dict[str, Json]:
     """Shares of the residual by channel, by port, by region and by band of frequency; of a robot, when something outside pushes."""
     base, episodes = search.found[Hypothesis()], [*adaptation, *validation]
-    strides = strides_of(plant, search, base, episodes)
+    strides = strides_of(plant, search, base.fit, episodes)
     force, moved = _by_joint(strides)
     worst = int(np.argmax(force))
     found: dict[str, Json] = {
@@ -76,7 +79,7 @@ def locate(
         shares = zip(named, force / max(force.sum(), 1e-300), moved / max(moved.sum(), 1e-300), np.sqrt(force), strict=True)
         found["joints"] = [{"joint": n, "force": float(f), "acceleration": float(a), "of_motion": float(m)} for n, f, a, m in shares]
         found["regions_of"] = plant.joint_name(worst)
-        found["pushed"] = _pushed(plant, strides if winner is base else strides_of(plant, search, winner, episodes), episodes)
+        found["pushed"] = _pushed(plant, strides if winner is base else strides_of(plant, search, winner.fit, episodes), episodes)
     return found
 
 
@@ -147,7 +150,7 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
     return [{"port": port, "share": part, "by": name} for port, (part, name) in sorted(best.items(), key=lambda item: -item[1][0])]
 
 
-def strides_of(plant: Plant, search: Search, of: Candidate, episodes: Sequence[Episode]) -> Strides:
+def strides_of(plant: Plant, search: Search, of: RolloutFit, episodes: Sequence[Episode]) -> Strides:
     """What a fit misses over strides of STRIDE_S."""
     parts, joints = [], len(plant.joints)
     for count, e in enumerate(episodes):
@@ -155,17 +158,19 @@ def strides_of(plant: Plant, search: Search, of: Candidate, episodes: Sequence[E
         first = np.arange(0, len(e.t_s) - every, every)
         s = whole(plant, e, search.problem.scheme, first)
         states = smoothed_states(plant, e)
-        fit = replace(of.fit, starts={s.digest: Start(states[first], of.fit.starts[e.digest].memory if e.digest in of.fit.starts else {})})
+        fit = replace(of, starts={s.digest: Start(states[first], of.starts[e.digest].memory if e.digest in of.starts else {})})
         path = trajectory(search.problem.fitter, fit, s)
         end, middle = first + every - 1, first + every // 2
         span = (e.t_s[end] - e.t_s[first])[:, None]
-        missed = (states[end, joints:] - path[end, joints:]) / span
+        missed_state = states[end] - path[end]
+        missed = missed_state[:, joints:] / span
         motion = (states[end, joints:] - states[first, joints:]) / span
-        inertia = plant.dynamics.inertia(of.fit.values[: len(plant.parameters)], states[middle, :joints])
+        inertia = plant.dynamics.inertia(of.values[: len(plant.parameters)], states[middle, :joints])
         u = plant.applied(e.commands)
         use = np.concatenate([np.zeros((1, joints)), np.cumsum(u[:-1] ** 2 * np.diff(e.t_s)[:, None], axis=0)])
         parts.append(
             (
+                missed_state,
                 np.einsum("sij,sj->si", inertia, missed),
                 missed,
                 np.einsum("sij,sj->si", inertia, motion),

@@ -26,6 +26,7 @@ from trueup.model.plant import Plant
 SCHEMA = "trueup.diagnosis/1"
 LISTED = 25  # hypotheses in the evidence
 COMMAND_FILE = "next_experiment.csv"
+NORMAL_95 = 1.96  # standard errors
 
 
 def report(
@@ -120,16 +121,21 @@ def _hypotheses(plant: Plant, search: Search, choice: Choice, nominal: RolloutFi
     ranked = sorted((c for c in search if np.isfinite(total(c))), key=total)
     base = [c for c in ranked if not c.hypothesis.effects]
     listed = {c.hypothesis: c for c in [*ranked[:LISTED], *base, *(c for c in ranked if c.hypothesis in chosen)]}
-    rows += [_row(plant, c, in_set=c.hypothesis in chosen) for c in listed.values()]
+    rows += [_row(plant, c, choice.winner, in_set=c.hypothesis in chosen) for c in listed.values()]
     return rows
 
 
-def _row(plant: Plant, c: Candidate, *, in_set: bool) -> Json:
+def _row(plant: Plant, c: Candidate, winner: Candidate, *, in_set: bool) -> Json:
+    """One composition; `worse_ci95` is by how much its misfit on validation episodes exceeds the answer's, from window to window."""
+    worse = c.check.costs - winner.check.costs
+    half = NORMAL_95 * float(np.sqrt(len(worse) * np.var(worse))) / c.check.samples
     return {
         "effects": [told(plant, t) for t in c.hypothesis.effects],
         "parameters": "fitted",
         "misfit": _finite(total(c)),
         "validation": _finite(c.misfit),
+        "worse_ci95": [_finite(c.misfit - winner.misfit - half), _finite(c.misfit - winner.misfit + half)],
+        "answer": c is winner,
         "in_set": in_set,
     }
 

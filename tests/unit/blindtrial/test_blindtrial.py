@@ -14,7 +14,6 @@ from tests.support.robots import recorded as robot_recorded
 from tests.support.simulated import recorded
 from trueup.blindtrial.bench import bench_of
 from trueup.blindtrial.lot import draw_lots, left_out
-from trueup.blindtrial.page import page
 from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted, commitment, require_as_committed, require_silent, salt_of
 from trueup.blindtrial.tally import Answer, _improbable, _where_apart, answer_words, bound, judge, lower
 from trueup.diagnose.case import read_case
@@ -22,6 +21,7 @@ from trueup.errors import NotIdentifiable
 from trueup.model.effect import effects
 from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
+from trueup_pages.blindtrial import page
 from trueup_worker import blind_trial
 from trueup_worker.blind_room import Room
 

@@ -8,15 +8,17 @@ import pytest
 from tests.support.simulated import recorded
 from trueup.diagnose.admission import admit
 from trueup.diagnose.diagnosis import diagnose
-from trueup.diagnose.page import page, sentence
+from trueup.diagnose.figures import figures
 from trueup.diagnose.problem import Problem
 from trueup.diagnose.search import Search
+from trueup.diagnose.words import sentence
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.fit.rollout_fit import Directions, Fitter
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.known import Known, known
 from trueup.model.series import DECLARED, refined, series
+from trueup_pages.diagnosis import report_page
 
 
 def named(found):
@@ -63,8 +65,8 @@ def test_the_same_episodes_give_the_same_report(friction):
 
 
 def test_the_page_says_what_the_report_says(friction):
-    _, _, _, found = friction
-    text = page(found)
+    _, episodes, _, found = friction
+    text = report_page(found.document, figures(found, episodes))
     assert "Coulomb friction" in sentence(found.document)
     assert "<svg" in text
     assert "http" not in text

@@ -11,11 +11,12 @@ from trueup.artifact.artifact import pack, unpack
 from trueup.diagnose.admission import admit
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.explore import _astray
+from trueup.diagnose.figures import figures
 from trueup.diagnose.locate import Strides, _pushed
-from trueup.diagnose.page import page, pushed, sentence
 from trueup.diagnose.periodicity import pitches
 from trueup.diagnose.problem import Candidate, Problem
 from trueup.diagnose.search import Search
+from trueup.diagnose.words import pushed, sentence
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.residual import fit_residual
@@ -26,6 +27,7 @@ from trueup.model.predictor import Nominal, predict_observations
 from trueup.model.series import DECLARED, Scheme, roll, seen_by, series
 from trueup.model.windows import cut, starts_every
 from trueup.simulate.robot import Follow, RobotPlan, rotor, run
+from trueup_pages.diagnosis import report_page
 
 ROLES = ("adaptation", "adaptation", "adaptation", "validation", "validation")
 
@@ -84,7 +86,7 @@ def test_report_and_page_name_the_joint(rubbing):
     found = rubbing[1]
     json.dumps(found.document, allow_nan=False)
     assert "coulomb friction at elbow" in sentence(found.document).lower()
-    assert "elbow" in page(found)
+    assert "elbow" in report_page(found.document, figures(found, rubbing[0]))
     assert all("joint" in bound for bound in found.document["excluded"])
 
 
@@ -159,12 +161,13 @@ def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(plant):
     def sticks(spec):
         spec.joint("shoulder").frictionloss = 0.6
 
-    found = diagnose(plant, [late_elbow(e) for e in recorded(plant, sticks, range(5), ROLES)])
+    episodes = [late_elbow(e) for e in recorded(plant, sticks, range(5), ROLES)]
+    found = diagnose(plant, episodes)
     assert {(e["effect"], e["joint"]) for e in found.document["effects"]} == {("coulomb_friction", "shoulder"), ("sensor_delay", "elbow")}
     delay = next(e for e in found.document["effects"] if e["effect"] == "sensor_delay")["estimate"]["delay"]["value"]
     assert delay == pytest.approx(LATE * PERIOD_S, rel=0.02)
     assert found.document["gap"]["beginnings"] == "left out"  # what the drive was told before the log is in no log
-    assert "left out" in page(found)
+    assert "left out" in report_page(found.document, figures(found, episodes))
 
 
 def test_what_a_late_sensor_shows_counts_for_the_window_in_which_it_happened(plant):

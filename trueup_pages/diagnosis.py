@@ -1,0 +1,107 @@
+"""Diagnosis: a report and the numbers behind its pictures as what a page shows, and the page that needs nothing else."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from markupsafe import Markup
+
+from trueup.diagnose import words
+from trueup_pages import drawing
+from trueup_pages.rendering import render
+
+ROWS = 14  # of the ranking
+STILL = 400  # points of a line that is drawn without a script
+INSEPARABLE = "the evidence cannot separate what is above this line"
+ALONE = "the evidence separates the answer from everything below this line"
+
+
+def report_page(report: Mapping[str, Any], figures: Mapping[str, Any] | None, command_file: str | None = "next_experiment.csv") -> str:
+    """A diagnosis as one HTML file that needs nothing else."""
+    return render("report.html", **view(report, figures, command_file))
+
+
+def view(
+    report: Mapping[str, Any],
+    figures: Mapping[str, Any] | None,
+    command_file: str | None,
+    episode_url: Callable[[str], str] | None = None,
+) -> dict[str, Any]:
+    """The values of `diagnosis_body.html`."""
+    where = report["where"]
+    longest = len(figures["episodes"][0]["t_s"]) if figures and figures["episodes"] else 0
+    return {
+        "d": report,
+        "answer": words.sentence(report),
+        "figures": figures,
+        "data": Markup(_embedded({"episodes": figures["episodes"]})) if figures else "",
+        "still": max(1, math.ceil(longest / STILL)),
+        "ramp": _ramp(),
+        "parts": words.waterfall(report),
+        "ranked": ranking(report),
+        "listed": _listed,
+        "command_file": command_file,
+        "episode_url": episode_url,
+        "region_rows": [
+            (r["region"], r["share"], f"{r['share']:.0%} of the residual in {r['of_time']:.0%} of the time") for r in where["regions"]
+        ],
+        "port_rows": [(p["port"], p["share"], f"{drawing.percent(p['share'])} by {words.name(p['by'])}") for p in where["ports"]],
+        "band_rows": [(b["band"], b["share"], f"{b['share']:.0%}, {b['of_motion']:.0%} of the motion") for b in where["bands"]],
+        "channel_rows": [(c["channel"], c["share"], drawing.percent(c["share"])) for c in where["channels"]],
+        "joint_rows": [
+            (j["joint"], j["force"], f"{j['force']:.0%} of the residual force, {j['acceleration']:.0%} of the acceleration")
+            for j in where.get("joints", [])
+        ],
+    }
+
+
+def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Compositions as rows: the answer and what cannot be told from it, a line, then the others, the nearest first."""
+    rows = report["evidence"]["hypotheses"]
+    answers = [h for h in rows if h.get("answer")]
+    least = answers[0]["validation"] if answers else None
+    inside = sorted((h for h in rows if h.get("in_set")), key=lambda h: (not h.get("answer"), h["validation"]))
+    rest = sorted((h for h in rows if not h.get("in_set") and h["validation"] is not None), key=lambda h: h["validation"])
+    bare = [h for h in rest if not h["effects"]]
+    shown = [*inside, *[h for h in rest if h["effects"]][: max(ROWS - len(inside) - len(bare), 0)], *bare]
+    shown = inside + sorted(shown[len(inside) :], key=lambda h: h["validation"])
+    scale = drawing.Scale([h["validation"] for h in shown if h["validation"]])
+    found = []
+    for at, h in enumerate(shown):
+        value = h["validation"]
+        worse = h.get("worse_ci95")
+        ends = [least + w for w in worse] if worse and None not in worse and least is not None and not h.get("answer") else None
+        closer = least is not None and value < least and not h.get("in_set")
+        found.append(
+            {
+                "name": words.composition(h["effects"], f"{h['parameters']} parameters alone"),
+                "misfit": h["misfit"],
+                "validation": value,
+                "in_set": bool(h.get("in_set")),
+                "said": "the answer" if h.get("answer") else "fits closer, by less than more numbers must earn" if closer else "",
+                "drawn": drawing.interval(
+                    scale, value, ends, "answer" if h.get("in_set") else "nominal" if h["parameters"] == "nominal" else "other"
+                ),
+                "divide": (ALONE if len(inside) == 1 else INSEPARABLE) if at == len(inside) and inside else "",
+            }
+        )
+    return found
+
+
+def _embedded(value: object) -> str:
+    """JSON that may stand in a script element: nothing in it can end one."""
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _ramp() -> Markup:
+    cells = "".join(f'<rect class="h{i}" x="{i * 16}" width="16" height="12"/>' for i in range(drawing.LEVELS))
+    return Markup(f'<svg class="ramp" viewBox="0 0 {16 * drawing.LEVELS} 12" role="img" aria-label="colours of the residual">{cells}</svg>')
+
+
+def _listed(x: float | list[float] | None) -> Markup:
+    values = x if isinstance(x, list) else [x]
+    return Markup("<br>").join(words.short(v) for v in values)

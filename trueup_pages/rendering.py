@@ -1,0 +1,40 @@
+"""Rendering: templates with values become HTML. What is not marked as markup is escaped, and a value that is missing is an error."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from trueup.diagnose import words
+from trueup_pages import drawing
+from trueup_pages.assets import text_of, url_of
+
+
+@cache
+def _environment() -> Environment:
+    made = Environment(
+        loader=PackageLoader("trueup_pages"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    made.filters.update(
+        short=words.short,
+        unit=words.unit,
+        named=words.name,
+        percent=drawing.percent,
+        moment=moment,
+        plain=lambda text: text.replace("_", " "),
+    )
+    made.globals.update(asset=url_of, inlined=lambda name: Markup(text_of(name)), drawing=drawing, words=words)
+    return made
+
+
+def render(template: str, **values: Any) -> str:
+    """A page, or a part of one."""
+    return _environment().get_template(template).render(**values)
+
+
+def moment(at: str) -> Markup:
+    """A time in UTC to the second."""
+    return Markup('<time datetime="{0}">{1}</time>').format(at, at[:19].replace("T", " "))

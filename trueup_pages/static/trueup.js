@@ -1,0 +1,124 @@
+// What pages do beyond links and forms: recordings that can be looked through, and signing in by a link.
+"use strict";
+
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const LINES = [["measured", "--ink"], ["nominal", "--nominal"], ["corrected", "--corrected"]];
+const digits = (x) => (x == null ? "–" : Number(x).toPrecision(4));
+
+/** The recordings of a diagnosis: one plot of the signal and one of the errors for each channel, with one cursor for all. */
+class Recordings {
+  constructor(root, data) {
+    this.root = root;
+    this.data = data;
+    this.select = root.querySelector("select");
+    this.range = root.querySelector("input[type=range]");
+    this.output = root.querySelector("output");
+    this.plots = root.querySelector(".plots");
+    this.values = root.querySelector(".values");
+    this.select.addEventListener("change", () => this.draw());
+    this.range.addEventListener("input", () => this.scrub(Number(this.range.value)));
+    root.querySelector("[data-whole]").addEventListener("click", () => this.draw());
+    root.querySelector(".still").hidden = true;
+    root.querySelector(".live").hidden = false;
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    let width = root.clientWidth;
+    addEventListener("resize", () => {
+      if (root.clientWidth !== width) {
+        width = root.clientWidth;
+        this.draw();
+      }
+    });
+    this.draw();
+  }
+
+  draw() {
+    const episode = (this.episode = this.data.episodes[Number(this.select.value)]);
+    for (const plot of this.charts || []) plot.destroy();
+    this.plots.replaceChildren();
+    this.charts = [];
+    for (const channel of episode.channels) {
+      const unit = channel.unit && channel.unit !== "1" ? ` [${channel.unit}]` : "";
+      this.add(channel.name + unit, LINES.map(([name, of]) => [name, of, channel[name]]), 230);
+      const missed = (name) => channel[name].map((p, i) => (p == null ? null : p - channel.measured[i]));
+      this.add(`error of ${channel.name}${unit}`, LINES.slice(1).map(([name, of]) => [name, of, missed(name)]), 130);
+    }
+    for (const c of episode.commands) this.add(`command ${c.name} [${c.unit}]`, [["issued", "--pale", c.issued]], 90);
+    this.range.max = episode.t_s.length - 1;
+    this.scrub(Math.min(Number(this.range.value), episode.t_s.length - 1));
+  }
+
+  add(title, lines, height) {
+    const heading = document.createElement("h3");
+    heading.textContent = title;
+    const place = document.createElement("div");
+    place.className = "plot";
+    this.plots.append(heading, place);
+    const axis = { stroke: colour("--pale"), grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false }, font: "12px system-ui" };
+    const options = {
+      width: Math.max(this.plots.clientWidth, 240),
+      height,
+      cursor: { sync: { key: "recording", setSeries: false }, drag: { x: true, y: false }, points: { size: 5 } },
+      scales: { x: { time: false } },
+      axes: [{ ...axis, size: 28, values: (_, ticks) => ticks.map((t) => `${+t.toPrecision(6)} s`) }, { ...axis, size: 58 }],
+      series: [{}, ...lines.map(([label, of]) => ({ label, stroke: colour(of), width: 1.4, spanGaps: false }))],
+      hooks: {
+        setCursor: [(u) => u.cursor.idx != null && u.cursor.left >= 0 && !this.busy && u === this.charts[0] && this.show(u.cursor.idx)],
+        setScale: [(u, key) => key === "x" && !this.busy && this.zoom(u)],
+      },
+    };
+    this.charts.push(new uPlot(options, [this.episode.t_s, ...lines.map((line) => line[2])], place));
+  }
+
+  zoom(from) {
+    const { min, max } = from.scales.x;
+    this.busy = true;
+    for (const plot of this.charts) if (plot !== from) plot.setScale("x", { min, max });
+    this.busy = false;
+  }
+
+  scrub(at) {
+    const plot = this.charts[0];
+    this.busy = true;
+    for (const each of this.charts) each.setCursor({ left: each.valToPos(this.episode.t_s[at], "x"), top: -10 }, false);
+    this.busy = false;
+    if (plot) this.show(at);
+  }
+
+  show(at) {
+    const t = this.episode.t_s[at];
+    this.range.value = at;
+    this.range.setAttribute("aria-valuetext", `${digits(t)} seconds`);
+    this.output.textContent = `${digits(t)} s`;
+    this.values.replaceChildren(
+      ...this.episode.channels.map((c) => {
+        const row = document.createElement("tr");
+        for (const text of [c.name, ...LINES.map(([name]) => digits(c[name][at])), digits(c.corrected[at] - c.measured[at])]) {
+          const cell = document.createElement("td");
+          cell.className = row.children.length ? "n" : "";
+          cell.textContent = text;
+          row.append(cell);
+        }
+        return row;
+      }),
+    );
+  }
+}
+
+function look() {
+  const data = document.getElementById("figures");
+  const root = document.getElementById("recordings");
+  if (data && root && !root.dataset.drawn && typeof uPlot !== "undefined") {
+    root.dataset.drawn = "yes";
+    new Recordings(root, JSON.parse(data.textContent));
+  }
+  const field = document.getElementById("token");
+  if (field && location.hash.startsWith("#token=")) {
+    // a fragment never leaves the browser: the token is in no server's log
+    field.value = decodeURIComponent(location.hash.slice(7));
+    history.replaceState(null, "", location.pathname + location.search);
+    field.form.requestSubmit();
+  }
+}
+
+document.addEventListener("DOMContentLoaded", look);
+document.addEventListener("htmx:after:swap", look);
