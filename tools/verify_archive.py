@@ -28,7 +28,8 @@ TITLE = "org.opencontainers.image.title"
 KEYS = {
     "projects": "name", "tokens": "prefix", "plants": "name", "episodes": "plant digest", "artifacts": "plant version",
     "gates": "plant digest",
-    "jobs": "id", "decisions": "digest", "serving": "plant", "moves": "plant generation", "approvals": "plant decision token",
+    "jobs": "id", "outputs": "job name",
+    "decisions": "digest", "serving": "plant", "moves": "plant generation", "approvals": "plant decision token",
     "imports": "plant", "monitors": "plant digest", "watching": "plant", "watches": "plant monitor sequence", "alarms": "id",
     "policies": "plant sequence", "evidence": "plant digest", "channels": "plant name", "channel_moves": "plant channel generation",
 }  # fmt: skip
@@ -37,7 +38,7 @@ APART = ("projects", "tokens")
 BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")
 TELL_OF_MOVES = {"moves": ("pointer:moved", "plant:registered"), "channel_moves": ("channel:moved",)}
 TELL_OF_ALL = ("log:migrated", "plant:imported")
-NAMES_BYTES = {"episodes": "digest", "artifacts": "arrays", "imports": "entries"}
+NAMES_BYTES = {"episodes": "digest", "artifacts": "arrays", "imports": "entries", "outputs": "digest"}
 FINAL = ("succeeded", "failed", "cancelled")
 
 

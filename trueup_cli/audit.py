@@ -20,7 +20,6 @@ from trueup_client import Client, Witness
 from trueup_client.problem import ClientError
 
 T = TypeVar("T")
-AGREEMENT = 1e-9  # relative: matrix products differ by some 1e-13 between processors
 app = App(name="audit", help="Print or verify the audit log.")
 
 
@@ -172,10 +171,12 @@ class _Labels:
 
 def _replayed(client: Client, decision: str) -> list[str]:
     """How a decision differs from what its bytes give."""
+    from trueup.gate.recompute import differences
+
     found = client.find_decision(decision)
     try:
         with tempfile.TemporaryDirectory() as folder:
-            return compare(found["document"], recompute(client, found["plant"], found["document"], Path(folder), lambda *_: None))
+            return differences(found["document"], recompute(client, found["plant"], found["document"], Path(folder), lambda *_: None))
     except (TrueupError, ClientError) as error:
         return [f"cannot be recomputed: {error}"]
 
@@ -201,6 +202,8 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
     ----------
     decision: digest of the decision
     """
+    from trueup.gate.recompute import differences
+
     client = witnessed(url)
     found = client.find_decision(decision)
     recorded = _told(found)
@@ -211,12 +214,12 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
             recomputed = recompute(client, found["plant"], recorded, Path(folder), bar)
     except TrueupError as error:
         _disagree(f"{error.code}: {error.message}")
-    differences = compare(recorded, recomputed)
+    wrong = differences(recorded, recomputed)
     if as_json_:
-        as_json({"decision": decision, "agrees": not differences, "differences": differences, "recomputed": recomputed})
+        as_json({"decision": decision, "agrees": not wrong, "differences": wrong, "recomputed": recomputed})
     else:
-        _show(recorded, recomputed, differences)
-    if differences:
+        _show(recorded, recomputed, wrong)
+    if wrong:
         sys.exit(EXIT_DISAGREES)
 
 
@@ -224,41 +227,21 @@ def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path
     """The decision's document, from verified bytes."""
     from trueup.canonical import digest_of
     from trueup.episode.mcap import read_episode
-    from trueup.errors import BadGate
-    from trueup.gate.decision import Gate
-    from trueup.gate.judge import judge, run_trial
+    from trueup.gate import recompute as made_anew
     from trueup_cli.model_folder import load_predictor
 
-    gate = Gate.from_document(client.gate(plant, recorded["gate"])["document"])
-    if gate.digest != recorded["gate"]:
-        raise BadGate("the gate is not the one that the decision names", expected=recorded["gate"], found=gate.digest)
-    predictors = [
-        load_predictor(client.fetch(plant, recorded[which], folder / which), recorded[which]) for which in ("candidate", "incumbent")
-    ]
+    predictors = {
+        which: load_predictor(client.fetch(plant, recorded[which], folder / which), recorded[which]) for which in ("candidate", "incumbent")
+    }
+    layout = predictors["candidate"].plant.layout
     episodes = []
     for count, digest in enumerate(recorded["episodes"]):
         path = folder / f"{digest}.mcap"
         client.download_episode(plant, digest, path)
-        episodes.append(read_episode(path.read_bytes(), predictors[0].plant.layout))
+        episodes.append(read_episode(path.read_bytes(), layout))
         progress(0.5 * (count + 1) / len(recorded["episodes"]), "fetching episodes")
-    trial = run_trial(gate, predictors[0], predictors[1], episodes, lambda share: progress(0.5 + 0.5 * share, "scoring"))
-    plant_digest = digest_of(client.plant(plant)["document"])
-    return judge(
-        gate, trial, plant=plant_digest, candidate=recorded["candidate"], incumbent=recorded["incumbent"], generation=recorded["generation"]
-    ).document()
-
-
-def compare(recorded: Any, recomputed: Any, path: str = "") -> list[str]:
-    """Where two documents differ by more than rounding; texts that only repeat figures are left out."""
-    if isinstance(recorded, dict) and isinstance(recomputed, dict) and set(recorded) == set(recomputed):
-        return [
-            d for key in recorded if key != "because" for d in compare(recorded[key], recomputed[key], f"{path}.{key}" if path else key)
-        ]
-    if isinstance(recorded, list) and isinstance(recomputed, list) and len(recorded) == len(recomputed):
-        return [d for i, pair in enumerate(zip(recorded, recomputed, strict=True)) for d in compare(*pair, f"{path}[{i}]")]
-    numbers = all(isinstance(x, int | float) and not isinstance(x, bool) for x in (recorded, recomputed))
-    same = abs(recorded - recomputed) <= AGREEMENT * max(abs(recorded), abs(recomputed)) if numbers else recorded == recomputed
-    return [] if same else [f"{path}: recorded {recorded}, recomputed {recomputed}"]
+    gate, digest = client.gate(plant, recorded["gate"])["document"], digest_of(client.plant(plant)["document"])
+    return made_anew.recompute(recorded, gate, predictors, episodes, digest, lambda share: progress(0.5 + 0.5 * share, "scoring"))
 
 
 def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: list[str]) -> None:

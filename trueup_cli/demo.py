@@ -23,10 +23,11 @@ from trueup.diagnose.words import sentence
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.fit.score import rollout_rms
+from trueup.gate.recompute import differences
 from trueup.model.mjcf import resolved
 from trueup.model.predictor import Predictor
 from trueup.model.windows import starts_every
-from trueup_cli.audit import compare, recompute
+from trueup_cli.audit import recompute
 from trueup_cli.model_folder import load_predictor
 from trueup_cli.picture import AFTER, BEFORE, Trace, before_and_after
 from trueup_cli.predict import predict_samples
@@ -260,4 +261,4 @@ def _audit(client: Client) -> None:
             recorded = entry["facts"]["decision"]
             with progress(f"replay {entry['subject'][:12]}") as bar, tempfile.TemporaryDirectory() as folder:
                 recomputed = recompute(client, entry["plant"], recorded, Path(folder), bar)
-            out.print(f"{entry['subject'][:12]} {'[green]agrees[/]' if not compare(recorded, recomputed) else '[red]disagrees[/]'}")
+            out.print(f"{entry['subject'][:12]} {'[green]agrees[/]' if not differences(recorded, recomputed) else '[red]disagrees[/]'}")

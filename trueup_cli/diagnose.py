@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 from pathlib import Path
@@ -55,12 +54,7 @@ def write(found: Diagnosis, episodes: list[Episode], out: Path) -> None:
     (model / "manifest.json").write_bytes(artifact.manifest)
     (model / "arrays.safetensors").write_bytes(artifact.arrays)
     if found.experiment is not None and found.experiment.command is not None:
-        with (out / COMMAND_FILE).open("w", newline="") as file:
-            writer = csv.writer(file)
-            driven = [found.plant.joint_of(c) for c in found.plant.layout.commands]
-            writer.writerow(["t", *(c.name for c in found.plant.layout.commands)])
-            rows = zip(found.experiment.t_s, found.experiment.command[:, driven], strict=True)
-            writer.writerows([repr(float(t)), *(repr(float(u)) for u in row)] for t, row in rows)
+        (out / COMMAND_FILE).write_text(found.experiment.csv(found.plant), newline="")
     (out / "report.json").write_text(json.dumps(found.document, indent=1) + "\n")
     (out / "report.html").write_text(report_page(found.document, figures(found, episodes)))
 

@@ -15,7 +15,20 @@ from typing import Any
 from sqlalchemy import Table
 
 from trueup.canonical import Json
-from trueup.ledger.archive import ARRAYS, ENTRIES, EPISODE, ROWS, Archive, ArchiveWriter, Includes, entry_line, lines, of_others, unproven
+from trueup.ledger.archive import (
+    ARRAYS,
+    ENTRIES,
+    EPISODE,
+    OUTPUT,
+    ROWS,
+    Archive,
+    ArchiveWriter,
+    Includes,
+    entry_line,
+    lines,
+    of_others,
+    unproven,
+)
 from trueup.ledger.merkle import inclusion, prove
 from trueup.ledger.rows import KEPT_APART, KEYS, blobs, must_be_named
 from trueup.ledger.verification import verify, verify_part
@@ -31,8 +44,8 @@ from trueup_service.wiring import Parts
 
 AT_ONCE = 1000
 BESIDE = ("audit_key", "job_reads", "idempotency")  # of a whole registry, beside what the log names
-NAMES = {EPISODE: "episodes/{}.mcap", ARRAYS: "arrays/{}.safetensors", ENTRIES: "imported/{}.jsonl"}
-KINDS = {"episodes": EPISODE, "artifacts": ARRAYS, "imports": ENTRIES}
+NAMES = {EPISODE: "episodes/{}.mcap", ARRAYS: "arrays/{}.safetensors", ENTRIES: "imported/{}.jsonl", OUTPUT: "outputs/{}"}
+KINDS = {"episodes": EPISODE, "artifacts": ARRAYS, "imports": ENTRIES, "outputs": OUTPUT}
 Told = Callable[[float, str], None]
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from trueup.artifact.artifact import Artifact, pack
-from trueup.canonical import Json, digest_of, digest_of_bytes
+from trueup.canonical import Json, canonical_bytes, digest_of, digest_of_bytes
 from trueup.collect.coverage import coverage_of
 from trueup.diagnose.diagnosis import diagnose
+from trueup.diagnose.figures import FIGURES_FILE, figures
+from trueup.diagnose.report import COMMAND_FILE
 from trueup.diagnose.words import sentence
 from trueup.episode.role import Role
 from trueup_service.actions.add_artifact import add_artifact
@@ -19,7 +21,7 @@ from trueup_worker.code_identity import code_identity
 from trueup_worker.cycle import cycle_of
 from trueup_worker.fan_out import FanOut
 from trueup_worker.inputs import read_episodes, read_plant, sources
-from trueup_worker.outputs import keep_arrays
+from trueup_worker.outputs import add_files, keep_arrays, keep_file
 from trueup_worker.progress import Progress
 
 READING = 0.1  # of the job's time
@@ -45,11 +47,16 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         "report": {"sha256": digest_of(dict(found.document)), "verdict": found.document["verdict"], "sentence": sentence(found.document)},
     }
     artifact = pack(found.predictor, provenance)
-    return {"manifest": artifact.manifest.decode(), "arrays": keep_arrays(parts, artifact), "report": dict(found.document)}
+    files = [keep_file(parts, FIGURES_FILE, "application/json", canonical_bytes(figures(found, episodes)))]
+    if found.experiment is not None and found.experiment.command is not None:
+        files.append(keep_file(parts, COMMAND_FILE, "text/csv", found.experiment.csv(plant).encode()))
+    report = dict(found.document)
+    return {"manifest": artifact.manifest.decode(), "arrays": keep_arrays(parts, artifact), "report": report, "files": list(files)}
 
 
 def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
     """The corrected model becomes the plant's next version, and is judged if a policy says so."""
+    add_files(writer, job, outcome.get("files", ()))
     artifact = Artifact(outcome["manifest"].encode(), b"")
     add_artifact(writer, job.plant, artifact, job.id, stamp)
     cycle_of(parts, writer, stamp).diagnosed(job, artifact.digest, outcome["report"]["verdict"])

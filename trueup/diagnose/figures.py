@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 SCHEMA = "trueup.figures/1"
+FIGURES_FILE = "figures.json"
 POINTS = 24_000  # of all drawn lines together: half a megabyte of text would be too slow to load
 LEAST, MOST = 300, 2000  # of one line
 EPISODES = 4  # held-out recordings that are drawn, those that move furthest

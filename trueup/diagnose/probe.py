@@ -55,6 +55,15 @@ class Experiment:
             "command": path if self.command is not None else None,
         }
 
+    def csv(self, plant: Plant) -> str:
+        """The commands as a table: `t` [s], then each command channel in its declared unit."""
+        if self.command is None:
+            return ""
+        driven = [plant.joint_of(c) for c in plant.layout.commands]
+        rows = [[self.t_s[i], *self.command[i, driven]] for i in range(len(self.t_s))]
+        head = ",".join(["t", *(c.name for c in plant.layout.commands)])
+        return "".join(f"{line}\r\n" for line in [head, *(",".join(repr(float(x)) for x in row) for row in rows)])
+
 
 def next_experiment(plant: Plant, admission: Admission, search: Search, choice: Choice) -> Experiment | None:
     """The experiment for an answer and its nearest rival; None where there is none."""

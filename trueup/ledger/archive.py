@@ -6,6 +6,7 @@
       log/entries.jsonl             entries of the log; of one plant, each with the proof that it is in the log
       episodes/<digest>.mcap        recordings
       arrays/<digest>.safetensors   what artifacts name
+      outputs/<digest>              what jobs left behind
 
 The configuration holds the log's public key, the notes by which earlier keys handed over to it, and its signed head. Of a whole registry
 all entries are there, and the tree is rebuilt from them; of one plant, its own, each proven. It is a folder, or a tar file of one, which is
@@ -37,7 +38,7 @@ from trueup.ledger.rows import KEYS, row_name
 SCHEMA = "trueup.archive/1"
 ARTIFACT = "application/vnd.trueup.archive.v1"
 CONFIG, ROWS, ENTRIES = f"{ARTIFACT}.config+json", f"{ARTIFACT}.rows+jsonl", f"{ARTIFACT}.entries+jsonl"
-EPISODE, ARRAYS = "application/vnd.mcap", "application/vnd.safetensors"
+EPISODE, ARRAYS, OUTPUT = "application/vnd.mcap", "application/vnd.safetensors", "application/octet-stream"
 MANIFEST, INDEX = "application/vnd.oci.image.manifest.v1+json", "application/vnd.oci.image.index.v1+json"
 SIGNATURE = f"{ARTIFACT}.signature"
 TITLE = "org.opencontainers.image.title"

@@ -30,6 +30,7 @@ JOBS: Mapping[str, Operation] = {
     "watch": Operation.MONITORING,
     "validate": Operation.MONITORING,
     "blindtrial": Operation.MONITORING,
+    "recompute": Operation.MONITORING,
 }
 
 

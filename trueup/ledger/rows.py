@@ -21,6 +21,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "artifacts": ("plant", "version"),
     "gates": ("plant", "digest"),
     "jobs": ("id",),
+    "outputs": ("job", "name"),
     "decisions": ("digest",),
     "serving": ("plant",),
     "moves": ("plant", "generation"),
@@ -72,5 +73,5 @@ def misnamed(table: str, row: Mapping[str, Any]) -> str | None:
 
 def blobs(table: str, row: Mapping[str, Any]) -> list[str]:
     """Digests of the bytes that a row stands for."""
-    named = {"episodes": "digest", "artifacts": "arrays", "imports": "entries"}.get(table)
+    named = {"episodes": "digest", "artifacts": "arrays", "imports": "entries", "outputs": "digest"}.get(table)
     return [row[named]] if named and row[named] else []

@@ -16,6 +16,7 @@ from trueup_service.registry.records import (
     JobRecord,
     MonitorRecord,
     Move,
+    OutputRecord,
     PlantRecord,
     ProjectRecord,
     TokenRecord,
@@ -55,6 +56,10 @@ def gate(reader: Reader, plant: str, digest: str) -> GateRecord:
 
 def job(reader: Reader, name: str) -> JobRecord:
     return _found(reader.job(name), "job", name)
+
+
+def output(reader: Reader, job: str, name: str) -> OutputRecord:
+    return _found(reader.output(job, name), "output", name)
 
 
 def monitor(reader: Reader, plant: str, digest: str) -> MonitorRecord:

@@ -119,6 +119,13 @@ def submit_validation(writer: Writer, queue: JobQueue, job: str, plant: str, req
     return _submit(writer, queue, job, plant, "validate", frozen, stamp)
 
 
+def submit_recomputation(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+    """A decision, made anew from its bytes. Raises NotFound."""
+    made = find.decision(writer, plant, str(request["decision"]))
+    frozen: dict[str, Json] = {"decision": made.digest, "episodes": made.document["episodes"]}
+    return _submit(writer, queue, job, plant, "recompute", frozen, stamp)
+
+
 SUBMIT = {
     "validate": submit_validation,
     "calibrate": submit_calibration,
@@ -126,6 +133,7 @@ SUBMIT = {
     "gate": submit_gate,
     "diagnose": submit_diagnosis,
     "blindtrial": submit_blindtrial,
+    "recompute": submit_recomputation,
 }
 
 

@@ -75,6 +75,7 @@ ACCESS: Mapping[tuple[str, str], Rule] = {
     ("POST", f"{PLANT}/jobs"): ENGINEERS,
     ("GET", f"{PLANT}/jobs"): READERS,
     ("GET", "/v1/jobs/{job}"): READERS,
+    ("GET", "/v1/jobs/{job}/outputs/{name}"): READERS,
     ("POST", "/v1/jobs/{job}/cancel"): ENGINEERS,
     ("GET", f"{PLANT}/decisions"): READERS,
     ("GET", f"{PLANT}/decisions/{{digest}}"): READERS,

@@ -183,10 +183,20 @@ class Job(Answer):
         return of_job(self.kind, self.request)
 
 
+class Output(Answer):
+    """A file that a job left behind."""
+
+    name: str
+    digest: Digest
+    size_bytes: int
+    media_type: str
+
+
 class JobWithReads(Job):
-    """A job and the digest of everything it has read."""
+    """A job, the digest of everything it has read, and the files that it left behind."""
 
     reads: dict[str, str]
+    outputs: list[Output]
 
 
 class Evidence(Answer):
@@ -434,6 +444,14 @@ class ValidationRequest(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     kind: Literal["validate"]
+
+
+class RecomputationRequest(BaseModel):
+    """Make a decision anew from its gate, its artifacts and its episodes, and say whether that agrees with what was recorded."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["recompute"]
+    decision: Digest
 
 
 class CalibrationRequest(BaseModel):

@@ -154,6 +154,18 @@ class JobRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class OutputRecord:
+    """A file that a job left behind; its bytes are the blob of its digest."""
+
+    plant: str
+    job: str
+    name: str
+    digest: str
+    size_bytes: int
+    media_type: str
+
+
+@dataclass(frozen=True, slots=True)
 class DecisionRecord:
     """A gate's decision."""
 

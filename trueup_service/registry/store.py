@@ -54,6 +54,7 @@ from trueup_service.registry.records import (
     JobState,
     MonitorRecord,
     Move,
+    OutputRecord,
     PlantRecord,
     PolicyRecord,
     ProjectRecord,
@@ -208,6 +209,13 @@ class Reader:
             select(t.job_reads.c.digest, t.job_reads.c.purpose).where(t.job_reads.c.job == job).order_by(t.job_reads.c.digest)
         )
         return {row.digest: row.purpose for row in rows}
+
+    def outputs(self, job: str) -> list[OutputRecord]:
+        """Files that a job left behind, by name."""
+        return self._all(OutputRecord, select(t.outputs).where(t.outputs.c.job == job).order_by(t.outputs.c.name))
+
+    def output(self, job: str, name: str) -> OutputRecord | None:
+        return self._one(OutputRecord, select(t.outputs).where(t.outputs.c.job == job, t.outputs.c.name == name))
 
     def uses(self, digest: str, purpose: str) -> int:
         """How many jobs have read these bytes for this purpose."""
@@ -388,7 +396,7 @@ class Reader:
 
     def names(self, digest: str) -> bool:
         """Whether a row names these bytes."""
-        named = (t.episodes.c.digest, t.artifacts.c.arrays, t.imports.c.entries)
+        named = (t.episodes.c.digest, t.artifacts.c.arrays, t.imports.c.entries, t.outputs.c.digest)
         return any(self.connection.scalar(select(column).where(column == digest).limit(1)) is not None for column in named)
 
     def remembered(self, scope: str, key: str) -> tuple[str, dict[str, Json]] | None:
@@ -460,6 +468,9 @@ class Writer(Reader):
 
     def add_job(self, record: JobRecord) -> None:
         self._add(t.jobs, asdict(record))
+
+    def add_output(self, record: OutputRecord) -> None:
+        self._add(t.outputs, asdict(record))
 
     def add_reads(self, job: str, digests: Sequence[str], purpose: str) -> None:
         """Note what a job reads; noting it again changes nothing."""

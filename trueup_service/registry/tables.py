@@ -142,6 +142,18 @@ job_reads = Table(
     Index(None, "digest"),
 )
 
+outputs = Table(
+    "outputs",
+    metadata,
+    Column("plant", NAME, ForeignKey("plants.name"), nullable=False),
+    Column("job", ID, ForeignKey("jobs.id"), primary_key=True),
+    Column("name", NAME, primary_key=True),
+    Column("digest", DIGEST, nullable=False),
+    Column("size_bytes", BigInteger, nullable=False),
+    Column("media_type", String(100), nullable=False),
+    Index(None, "digest"),
+)
+
 decisions = Table(
     "decisions",
     metadata,
@@ -321,6 +333,7 @@ audit = Table(
     Column("facts", Text, nullable=False),
     Column("rows", Text, nullable=False),
     Index(None, "plant", "sequence"),
+    Index(None, "subject"),
 )
 
 audit_tree = Table(

@@ -6,6 +6,7 @@ import uuid
 from typing import Annotated
 
 from fastapi import Body, Path, Response
+from starlette.responses import StreamingResponse
 
 from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
@@ -21,7 +22,9 @@ from trueup_service.http.schemas import (
     GateRequest,
     Job,
     JobWithReads,
+    Output,
     Page,
+    RecomputationRequest,
     ValidationRequest,
     page,
 )
@@ -29,8 +32,10 @@ from trueup_service.registry.store import Reader, writing
 
 router = guarded("/v1", ["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
+OutputName = Annotated[str, Path(pattern=r"^[a-z0-9_.-]{1,63}$", description="The file's name")]
 JobRequest = Annotated[
-    FitRequest | GateRequest | DiagnosisRequest | BlindtrialRequest | CalibrationRequest | ValidationRequest, Body(discriminator="kind")
+    FitRequest | GateRequest | DiagnosisRequest | BlindtrialRequest | CalibrationRequest | ValidationRequest | RecomputationRequest,
+    Body(discriminator="kind"),
 ]
 
 
@@ -67,7 +72,24 @@ def get_job(parts: With, who: Asking, job: JobId) -> JobWithReads:
         reader = Reader(connection)
         found = find.job(reader, job)
         require_seen(parts.database, who, found.plant, find.missing("job", job))
-        return JobWithReads(**Job.model_validate(found).model_dump(), reads=reader.job_reads(job))
+        outputs = [Output.model_validate(o) for o in reader.outputs(job)]
+        return JobWithReads(**Job.model_validate(found).model_dump(), reads=reader.job_reads(job), outputs=outputs)
+
+
+@router.get("/jobs/{job}/outputs/{name}", summary="Download a file that a job left behind", response_class=Response)
+def get_output(parts: With, who: Asking, job: JobId, name: OutputName) -> StreamingResponse:
+    """A diagnosis leaves `figures.json`, the numbers behind its pictures, and `next_experiment.csv` where there is one."""
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        require_seen(parts.database, who, find.job(reader, job).plant, find.missing("job", job))
+        found = find.output(reader, job, name)
+    headers = {
+        "Content-Length": str(found.size_bytes),
+        "ETag": f'"{found.digest}"',
+        "Cache-Control": "private, max-age=31536000, immutable",
+        "Content-Disposition": f'attachment; filename="{found.name}"',
+    }
+    return StreamingResponse(parts.blobs.stream(found.digest), media_type=found.media_type, headers=headers)
 
 
 @router.post("/jobs/{job}/cancel", summary="Cancel a job")
