@@ -11,6 +11,7 @@ from markupsafe import Markup
 from trueup.diagnose import words
 from trueup_pages import drawing
 from trueup_pages.assets import text_of, url_of
+from trueup_pages.timeline import timeline
 
 
 @cache
@@ -26,7 +27,7 @@ def _environment() -> Environment:
         moment=moment,
         plain=lambda text: text.replace("_", " "),
     )
-    made.globals.update(asset=url_of, inlined=lambda name: Markup(text_of(name)), drawing=drawing, words=words)
+    made.globals.update(asset=url_of, inlined=lambda name: Markup(text_of(name)), drawing=drawing, words=words, timeline=timeline)
     return made
 
 

@@ -14,6 +14,13 @@ from trueup import __version__
 from trueup_service.http import openapi, problems
 from trueup_service.http.limiting import Limiting
 from trueup_service.http.observing import Observing
+from trueup_service.http.pages import audit as audit_page
+from trueup_service.http.pages import decision as decision_page
+from trueup_service.http.pages import diagnosis as diagnosis_page
+from trueup_service.http.pages import episode as episode_page
+from trueup_service.http.pages import plant as plant_page
+from trueup_service.http.pages import plants as plants_page
+from trueup_service.http.pages import session as session_page
 from trueup_service.http.routers import (
     access,
     artifacts,
@@ -51,6 +58,7 @@ ROUTERS = (
 )  # fmt: skip
 
 
+PAGES = (session_page, plants_page, plant_page, diagnosis_page, decision_page, episode_page, audit_page)
 log = logging.getLogger("trueup.http")
 
 
@@ -86,6 +94,8 @@ def create_app(parts: Parts) -> FastAPI:
     openapi.install(app)
     for module in ROUTERS:
         app.include_router(module.router)
+    for page in PAGES:
+        app.include_router(page.router, include_in_schema=False)
     app.add_middleware(Limiting)
     app.add_middleware(Observing)
     return app

@@ -50,12 +50,12 @@ async def _recognised(request: Request) -> Who:
     cookie = request.cookies.get(COOKIE)
     if cookie is None:
         raise Unauthenticated
-    _require_own_page(request)
+    require_own_page(request)
     found = identities.remembered(cookie)
     return found if found is not None else await run_in_threadpool(identities.by_session, cookie)
 
 
-def _require_own_page(request: Request) -> None:
+def require_own_page(request: Request) -> None:
     """A browser sends its cookie whoever made it ask: what changes something must come from a page of ours. Raises Forbidden.
 
     SameSite=Strict keeps other sites' requests without the cookie; this holds against other origins of the same site, too.

@@ -31,7 +31,7 @@ FOR_BROWSERS = (
     (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'"),
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
-)  # an answer is data: nothing in it may run, or be shown inside another site
+)  # an answer is data: nothing in it may run, or be shown inside another site; a page says itself what it may load
 GIVEN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
@@ -56,7 +56,9 @@ class Observing:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                message["headers"] = [*message["headers"], (b"x-request-id", name.encode()), *FOR_BROWSERS]
+                given = {k for k, _ in message["headers"]}
+                more = [(k, v) for k, v in FOR_BROWSERS if k not in given]
+                message["headers"] = [*message["headers"], (b"x-request-id", name.encode()), *more]
             await send(message)
 
         try:

@@ -23,6 +23,7 @@ from trueup.ledger.archive import BadArchive
 from trueup.ledger.note import BadKey
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
 from trueup_service import errors as service
+from trueup_service.http.pages.page import show, to_sign_in, wants_page
 from trueup_service.registry.blobs import BlobMissing, StoreAway
 
 log = logging.getLogger("trueup.http")
@@ -81,7 +82,11 @@ def status_of(error: errors.TrueupError) -> HTTPStatus:
 
 
 def problem(request: Request, status: int, code: str, detail: str, hint: str, facts: dict[str, object] | None = None) -> Response:
-    """A problem document: stable `code`, what to do next in `hint`, values in `facts`, and the request's id."""
+    """A problem document: stable `code`, what to do next in `hint`, values in `facts`, and the request's id; for a browser a page of it."""
+    if wants_page(request):
+        if status == HTTPStatus.UNAUTHORIZED:
+            return to_sign_in(request)
+        return show(request, "problem.html", status, code=code, detail=detail, hint=hint, request_id=request.scope.get("request_id"))
     body = {
         "type": f"urn:trueup:problem:{code}",
         "title": HTTPStatus(status).phrase,

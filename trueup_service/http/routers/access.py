@@ -14,9 +14,10 @@ from trueup_service.http.context import By, IdempotencyKey, Limit, PrefixPath, W
 from trueup_service.http.guard import COOKIE, Asking, guarded, origin_of
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Identity, IssuedToken, NewProject, NewToken, Page, Project, SignIn, Token, page
-from trueup_service.identity import digest_of_secret, new_token
+from trueup_service.identity import Identities, Who, digest_of_secret, new_token
 from trueup_service.registry.records import Role, TokenRecord
 from trueup_service.registry.store import Reader, writing
+from trueup_service.wiring import Parts
 
 router = guarded("/v1", ["access"])
 
@@ -24,14 +25,25 @@ router = guarded("/v1", ["access"])
 @router.post("/session", summary="Sign in with a token, for a browser")
 def sign_in(request: Request, response: Response, parts: With, given: SignIn) -> Identity:
     """Sets a cookie that scripts cannot read and other sites cannot send. Programs send their token with every request instead."""
-    who = request.app.state.identities.by_token(given.token)
+    who, secret = begin_session(request.app.state.identities, parts, given.token)
+    give_cookie(request, response, parts, secret)
+    return Identity.model_validate(who)
+
+
+def begin_session(identities: Identities, parts: Parts, token: str) -> tuple[Who, str]:
+    """Who a token is of, and the secret of a session that lasts for a while. Raises Unauthenticated."""
+    who = identities.by_token(token)
     now, secret = datetime.now(UTC), secrets.token_urlsafe(32)
     ends = now + timedelta(seconds=parts.settings.session_s)
     with writing(parts.database) as writer:
         writer.add_session(digest_of_secret(secret), who.token, time_text(now), time_text(ends))
+    return who, secret
+
+
+def give_cookie(request: Request, response: Response, parts: Parts, secret: str) -> None:
+    """Let a browser keep a session's secret, out of reach of scripts and of other sites."""
     is_https = origin_of(request).startswith("https:")
     response.set_cookie(COOKIE, secret, max_age=int(parts.settings.session_s), httponly=True, samesite="strict", secure=is_https)
-    return Identity.model_validate(who)
 
 
 @router.get("/session", summary="Who asks")
@@ -41,11 +53,21 @@ async def session(who: Asking) -> Identity:
 
 @router.delete("/session", summary="Sign out", status_code=204)
 def sign_out(request: Request, response: Response, parts: With) -> None:
+    end_session(request, parts)
+    forget_cookie(response)
+
+
+def end_session(request: Request, parts: Parts) -> None:
+    """End the session that a browser's cookie is of."""
     cookie = request.cookies.get(COOKIE)
     if cookie is not None:
         with writing(parts.database) as writer:
             writer.end_session(digest_of_secret(cookie))
     request.app.state.identities.forget()
+
+
+def forget_cookie(response: Response) -> None:
+    """Take the cookie back."""
     response.delete_cookie(COOKIE, httponly=True, samesite="strict")
 
 

@@ -68,11 +68,11 @@ def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeCon
         reader = Reader(connection)
         found = find.episode(reader, plant, digest)
         uses = {purpose: reader.uses(digest, purpose) for purpose in PURPOSES}
-        served = _served(reader, found)
+        served = served_during(reader, found)
     return EpisodeContext(**Episode.model_validate(found).model_dump(), served=[Serving(**document(m)) for m in served], uses=uses)
 
 
-def _served(reader: Reader, episode: EpisodeRecord) -> list[Move]:
+def served_during(reader: Reader, episode: EpisodeRecord) -> list[Move]:
     """Every position of the pointer that was live at some time of the recording."""
     begin, end = (time_text(datetime.fromtimestamp(ns / 1e9, UTC)) for ns in (episode.start_ns, episode.end_ns))
     first, last = reader.served_at(episode.plant, begin), reader.served_at(episode.plant, end)

@@ -127,16 +127,16 @@ def _rehearsed(parts: Parts, stamp: Stamp, plant: str, decision: str) -> dict[st
 @router.post("/rollback", summary="Serve what served before")
 async def rollback(request: Request, parts: With, stamp: By, plant: PlantName, wanted: Rollback, key: IdempotencyKey = None) -> Serving:
     """Only after the switchback test: the artifact loads, its digests hold, it answers its recorded probe, it fits the plant."""
-    moved = await run_in_threadpool(_roll_back, parts, stamp, plant, wanted.expected_generation, key)
+    moved = await run_in_threadpool(roll_back_tested, parts, stamp, plant, wanted.expected_generation, key)
     request.app.state.answers.wake()
     return Serving(**moved)
 
 
-def _roll_back(parts: Parts, stamp: Stamp, plant: str, expected_generation: int, key: str | None) -> dict[str, Any]:
-    """Test outside any transaction, for it reads a model; then move, if the pointer is still where the test found it."""
+def roll_back_tested(parts: Parts, stamp: Stamp, plant: str, expected_generation: int, key: str | None) -> dict[str, Any]:
+    """The new position. Test outside any transaction, for it reads a model; then move, if the pointer is still where the test found it."""
     tested, refused = {}, None
     try:
-        tested = _tested(parts, plant, expected_generation)
+        tested = tested_way_back(parts, plant, expected_generation)
     except PointerMoved as error:
         if key is None:
             raise
@@ -152,7 +152,7 @@ def _roll_back(parts: Parts, stamp: Stamp, plant: str, expected_generation: int,
     return run_once(parts, stamp, f"rollback/{plant}", key, {"expected_generation": expected_generation}, act)
 
 
-def _tested(parts: Parts, plant: str, expected_generation: int) -> dict[str, Any]:
+def tested_way_back(parts: Parts, plant: str, expected_generation: int) -> dict[str, Any]:
     """The record of the switchback test on what served before. Raises PointerMoved, SwitchbackFailed."""
     from trueup_service.actions.switchback import test_switchback  # noqa: PLC0415  (numpy: a server that only serves needs none)
 

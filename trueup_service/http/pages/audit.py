@@ -1,0 +1,88 @@
+"""The log: its entries, filtered, each held against the signed head; and whether it extends a head that somebody kept."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from fastapi import Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from trueup.errors import TrueupError
+from trueup.ledger.audit import entry_bytes
+from trueup.ledger.merkle import inclusion, leaf_hash, prove
+from trueup.ledger.note import head_of
+from trueup_client.proof import includes
+from trueup_service.http.context import With
+from trueup_service.http.guard import Asking, guarded
+from trueup_service.http.pages.page import form, show
+from trueup_service.identity import Who
+from trueup_service.registry.overview import last_entries
+from trueup_service.registry.store import Reader
+from trueup_service.signed_log import SignedLog, root_at
+from trueup_service.wiring import Parts
+
+router = guarded("", ["pages"])
+LINES = 100
+NO_END = 2**62
+
+
+@router.get("/audit")
+def audit(
+    request: Request,
+    parts: With,
+    who: Asking,
+    plant: Annotated[str, Query(max_length=63)] = "",
+    kind: Annotated[str, Query(max_length=32)] = "",
+    before: Annotated[int, Query(ge=1, le=NO_END)] = NO_END,
+) -> Response:
+    return show(request, "audit.html", **_listed(request, parts, who, plant, kind, before), compared=None, pasted="")
+
+
+@router.post("/audit/compare")
+async def compare(request: Request, parts: With, who: Asking) -> Response:
+    """Whether the log extends the head in a checkpoint that somebody kept."""
+    pasted = (await form(request)).get("checkpoint", "")
+    found = await run_in_threadpool(_compared, parts, pasted)
+    listed = await run_in_threadpool(_listed, request, parts, who, "", "", NO_END)
+    return show(request, "audit.html", **listed, compared=found, pasted=pasted)
+
+
+def _listed(request: Request, parts: Parts, who: Who, plant: str, kind: str, before: int) -> dict[str, Any]:
+    log: SignedLog = request.app.state.log
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        of = who.plant if who.plant is not None else plant or None
+        entries = last_entries(connection, before, LINES, plant=of, project=who.project, kind=kind)
+        tree = reader.audit_tree()
+        root, held = tree.root(), []
+        for entry in entries:
+            plan = inclusion(entry.sequence - 1, tree.size)
+            proof = prove(plan, reader.audit_nodes([n for part in plan for n in part]))
+            held.append(includes(root, tree.size, entry.sequence - 1, leaf_hash(entry_bytes(entry)), proof))
+    return {
+        "entries": list(zip(entries, held, strict=True)),
+        "plant": plant,
+        "kind": kind,
+        "more": entries[-1].sequence if len(entries) == LINES else None,
+        "size": tree.size,
+        "root": root.hex(),
+        "checkpoint": log.checkpoint(),
+        "key": log.signer.verifier,
+    }
+
+
+def _compared(parts: Parts, pasted: str) -> tuple[bool, str]:
+    """Whether the log extends a head, and that in words."""
+    try:
+        size, root = head_of(pasted.strip().replace("\r\n", "\n") + "\n")
+    except (TrueupError, ValueError, IndexError):
+        return False, "This is no checkpoint: its lines are the log's name, the number of entries, the root, and a signature."
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        now = reader.audit_tree().size
+        if size > now:
+            return False, f"The checkpoint is of {size} entries, and this log has {now}: it was cut, or this is another one."
+        same = root_at(reader, size) == root
+    if not same:
+        return False, f"The first {size} entries are not those of the checkpoint: the log was changed, or this is another one."
+    return True, f"The log extends the checkpoint: its first {size} entries are the same, and {now - size} came since."

@@ -1,0 +1,63 @@
+"""A decision: every figure against its threshold, on what it rests, its place in the log, and the same made anew."""
+
+from __future__ import annotations
+
+import uuid
+from typing import Any
+
+from fastapi import Request, Response
+
+from trueup.canonical import digest_of
+from trueup.ledger.audit import entry_bytes
+from trueup.ledger.merkle import inclusion, leaf_hash, prove
+from trueup_service.actions import find
+from trueup_service.actions.submit_job import SUBMIT
+from trueup_service.http.context import END_OF_TIME, By, DigestPath, PlantName, With
+from trueup_service.http.guard import guarded
+from trueup_service.http.pages.page import go, show
+from trueup_service.registry.overview import entry_on
+from trueup_service.registry.records import FINAL
+from trueup_service.registry.store import Reader, writing
+
+router = guarded("", ["pages"])
+LOOKED_AT = 200  # jobs among which a recomputation is sought
+
+
+@router.get("/plants/{plant}/decisions/{digest}")
+def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Response:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        made = find.decision(reader, plant, digest)
+        gate = find.gate(reader, plant, made.gate)
+        both = {which: find.artifact(reader, plant, getattr(made, which)) for which in ("candidate", "incumbent")}
+        entry, proof = entry_on(connection, digest, "decision:made"), []
+        tree = reader.audit_tree()
+        if entry is not None:
+            plan = inclusion(entry.sequence - 1, tree.size)
+            proof = [h.hex() for h in prove(plan, reader.audit_nodes([n for part in plan for n in part]))]
+        anew = [j for j in reader.jobs(plant, END_OF_TIME, LOOKED_AT) if j.kind == "recompute" and j.request["decision"] == digest]
+        values: dict[str, Any] = {
+            "plant": plant,
+            "made": made,
+            "whole": digest_of(made.document) == digest,
+            "gate": gate,
+            "artifacts": both,
+            "approvals": reader.approvals(plant, digest),
+            "entry": entry,
+            "leaf": None if entry is None else leaf_hash(entry_bytes(entry)).hex(),
+            "proof": proof,
+            "size": tree.size,
+            "root": tree.root().hex(),
+            "anew": anew[0] if anew else None,
+            "waiting": bool(anew) and anew[0].state not in FINAL,
+        }
+    return show(request, "decision.html", **values)
+
+
+@router.post("/plants/{plant}/decisions/{digest}/recompute")
+def recompute(parts: With, stamp: By, plant: PlantName, digest: DigestPath) -> Response:
+    """Make it anew, from its bytes."""
+    parts.queue.prepare()
+    with writing(parts.database) as writer:
+        SUBMIT["recompute"](writer, parts.queue, uuid.uuid4().hex, plant, {"decision": digest}, stamp)
+    return go(f"/plants/{plant}/decisions/{digest}")

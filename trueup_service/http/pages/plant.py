@@ -1,0 +1,108 @@
+"""One plant: what serves and how it came to, what happened when, the way back, and a diagnosis to start."""
+
+from __future__ import annotations
+
+import uuid
+from typing import Any
+
+from fastapi import Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from trueup.episode.role import STAGES
+from trueup.errors import PointerMoved, TrueupError
+from trueup.ledger.pointer import NothingToRollBackTo
+from trueup_service.actions import find
+from trueup_service.actions.move_pointer import previous_artifact
+from trueup_service.actions.submit_job import SUBMIT
+from trueup_service.http.context import END_OF_TIME, By, PlantName, With
+from trueup_service.http.guard import guarded
+from trueup_service.http.pages.page import form, go, show
+from trueup_service.http.problems import status_of
+from trueup_service.http.routers.serving import roll_back_tested, tested_way_back
+from trueup_service.registry.overview import gaps_of, last_entries
+from trueup_service.registry.store import Reader, writing
+from trueup_service.wiring import Parts
+
+router = guarded("", ["pages"])
+ENTRIES, ROWS = 300, 10
+NO_END = 2**62
+NOT_A_NUMBER = -1
+
+
+@router.get("/plants/{plant}")
+def plant_page(request: Request, parts: With, plant: PlantName) -> Response:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        record = find.plant(reader, plant)
+        serving = find.serving(reader, plant)
+        artifact = find.artifact(reader, plant, serving.artifact)
+        back = None if serving.back_to is None else reader.move(plant, serving.back_to)
+        evidence = reader.evidence_of(plant, serving.artifact)
+        jobs = reader.jobs(plant, END_OF_TIME, ROWS * 3)
+        latest = reader.latest_version(plant)
+        values: dict[str, Any] = {
+            "plant": record,
+            "serving": serving,
+            "artifact": artifact,
+            "back": back,
+            "alarm": reader.open_alarm(plant),
+            "policy": reader.policy(plant),
+            "gap": gaps_of(connection, [plant]).get(plant, ()),
+            "ladder": [(stage, [e for e in evidence if e.stage == stage]) for stage in STAGES],
+            "decisions": reader.decisions(plant, END_OF_TIME, ROWS),
+            "versions": list(reversed(reader.artifacts(plant, max(latest - ROWS, 0), ROWS))),
+            "diagnoses": [j for j in jobs if j.kind == "diagnose"][:ROWS],
+            "episodes": reader.episodes_of_role(plant, ("adaptation", "validation"))[:ROWS],
+            "entries": last_entries(connection, NO_END, ENTRIES, plant=plant),
+        }
+    return show(request, "plant.html", **values)
+
+
+@router.post("/plants/{plant}/diagnoses")
+def diagnose(parts: With, stamp: By, plant: PlantName) -> Response:
+    """Start a diagnosis, and show how it goes."""
+    job = uuid.uuid4().hex
+    parts.queue.prepare()
+    with writing(parts.database) as writer:
+        SUBMIT["diagnose"](writer, parts.queue, job, plant, {"seed": 0}, stamp)
+    return go(f"/plants/{plant}/diagnoses/{job}")
+
+
+@router.get("/plants/{plant}/rollback")
+def rollback_page(request: Request, parts: With, plant: PlantName) -> Response:
+    """What a rollback would do: tested now, moved only if somebody says so."""
+    return _offer(request, parts, plant, None)
+
+
+@router.post("/plants/{plant}/rollback")
+async def rollback(request: Request, parts: With, stamp: By, plant: PlantName) -> Response:
+    """Move the pointer back, if it is where whoever asks has seen it."""
+    given = await form(request)
+    text = given.get("generation", "").strip()
+    generation = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else NOT_A_NUMBER  # noqa: PLR2004
+    try:
+        await run_in_threadpool(roll_back_tested, parts, stamp, plant, generation, given.get("key") or None)
+    except TrueupError as error:
+        return await run_in_threadpool(_offer, request, parts, plant, error)
+    request.app.state.answers.wake()
+    return go(f"/plants/{plant}")
+
+
+def _offer(request: Request, parts: Parts, plant: str, refused: TrueupError | None) -> Response:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        serving = find.serving(reader, plant)
+        try:
+            back, _ = previous_artifact(reader, plant, serving.generation)
+        except NothingToRollBackTo:
+            back = None
+    tested, fails = None, None
+    if back is not None:
+        try:
+            tested = tested_way_back(parts, plant, serving.generation)
+        except PointerMoved:
+            pass  # it moved while we looked; the form's generation will say so
+        except TrueupError as error:
+            fails = error
+    values = {"name": plant, "serving": serving, "back": back, "tested": tested, "fails": fails, "refused": refused}
+    return show(request, "rollback.html", 200 if refused is None else status_of(refused), key=uuid.uuid4().hex, **values)

@@ -1,0 +1,30 @@
+"""All plants: a line each."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import Query, Request, Response
+
+from trueup_service.http.context import With
+from trueup_service.http.guard import Asking, guarded
+from trueup_service.http.pages.page import show
+from trueup_service.registry.overview import plant_lines
+
+router = guarded("", ["pages"])
+LINES = 50
+
+
+@router.get("/")
+def plants(
+    request: Request,
+    parts: With,
+    who: Asking,
+    q: Annotated[str, Query(max_length=63)] = "",
+    after: Annotated[str, Query(max_length=63)] = "",
+) -> Response:
+    """The plants that somebody sees, by name, whose name contains `q`."""
+    with parts.database.read() as connection:
+        lines = plant_lines(connection, after, LINES + 1, of=who.plant, project=who.project, containing=q)
+    more = lines[LINES - 1].name if len(lines) > LINES else None
+    return show(request, "plants.html", lines=lines[:LINES], q=q, after=after, more=more)

@@ -1,0 +1,55 @@
+"""Signing in and out, and the files that pages load."""
+
+from __future__ import annotations
+
+from fastapi import Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from trueup_pages.assets import by_url, bytes_of, type_of
+from trueup_service.errors import NotFound, Unauthenticated
+from trueup_service.http.context import With
+from trueup_service.http.guard import guarded, require_own_page
+from trueup_service.http.pages.page import form, go, show
+from trueup_service.http.problems import status_of
+from trueup_service.http.routers.access import begin_session, end_session, forget_cookie, give_cookie
+
+router = guarded("", ["pages"])
+FOR_EVER = {"Cache-Control": "public, max-age=31536000, immutable"}
+
+
+@router.get("/sign-in")
+async def sign_in_page(request: Request) -> Response:
+    return show(request, "sign_in.html", next=request.query_params.get("next", "/"), problem=None)
+
+
+@router.post("/sign-in")
+async def sign_in(request: Request, parts: With) -> Response:
+    """Begin a session with a token, and go on to where the browser wanted to be."""
+    require_own_page(request)
+    given = await form(request)
+    to = given.get("next", "/")
+    to = to if to.startswith("/") and not to.startswith(("//", "/\\")) else "/"  # nowhere but here
+    try:
+        _, secret = await run_in_threadpool(begin_session, request.app.state.identities, parts, given.get("token", "").strip())
+    except Unauthenticated as error:
+        return show(request, "sign_in.html", status_of(error), next=to, problem=error)
+    answer = go(to)
+    give_cookie(request, answer, parts, secret)
+    return answer
+
+
+@router.post("/sign-out")
+async def sign_out(request: Request, parts: With) -> Response:
+    await run_in_threadpool(end_session, request, parts)
+    answer = go("/sign-in")
+    forget_cookie(answer)
+    return answer
+
+
+@router.get("/static/{name}")
+async def static(name: str) -> Response:
+    """A file under the name that holds its digest."""
+    found = by_url().get(name)
+    if found is None:
+        raise NotFound(f"there is no file {name!r} here", noun="file", name=name)
+    return Response(bytes_of(found), media_type=type_of(found), headers=FOR_EVER)
