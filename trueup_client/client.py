@@ -44,6 +44,12 @@ class Client:
     ) -> None:
         self._to = Connection(url, actor, timeout_s, token or os.environ.get("TRUEUP_TOKEN"))
 
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def close(self) -> None:
         """Close the connection."""
         self._to.close()

@@ -14,7 +14,7 @@ from tests.support.storage import embedded
 from trueup_client import Client, Problem
 from trueup_service.errors import Unauthenticated
 from trueup_service.http.access import ACCESS
-from trueup_service.http.app import ROUTERS
+from trueup_service.http.app import PAGES, ROUTERS
 from trueup_service.http.guard import Guarded
 from trueup_service.identity import Identities, first_admin, new_token
 from trueup_service.registry.records import Role
@@ -29,8 +29,9 @@ NOTHING = {
     "channel": "none",
     "prefix": "0" * 12,
     "table": "plants",
+    "name": "none",
 }
-ROUTES = [(method, route) for module in ROUTERS for route in module.router.routes for method in sorted(route.methods)]
+ROUTES = [(method, route) for module in (*ROUTERS, *PAGES) for route in module.router.routes for method in sorted(route.methods)]
 
 
 def bearer(token):

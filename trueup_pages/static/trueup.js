@@ -62,7 +62,7 @@ class Recordings {
       axes: [{ ...axis, size: 28, values: (_, ticks) => ticks.map((t) => `${+t.toPrecision(6)} s`) }, { ...axis, size: 58 }],
       series: [{}, ...lines.map(([label, of]) => ({ label, stroke: colour(of), width: 1.4, spanGaps: false }))],
       hooks: {
-        setCursor: [(u) => u.cursor.idx != null && u.cursor.left >= 0 && !this.busy && u === this.charts[0] && this.show(u.cursor.idx)],
+        setCursor: [(u) => u.cursor.event && u.cursor.idx != null && u.cursor.left >= 0 && this.show(u.cursor.idx)], // a pointer's, not our own
         setScale: [(u, key) => key === "x" && !this.busy && this.zoom(u)],
       },
     };
@@ -77,11 +77,8 @@ class Recordings {
   }
 
   scrub(at) {
-    const plot = this.charts[0];
-    this.busy = true;
-    for (const each of this.charts) each.setCursor({ left: each.valToPos(this.episode.t_s[at], "x"), top: -10 }, false);
-    this.busy = false;
-    if (plot) this.show(at);
+    for (const each of this.charts) each.setCursor({ left: each.valToPos(this.episode.t_s[at], "x"), top: 0 }, false);
+    this.show(at);
   }
 
   show(at) {

@@ -30,7 +30,7 @@ SEE_OTHER = 303
 def show(request: Request, template: str, status: int = 200, **values: Any) -> HTMLResponse:
     """A page, with who is looking at it."""
     who: Who | None = request.scope.get("who")
-    here = {"who": who, "path": request.url.path, "may": lambda *roles: may(who, *roles)}
+    here = {"who": who, "path": request.url.path, "status": int(status), "may": lambda *roles: may(who, *roles)}
     return HTMLResponse(render(template, **here, **values), status, headers=HEADERS)
 
 

@@ -1,0 +1,348 @@
+"""What people see, in a real browser: by keyboard alone, at two widths, in light and dark, with names that are hostile."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import expect
+
+from tests.conftest import EXAMPLE
+from tests.support.browser import browsing
+from tests.support.made import episode_bytes, identified, plant_document
+from tests.support.service import ADMIN, Service, command
+from tests.support.storage import embedded
+from trueup_client import Client
+
+WIDTHS = {"wide": 1280, "phone": 390}
+SERIOUS = ("serious", "critical")
+HOSTILE = "<img src=x onerror=\"document.title='taken'\"><script>document.title='taken'</script>"
+LIGHTEST = 500_000
+A_MINUTE = 120_000  # and another, on a slow machine [ms]
+FOCUSED = "[document.activeElement].map(e => e.getAttribute('aria-label') || e.innerText || e.name || '')[0]"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with browsing() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    with Service(embedded(tmp_path_factory.mktemp("pages"))).running() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def known(running):
+    """The real recordings, one accepted and promoted candidate, and a diagnosis."""
+    command(running, "plant", "register", str(EXAMPLE))
+    command(running, "upload", "emps", str(EXAMPLE))
+    fitted = json.loads(command(running, "fit", "emps", "--method", "identify", "--json").stdout)["result"]["artifact"]
+    decision = json.loads(command(running, "gate", "emps", fitted, "--rules", str(EXAMPLE / "gate.json"), "--json").stdout)
+    command(running, "promote", "emps", decision["digest"])
+    job = json.loads(command(running, "diagnosis", "emps", "--json").stdout)
+    return {"decision": decision["digest"], "job": job["id"], "episode": decision["document"]["episodes"][0]}
+
+
+@pytest.fixture(scope="module")
+def pages(known):
+    return {
+        "plants": "/",
+        "plant": "/plants/emps",
+        "diagnosis": f"/plants/emps/diagnoses/{known['job']}",
+        "episode": f"/plants/emps/episodes/{known['episode']}",
+        "decision": f"/plants/emps/decisions/{known['decision']}",
+        "rollback": "/plants/emps/rollback",
+        "audit": "/audit",
+        "missing": "/plants/no-such-plant",
+    }
+
+
+class Seat:
+    """Somebody at a browser, signed in; what the page complains of is kept."""
+
+    def __init__(self, browser, service, width=1280, scheme="light", *, scripts=True, signed_in=True):
+        self.url, self.faults, self.loaded = service.url, [], []
+        self.context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, java_script_enabled=scripts)
+        self.page = self.context.new_page()
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.on("console", lambda said: self.faults.append(said.text) if said.type in ("error", "warning") else None)
+        self.page.on("response", lambda response: self.loaded.extend([response]))
+        if signed_in:
+            self.go("/sign-in")
+            self.page.get_by_label("Token").fill(ADMIN)
+            self.page.get_by_role("button", name="Sign in").click()
+            self.page.wait_for_url(f"{service.url}/")
+
+    def go(self, path):
+        self.page.goto(self.url + path)
+        self.page.wait_for_load_state("networkidle")
+
+    def press(self, *keys):
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def tab_to(self, name):
+        """Go on by Tab until what has the focus is called so."""
+        for _ in range(200):
+            self.press("Tab")
+            found = self.page.evaluate(FOCUSED)
+            if name in found:
+                return
+        pytest.fail(f"no Tab leads to {name!r}")
+
+
+@pytest.fixture
+def seat(browser, running, known):
+    found = Seat(browser, running)
+    yield found
+    found.context.close()
+    assert found.faults == []
+
+
+# -- everywhere
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", WIDTHS.values(), ids=WIDTHS)
+def test_no_page_has_a_serious_fault_or_is_wider_than_the_screen(browser, running, pages, width, scheme):
+    seat = Seat(browser, running, width, scheme)
+    for name, path in pages.items():
+        seat.go(path)
+        assert seat.page.evaluate("document.documentElement.scrollWidth") <= width, name
+        assert seat.page.locator("h1").count() == 1, name
+        faults = [v for v in Axe().run(seat.page).response["violations"] if v["impact"] in SERIOUS]
+        assert [(name, v["id"], [n["html"][:120] for n in v["nodes"][:3]]) for v in faults] == []
+    seat.context.close()
+
+
+def test_nothing_is_loaded_from_elsewhere_and_a_diagnosis_is_light(seat, pages, running):
+    seat.loaded.clear()
+    seat.go(pages["diagnosis"])
+    assert {re.match(r"[a-z]+://[^/]+", r.url).group() for r in seat.loaded if not r.url.startswith("data:")} == {running.url}
+    assert sum(len(r.body()) for r in seat.loaded) < LIGHTEST
+    policy = seat.loaded[0].headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+
+
+def test_whoever_is_not_signed_in_is_sent_to_sign_in_and_back(browser, running, pages):
+    seat = Seat(browser, running, signed_in=False)
+    seat.go(pages["diagnosis"])
+    assert "/sign-in" in seat.page.url
+    seat.page.get_by_label("Token").fill("trueup_000000000000_no")
+    seat.page.get_by_role("button", name="Sign in").click()
+    expect(seat.page.get_by_role("alert")).to_contain_text("not known")
+    seat.page.get_by_label("Token").fill(ADMIN)
+    seat.press("Enter")
+    seat.page.wait_for_url(running.url + pages["diagnosis"])
+    seat.page.get_by_role("button", name="Sign out").click()
+    seat.page.wait_for_url(f"{running.url}/sign-in")
+    seat.go(pages["plant"])
+    assert "/sign-in" in seat.page.url
+    seat.context.close()
+
+
+def test_a_link_signs_in_and_its_token_never_leaves_the_browser(browser, running, known):
+    seat = Seat(browser, running, signed_in=False)
+    asked = []
+    seat.page.on("request", lambda request: asked.append(request.url))
+    seat.page.goto(f"{running.url}/sign-in?next=/plants/emps#token={ADMIN}")
+    seat.page.wait_for_url(f"{running.url}/plants/emps")
+    assert not any(ADMIN in url for url in asked if "#" not in url)
+    seat.context.close()
+
+
+@pytest.mark.parametrize("to", ["//elsewhere.example/", "https://elsewhere.example/", "/\\elsewhere.example"])
+def test_signing_in_leads_nowhere_else(browser, running, known, to):
+    seat = Seat(browser, running, signed_in=False)
+    seat.go(f"/sign-in?next={to}")
+    seat.page.get_by_label("Token").fill(ADMIN)
+    seat.press("Enter")
+    seat.page.wait_for_url(f"{running.url}/")
+    seat.context.close()
+
+
+def test_a_serious_fault_would_be_found(seat, pages):
+    seat.go(pages["plant"])
+    seat.page.evaluate("document.querySelector('main').insertAdjacentHTML('beforeend', '<input><img src=\"data:,\">')")
+    assert {"label", "image-alt"} <= {v["id"] for v in Axe().run(seat.page).response["violations"] if v["impact"] in SERIOUS}
+
+
+# -- the way through, by keyboard
+
+
+def test_from_all_plants_to_what_a_diagnosis_says_by_keyboard_alone(seat, pages, running):
+    seat.go("/")
+    seat.press("Tab")
+    assert seat.page.evaluate("document.activeElement.className") == "skip"  # the first stop leads past the navigation
+    seat.tab_to("emps")
+    seat.press("Enter")
+    seat.page.wait_for_url(f"{running.url}/plants/emps")
+    seat.tab_to("diagnosis succeeded")
+    seat.press("Enter")
+    seat.page.wait_for_url(running.url + pages["diagnosis"])
+    expect(seat.page.locator("h1")).to_contain_text("held-out error falls from 0.371 to 0.00736")
+    seat.tab_to("layer")
+    shown = seat.page.locator(".layer.refitted").first
+    expect(shown).to_be_visible()
+    seat.press("ArrowRight")
+    expect(shown).to_be_hidden()
+    expect(seat.page.locator(".layer.corrected").first).to_be_visible()
+
+
+def test_a_recording_is_looked_through_by_keyboard(seat, pages):
+    seat.go(pages["diagnosis"])
+    scrubber = seat.page.get_by_label("moment", exact=True)
+    scrubber.focus()
+    first = seat.page.locator(".values td").all_inner_texts()
+    seat.press(*["PageUp"] * 3, "ArrowRight")
+    then = seat.page.locator(".values td").all_inner_texts()
+    assert first[0] == then[0] == "q"
+    assert first != then
+    assert float(then[4]) == pytest.approx(float(then[3]) - float(then[1]), abs=1e-3)  # corrected less measured
+    assert seat.page.locator("#recordings canvas").count() == 3  # the signal, its error, the command
+    other = seat.page.get_by_label("recording")
+    other.focus()
+    seat.press("ArrowDown")
+    assert seat.page.locator("#recordings canvas").count() == 3
+
+
+def test_a_diagnosis_is_begun_followed_and_read_without_reloading(seat, running):
+    seat.go("/plants/emps")
+    seat.tab_to("Diagnose now")
+    seat.press("Enter")
+    seat.page.wait_for_url(re.compile("/diagnoses/"))
+    expect(seat.page.get_by_role("progressbar")).to_be_visible()
+    reached = float(seat.page.get_by_role("progressbar").get_attribute("value"))
+    expect(seat.page.locator("h1")).to_contain_text("Coulomb friction", timeout=A_MINUTE)
+    assert reached < 1.0
+    expect(seat.page.locator("#recordings canvas").first).to_be_visible()
+
+
+def test_a_decision_is_recomputed_by_a_button(seat, pages):
+    seat.go(pages["decision"])
+    expect(seat.page.locator("h1")).to_contain_text("Accepted")
+    assert seat.page.get_by_role("region", name="verdicts").get_by_text("passed").count() == 3
+    expect(seat.page.get_by_role("heading", name="In the log")).to_be_visible()
+    seat.tab_to("Recompute")
+    seat.press("Enter")
+    expect(seat.page.locator("#anew-state")).to_contain_text("agrees", timeout=A_MINUTE)
+
+
+# -- going back
+
+
+def test_going_back_says_what_it_would_do_and_asks_for_the_generation(seat, running):
+    seat.go("/plants/emps")
+    seat.page.get_by_role("link", name="Roll back…").click()
+    body = seat.page.locator("main")
+    expect(body).to_contain_text("Version 1 would serve again")
+    expect(body).to_contain_text("it answers its recorded probe")
+    seat.page.get_by_label("Type the generation").fill("1")
+    seat.press("Enter")
+    expect(seat.page.get_by_role("alert")).to_contain_text("Nothing was moved")
+    seat.faults[:] = [f for f in seat.faults if "409" not in f]  # a browser notes every refusal
+    with Client(running.url) as client:
+        generation = client.serving("emps").generation
+        seat.page.get_by_label("Type the generation").fill(str(generation))
+        seat.press("Enter")
+        seat.page.wait_for_url(f"{running.url}/plants/emps")
+        assert client.serving("emps").version == 1
+    expect(seat.page.locator("main")).to_contain_text("version 1")
+
+
+# -- the log
+
+
+def test_the_log_is_filtered_and_held_against_a_head_that_was_kept(seat, running):
+    with Client(running.url) as client:
+        kept = client.checkpoint()
+    seat.go("/audit")
+    seat.page.get_by_label("Kind").fill("decision:")
+    seat.press("Enter")
+    seat.page.wait_for_url(re.compile("kind=decision"))
+    kinds = seat.page.locator("tbody tr td:nth-child(3)").all_inner_texts()
+    assert set(kinds) == {"decision:made"}
+    assert "not as it was" not in seat.page.locator("main").inner_text()
+    name, size, root, *signed = kept.split("\n")
+    changed = "\n".join([name, size, f"{root[1:-1]}{root[0]}=", *signed])
+    for note, said in ((kept, "extends the checkpoint"), (changed, "are not those of the checkpoint"), ("hello", "no checkpoint")):
+        seat.page.get_by_label("Checkpoint").fill(note)
+        seat.page.get_by_role("button", name="Compare").click()
+        expect(seat.page.get_by_role("status")).to_contain_text(said)
+
+
+# -- names
+
+
+def test_hostile_names_are_text(browser, running, known, tmp_path):
+    plant = plant_document("hostile")
+    with Client(running.url) as admin:
+        token = admin.issue_token(HOSTILE, ["engineer", "operator", "auditor"])["token"]
+        with Client(running.url, token=token, actor=HOSTILE) as client:
+            client.register_plant(plant)
+            (tmp_path / "e.mcap").write_bytes(episode_bytes(excitation=HOSTILE, machine=HOSTILE))
+            digest = client.upload_episode("hostile", tmp_path / "e.mcap")["digest"]
+            made = identified("hostile")
+            client.add_artifact("hostile", made.manifest, made.arrays)
+    seat = Seat(browser, running)
+    searched = f"/?q={HOSTILE[:60]}", f"/audit?kind={HOSTILE[:30]}"
+    for path in ("/plants/hostile", f"/plants/hostile/episodes/{digest}", "/audit?plant=hostile", *searched):
+        seat.go(path)
+        assert seat.page.title() != "taken", path
+        assert seat.page.locator("main img").count() == 0, path
+    seat.go(f"/plants/hostile/episodes/{digest}")
+    assert HOSTILE in seat.page.locator("main").inner_text()
+    assert seat.faults == []
+    seat.context.close()
+
+
+# -- without a script, and without a server
+
+
+def test_pages_work_without_a_script(browser, running, pages):
+    seat = Seat(browser, running, scripts=False)
+    seat.go(pages["diagnosis"])
+    expect(seat.page.locator(".still svg").first).to_be_visible()
+    seat.go("/")
+    seat.page.get_by_label("Name").fill("emp")
+    seat.page.get_by_role("button", name="Search").click()
+    assert seat.page.locator("tbody tr").count() == 1
+    seat.context.close()
+
+
+def test_a_report_is_the_same_page_as_one_file(browser, running, pages, seat, tmp_path):
+    seat.go(pages["diagnosis"])
+    with seat.page.expect_download() as download:
+        seat.page.get_by_role("link", name="as one file").click()
+    download.value.save_as(tmp_path / "report.html")
+    alone = browser.new_context(offline=True).new_page()
+    faults = []
+    alone.on("pageerror", lambda error: faults.append(str(error)))
+    alone.on("requestfailed", lambda request: faults.append(request.url))
+    alone.goto((tmp_path / "report.html").as_uri())
+    assert alone.locator("h1").inner_text() == seat.page.locator("h1").inner_text()
+    assert alone.locator("#recordings canvas").count() == 3
+    assert [h.inner_text() for h in alone.locator("h2").all()] == [h.inner_text() for h in seat.page.locator("h2").all()]
+    assert faults == []
+    assert len(Path(tmp_path / "report.html").read_bytes()) < LIGHTEST
+
+
+# -- many plants
+
+
+def test_plants_are_searched_and_paged(seat, running):
+    with Client(running.url) as client:
+        for i in range(60):
+            client.register_plant(plant_document(f"many-{i:03d}"))
+    seat.go("/?q=many-")
+    assert seat.page.locator("tbody tr").count() == 50
+    seat.page.get_by_role("link", name="Next page").click()
+    expect(seat.page.locator("tbody tr")).to_have_count(10)
+    seat.go("/")
+    seat.page.get_by_label("Name").type("many-05")
+    expect(seat.page.locator("tbody tr")).to_have_count(10)  # as it is typed
