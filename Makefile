@@ -8,7 +8,7 @@ RUN := $(VENV)/.run
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo demo-arm serve test check laws flow bench docs lock clean
+.PHONY: help setup demo look demo-arm serve test check laws flow bench docs lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -36,6 +36,9 @@ setup: $(DEV) ## build the environment in .venv
 
 demo: $(RUN) ## run the main job on a real recording, with embedded storage
 	@$(BIN)/trueup demo
+
+look: $(RUN) ## look at what the demo left behind, in a browser, until Ctrl-C
+	@$(BIN)/trueup look --data .trueup/demo/data
 
 demo-arm: $(RUN) ## the same for a six-joint arm given as MJCF, on its real recordings; about two minutes
 	@$(BIN)/trueup demo examples/so101 --work .trueup/demo-arm

@@ -15,6 +15,7 @@ ALL = (
     "kills",
     "linearizable",
     "growth",
+    "pages",
     "load",
     "scaled",
     "fan_out",

@@ -41,7 +41,7 @@ def main() -> None:
             with ours(data) as (port, _, _):
                 call(port, "POST", "/v1/plants", plant_document("p"))
             began = time.perf_counter()
-            _fill(data / "trueup.sqlite", size)
+            fill(data / "trueup.sqlite", size)
             print(f"{size} versions written in {time.perf_counter() - began:.0f} s", flush=True)
             ports[size] = stack.enter_context(ours(data))[0]
         figures = []
@@ -83,7 +83,7 @@ def _time(port: int, requests: list[bytes]) -> float:
     return time.perf_counter() - began
 
 
-def _fill(path: Path, size: int) -> None:
+def fill(path: Path, size: int) -> None:
     """Versions 2 to `size`, with the entries and the tree that they would have."""
     kept = sqlite3.connect(path)
     kept.execute("PRAGMA synchronous=OFF")

@@ -45,6 +45,7 @@ CANDIDATES: dict[str, dict[str, Any]] = {
     "diagnosed effects": {"kind": "diagnose"},
 }
 OF_ROBOTS = ("identified parameters", "diagnosed effects")
+DEMO = Path(".trueup/demo")
 START_LIMIT_S, LOOK_S = 30.0, 0.02
 
 
@@ -65,7 +66,7 @@ class Case:
         return str(self.plant["name"])
 
 
-def demo(case: Path = EXAMPLE, *, work: Path = Path(".trueup/demo")) -> None:
+def demo(case: Path = EXAMPLE, *, work: Path = DEMO) -> None:
     """Register a plant, upload recordings, fit candidates and diagnose, gate, promote, predict, roll back, and show the audit trail.
 
     Parameters
@@ -87,6 +88,7 @@ def demo(case: Path = EXAMPLE, *, work: Path = Path(".trueup/demo")) -> None:
             _roll_back(client, told)
         _audit(client)
     out.print(f"\n[dim]done in {time.monotonic() - began:.0f} s; storage, model and picture are in {work}[/]")
+    out.print(f"[dim]look at it in a browser: {'make look' if work == DEMO else f'trueup look --data {work}/data'}[/]")
 
 
 def _say(step: int, what: str) -> None:

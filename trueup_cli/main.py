@@ -16,6 +16,7 @@ app = App(
 
 _COMMANDS = {
     "serve": ("run:serve", "Run the service, with a worker beside it."),
+    "look": ("look:look", "Open the service in a browser, signed in."),
     "work": ("run:work", "Run one worker."),
     "migrate": ("run:migrate", "Bring the database's schema up to date."),
     "kernels": ("run:kernels", "Compile the rollout kernels into the cache."),

@@ -159,6 +159,10 @@ class Client:
         """Submit a job, such as {"kind": "fit", "method": "identify"} or {"kind": "gate", "candidate": …, "gate": …}."""
         return self._post(f"/v1/plants/{_name(plant)}/jobs", request)
 
+    def jobs(self, plant: str) -> Iterator[Document]:
+        """Jobs of a plant, the newest first."""
+        return self._pages(f"/v1/plants/{_name(plant)}/jobs", "before")
+
     def job(self, job: str) -> Document:
         return self._get(f"/v1/jobs/{_name(job)}")
 

@@ -46,13 +46,20 @@ def view(
         "command_file": command_file,
         "episode_url": episode_url,
         "region_rows": [
-            (r["region"], r["share"], f"{r['share']:.0%} of the residual in {r['of_time']:.0%} of the time") for r in where["regions"]
+            (r["region"], r["share"], f"{words.percent(r['share'])} of the residual in {words.percent(r['of_time'])} of the time")
+            for r in where["regions"]
         ],
-        "port_rows": [(p["port"], p["share"], f"{drawing.percent(p['share'])} by {words.name(p['by'])}") for p in where["ports"]],
-        "band_rows": [(b["band"], b["share"], f"{b['share']:.0%}, {b['of_motion']:.0%} of the motion") for b in where["bands"]],
-        "channel_rows": [(c["channel"], c["share"], drawing.percent(c["share"])) for c in where["channels"]],
+        "port_rows": [(p["port"], p["share"], f"{words.percent(p['share'])} by {words.name(p['by'])}") for p in where["ports"]],
+        "band_rows": [
+            (b["band"], b["share"], f"{words.percent(b['share'])}, {words.percent(b['of_motion'])} of the motion") for b in where["bands"]
+        ],
+        "channel_rows": [(c["channel"], c["share"], words.percent(c["share"])) for c in where["channels"]],
         "joint_rows": [
-            (j["joint"], j["force"], f"{j['force']:.0%} of the residual force, {j['acceleration']:.0%} of the acceleration")
+            (
+                j["joint"],
+                j["force"],
+                f"{words.percent(j['force'])} of the residual force, {words.percent(j['acceleration'])} of the acceleration",
+            )
             for j in where.get("joints", [])
         ],
     }

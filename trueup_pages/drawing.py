@@ -12,7 +12,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from trueup.diagnose.words import short, unit
+from trueup.diagnose.words import percent, short, unit
 
 LEVELS = 11  # colours of a map, odd: the middle one is nothing
 LEFT, BOTTOM, CELL_AREA = 66, 36, (300, 200)
@@ -126,13 +126,6 @@ def waterfall(parts: Sequence[Mapping[str, Any]]) -> Markup:
     height = 8 + row * len(steps)
     label = "; ".join(f"{p['what']} {percent(float(p['share']))}" for p in parts)
     return _svg(left + width + 90, height, f"shares of the nominal model's squared error: {label}", "".join(drawn))
-
-
-def percent(share: float) -> str:
-    """A share, with a digit more where it is small."""
-    if share == 0.0:
-        return "0 %"
-    return f"{100.0 * share:.0f} %" if share >= 0.1 else f"{100.0 * share:.1f} %" if share >= 0.001 else "< 0.1 %"  # noqa: PLR2004
 
 
 def nearly(share: float) -> str:

@@ -23,7 +23,7 @@ def _environment() -> Environment:
         short=words.short,
         unit=words.unit,
         named=words.name,
-        percent=drawing.percent,
+        percent=words.percent,
         moment=moment,
         plain=lambda text: text.replace("_", " "),
     )

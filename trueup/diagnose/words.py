@@ -37,13 +37,14 @@ def _effects(document: Mapping[str, Any]) -> str:
     """What acts, and how much of the gap it explains; new numbers first where they explain most."""
     parts, effects = waterfall(document), document["effects"]
     named = [_with_estimate(e) for e in effects]
+    joined = " and ".join(named)
     if parts and parts[0]["share"] > MOST:
-        text = f"New numbers in the nominal form explain {parts[0]['share']:.0%} of the gap; what they leave is {_listed(named)}"
+        text = f"New numbers in the nominal form explain {percent(parts[0]['share'])} of the gap; what they leave is {joined.rstrip(',')}"
     elif parts:
         explained = sum(p["share"] for p in parts[1:] if p["effect"])
-        text = f"{_listed(named)} {'explains' if len(named) == 1 else 'explain'} {explained:.0%} of the gap"
+        text = f"{joined} {'explains' if len(named) == 1 else 'explain'} {percent(explained)} of the gap"
     else:
-        text = _listed(named)
+        text = joined.rstrip(",")
     return text[0].upper() + text[1:]
 
 
@@ -81,10 +82,6 @@ def _with_estimate(entry: Mapping[str, Any]) -> str:
     low, high = estimate[1]["ci95"]
     value = plus_minus(estimate[1]["value"], (high - low) / 2.0)
     return f"{words}, {estimate[0].replace('_', ' ')} {value} {unit(estimate[1]['unit'])}".rstrip() + ","
-
-
-def _listed(words: Sequence[str]) -> str:
-    return " and ".join(words).rstrip(",")
 
 
 def name(entry: Any) -> str:
@@ -127,3 +124,10 @@ def plus_minus(value: float, half: float) -> str:
     if not 0 <= places <= 6:  # noqa: PLR2004  (longer numbers are read by their powers of ten)
         return f"{short(value)} ± {half:.2g}"
     return f"{value:.{places}f} ± {half:.{places}f}".replace("-", "−")
+
+
+def percent(share: float) -> str:
+    """A share, with a digit more where it is small."""
+    if share == 0.0:
+        return "0 %"
+    return f"{100.0 * share:.0f} %" if share >= 0.1 else f"{100.0 * share:.1f} %" if share >= 0.001 else "< 0.1 %"  # noqa: PLR2004

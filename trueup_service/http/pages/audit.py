@@ -55,10 +55,10 @@ def _listed(request: Request, parts: Parts, who: Who, plant: str, kind: str, bef
         entries = last_entries(connection, before, LINES, plant=of, project=who.project, kind=kind)
         tree = reader.audit_tree()
         root, held = tree.root(), []
-        for entry in entries:
-            plan = inclusion(entry.sequence - 1, tree.size)
-            proof = prove(plan, reader.audit_nodes([n for part in plan for n in part]))
-            held.append(includes(root, tree.size, entry.sequence - 1, leaf_hash(entry_bytes(entry)), proof))
+        plans = [inclusion(entry.sequence - 1, tree.size) for entry in entries]
+        hashes = reader.audit_nodes({node for plan in plans for part in plan for node in part})
+        for entry, plan in zip(entries, plans, strict=True):
+            held.append(includes(root, tree.size, entry.sequence - 1, leaf_hash(entry_bytes(entry)), prove(plan, hashes)))
     return {
         "entries": list(zip(entries, held, strict=True)),
         "plant": plant,
