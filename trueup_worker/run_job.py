@@ -21,7 +21,17 @@ from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.registry.records import FINAL, JobRecord, JobState
 from trueup_service.registry.store import Reader, writing
 from trueup_service.wiring import Parts
-from trueup_worker import run_blindtrial, run_calibration, run_diagnosis, run_fit, run_gate, run_recompute, run_validation, run_watch
+from trueup_worker import (
+    run_blindtrial,
+    run_calibration,
+    run_compare,
+    run_diagnosis,
+    run_fit,
+    run_gate,
+    run_recompute,
+    run_validation,
+    run_watch,
+)
 from trueup_worker.progress import Cancelled, Progress
 
 log = logging.getLogger("trueup.worker")
@@ -35,6 +45,7 @@ KINDS: dict[str, ModuleType] = {
     "watch": run_watch,
     "validate": run_validation,
     "recompute": run_recompute,
+    "compare": run_compare,
 }
 
 

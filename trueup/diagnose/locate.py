@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.diagnose.problem import Candidate, trajectory
+from trueup.diagnose.regions import regions, used
 from trueup.diagnose.search import Search
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, Start
@@ -26,7 +27,6 @@ from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 STRIDE_S = 0.1
-SLOW, LARGE, LATE = 0.1, 0.8, 2.0 / 3.0  # of the top speed; of the largest command or travel; of the episode
 LEAST = 3  # samples in a stride
 EDGES_HZ = (0.3, 1.0, 3.0)  # between bands
 NORMAL_MEDIAN = 0.6745  # of absolute standard normals
@@ -167,7 +167,6 @@ def strides_of(plant: Plant, search: Search, of: RolloutFit, episodes: Sequence[
         motion = (states[end, joints:] - states[first, joints:]) / span
         inertia = plant.dynamics.inertia(of.values[: len(plant.parameters)], states[middle, :joints])
         u = plant.applied(e.commands)
-        use = np.concatenate([np.zeros((1, joints)), np.cumsum(u[:-1] ** 2 * np.diff(e.t_s)[:, None], axis=0)])
         parts.append(
             (
                 missed_state,
@@ -178,7 +177,7 @@ def strides_of(plant: Plant, search: Search, of: RolloutFit, episodes: Sequence[
                 states[middle, joints:],
                 u[middle],
                 e.t_s[middle] / e.t_s[-1],
-                (use / np.maximum(e.t_s, e.period_s)[:, None])[middle],
+                used(u, e)[middle],
                 states[first, joints:] * states[end, joints:] < 0.0,
                 np.full(len(first), count),
                 np.full(len(first), every * e.period_s),
@@ -191,21 +190,10 @@ def _regions(s: Strides, j: int) -> list[Json]:
     """Where one joint's residual force lies."""
     energy = s.residual[:, j] ** 2
     fine = np.isfinite(energy)
-    q, v, u, use = s.q[:, j], s.v[:, j], s.u[:, j], s.use[:, j]
-    regions = {
-        "near zero speed": np.abs(v) < SLOW * np.quantile(np.abs(v), 0.99),
-        "at reversals": s.turned[:, j],
-        "beyond 80 % of the largest command": np.abs(u) > LARGE * np.abs(u).max(),
-        "small commands": np.abs(u) < SLOW * 2.0 * np.abs(u).max(),
-        "upper end of travel": q > LARGE * q.max(),
-        "lower end of travel": q < LARGE * q.min(),
-        "fast motion": np.abs(v) > LARGE * np.quantile(np.abs(v), 0.99),
-        "late in the episode": s.t > LATE,
-        "after heavy use": use > np.quantile(use, 0.75),
-    }
+    parts = regions(s.q[:, j], s.v[:, j], s.u[:, j], s.t, s.use[:, j], s.turned[:, j])
     whole_ = max(float(energy[fine].sum()), 1e-300)
     found: list[tuple[float, Json]] = []
-    for name, inside in regions.items():
+    for name, inside in parts.items():
         time, share = float((inside & fine).mean()), float(energy[inside & fine].sum() / whole_)
         if time > 0.0:
             found.append((share / time, {"region": name, "share": share, "of_time": time, "lift": share / time}))

@@ -65,7 +65,7 @@ def write_episode(
     name, schema_encoding, definition, encode = _FORMATS[encoding]()
     schema = writer.register_schema(name, schema_encoding, definition)
     observed, issued = (writer.register_channel(topic, encoding, schema) for topic in (layout.observation_topic, layout.command_topic))
-    states, orders = _Rows(layout.observations), _Rows(layout.commands)
+    states, orders = Rows(layout.observations), Rows(layout.commands)
     for i, stamp in enumerate(stamps_ns.tolist()):
         for channel, rows, values in ((observed, states, observations), (issued, orders, commands)):
             if i < len(values):
@@ -75,7 +75,7 @@ def write_episode(
     writer.finish()  # type: ignore[no-untyped-call]
 
 
-class _Rows:
+class Rows:
     """Which value of a sample stands where in a JointState."""
 
     def __init__(self, channels: Sequence[Channel]) -> None:
@@ -83,6 +83,7 @@ class _Rows:
         self._columns = {f: [(self.joints.index(c.joint or "joint"), i) for i, c in enumerate(channels) if c.field is f] for f in FIELDS}
 
     def fields(self, sample: NDArray[np.float64]) -> Values:
+        """A sample's values by the message's field; nan where a joint has no channel of the field."""
         return {f.value: self._fill(sample, pairs) for f, pairs in self._columns.items()}
 
     def _fill(self, sample: NDArray[np.float64], pairs: Sequence[tuple[int, int]]) -> list[float]:
@@ -93,10 +94,11 @@ class _Rows:
 
 
 def _cdr() -> tuple[str, str, bytes, Encode]:
-    return "sensor_msgs/msg/JointState", "ros2msg", ROS2_DEFINITION.encode(), _encode_cdr
+    return "sensor_msgs/msg/JointState", "ros2msg", ROS2_DEFINITION.encode(), encode_cdr
 
 
-def _encode_cdr(stamp_ns: int, names: Sequence[str], values: Values) -> bytes:
+def encode_cdr(stamp_ns: int, names: Sequence[str], values: Values) -> bytes:
+    """A JointState in ROS 2 CDR."""
     body = bytearray(struct.pack("<iIIB", stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000, 1, 0))
     _count(body, len(names))
     for name in names:

@@ -31,6 +31,7 @@ JOBS: Mapping[str, Operation] = {
     "validate": Operation.MONITORING,
     "blindtrial": Operation.MONITORING,
     "recompute": Operation.MONITORING,
+    "compare": Operation.MONITORING,
 }
 
 

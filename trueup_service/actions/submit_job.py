@@ -126,6 +126,15 @@ def submit_recomputation(writer: Writer, queue: JobQueue, job: str, plant: str, 
     return _submit(writer, queue, job, plant, "recompute", frozen, stamp)
 
 
+def submit_comparison(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+    """Two versions side by side on some episodes, or on all that were held out. Raises NotFound, NotIdentifiable."""
+    both: dict[str, Json] = {which: find.artifact(writer, plant, str(request[which])).digest for which in ("first", "second")}
+    episodes = _episodes(writer, plant, request.get("episodes"), tuple(Role) if request.get("episodes") is not None else HELD_OUT)
+    if not episodes:
+        raise NotIdentifiable("there is no held-out episode to compare on", hint="Upload one whose metadata says role = validation.")
+    return _submit(writer, queue, job, plant, "compare", {**both, "episodes": _digests(episodes)}, stamp)
+
+
 SUBMIT = {
     "validate": submit_validation,
     "calibrate": submit_calibration,
@@ -134,6 +143,7 @@ SUBMIT = {
     "diagnose": submit_diagnosis,
     "blindtrial": submit_blindtrial,
     "recompute": submit_recomputation,
+    "compare": submit_comparison,
 }
 
 

@@ -454,6 +454,16 @@ class RecomputationRequest(BaseModel):
     decision: Digest
 
 
+class ComparisonRequest(BaseModel):
+    """Roll two versions out on the same episodes, null for all that were held out; of one episode an MCAP with both is left behind."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["compare"]
+    first: Digest
+    second: Digest
+    episodes: list[Digest] | None = None
+
+
 class CalibrationRequest(BaseModel):
     """Calibrate a monitor of what serves now. `episodes` are healthy ones, null for all of the role reference."""
 

@@ -8,7 +8,7 @@ from trueup_service.actions.submit_job import SUBMIT
 
 OPERATIONS = {
     "fit": "model correction", "diagnose": "model correction", "gate": "model correction", "calibrate": "monitoring", "watch": "monitoring",
-    "validate": "monitoring", "blindtrial": "monitoring", "recompute": "monitoring",
+    "validate": "monitoring", "blindtrial": "monitoring", "recompute": "monitoring", "compare": "monitoring",
 }  # fmt: skip
 
 

@@ -26,7 +26,18 @@ from trueup_service.registry.records import EpisodeRecord, Move
 from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
-PURPOSES = ("fit", "gate", "diagnose", "blindtrial", "calibrate", "watch", "validate", "recompute")  # kinds of jobs that read episodes
+# kinds of jobs that read episodes
+PURPOSES = ("fit", "gate", "diagnose", "blindtrial", "calibrate", "watch", "validate", "recompute", "compare")
+    "fit",
+    "gate",
+    "diagnose",
+    "blindtrial",
+    "calibrate",
+    "watch",
+    "validate",
+    "recompute",
+    "compare",
+)  # kinds of jobs that read episodes
 router = guarded("/v1/plants/{plant}/episodes", ["episodes"])
 MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 

@@ -17,6 +17,7 @@ from trueup_service.http.openapi import there
 from trueup_service.http.schemas import (
     BlindtrialRequest,
     CalibrationRequest,
+    ComparisonRequest,
     DiagnosisRequest,
     FitRequest,
     GateRequest,
@@ -34,7 +35,14 @@ router = guarded("/v1", ["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
 OutputName = Annotated[str, Path(pattern=r"^[a-z0-9_.-]{1,63}$", description="The file's name")]
 JobRequest = Annotated[
-    FitRequest | GateRequest | DiagnosisRequest | BlindtrialRequest | CalibrationRequest | ValidationRequest | RecomputationRequest,
+    FitRequest
+    | GateRequest
+    | DiagnosisRequest
+    | BlindtrialRequest
+    | CalibrationRequest
+    | ValidationRequest
+    | RecomputationRequest
+    | ComparisonRequest,
     Body(discriminator="kind"),
 ]
 
