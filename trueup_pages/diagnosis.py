@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from markupsafe import Markup
@@ -14,6 +14,10 @@ from trueup_pages import drawing
 from trueup_pages.rendering import render
 
 ROWS = 14  # of the ranking
+MODELS = (
+    {"key": "nominal", "label": "nominal", "kind": "nominal"},
+    {"key": "corrected", "label": "corrected", "kind": "corrected"},
+)
 STILL = 400  # points of a line that is drawn without a script
 INSEPARABLE = "the evidence cannot separate what is above this line"
 ALONE = "the evidence separates the answer from everything below this line"
@@ -32,14 +36,11 @@ def view(
 ) -> dict[str, Any]:
     """The values of `diagnosis_body.html`."""
     where = report["where"]
-    longest = len(figures["episodes"][0]["t_s"]) if figures and figures["episodes"] else 0
     return {
         "d": report,
         "answer": words.sentence(report),
         "figures": figures,
-        "data": Markup(_embedded({"episodes": figures["episodes"]})) if figures else "",
-        "still": max(1, math.ceil(longest / STILL)),
-        "ramp": _ramp(),
+        **recordings_of(figures, MODELS),
         "parts": words.waterfall(report),
         "ranked": ranking(report),
         "listed": _listed,
@@ -63,6 +64,16 @@ def view(
             for j in where.get("joints", [])
         ],
     }
+
+
+def recordings_of(drawn: Mapping[str, Any] | None, models: Sequence[Mapping[str, str]]) -> dict[str, Any]:
+    """The values of `recordings.html`, and the colours of maps; `models` are `key`, `label`, and the `kind` of the line."""
+    if not drawn or not drawn["episodes"]:
+        return {"recordings": None, "data": "", "still": 1, "ramp": ramp()}
+    told = {"horizon_s": drawn["horizon_s"], "models": models, "episodes": drawn["episodes"]}
+    data = Markup(_embedded({"models": models, "episodes": drawn["episodes"]}))
+    still = max(1, math.ceil(len(drawn["episodes"][0]["t_s"]) / STILL))
+    return {"recordings": told, "data": data, "still": still, "ramp": ramp()}
 
 
 def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -104,7 +115,8 @@ def _embedded(value: object) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _ramp() -> Markup:
+def ramp() -> Markup:
+    """The colours of maps, from the lowest to the highest."""
     cells = "".join(f'<rect class="h{i}" x="{i * 16}" width="16" height="12"/>' for i in range(drawing.LEVELS))
     return Markup(f'<svg class="ramp" viewBox="0 0 {16 * drawing.LEVELS} 12" role="img" aria-label="colours of the residual">{cells}</svg>')
 

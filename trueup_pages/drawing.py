@@ -73,6 +73,13 @@ def lines(t_s: Sequence[float], series: Mapping[str, Sequence[float | None]], la
     return _svg(width, height, label, "".join(drawn))
 
 
+def recording(recordings: Mapping[str, Any], channel: Mapping[str, Any], every: int) -> Markup:
+    """A channel of the first recording, every so many points, as it looks without a script."""
+    drawn = {"measured": channel["measured"][::every]} | {m["kind"]: channel[m["key"]][::every] for m in recordings["models"]}
+    words = ", ".join(m["label"] for m in recordings["models"])
+    return lines(recordings["episodes"][0]["t_s"][::every], drawn, f"{channel['name']} over time: measured, {words}")
+
+
 def heat(of: Mapping[str, Any], layer: str, pair: str) -> Markup:
     """A map of mean residuals over two of speed, command and time. One path for each colour keeps it small."""
     first, second = pair.split("-")

@@ -2,7 +2,6 @@
 "use strict";
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-const LINES = [["measured", "--ink"], ["nominal", "--nominal"], ["corrected", "--corrected"]];
 const digits = (x) => (x == null ? "–" : Number(x).toPrecision(4));
 
 /** The recordings of a diagnosis: one plot of the signal and one of the errors for each channel, with one cursor for all. */
@@ -10,6 +9,8 @@ class Recordings {
   constructor(root, data) {
     this.root = root;
     this.data = data;
+    this.models = data.models.map((m) => [m.key, `--${m.kind}`]);
+    this.lines = [["measured", "--ink"], ...this.models];
     this.select = root.querySelector("select");
     this.range = root.querySelector("input[type=range]");
     this.output = root.querySelector("output");
@@ -38,9 +39,9 @@ class Recordings {
     this.charts = [];
     for (const channel of episode.channels) {
       const unit = channel.unit && channel.unit !== "1" ? ` [${channel.unit}]` : "";
-      this.add(channel.name + unit, LINES.map(([name, of]) => [name, of, channel[name]]), 230);
+      this.add(channel.name + unit, this.lines.map(([name, of]) => [name, of, channel[name]]), 230);
       const missed = (name) => channel[name].map((p, i) => (p == null ? null : p - channel.measured[i]));
-      this.add(`error of ${channel.name}${unit}`, LINES.slice(1).map(([name, of]) => [name, of, missed(name)]), 130);
+      this.add(`error of ${channel.name}${unit}`, this.models.map(([name, of]) => [name, of, missed(name)]), 130);
     }
     for (const c of episode.commands) this.add(`command ${c.name} [${c.unit}]`, [["issued", "--pale", c.issued]], 90);
     this.range.max = episode.t_s.length - 1;
@@ -89,7 +90,8 @@ class Recordings {
     this.values.replaceChildren(
       ...this.episode.channels.map((c) => {
         const row = document.createElement("tr");
-        for (const text of [c.name, ...LINES.map(([name]) => digits(c[name][at])), digits(c.corrected[at] - c.measured[at])]) {
+        const last = this.models.at(-1)[0];
+        for (const text of [c.name, ...this.lines.map(([name]) => digits(c[name][at])), digits(c[last][at] - c.measured[at])]) {
           const cell = document.createElement("td");
           cell.className = row.children.length ? "n" : "";
           cell.textContent = text;

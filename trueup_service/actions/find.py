@@ -50,6 +50,10 @@ def artifact(reader: Reader, plant: str, digest: str) -> ArtifactRecord:
     return _found(reader.artifact(plant, digest), "artifact", digest)
 
 
+def version(reader: Reader, plant: str, version: int) -> ArtifactRecord:
+    return _found(reader.artifact_version(plant, version), "version", str(version))
+
+
 def gate(reader: Reader, plant: str, digest: str) -> GateRecord:
     return _found(reader.gate(plant, digest), "gate", digest)
 

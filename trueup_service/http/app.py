@@ -15,6 +15,7 @@ from trueup_service.http import openapi, problems
 from trueup_service.http.limiting import Limiting
 from trueup_service.http.observing import Observing
 from trueup_service.http.pages import audit as audit_page
+from trueup_service.http.pages import compare as compare_page
 from trueup_service.http.pages import decision as decision_page
 from trueup_service.http.pages import diagnosis as diagnosis_page
 from trueup_service.http.pages import episode as episode_page
@@ -58,7 +59,7 @@ ROUTERS = (
 )  # fmt: skip
 
 
-PAGES = (session_page, plants_page, plant_page, diagnosis_page, decision_page, episode_page, audit_page)
+PAGES = (session_page, plants_page, plant_page, diagnosis_page, decision_page, episode_page, compare_page, audit_page)
 log = logging.getLogger("trueup.http")
 
 

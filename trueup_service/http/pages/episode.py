@@ -1,17 +1,27 @@
-"""An episode: what was recorded under which conditions, what served meanwhile, and what it was used for."""
+"""An episode: what was recorded under which conditions, what served meanwhile, what it was used for, and what models say of it."""
 
 from __future__ import annotations
 
-from fastapi import Request, Response
+import json
+import uuid
+from typing import Annotated, Any
 
+from fastapi import Query, Request, Response
+
+from trueup_pages.foxglove import layout
 from trueup_service.actions import find
-from trueup_service.http.context import DigestPath, PlantName, With
+from trueup_service.actions.submit_job import SUBMIT
+from trueup_service.http.context import By, DigestPath, PlantName, With
 from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import show
+from trueup_service.http.pages.compare import comparison
+from trueup_service.http.pages.page import go, show
 from trueup_service.http.routers.episodes import PURPOSES, served_during
-from trueup_service.registry.store import Reader
+from trueup_service.registry.overview import last_look
+from trueup_service.registry.store import Reader, writing
 
 router = guarded("", ["pages"])
+DECLARED = 1  # the version that every plant begins with
+Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 
 
 @router.get("/plants/{plant}/episodes/{digest}")
@@ -20,5 +30,39 @@ def episode(request: Request, parts: With, plant: PlantName, digest: DigestPath)
         reader = Reader(connection)
         found = find.episode(reader, plant, digest)
         uses = {purpose: reader.uses(digest, purpose) for purpose in PURPOSES}
-        served = served_during(reader, found)
-    return show(request, "episode.html", plant=plant, episode=found, uses={k: n for k, n in uses.items() if n}, served=served)
+        job, serving = last_look(connection, plant, digest), find.serving(reader, plant)
+        asked: Any = job.request if job is not None else {"first": serving.artifact, "second": serving.artifact}
+        both = [find.artifact(reader, plant, asked[which]) for which in ("first", "second")]
+        values: dict[str, Any] = {
+            "plant": plant,
+            "episode": found,
+            "uses": {purpose: count for purpose, count in uses.items() if count},
+            "served": served_during(reader, found),
+            "serving": serving,
+        }
+    return show(request, "episode.html", 200, **values, **comparison(parts, job, both))
+
+
+@router.post("/plants/{plant}/episodes/{digest}/signals")
+def look(parts: With, stamp: By, plant: PlantName, digest: DigestPath) -> Response:
+    """Roll the declared model and what serves out over the episode."""
+    parts.queue.prepare()
+    with writing(parts.database) as writer:
+        find.episode(writer, plant, digest)
+        asked: dict[str, Any] = {
+            "first": find.version(writer, plant, DECLARED).digest,
+            "second": find.serving(writer, plant).artifact,
+            "episodes": [digest],
+        }
+        SUBMIT["compare"](writer, parts.queue, uuid.uuid4().hex, plant, asked, stamp)
+    return go(f"/plants/{plant}/episodes/{digest}")
+
+
+@router.get("/plants/{plant}/foxglove.json")
+def foxglove(parts: With, plant: PlantName, first: Version, second: Version) -> Response:
+    """A layout for the overlay of two versions."""
+    with parts.database.read() as connection:
+        document = find.plant(Reader(connection), plant).document
+    made = layout(document, [f"v{v}" for v in dict.fromkeys((first, second))])
+    headers = {"Content-Disposition": f'attachment; filename="trueup-{plant}.json"'}
+    return Response(json.dumps(made, indent=1), media_type="application/json", headers=headers)

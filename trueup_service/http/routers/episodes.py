@@ -28,16 +28,6 @@ from trueup_service.wiring import Parts
 
 # kinds of jobs that read episodes
 PURPOSES = ("fit", "gate", "diagnose", "blindtrial", "calibrate", "watch", "validate", "recompute", "compare")
-    "fit",
-    "gate",
-    "diagnose",
-    "blindtrial",
-    "calibrate",
-    "watch",
-    "validate",
-    "recompute",
-    "compare",
-)  # kinds of jobs that read episodes
 router = guarded("/v1/plants/{plant}/episodes", ["episodes"])
 MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 

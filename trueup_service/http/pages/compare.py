@@ -1,0 +1,106 @@
+"""Two versions beside each other: what changed, and where the second is better and worse."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from typing import Annotated, Any
+
+import orjson
+from fastapi import Query, Request, Response
+from starlette.concurrency import run_in_threadpool
+
+from trueup.diagnose.words import name, short
+from trueup_pages.diagnosis import recordings_of
+from trueup_service.actions import find
+from trueup_service.actions.stamp import Stamp
+from trueup_service.actions.submit_job import SUBMIT
+from trueup_service.http.context import By, PlantName, With
+from trueup_service.http.guard import guarded
+from trueup_service.http.pages.page import form, go, show
+from trueup_service.registry.overview import last_comparison
+from trueup_service.registry.records import FINAL, ArtifactRecord, JobRecord
+from trueup_service.registry.store import Reader, writing
+from trueup_service.wiring import Parts
+
+router = guarded("", ["pages"])
+COMPARISON = "comparison.json"
+Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
+LISTED = 200  # versions to choose from, the newest
+
+
+@router.get("/plants/{plant}/compare")
+def compare(request: Request, parts: With, plant: PlantName, first: Version, second: Version) -> Response:
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        both = [find.version(reader, plant, v) for v in (first, second)]
+        job = last_comparison(connection, plant, both[0].digest, both[1].digest)
+        latest = reader.latest_version(plant)
+    values = {
+        "plant": plant,
+        "first": both[0],
+        "second": both[1],
+        "versions": range(max(1, latest - LISTED + 1), latest + 1),
+        "changes": _changes(*both),
+        **comparison(parts, job, both),
+    }
+    return show(request, "compare.html", 200, **values)
+
+
+@router.post("/plants/{plant}/compare")
+async def begin(request: Request, parts: With, stamp: By, plant: PlantName) -> Response:
+    """Compare on what was held out."""
+    given = await form(request)
+    first, second = await run_in_threadpool(_begin, parts, stamp, plant, given.get("first", ""), given.get("second", ""))
+    return go(f"/plants/{plant}/compare", first=str(first), second=str(second))
+
+
+def _begin(parts: Parts, stamp: Stamp, plant: str, first: str, second: str) -> tuple[int, int]:
+    parts.queue.prepare()
+    with writing(parts.database) as writer:
+        both = find.artifact(writer, plant, first).version, find.artifact(writer, plant, second).version
+        SUBMIT["compare"](writer, parts.queue, uuid.uuid4().hex, plant, {"first": first, "second": second}, stamp)
+    return both
+
+
+def comparison(parts: Parts, job: JobRecord | None, both: list[ArtifactRecord]) -> dict[str, Any]:
+    """What a comparison of two versions found, or how far it is; the values of `recordings.html` among them."""
+    waiting = job is not None and job.state not in FINAL
+    drawn = None
+    if job is not None and not waiting:
+        with parts.database.read() as connection:
+            found = Reader(connection).output(job.id, COMPARISON)
+        drawn = orjson.loads(parts.blobs.get(found.digest)) if found is not None else None
+    kinds = zip(("first", "second"), both, ("nominal", "corrected"), strict=True)
+    models = [{"key": key, "label": f"version {a.version}", "kind": kind} for key, a, kind in kinds]
+    problem = (job.result or {}).get("problem") if job is not None else None
+    return {"job": job, "waiting": waiting, "problem": problem, "comparison": drawn, **recordings_of(drawn, models)}
+
+
+def _changes(first: ArtifactRecord, second: ArtifactRecord) -> list[dict[str, Any]]:
+    """What each version is, a row for each thing that can be told in a line."""
+    told = [_told(a) for a in (first, second)]
+    rows = []
+    for what in dict.fromkeys([*told[0], *told[1]]):
+        pair = [t.get(what, "–") for t in told]
+        rows.append({"what": what, "first": pair[0], "second": pair[1], "differs": pair[0] != pair[1]})
+    return rows
+
+
+def _told(record: ArtifactRecord) -> dict[str, str]:
+    manifest: dict[str, Any] = json.loads(record.manifest)
+    predictor, provenance = manifest.get("predictor", {}), manifest.get("provenance", {})
+    nominal = manifest.get("plant", {}).get("nominal", {}).get("parameters", {}) if isinstance(manifest.get("plant"), dict) else {}
+    told = {"kind": record.kind, "artifact": record.digest[:16], "made": record.created_at[:19].replace("T", " "), "by": record.created_by}
+    numbers = predictor.get("parameters") or nominal
+    if isinstance(numbers, dict):
+        told |= {f"parameter {key}": short(value) for key, value in numbers.items() if isinstance(value, int | float)}
+    for effect in predictor.get("effects", []):
+        told |= {f"{name(effect)}, {key}": short(value) for key, value in effect["parameters"].items()}
+    if predictor.get("features"):
+        told["features"] = ", ".join(predictor["features"])
+    told["origin"] = str(provenance.get("origin") or provenance.get("configuration", {}).get("document", {}).get("method", "–"))
+    told["code"] = str(provenance.get("code", {}).get("sha256", "–"))[:16]
+    read = provenance.get("configuration", {}).get("document", {}).get("episodes")
+    told["episodes"] = str(len(read)) if read else "–"
+    return told
