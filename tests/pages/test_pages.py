@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
+from mcap.reader import make_reader
 from playwright.sync_api import expect
 
 from tests.conftest import EXAMPLE
@@ -44,6 +45,10 @@ def known(running):
     decision = json.loads(command(running, "gate", "emps", fitted, "--rules", str(EXAMPLE / "gate.json"), "--json").stdout)
     command(running, "promote", "emps", decision["digest"])
     job = json.loads(command(running, "diagnosis", "emps", "--json").stdout)
+    with Client(running.url) as client:
+        first, third = (client.version("emps", v)["digest"] for v in (1, 3))
+        for episodes in (None, decision["document"]["episodes"][:1]):
+            client.wait(client.submit("emps", {"kind": "compare", "first": first, "second": third, "episodes": episodes})["id"])
     return {"decision": decision["digest"], "job": job["id"], "episode": decision["document"]["episodes"][0]}
 
 
@@ -55,6 +60,7 @@ def pages(known):
         "diagnosis": f"/plants/emps/diagnoses/{known['job']}",
         "episode": f"/plants/emps/episodes/{known['episode']}",
         "decision": f"/plants/emps/decisions/{known['decision']}",
+        "compare": "/plants/emps/compare?first=1&second=3",
         "rollback": "/plants/emps/rollback",
         "audit": "/audit",
         "missing": "/plants/no-such-plant",
@@ -231,6 +237,48 @@ def test_a_decision_is_recomputed_by_a_button(seat, pages):
     seat.tab_to("Recompute")
     seat.press("Enter")
     expect(seat.page.locator("#anew-state")).to_contain_text("agrees", timeout=A_MINUTE)
+
+
+def test_two_versions_are_compared_by_a_button(seat, running):
+    seat.go("/plants/emps")
+    seat.tab_to("Compare two")
+    seat.press("Enter")
+    seat.page.wait_for_url(re.compile("/compare"))
+    seat.go("/plants/emps/compare?first=1&second=2")
+    changed = seat.page.get_by_role("region", name="what changed", exact=True)
+    expect(changed).to_contain_text("parameter c")
+    seat.tab_to("Compare on what was held out")
+    seat.press("Enter")
+    expect(seat.page.locator("#recordings canvas").first).to_be_visible(timeout=A_MINUTE)
+    identified = _ratios(seat)
+    seat.go("/plants/emps/compare?first=1&second=3")
+    expect(changed).to_contain_text("Coulomb friction at carriage, level")
+    diagnosed = _ratios(seat)
+    assert len(identified) == len(diagnosed) == 2
+    for of_numbers, of_effects in zip(identified, diagnosed, strict=True):
+        assert of_effects < 0.05 < of_numbers < 1.0  # other numbers take a part of the declared model's error, effects nearly all
+
+
+def _ratios(seat):
+    return [float(r) for r in seat.page.get_by_role("region", name="errors by episode").locator("td:last-child").all_inner_texts()]
+
+
+def test_an_episode_is_looked_through_and_taken_to_foxglove(seat, pages, running, tmp_path):
+    seat.go(pages["episode"])
+    seat.tab_to("Roll out again")
+    seat.press("Enter")
+    expect(seat.page.locator("#recordings canvas").first).to_be_visible(timeout=A_MINUTE)
+    for link, name in (("Download with predictions", "overlay.mcap"), ("Layout for Foxglove", "layout.json")):
+        with seat.page.expect_download() as download:
+            seat.page.get_by_role("link", name=link).click()
+        download.value.save_as(tmp_path / name)
+    panels = json.loads((tmp_path / "layout.json").read_text())["configById"].values()
+    plotted = {line["value"].partition(".")[0] for panel in panels for line in panel.get("paths", ())}
+    with (tmp_path / "overlay.mcap").open("rb") as file:
+        topics = {c.topic for c in make_reader(file).get_summary().channels.values()}
+    assert {"/joint_states", "/joint_commands", "/trueup/regions"} <= topics
+    assert plotted <= topics
+    assert len(plotted) == 5  # what was recorded, and of two versions the prediction and the residual
 
 
 # -- going back

@@ -52,6 +52,7 @@ def _trace(plant: Plant, episode: Episode, paths: Mapping[str, Array], told: Tol
         channels.append(
             {
                 **named(plant, channel),
+                "envelope": list(plant.envelope[channel.name]) if channel.name in plant.envelope else None,
                 "measured": numbers(measured[drawn]),
                 **{name: numbers(path[drawn, at]) for name, path in paths.items()},
                 "rms": {name: number(rms(path[begin:, at] - measured[begin:])) for name, path in paths.items()},

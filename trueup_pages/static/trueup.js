@@ -39,13 +39,16 @@ class Recordings {
     this.charts = [];
     for (const channel of episode.channels) {
       const unit = channel.unit && channel.unit !== "1" ? ` [${channel.unit}]` : "";
-      this.add(channel.name + unit, this.lines.map(([name, of]) => [name, of, channel[name]]), 230);
+      const bounds = (channel.envelope || []).map((y) => ["envelope", "--bad", episode.t_s.map(() => y), [5, 4]]);
+      this.add(channel.name + unit, [...this.lines.map(([name, of]) => [name, of, channel[name]]), ...bounds], 230);
       const missed = (name) => channel[name].map((p, i) => (p == null ? null : p - channel.measured[i]));
       this.add(`error of ${channel.name}${unit}`, this.models.map(([name, of]) => [name, of, missed(name)]), 130);
     }
     for (const c of episode.commands) this.add(`command ${c.name} [${c.unit}]`, [["issued", "--pale", c.issued]], 90);
     this.range.max = episode.t_s.length - 1;
-    this.scrub(Math.min(Number(this.range.value), episode.t_s.length - 1));
+    const at = Math.min(Number(this.range.value), episode.t_s.length - 1);
+    this.show(at);
+    requestAnimationFrame(() => this.episode === episode && this.scrub(at)); // the axes have their scales by then
   }
 
   add(title, lines, height) {
@@ -58,10 +61,10 @@ class Recordings {
     const options = {
       width: Math.max(this.plots.clientWidth, 240),
       height,
-      cursor: { sync: { key: "recording", setSeries: false }, drag: { x: true, y: false }, points: { size: 5 } },
+      cursor: { y: false, sync: { key: "recording", setSeries: false }, drag: { x: true, y: false }, points: { size: 5 } },
       scales: { x: { time: false } },
       axes: [{ ...axis, size: 28, values: (_, ticks) => ticks.map((t) => `${+t.toPrecision(6)} s`) }, { ...axis, size: 58 }],
-      series: [{}, ...lines.map(([label, of]) => ({ label, stroke: colour(of), width: 1.4, spanGaps: false }))],
+      series: [{}, ...lines.map(([label, of, , dash]) => ({ label, stroke: colour(of), width: 1.4, spanGaps: false, dash }))],
       hooks: {
         setCursor: [(u) => u.cursor.event && u.cursor.idx != null && u.cursor.left >= 0 && this.show(u.cursor.idx)], // a pointer's, not our own
         setScale: [(u, key) => key === "x" && !this.busy && this.zoom(u)],

@@ -39,23 +39,30 @@ def episode(request: Request, parts: With, plant: PlantName, digest: DigestPath)
             "uses": {purpose: count for purpose, count in uses.items() if count},
             "served": served_during(reader, found),
             "serving": serving,
+            "beside": _beside(reader, plant),
         }
     return show(request, "episode.html", 200, **values, **comparison(parts, job, both))
 
 
 @router.post("/plants/{plant}/episodes/{digest}/signals")
 def look(parts: With, stamp: By, plant: PlantName, digest: DigestPath) -> Response:
-    """Roll the declared model and what serves out over the episode."""
+    """Roll two versions out over the episode."""
     parts.queue.prepare()
     with writing(parts.database) as writer:
         find.episode(writer, plant, digest)
         asked: dict[str, Any] = {
             "first": find.version(writer, plant, DECLARED).digest,
-            "second": find.serving(writer, plant).artifact,
+            "second": find.version(writer, plant, _beside(writer, plant)).digest,
             "episodes": [digest],
         }
         SUBMIT["compare"](writer, parts.queue, uuid.uuid4().hex, plant, asked, stamp)
     return go(f"/plants/{plant}/episodes/{digest}")
+
+
+def _beside(reader: Reader, plant: str) -> int:
+    """The version that is shown beside the declared one: what serves, or the newest while that is the declared one."""
+    serving = find.serving(reader, plant).version
+    return serving if serving != DECLARED else reader.latest_version(plant)
 
 
 @router.get("/plants/{plant}/foxglove.json")
