@@ -14,6 +14,7 @@ from typing import Annotated
 from urllib.parse import quote, urlencode
 
 from cyclopts import Parameter
+from cyclopts.types import ExistingDirectory
 
 from trueup_cli.options import DEFAULT_URL, Url, connect, token_for
 from trueup_cli.show import err, progress
@@ -25,7 +26,7 @@ START_LIMIT_S, PAUSE_S = 60.0, 0.1
 def look(
     plant: str | None = None,
     *,
-    data: Annotated[Path | None, Parameter(help="Serve this data folder until Ctrl-C, and look at that")] = None,
+    data: Annotated[ExistingDirectory | None, Parameter(help="Serve this data folder until Ctrl-C, and look at that")] = None,
     browser: Annotated[bool, Parameter(help="Open a browser; else the link is printed alone")] = True,
     url: Url = DEFAULT_URL,
 ) -> None:
@@ -73,8 +74,6 @@ def _best_page(client: Client, plant: str | None) -> str:
 @contextmanager
 def _serving(data: Path, url: str) -> Iterator[subprocess.Popen[bytes]]:
     """A server with a worker on a data folder, at the port of this address, until the end."""
-    if not data.is_dir():
-        raise FileNotFoundError(f"there is no folder {data}")
     os.environ["TRUEUP_DATA_DIR"] = str(data)
     port = url.rpartition(":")[2].strip("/")
     child = subprocess.Popen([sys.executable, "-m", "trueup_cli.main", "serve", "--port", port], stderr=subprocess.DEVNULL)

@@ -71,8 +71,9 @@ def diagnosis(plant: str, *, seed: int = 0, url: Url = DEFAULT_URL, as_json_: Js
         return
     from trueup.diagnose.words import sentence
 
-    out.print(sentence(found["result"]["report"]))
+    out.print(sentence(found["result"]["report"]), soft_wrap=True)
     out.print(f"candidate [bold]{found['result']['artifact']}[/]")
+    out.print(f"[dim]the whole of it in a browser: trueup look {plant}[/]")
 
 
 def gate(

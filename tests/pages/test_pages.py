@@ -193,9 +193,9 @@ def test_from_all_plants_to_what_a_diagnosis_says_by_keyboard_alone(seat, pages,
     seat.page.wait_for_url(running.url + pages["diagnosis"])
     expect(seat.page.locator("h1")).to_contain_text("held-out error falls from 0.371 to 0.00736")
     seat.tab_to("layer")
-    shown = seat.page.locator(".layer.refitted").first
+    shown = seat.page.locator(".layer.nominal").first
     expect(shown).to_be_visible()
-    seat.press("ArrowRight")
+    seat.press("ArrowRight", "ArrowRight")
     expect(shown).to_be_hidden()
     expect(seat.page.locator(".layer.corrected").first).to_be_visible()
 
