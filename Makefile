@@ -8,7 +8,7 @@ RUN := $(VENV)/.run
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo look demo-arm serve test check laws flow bench docs lock clean
+.PHONY: help setup demo look demo-arm serve test check laws flow bench docs pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -68,6 +68,9 @@ docs: $(RUN) ## write the pages that are made from the code
 	@$(BIN)/python docs/make_settings.py
 	@$(BIN)/python docs/make_effects.py
 	@$(BIN)/python docs/make_access.py
+
+pictures: $(DEV) ## take the pictures of the documentation anew, from a diagnosis that runs now
+	@PYTHONPATH=. $(BIN)/python docs/make_pictures.py
 
 lock: $(BIN)/uv ## pin the dependencies anew
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --extra mujoco pyproject.toml -o requirements.txt

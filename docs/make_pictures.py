@@ -12,6 +12,7 @@ WIDTH, SCALE = 1080, 1.5
 
 
 def main() -> None:
+    """Diagnose, open the report, and take the pictures."""
     with tempfile.TemporaryDirectory() as out:
         command = [sys.executable, "-m", "trueup_cli.main", "diagnose", str(ROOT / "examples" / "emps"), "--out", out]
         subprocess.run(command, cwd=ROOT, check=True)

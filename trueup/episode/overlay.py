@@ -37,7 +37,7 @@ def write_overlay(
     source = make_reader(BytesIO(recorded))
     writer.start(profile=source.get_header().profile, library="trueup")
     _copy(source, writer)
-    stamps = (episode.start_ns + np.rint(episode.t_s * 1e9)).astype(np.int64).tolist()
+    stamps = (episode.start_ns + np.rint(episode.t_s * 1e9).astype(np.int64)).tolist()
     schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", ROS2_DEFINITION.encode())
     rows = Rows(episode.layout.observations)
     for name, predicted in predictions.items():

@@ -35,6 +35,7 @@ def audit(
     kind: Annotated[str, Query(max_length=32)] = "",
     before: Annotated[int, Query(ge=1, le=NO_END)] = NO_END,
 ) -> Response:
+    """The newest entries, or those before one, of a plant, of a kind or of what it begins with."""
     return show(request, "audit.html", **_listed(request, parts, who, plant, kind, before), compared=None, pasted="")
 
 

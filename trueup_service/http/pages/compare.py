@@ -31,6 +31,7 @@ LISTED = 200  # versions to choose from, the newest
 
 @router.get("/plants/{plant}/compare")
 def compare(request: Request, parts: With, plant: PlantName, first: Version, second: Version) -> Response:
+    """What changed, and what a comparison found, if there was one."""
     with parts.database.read() as connection:
         reader = Reader(connection)
         both = [find.version(reader, plant, v) for v in (first, second)]

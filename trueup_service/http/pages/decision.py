@@ -25,6 +25,7 @@ LOOKED_AT = 200  # jobs among which a recomputation is sought
 
 @router.get("/plants/{plant}/decisions/{digest}")
 def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Response:
+    """The decision, with its proof and its newest recomputation."""
     with parts.database.read() as connection:
         reader = Reader(connection)
         made = find.decision(reader, plant, digest)

@@ -25,6 +25,7 @@ FIGURES, COMMAND = "figures.json", "next_experiment.csv"
 
 @router.get("/plants/{plant}/diagnoses/{job}")
 def diagnosis(request: Request, parts: With, plant: PlantName, job: JobId) -> Response:
+    """How far it is, why it failed, or what it found."""
     found = _job(parts, plant, job)
     if found.state not in FINAL:
         return show(request, "running.html", job=found)

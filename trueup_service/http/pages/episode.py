@@ -26,6 +26,7 @@ Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 
 @router.get("/plants/{plant}/episodes/{digest}")
 def episode(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Response:
+    """What was recorded, and what the newest look at it left behind."""
     with parts.database.read() as connection:
         reader = Reader(connection)
         found = find.episode(reader, plant, digest)

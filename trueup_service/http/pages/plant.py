@@ -16,7 +16,7 @@ from trueup_service.actions.move_pointer import previous_artifact
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.context import END_OF_TIME, By, PlantName, With
 from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import form, go, show
+from trueup_service.http.pages.page import form, go, show, wants_page
 from trueup_service.http.problems import status_of
 from trueup_service.http.routers.serving import roll_back_tested, tested_way_back
 from trueup_service.registry.overview import gaps_of, last_entries
@@ -31,6 +31,7 @@ NOT_A_NUMBER = -1
 
 @router.get("/plants/{plant}")
 def plant_page(request: Request, parts: With, plant: PlantName) -> Response:
+    """What serves, what happened, and the newest of everything."""
     with parts.database.read() as connection:
         reader = Reader(connection)
         record = find.plant(reader, plant)
@@ -83,6 +84,8 @@ async def rollback(request: Request, parts: With, stamp: By, plant: PlantName) -
     try:
         await run_in_threadpool(roll_back_tested, parts, stamp, plant, generation, given.get("key") or None)
     except TrueupError as error:
+        if not wants_page(request):
+            raise
         return await run_in_threadpool(_offer, request, parts, plant, error)
     request.app.state.answers.wake()
     return go(f"/plants/{plant}")

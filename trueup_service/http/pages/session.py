@@ -19,6 +19,7 @@ FOR_EVER = {"Cache-Control": "public, max-age=31536000, immutable"}
 
 @router.get("/sign-in")
 async def sign_in_page(request: Request) -> Response:
+    """The form for a token."""
     return show(request, "sign_in.html", next=request.query_params.get("next", "/"), problem=None)
 
 
@@ -40,6 +41,7 @@ async def sign_in(request: Request, parts: With) -> Response:
 
 @router.post("/sign-out")
 async def sign_out(request: Request, parts: With) -> Response:
+    """End the session, and ask for a token again."""
     await run_in_threadpool(end_session, request, parts)
     answer = go("/sign-in")
     forget_cookie(answer)
