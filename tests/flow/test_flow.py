@@ -134,7 +134,8 @@ def test_a_service_that_is_not_there_exits_3(service):
 
 def test_a_decision_that_was_tampered_with_is_not_reproduced(client, tmp_path):
     """The replay recomputes from bytes: a figure that was changed in the record is found."""
-    from trueup_cli.audit import compare, recompute
+    from trueup.gate.recompute import differences
+    from trueup_cli.audit import recompute
 
     name = "tampered"
     client.register_plant(plant_document(name))
@@ -145,10 +146,12 @@ def test_a_decision_that_was_tampered_with_is_not_reproduced(client, tmp_path):
     decision = client.wait(client.submit(name, {"kind": "gate", "candidate": candidate, "gate": gate})["id"])["result"]["decision"]
     recorded = client.decision(name, decision)["document"]
     recomputed = recompute(client, name, recorded, tmp_path, lambda *_: None)
-    assert compare(recorded, recomputed) == []
+    assert differences(recorded, recomputed) == []
+    found = client.wait(client.submit(name, {"kind": "recompute", "decision": decision})["id"])["result"]
+    assert (found["agrees"], found["differences"]) == (True, [])
     recorded["figures"]["incumbent"]["rollout"][0] *= 1 + 1e-6
     recorded["verdicts"][0]["passed"] = False
-    assert {d.split(":")[0] for d in compare(recorded, recomputed)} == {"verdicts[0].passed", "figures.incumbent.rollout[0]"}
+    assert {d.split(":")[0] for d in differences(recorded, recomputed)} == {"verdicts[0].passed", "figures.incumbent.rollout[0]"}
 
 
 def test_the_audit_entries_have_the_root_that_is_signed(client):

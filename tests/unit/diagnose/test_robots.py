@@ -129,7 +129,8 @@ def leaned_on(plant, episodes, from_s, to_s):
     many, one = np.ones_like(residual), np.ones(len(residual))
     at = np.concatenate([t / e.t_s[-1] for e in episodes])
     which = np.repeat(np.arange(len(episodes)), count)
-    return Strides(residual, residual, many, many, many, many, at, many, many > 0.0, which, 0.1 * one)
+    missed = np.tile(many, 2)
+    return Strides(missed, residual, residual, many, many, many, many, at, many, many > 0.0, which, 0.1 * one)
 
 
 def test_something_that_leans_on_a_joint_is_told_with_its_time(plant):
