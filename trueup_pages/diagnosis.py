@@ -20,6 +20,7 @@ MODELS = (
 )
 STILL = 400  # points of a line that is drawn without a script
 INSEPARABLE = "the evidence cannot separate what is above this line"
+NOT_ENOUGH = "none explains the gap: what is above this line comes nearest"
 ALONE = "the evidence separates the answer from everything below this line"
 
 
@@ -87,6 +88,9 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     shown = [*inside, *[h for h in rest if h["effects"]][: max(ROWS - len(inside) - len(bare), 0)], *bare]
     shown = inside + sorted(shown[len(inside) :], key=lambda h: h["validation"])
     scale = drawing.Scale([h["validation"] for h in shown if h["validation"]])
+    enough = report["verdict"] != "unknown_effect"
+    called = "the answer" if enough else "the nearest, and not enough"
+    line = NOT_ENOUGH if not enough else ALONE if len(inside) == 1 else INSEPARABLE
     found = []
     for at, h in enumerate(shown):
         value = h["validation"]
@@ -99,11 +103,11 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
                 "misfit": h["misfit"],
                 "validation": value,
                 "in_set": bool(h.get("in_set")),
-                "said": "the answer" if h.get("answer") else "fits closer, by less than more numbers must earn" if closer else "",
+                "said": called if h.get("answer") else "fits closer, by less than more numbers must earn" if closer else "",
                 "drawn": drawing.interval(
                     scale, value, ends, "answer" if h.get("in_set") else "nominal" if h["parameters"] == "nominal" else "other"
                 ),
-                "divide": (ALONE if len(inside) == 1 else INSEPARABLE) if at == len(inside) and inside else "",
+                "divide": line if at == len(inside) and inside else "",
             }
         )
     return found
