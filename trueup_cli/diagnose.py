@@ -26,10 +26,15 @@ def run(case: Path, *, out: Path, seed: int = 0) -> None:
 
     Parameters
     ----------
-    case: folder with plant.json and *.mcap episodes
+    case: folder with plant.json and *.mcap episodes; or a recording or a ROS 2 bag, of which a case is made first
     out: folder to write to
     seed: of the resampling behind the intervals
     """
+    if not (case / "plant.json").is_file() and (case.is_file() or any(case.glob("*.mcap"))):
+        from trueup_cli.init import make_case
+
+        make_case(case, out / "case")
+        case = out / "case"
     with progress("diagnose") as bar:
         bar(0.0, "reading the episodes")
         plant, episodes = read_case(case)

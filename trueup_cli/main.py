@@ -37,6 +37,7 @@ _COMMANDS = {
     "evidence": ("channels:evidence", "List what was found of a version, and at which stage, or add to it."),
     "channels": ("channels:channels", "Say what each channel serves, or declare one."),
     "release": ("channels:release", "Serve what serves, or another version that did, on a channel."),
+    "init": ("init:init", "Make a case folder from recordings alone, such as a ROS 2 bag."),
     "diagnose": ("diagnose:run", "Say where the gap lies, which effect causes it, and how far it shrinks."),
     "blindtrial": ("blindtrial:run", "Hide effects in machines like yours and say how often the diagnosis is right."),
     "excite": ("excite:excite", "Design a bounded excitation, safe under every model still in play."),

@@ -69,7 +69,8 @@ def _cdr_text(data: bytes, at: int, order: str) -> tuple[str, int]:
     return data[at : at + max(length - 1, 0)].decode(), at + length
 
 
-def _read_cdr(data: bytes) -> JointState:
+def read_cdr(data: bytes) -> JointState:
+    """One message. Raises ValueError, struct.error."""
     shape = _cdr_shape(data)
     seconds, nanoseconds = struct.unpack_from(shape.order + "iI", data, 4)
     values = tuple(struct.unpack_from(f"{shape.order}{n}d", data, at) for at, n in shape.fields)
@@ -87,16 +88,16 @@ def decode_cdr(block: Block, messages: list[Message], channels: Sequence[Channel
     try:
         shape = _cdr_shape(first)
     except (ValueError, struct.error):
-        return decode_each(block, messages, channels, _read_cdr)
+        return decode_each(block, messages, channels, read_cdr)
     if (lengths != length).any():
-        return decode_each(block, messages, channels, _read_cdr)
+        return decode_each(block, messages, channels, read_cdr)
     rows = np.frombuffer(block.data, np.uint8)[starts[:, None] + np.arange(length)]
     free = np.zeros(length, bool)
     free[4:12] = True
     for at, count in shape.fields:
         free[at : at + 8 * count] = True
     if (rows[:, ~free] != np.frombuffer(first, np.uint8)[~free]).any():
-        return decode_each(block, messages, channels, _read_cdr)
+        return decode_each(block, messages, channels, read_cdr)
     return Columns(log, _cdr_stamps(rows, shape.order), _cdr_values(rows, shape, channels))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import orjson
 
-from trueup.episode.cdr import ROS2_NAMES, decode_cdr
+from trueup.episode.cdr import ROS2_NAMES, decode_cdr, read_cdr
 from trueup.episode.container import Block, Message, Topic
 from trueup.episode.joint_state import FIELDS, Columns, JointState, decode_each
 from trueup.episode.layout import Channel
@@ -17,17 +17,24 @@ Decoder = Callable[[Block, list[Message], Sequence[Channel]], Columns]
 
 def decoder(topic: Topic) -> Decoder:
     """The decoder for a topic's encoding. Raises NotAnEpisode."""
+    read = message_reader(topic)
+    if topic.encoding == "cdr":
+        return decode_cdr
+    return lambda block, messages, channels: decode_each(block, messages, channels, read)
+
+
+def message_reader(topic: Topic) -> Callable[[bytes], JointState]:
+    """What reads one message of a topic. Raises NotAnEpisode."""
     if topic.encoding == "cdr":
         if topic.schema is not None and topic.schema.name not in ROS2_NAMES:
             raise NotAnEpisode(f"topic {topic.name} carries {topic.schema.name!r}, not JointState", rule="encoding", topic=topic.name)
-        return decode_cdr
+        return read_cdr
     if topic.encoding == "json":
-        return lambda block, messages, channels: decode_each(block, messages, channels, _read_json)
+        return _read_json
     if topic.encoding == "protobuf" and topic.schema is not None:
         from trueup.episode.protobuf import reader  # noqa: PLC0415  (protobuf loads slowly, few logs need it)
 
-        read = reader(topic.schema)
-        return lambda block, messages, channels: decode_each(block, messages, channels, read)
+        return reader(topic.schema)
     raise NotAnEpisode(
         f"topic {topic.name} is encoded as {topic.encoding!r}; cdr, json and protobuf are read", rule="encoding", topic=topic.name
     )

@@ -15,10 +15,11 @@ from typing import BinaryIO
 
 import numpy as np
 import orjson
-from mcap.reader import McapReader, make_reader
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
+from trueup.episode.copying import copy_messages, copy_rest
 from trueup.episode.episode import Episode
 from trueup.episode.writer import ROS2_DEFINITION, Rows, encode_cdr
 
@@ -36,7 +37,8 @@ def write_overlay(
     writer = Writer(to, compression=CompressionType.ZSTD)
     source = make_reader(BytesIO(recorded))
     writer.start(profile=source.get_header().profile, library="trueup")
-    _copy(source, writer)
+    copy_messages(source, writer)
+    copy_rest(source, writer)
     stamps = (episode.start_ns + np.rint(episode.t_s * 1e9).astype(np.int64)).tolist()
     schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", ROS2_DEFINITION.encode())
     rows = Rows(episode.layout.observations)
@@ -54,20 +56,3 @@ def write_overlay(
             writer.add_message(channel, log_time=stamp, data=orjson.dumps({"regions": now}), publish_time=stamp, sequence=i)
             before = now
     writer.finish()  # type: ignore[no-untyped-call]
-
-
-def _copy(source: McapReader, writer: Writer) -> None:
-    """Everything that was recorded, in its order."""
-    schemas: dict[int, int] = {0: 0}
-    channels: dict[int, int] = {}
-    for schema, channel, message in source.iter_messages(log_time_order=False):
-        if schema is not None and schema.id not in schemas:
-            schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
-        if channel.id not in channels:
-            known = schemas[channel.schema_id]
-            channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, known, dict(channel.metadata))
-        writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence)
-    for metadata in source.iter_metadata():
-        writer.add_metadata(metadata.name, dict(metadata.metadata))
-    for attachment in source.iter_attachments():
-        writer.add_attachment(attachment.create_time, attachment.log_time, attachment.name, attachment.media_type, attachment.data)

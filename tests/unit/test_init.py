@@ -1,0 +1,131 @@
+"""From recordings that say nothing of themselves to a case folder: what is found, what is assumed, what is asked."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.support.made import T0_NS, TRUE, arm_layout, plant_document
+from trueup.diagnose.case import read_case
+from trueup.episode.layout import Channel, Field, Layout
+from trueup.episode.role import Role
+from trueup.episode.survey import survey
+from trueup.episode.writer import Encoding, write_episode
+from trueup.errors import BadPlant, NotAnEpisode, NotIdentifiable
+from trueup.model.plant import Plant
+from trueup_cli.init import make_case
+
+PLANT = Plant.from_document(plant_document())
+LAYOUT = Layout(
+    (Channel("q", "rad", Field.POSITION, "hinge"), Channel("v", "rad/s", Field.VELOCITY, "hinge")),
+    (Channel("u", "N·m", Field.EFFORT, "hinge"),),
+    "/robot/joint_states",
+    "/robot/effort_command",
+)
+
+
+def moved(seed, samples=600):
+    """States and commands of an excited oscillator."""
+    rng = np.random.default_rng(seed)
+    issued = np.clip(np.convolve(rng.normal(size=samples), np.ones(8) / 4, "same"), -0.87, 0.87)[:, None]
+    issued[7] = 0.87
+    states = np.zeros((samples, 2))
+    for i in range(samples - 1):
+        states[i + 1] = PLANT.update(states[i : i + 1], issued[i : i + 1], TRUE)[0]
+    return states + rng.normal(scale=1e-4, size=states.shape), issued
+
+
+def record(path, seed, *, role=None, layout=LAYOUT, encoding=Encoding.CDR, states=None, issued=None):
+    """A recording as `ros2 bag` leaves it: no role, no conditions."""
+    made = moved(seed)
+    states, issued = made[0] if states is None else states, made[1] if issued is None else issued
+    stamps = T0_NS + 10**12 * seed + np.arange(len(states)) * 50_000_000
+    with path.open("wb") as file:
+        write_episode(
+            file, stamps_ns=stamps, observations=states, commands=issued, layout=layout, role=role, conditions={}, encoding=encoding
+        )
+    return path
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+def test_a_log_is_surveyed_in_every_encoding(tmp_path, encoding):
+    path = record(tmp_path / "bag.mcap", 0, encoding=encoding)
+    with path.open("rb") as file:
+        found = survey(file, path.stat().st_size)
+    told = {s.topic: s for s in found.found}
+    assert set(told) == {"/robot/joint_states", "/robot/effort_command"}
+    assert told["/robot/joint_states"].joints == ("hinge",)
+    assert told["/robot/joint_states"].fields == (Field.POSITION, Field.VELOCITY)
+    assert told["/robot/effort_command"].fields == (Field.EFFORT,)
+    assert told["/robot/joint_states"].period_s == pytest.approx(0.05)
+    assert (told["/robot/joint_states"].messages, found.role) == (600, None)
+
+
+def test_a_bag_of_several_files_becomes_a_case(tmp_path):
+    bag = tmp_path / "My Bag 3"
+    bag.mkdir()
+    for seed in range(4):
+        record(bag / f"bag_{seed}.mcap", seed)
+    make_case(bag, tmp_path / "case")
+    document = json.loads((tmp_path / "case" / "plant.json").read_text())
+    assert document["name"] == "my-bag-3"
+    assert document["topics"] == {"observation": "/robot/joint_states", "command": "/robot/effort_command"}
+    assert document["commands"][0]["limits"] == [-0.87, 0.87]
+    assert document["nominal"]["timestep_s"] == 0.05
+    assert document["nominal"]["family"] == "oscillator"
+    assert list(document["nominal"]["parameters"].values()) == pytest.approx(TRUE, rel=0.02)
+    _, episodes = read_case(tmp_path / "case")
+    assert sorted(str(e.role) for e in episodes) == ["adaptation", "adaptation", "adaptation", "validation"]
+    assert {e.conditions["stage"] for e in episodes} == {"physical"}
+
+
+def test_the_end_of_a_single_file_is_held_out_and_nothing_is_in_both(tmp_path):
+    make_case(record(tmp_path / "bag.mcap", 1), tmp_path / "case")
+    _, (first, second) = read_case(tmp_path / "case")
+    assert (first.role, second.role) == (Role.ADAPTATION, Role.VALIDATION)
+    assert first.start_ns + round(first.t_s[-1] * 1e9) < second.start_ns
+    assert len(first.t_s) + len(second.t_s) == 600
+    assert len(second.t_s) == pytest.approx(180, abs=2)
+
+
+def test_roles_that_files_declare_are_kept_byte_by_byte(tmp_path):
+    paths = [record(tmp_path / f"{i}.mcap", i, role=role) for i, role in enumerate((Role.VALIDATION, Role.ADAPTATION))]
+    make_case(tmp_path, tmp_path / "case")
+    kept = {p.name.split("-")[1].removesuffix(".mcap"): p.read_bytes() for p in (tmp_path / "case").glob("*.mcap")}
+    assert kept == {"validation": paths[0].read_bytes(), "adaptation": paths[1].read_bytes()}
+
+
+def test_a_family_may_be_given_and_an_unknown_one_is_refused(tmp_path):
+    path = record(tmp_path / "bag.mcap", 2)
+    make_case(path, tmp_path / "case", family="pendulum")
+    assert json.loads((tmp_path / "case" / "plant.json").read_text())["nominal"]["family"] == "pendulum"
+    with pytest.raises(BadPlant, match="no family") as refused:
+        make_case(path, tmp_path / "other", family="rocket")
+    assert "inertia" in refused.value.hint
+
+
+def test_several_joints_are_asked_about(tmp_path):
+    states, issued = moved(3)
+    both = {"states": np.hstack([states[:, :1], states[:, :1], states[:, 1:], states[:, 1:]]), "issued": np.hstack([issued, issued])}
+    path = record(tmp_path / "arm.mcap", 3, layout=arm_layout(2), **both)
+    with pytest.raises(BadPlant, match="2 joints") as refused:
+        make_case(path, tmp_path / "case")
+    assert "j0, j1" in refused.value.hint
+    make_case(path, tmp_path / "case", joint="j1")
+    assert json.loads((tmp_path / "case" / "plant.json").read_text())["observations"][0]["joint"] == "j1"
+
+
+def test_what_cannot_be_found_is_named_with_what_there_is(tmp_path):
+    path = record(tmp_path / "bag.mcap", 4)
+    with pytest.raises(BadPlant) as refused:
+        make_case(path, tmp_path / "case", observation="/nothing")
+    assert "/robot/joint_states" in refused.value.hint
+    with pytest.raises(NotAnEpisode) as refused:
+        make_case(tmp_path / "case", tmp_path / "other")
+    assert "ros2 bag record" in refused.value.hint
+
+
+def test_a_command_that_never_moves_is_refused(tmp_path):
+    path = record(tmp_path / "bag.mcap", 5, issued=np.zeros((600, 1)))
+    with pytest.raises(NotIdentifiable, match="0 throughout"):
+        make_case(path, tmp_path / "case")

@@ -1,0 +1,122 @@
+"""`trueup init`: a case folder from recordings alone."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Annotated, Any
+
+from cyclopts import Parameter
+
+from trueup.episode.cutting import write_part
+from trueup.episode.mcap import read_episode
+from trueup.episode.role import Role
+from trueup.episode.survey import survey
+from trueup.errors import NotAnEpisode
+from trueup.fit.first_model import Chosen, choose, describe
+from trueup_cli.show import out as console
+from trueup_cli.show import progress, table
+
+HELD_OUT = 0.3  # of what was recorded
+
+
+def init(
+    log: Path,
+    *,
+    out: Path,
+    name: str | None = None,
+    family: Annotated[str | None, Parameter(help="inertia, pendulum or oscillator; default: the simplest that the data allow")] = None,
+    joint: str | None = None,
+    observation: Annotated[str | None, Parameter(help="Topic of the observed JointState")] = None,
+    command: Annotated[str | None, Parameter(help="Topic of the commanded JointState")] = None,
+    stage: Annotated[str, Parameter(help="MIL, SIL, PIL, HIL or physical: where it was recorded")] = "physical",
+) -> None:
+    """Make a case folder from recordings: an MCAP file, or what `ros2 bag record -s mcap` left behind.
+
+    Finds topics, joint, fields and rates, holds the last part of the recordings out, and identifies the numbers of the simplest model that
+    they allow. What it assumed is printed, and stands in plant.json to be corrected.
+
+    Parameters
+    ----------
+    log: MCAP file, or a folder of some
+    out: case folder to write
+    name: of the plant; default: the log's
+    joint: which one, where several move
+    """
+    make_case(log, out, name=name, family=family, joint=joint, observation=observation, command=command, stage=stage)
+    console.print(f"next: trueup diagnose {out} --out {out / 'diagnosis'}", soft_wrap=True)
+
+
+def make_case(
+    log: Path,
+    out: Path,
+    *,
+    name: str | None = None,
+    family: str | None = None,
+    joint: str | None = None,
+    observation: str | None = None,
+    command: str | None = None,
+    stage: str = "physical",
+) -> None:
+    """The same, for a command that goes on. Raises NotAnEpisode, BadPlant, NotIdentifiable."""
+    files = sorted(log.glob("*.mcap")) if log.is_dir() else [log]
+    if not files:
+        raise NotAnEpisode(f"{log} holds no *.mcap", rule="samples", hint="Record with `ros2 bag record -s mcap`.")
+    out.mkdir(parents=True, exist_ok=True)
+    with progress("init") as bar:
+        bar(0.0, "looking through the recordings")
+        with files[0].open("rb") as stream:
+            found = survey(stream, files[0].stat().st_size)
+        chosen = choose(found, observation=observation, command=command, joint=joint)
+        bar(0.3, "writing episodes")
+        episodes = [read_episode(path.read_bytes(), chosen.layout) for path in _write_parts(files, chosen, out, stage)]
+        bar(0.6, "identifying a first model")
+        plain = re.sub(r"[^a-z0-9_-]+", "-", (name or (log.stem if log.is_file() else log.resolve().name)).lower()).strip("-_") or "robot"
+        document = describe(plain[:63], chosen, [e for e in episodes if e.role is Role.ADAPTATION], family)
+    (out / "plant.json").write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    _tell(document, chosen, out, stage)
+
+
+def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> list[Path]:
+    """Episodes of the case: each file is one, the last ones held out; the end of a single one. Roles that files declare are kept."""
+    topics, written = {chosen.observed.topic, chosen.commanded.topic}, list[Path]()
+    held_out = max(1, round(HELD_OUT * len(files)))
+    for at, file in enumerate(files):
+        recorded = file.read_bytes()
+        with file.open("rb") as stream:
+            found = survey(stream, len(recorded))
+        conditions = {"stage": stage, "recording": file.name}
+        if found.role is not None:
+            parts: list[tuple[Role | None, int | None, int | None]] = [(None, None, None)]
+        elif len(files) > 1:
+            parts = [(Role.VALIDATION if at >= len(files) - held_out else Role.ADAPTATION, None, None)]
+        else:
+            first, last = chosen.observed.first_ns, chosen.observed.last_ns
+            cut = last - int(HELD_OUT * (last - first))
+            parts = [(Role.ADAPTATION, None, cut), (Role.VALIDATION, cut, None)]
+        for role, begin, end in parts:
+            written.append(out / f"{len(written)}-{role or found.role}.mcap")
+            with written[-1].open("wb") as to:
+                if role is None:
+                    to.write(recorded)
+                else:
+                    write_part(to, recorded, topics, role, conditions, begin, end)
+    return written
+
+
+def _tell(document: dict[str, Any], chosen: Chosen, out: Path, stage: str) -> None:
+    nominal, limits = document["nominal"], document["commands"][0]["limits"]
+    numbers = ", ".join(f"{k} = {v:g}" for k, v in nominal["parameters"].items())
+    table(
+        f"{out / 'plant.json'}",
+        ["what", "found", "so"],
+        [
+            ("observed", chosen.observed.topic, f"{', '.join(chosen.observed.fields)} of {chosen.joint or 'the first joint'}"),
+            ("commanded", chosen.commanded.topic, f"{chosen.command_field}, within {limits[0]:g} and {limits[1]:g} so far"),
+            ("step", f"{1e3 * nominal['timestep_s']:g} ms", f"rollouts over {document['evaluation']['horizon_s']:g} s"),
+            ("first model", nominal["family"], f"{numbers}: identified here, so a diagnosis starts from the best numbers of this form"),
+            ("units", "rad, rad/s, N·m", "assumed; correct them where they are others"),
+            ("stage", stage, "assumed: recorded on a machine" if stage == "physical" else "as given"),
+        ],
+    )
