@@ -146,9 +146,13 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
     fresh = embedded(tmp_path / "fresh")
     parts = sorted((tmp_path / "good" / "blobs" / "sha256").iterdir())
     changed = 0
-    for part in parts:
+
+    def whole_again():
         shutil.rmtree(tmp_path / "bad", ignore_errors=True)
         shutil.copytree(tmp_path / "good", tmp_path / "bad")
+
+    for part in parts:
+        whole_again()
         victim, data = tmp_path / "bad" / "blobs" / "sha256" / part.name, bytearray(part.read_bytes())
         if not data:
             continue
@@ -160,12 +164,12 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
             assert run(fresh, "import", tmp_path / "bad", check=False).returncode == 1
     assert changed > 10
     kept = storage.environment.get("TRUEUP_SIGNING_KEY") or (site[2] / "data" / "signing.key").read_text()
+    whole_again()  # whichever part the last one was
     rewrite(tmp_path / "bad", "log/entries.jsonl", lambda data: data, None)  # by somebody who knows the form, and has no key
     assert "not signed" in verified(tmp_path / "bad", key)[1]
     assert run(fresh, "import", tmp_path / "bad", "--key", key, check=False).returncode == 4
     for name, (title, change) in EDITS.items():  # and by somebody who has it
-        shutil.rmtree(tmp_path / "bad", ignore_errors=True)
-        shutil.copytree(tmp_path / "good", tmp_path / "bad")
+        whole_again()
         rewrite(tmp_path / "bad", title, change, Signer.from_text(kept))
         code, said = verified(tmp_path / "bad", key)
         assert (code, "cannot be read" in said) == (4, False), name
