@@ -3,15 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import socket
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,13 +22,14 @@ from trueup.model.mjcf import resolved
 from trueup.model.predictor import Predictor
 from trueup.model.windows import starts_every
 from trueup_cli.audit import recompute
+from trueup_cli.beside import service_beside
 from trueup_cli.model_folder import load_predictor
-from trueup_cli.picture import AFTER, BEFORE, Trace, before_and_after
+from trueup_cli.pictures.before_and_after import AFTER, BEFORE, Trace, before_and_after
 from trueup_cli.predict import predict_samples
 from trueup_cli.registry import run_job, show_decision
 from trueup_cli.serving import show_serving
 from trueup_cli.show import out, progress, table
-from trueup_client import Client, Unreachable
+from trueup_client import Client
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
 FRICTION = ["1", "v", "u", "sign(v)", "abs(v)"]
@@ -46,7 +41,6 @@ CANDIDATES: dict[str, dict[str, Any]] = {
 }
 OF_ROBOTS = ("identified parameters", "diagnosed effects")
 DEMO = Path(".trueup/demo")
-START_LIMIT_S, LOOK_S = 30.0, 0.02
 
 
 @dataclass(frozen=True)
@@ -77,7 +71,7 @@ def demo(case: Path = EXAMPLE, *, work: Path = DEMO) -> None:
     began = time.monotonic()
     shutil.rmtree(work, ignore_errors=True)
     told = Case(case, work, resolved(json.loads((case / "plant.json").read_text()), case))
-    with _service(work / "data") as url:
+    with service_beside(work / "data") as (url, _):
         client = Client(url, actor="demo", token=(work / "data" / "admin.token").read_text().strip())
         _upload(client, told)
         best = _fit_and_gate(client, told)
@@ -93,40 +87,6 @@ def demo(case: Path = EXAMPLE, *, work: Path = DEMO) -> None:
 
 def _say(step: int, what: str) -> None:
     out.print(f"\n[bold]{step}  {what}[/]")
-
-
-@contextmanager
-def _service(data: Path) -> Iterator[str]:
-    """A server with a worker beside it, on a free port, until the end."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    data.mkdir(parents=True)
-    with (data / "service.log").open("w") as log:
-        child = subprocess.Popen(
-            [sys.executable, "-m", "trueup_cli.main", "serve", "--port", str(port)],
-            env={**os.environ, "TRUEUP_DATA_DIR": str(data)},
-            stderr=log,
-        )
-        try:
-            _until_ready(f"http://127.0.0.1:{port}", child)
-            yield f"http://127.0.0.1:{port}"
-        finally:
-            child.terminate()
-            child.wait(timeout=START_LIMIT_S)
-
-
-def _until_ready(url: str, child: subprocess.Popen[bytes]) -> None:
-    port = int(url.rpartition(":")[2])
-    deadline = time.monotonic() + START_LIMIT_S
-    while time.monotonic() < deadline and child.poll() is None:
-        try:
-            socket.create_connection(("127.0.0.1", port), timeout=1).close()
-        except OSError:
-            time.sleep(LOOK_S)
-            continue
-        if Client(url).is_ready():
-            return
-    raise Unreachable("the service did not start; its log is service.log in the demo's folder")
 
 
 def _upload(client: Client, case: Case) -> None:

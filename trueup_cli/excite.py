@@ -26,8 +26,8 @@ from trueup.errors import BadArtifact, NotIdentifiable
 from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
-from trueup_cli.excite_picture import excite_picture
 from trueup_cli.model_folder import load_predictor
+from trueup_cli.pictures.excitation import excite_picture
 from trueup_cli.show import out as screen
 from trueup_cli.show import progress, table
 

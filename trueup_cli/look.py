@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
-import time
 import webbrowser
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import suppress
 from typing import Annotated
-from urllib.parse import quote, urlencode
+from urllib.parse import quote, urlencode, urlsplit
 
 from cyclopts import Parameter
 from cyclopts.types import ExistingDirectory
 
+from trueup_cli.beside import service_beside
 from trueup_cli.options import DEFAULT_URL, Url, connect, token_for
-from trueup_cli.show import err, progress
-from trueup_client import Client, Unreachable
-
-START_LIMIT_S, PAUSE_S = 60.0, 0.1
+from trueup_cli.show import err
+from trueup_client import Client
 
 
 def look(
@@ -41,7 +35,8 @@ def look(
     if data is None:
         _open(url, plant, browser=browser)
         return
-    with _serving(data, url) as child:
+    os.environ["TRUEUP_DATA_DIR"] = str(data)  # whose token is asked for
+    with suppress(KeyboardInterrupt), service_beside(data, urlsplit(url).port) as (_, child):
         _open(url, plant, browser=browser)
         err.print("[dim]serving until Ctrl-C[/]")
         child.wait()
@@ -69,32 +64,3 @@ def _best_page(client: Client, plant: str | None) -> str:
         if job["kind"] == "diagnose" and job["state"] == "succeeded":
             return f"/plants/{plant}/diagnoses/{job['id']}"
     return f"/plants/{plant}"
-
-
-@contextmanager
-def _serving(data: Path, url: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A server with a worker on a data folder, at the port of this address, until the end."""
-    os.environ["TRUEUP_DATA_DIR"] = str(data)
-    port = url.rpartition(":")[2].strip("/")
-    child = subprocess.Popen([sys.executable, "-m", "trueup_cli.main", "serve", "--port", port], stderr=subprocess.DEVNULL)
-    try:
-        with progress("starting"):
-            _wait_until_ready(url, child)
-        yield child
-    except KeyboardInterrupt:
-        pass
-    finally:
-        child.terminate()
-        child.wait()
-
-
-def _wait_until_ready(url: str, child: subprocess.Popen[bytes]) -> None:
-    deadline = time.monotonic() + START_LIMIT_S
-    while time.monotonic() < deadline and child.poll() is None:
-        try:
-            if Client(url).is_ready():
-                return
-        except Unreachable:
-            pass
-        time.sleep(PAUSE_S)
-    raise Unreachable(f"the service did not start at {url}; another one may be there: give --url with another port")

@@ -94,7 +94,7 @@ def monitor(
 
 
 def _draw(client: Client, plant: str, to: Path) -> None:
-    from trueup_cli.watch_picture import Watched, watch_picture
+    from trueup_cli.pictures.watched import Watched, watch_picture
 
     monitors = reversed(list(client.monitors(plant)))
     found = [

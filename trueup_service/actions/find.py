@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import TypeVar
 
+from trueup_service.actions.stamp import time_text
 from trueup_service.errors import NotFound
 from trueup_service.registry.records import (
     AlarmRecord,
@@ -23,6 +25,8 @@ from trueup_service.registry.records import (
 )
 from trueup_service.registry.store import Reader
 
+# kinds of jobs that read episodes
+PURPOSES = ("fit", "gate", "diagnose", "blindtrial", "calibrate", "watch", "validate", "recompute", "compare")
 T = TypeVar("T")
 
 
@@ -44,6 +48,21 @@ def token(reader: Reader, prefix: str) -> TokenRecord:
 
 def episode(reader: Reader, plant: str, digest: str) -> EpisodeRecord:
     return _found(reader.episode(plant, digest), "episode", digest)
+
+
+def uses(reader: Reader, digest: str) -> dict[str, int]:
+    """How many jobs of each kind read an episode."""
+    return {purpose: reader.uses(digest, purpose) for purpose in PURPOSES}
+
+
+def served_during(reader: Reader, episode: EpisodeRecord) -> list[Move]:
+    """Every position of the pointer that was live at some time of the recording."""
+    begin, end = (time_text(datetime.fromtimestamp(ns / 1e9, UTC)) for ns in (episode.start_ns, episode.end_ns))
+    first, last = reader.served_at(episode.plant, begin), reader.served_at(episode.plant, end)
+    if last is None:
+        return []
+    before = first.generation if first else 0
+    return reader.moves(episode.plant, max(before - 1, 0), last.generation - max(before - 1, 0))
 
 
 def artifact(reader: Reader, plant: str, digest: str) -> ArtifactRecord:

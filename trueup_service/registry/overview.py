@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, RowMapping, Select, select
+from sqlalchemy import Connection, Select, select
 
 from trueup.ledger.audit import AuditEntry
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import JobRecord
+from trueup_service.registry.store import record_of
 
 WATCHED = 40  # episodes of a gap's line
 ESCAPE = "\\"
-LOOKED_THROUGH = 200  # comparisons of a plant, the newest
+LOOKED_THROUGH = 200  # jobs of a kind, the newest
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,29 +114,11 @@ def entry_on(connection: Connection, subject: str, kind: str) -> AuditEntry | No
 
 
 def _entries(connection: Connection, query: Select[Any]) -> list[AuditEntry]:
-    columns = {"facts": json.loads, "rows": json.loads}
-    return [AuditEntry(**{k: columns[k](v) if k in columns else v for k, v in row.items()}) for row in connection.execute(query).mappings()]
+    return [record_of(AuditEntry, row) for row in connection.execute(query).mappings()]
 
 
-def last_comparison(connection: Connection, plant: str, first: str, second: str) -> JobRecord | None:
-    """The newest comparison of two versions on what was held out."""
-    query = select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.kind == "compare").order_by(t.jobs.c.created_at.desc())
-    for row in connection.execute(query.limit(LOOKED_THROUGH)).mappings():
-        asked = json.loads(row["request"])
-        if (asked["first"], asked["second"]) == (first, second) and len(asked["episodes"]) > 1:
-            return _job(row)
-    return None
-
-
-def last_look(connection: Connection, plant: str, episode: str) -> JobRecord | None:
-    """The newest comparison on one episode alone."""
-    query = select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.kind == "compare").order_by(t.jobs.c.created_at.desc())
-    for row in connection.execute(query.limit(LOOKED_THROUGH)).mappings():
-        if json.loads(row["request"])["episodes"] == [episode]:
-            return _job(row)
-    return None
-
-
-def _job(row: RowMapping) -> JobRecord:
-    documents = ("request", "result")
-    return JobRecord(**{k: json.loads(v) if k in documents and v is not None else v for k, v in row.items()})
+def newest_job(connection: Connection, plant: str, kind: str, fits: Callable[[Mapping[str, Any]], bool]) -> JobRecord | None:
+    """The newest job of a kind whose request fits, among the last of that kind."""
+    query = select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.kind == kind).order_by(t.jobs.c.created_at.desc()).limit(LOOKED_THROUGH)
+    found = (record_of(JobRecord, row) for row in connection.execute(query).mappings())
+    return next((job for job in found if fits(job.request)), None)

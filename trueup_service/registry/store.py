@@ -410,10 +410,10 @@ class Reader:
 
     def _one(self, kind: type[R], query: Select[Any], **values: Any) -> R | None:
         row = self.connection.execute(query, values).mappings().first()
-        return None if row is None else _record(kind, row)
+        return None if row is None else record_of(kind, row)
 
     def _all(self, kind: type[R], query: Select[Any]) -> list[R]:
-        return [_record(kind, row) for row in self.connection.execute(query).mappings()]
+        return [record_of(kind, row) for row in self.connection.execute(query).mappings()]
 
 
 class Writer(Reader):
@@ -643,5 +643,6 @@ def _text(document: Any) -> str:
     return canonical_bytes(document).decode()
 
 
-def _record(kind: type[R], row: RowMapping) -> R:
+def record_of(kind: type[R], row: RowMapping) -> R:
+    """A row as a record, its documents read."""
     return kind(**{k: json.loads(v) if k in _JSON and v is not None else v for k, v in row.items()})

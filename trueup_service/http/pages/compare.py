@@ -18,7 +18,7 @@ from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.context import By, PlantName, With
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import form, go, show
-from trueup_service.registry.overview import last_comparison
+from trueup_service.registry.overview import newest_job
 from trueup_service.registry.records import FINAL, ArtifactRecord, JobRecord
 from trueup_service.registry.store import Reader, writing
 from trueup_service.wiring import Parts
@@ -35,7 +35,8 @@ def compare(request: Request, parts: With, plant: PlantName, first: Version, sec
     with parts.database.read() as connection:
         reader = Reader(connection)
         both = [find.version(reader, plant, v) for v in (first, second)]
-        job = last_comparison(connection, plant, both[0].digest, both[1].digest)
+        asked = [a.digest for a in both]
+        job = newest_job(connection, plant, "compare", lambda r: [r["first"], r["second"]] == asked and len(r["episodes"]) > 1)
         latest = reader.latest_version(plant)
     values = {
         "plant": plant,

@@ -12,15 +12,14 @@ from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import inclusion, leaf_hash, prove
 from trueup_service.actions import find
 from trueup_service.actions.submit_job import SUBMIT
-from trueup_service.http.context import END_OF_TIME, By, DigestPath, PlantName, With
+from trueup_service.http.context import By, DigestPath, PlantName, With
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import go, show
-from trueup_service.registry.overview import entry_on
+from trueup_service.registry.overview import entry_on, newest_job
 from trueup_service.registry.records import FINAL
 from trueup_service.registry.store import Reader, writing
 
 router = guarded("", ["pages"])
-LOOKED_AT = 200  # jobs among which a recomputation is sought
 
 
 @router.get("/plants/{plant}/decisions/{digest}")
@@ -36,7 +35,7 @@ def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath
         if entry is not None:
             plan = inclusion(entry.sequence - 1, tree.size)
             proof = [h.hex() for h in prove(plan, reader.audit_nodes([n for part in plan for n in part]))]
-        anew = [j for j in reader.jobs(plant, END_OF_TIME, LOOKED_AT) if j.kind == "recompute" and j.request["decision"] == digest]
+        anew = newest_job(connection, plant, "recompute", lambda r: r["decision"] == digest)
         values: dict[str, Any] = {
             "plant": plant,
             "made": made,
@@ -49,8 +48,8 @@ def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath
             "proof": proof,
             "size": tree.size,
             "root": tree.root().hex(),
-            "anew": anew[0] if anew else None,
-            "waiting": bool(anew) and anew[0].state not in FINAL,
+            "anew": anew,
+            "waiting": anew is not None and anew.state not in FINAL,
         }
     return show(request, "decision.html", **values)
 

@@ -15,8 +15,7 @@ from trueup_service.http.context import By, DigestPath, PlantName, With
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.compare import comparison
 from trueup_service.http.pages.page import go, show
-from trueup_service.http.routers.episodes import PURPOSES, served_during
-from trueup_service.registry.overview import last_look
+from trueup_service.registry.overview import newest_job
 from trueup_service.registry.store import Reader, writing
 
 router = guarded("", ["pages"])
@@ -30,15 +29,15 @@ def episode(request: Request, parts: With, plant: PlantName, digest: DigestPath)
     with parts.database.read() as connection:
         reader = Reader(connection)
         found = find.episode(reader, plant, digest)
-        uses = {purpose: reader.uses(digest, purpose) for purpose in PURPOSES}
-        job, serving = last_look(connection, plant, digest), find.serving(reader, plant)
+        serving = find.serving(reader, plant)
+        job = newest_job(connection, plant, "compare", lambda r: r["episodes"] == [digest])
         asked: Any = job.request if job is not None else {"first": serving.artifact, "second": serving.artifact}
         both = [find.artifact(reader, plant, asked[which]) for which in ("first", "second")]
         values: dict[str, Any] = {
             "plant": plant,
             "episode": found,
-            "uses": {purpose: count for purpose, count in uses.items() if count},
-            "served": served_during(reader, found),
+            "uses": {purpose: count for purpose, count in find.uses(reader, digest).items() if count},
+            "served": find.served_during(reader, found),
             "serving": serving,
             "beside": _beside(reader, plant),
         }

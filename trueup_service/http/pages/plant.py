@@ -16,9 +16,9 @@ from trueup_service.actions.move_pointer import previous_artifact
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.context import END_OF_TIME, By, PlantName, With
 from trueup_service.http.guard import guarded
+from trueup_service.http.moving import roll_back_tested, tested_way_back
 from trueup_service.http.pages.page import form, go, show, wants_page
 from trueup_service.http.problems import status_of
-from trueup_service.http.routers.serving import roll_back_tested, tested_way_back
 from trueup_service.registry.overview import gaps_of, last_entries
 from trueup_service.registry.store import Reader, writing
 from trueup_service.wiring import Parts

@@ -11,7 +11,7 @@ from trueup_service.http.context import With
 from trueup_service.http.guard import guarded, require_own_page
 from trueup_service.http.pages.page import form, go, show
 from trueup_service.http.problems import status_of
-from trueup_service.http.routers.access import begin_session, end_session, forget_cookie, give_cookie
+from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
 
 router = guarded("", ["pages"])
 FOR_EVER = {"Cache-Control": "public, max-age=31536000, immutable"}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 from datetime import UTC, datetime, timedelta
 from typing import Annotated
 
@@ -11,13 +10,13 @@ from fastapi import Query, Request, Response
 from trueup_service.actions.stamp import time_text
 from trueup_service.actions.tokens import create_project, issue_token, revoke_token
 from trueup_service.http.context import By, IdempotencyKey, Limit, PrefixPath, With, create
-from trueup_service.http.guard import COOKIE, Asking, guarded, origin_of
+from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Identity, IssuedToken, NewProject, NewToken, Page, Project, SignIn, Token, page
-from trueup_service.identity import Identities, Who, digest_of_secret, new_token
+from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
+from trueup_service.identity import new_token
 from trueup_service.registry.records import Role, TokenRecord
 from trueup_service.registry.store import Reader, writing
-from trueup_service.wiring import Parts
 
 router = guarded("/v1", ["access"])
 
@@ -30,22 +29,6 @@ def sign_in(request: Request, response: Response, parts: With, given: SignIn) ->
     return Identity.model_validate(who)
 
 
-def begin_session(identities: Identities, parts: Parts, token: str) -> tuple[Who, str]:
-    """Who a token is of, and the secret of a session that lasts for a while. Raises Unauthenticated."""
-    who = identities.by_token(token)
-    now, secret = datetime.now(UTC), secrets.token_urlsafe(32)
-    ends = now + timedelta(seconds=parts.settings.session_s)
-    with writing(parts.database) as writer:
-        writer.add_session(digest_of_secret(secret), who.token, time_text(now), time_text(ends))
-    return who, secret
-
-
-def give_cookie(request: Request, response: Response, parts: Parts, secret: str) -> None:
-    """Let a browser keep a session's secret, out of reach of scripts and of other sites."""
-    is_https = origin_of(request).startswith("https:")
-    response.set_cookie(COOKIE, secret, max_age=int(parts.settings.session_s), httponly=True, samesite="strict", secure=is_https)
-
-
 @router.get("/session", summary="Who asks")
 async def session(who: Asking) -> Identity:
     return Identity.model_validate(who)
@@ -55,20 +38,6 @@ async def session(who: Asking) -> Identity:
 def sign_out(request: Request, response: Response, parts: With) -> None:
     end_session(request, parts)
     forget_cookie(response)
-
-
-def end_session(request: Request, parts: Parts) -> None:
-    """End the session that a browser's cookie is of."""
-    cookie = request.cookies.get(COOKIE)
-    if cookie is not None:
-        with writing(parts.database) as writer:
-            writer.end_session(digest_of_secret(cookie))
-    request.app.state.identities.forget()
-
-
-def forget_cookie(response: Response) -> None:
-    """Take the cookie back."""
-    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
 
 
 @router.post("/projects", status_code=201, response_model=Project, summary="Create a project", responses=there(Project))

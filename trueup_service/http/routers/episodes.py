@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Annotated
 
 from fastapi import Query, Request, Response
@@ -11,7 +10,6 @@ from starlette.responses import StreamingResponse
 
 from trueup.episode.role import Role
 from trueup_service.actions import find
-from trueup_service.actions.stamp import time_text
 from trueup_service.errors import Kept
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With
 from trueup_service.http.guard import guarded
@@ -22,12 +20,9 @@ from trueup_service.http.serving_answers import document
 from trueup_service.http.uploads import received
 from trueup_service.inspection import Inspected
 from trueup_service.registry.blobs import BlobMissing
-from trueup_service.registry.records import EpisodeRecord, Move
 from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
-# kinds of jobs that read episodes
-PURPOSES = ("fit", "gate", "diagnose", "blindtrial", "calibrate", "watch", "validate", "recompute", "compare")
 router = guarded("/v1/plants/{plant}/episodes", ["episodes"])
 MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 
@@ -68,19 +63,8 @@ def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeCon
     with parts.database.read() as connection:
         reader = Reader(connection)
         found = find.episode(reader, plant, digest)
-        uses = {purpose: reader.uses(digest, purpose) for purpose in PURPOSES}
-        served = served_during(reader, found)
+        uses, served = find.uses(reader, digest), find.served_during(reader, found)
     return EpisodeContext(**Episode.model_validate(found).model_dump(), served=[Serving(**document(m)) for m in served], uses=uses)
-
-
-def served_during(reader: Reader, episode: EpisodeRecord) -> list[Move]:
-    """Every position of the pointer that was live at some time of the recording."""
-    begin, end = (time_text(datetime.fromtimestamp(ns / 1e9, UTC)) for ns in (episode.start_ns, episode.end_ns))
-    first, last = reader.served_at(episode.plant, begin), reader.served_at(episode.plant, end)
-    if last is None:
-        return []
-    before = first.generation if first else 0
-    return reader.moves(episode.plant, max(before - 1, 0), last.generation - max(before - 1, 0))
 
 
 @router.get("/{digest}/content", summary="Download an episode's bytes", response_class=Response)
@@ -100,5 +84,5 @@ def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
         find.episode(reader, plant, digest)
         raise Kept(
             f"episode {digest[:12]} is kept: fits and decisions name it",
-            uses=sum(reader.uses(digest, purpose) for purpose in PURPOSES),
+            uses=sum(find.uses(reader, digest).values()),
         )

@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import uuid
 from datetime import UTC, datetime, timedelta
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup.canonical import Json
-from trueup.errors import PointerMoved
 from trueup_service.actions import find
-from trueup_service.actions.approve import require_approvals
-from trueup_service.actions.continue_cycle import Cycle
-from trueup_service.actions.move_pointer import previous_artifact, promote_decision, roll_back_pointer
-from trueup_service.actions.stamp import Stamp, time_text
-from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, run_once
+from trueup_service.actions.stamp import time_text
+from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With
 from trueup_service.http.guard import guarded
+from trueup_service.http.moving import promote_tested, roll_back_tested
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas import Envelope, Page, Promotion, Rollback, Serving
 from trueup_service.http.serving_answers import document
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.store import Reader
 from trueup_service.signed_log import SignedLog
-from trueup_service.wiring import Parts
 
 router = guarded("/v1/plants/{plant}/serving", ["serving"])
 ENVELOPE_TYPE, ENVELOPE_SCHEMA = "application/vnd.trueup.serving+json", "trueup.serving/1"
@@ -91,37 +86,9 @@ def _padded(at: str) -> str:
 @router.post("/promote", summary="Serve an accepted candidate")
 async def promote(request: Request, parts: With, stamp: By, plant: PlantName, promotion: Promotion, key: IdempotencyKey = None) -> Serving:
     """Compare and swap: 409 if the pointer is elsewhere, the decision was judged at another one, or others must approve."""
-
-    moved = await run_in_threadpool(_promote, parts, stamp, plant, promotion, key)
+    moved = await run_in_threadpool(promote_tested, parts, stamp, plant, promotion.decision, promotion.expected_generation, key)
     request.app.state.answers.wake()
     return Serving(**moved)
-
-
-def _promote(parts: Parts, stamp: Stamp, plant: str, promotion: Promotion, key: str | None) -> dict[str, Any]:
-    """Try the way back outside any transaction, for it reads models; then move, if the pointer is still where it was tried."""
-    rehearsed = _rehearsed(parts, stamp, plant, promotion.decision)
-
-    def act(writer: Writer) -> dict[str, Any]:
-        approved: dict[str, Json] = {"approved_by": require_approvals(writer, plant, promotion.decision, stamp)}
-        move = promote_decision(writer, plant, promotion.decision, promotion.expected_generation, rehearsed, stamp, approved)
-        Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).moved(move)
-        return document(move)
-
-    return run_once(parts, stamp, f"promote/{plant}", key, promotion.model_dump(), act)
-
-
-def _rehearsed(parts: Parts, stamp: Stamp, plant: str, decision: str) -> dict[str, Any]:
-    """The record of the way back from a decision's candidate; none where it cannot be promoted anyway. Raises SwitchbackFailed."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        made, serving = find.decision(reader, plant, decision), find.serving(reader, plant)
-        if not made.accepted or made.generation != serving.generation:
-            return {}
-        artifacts = find.artifact(reader, plant, made.incumbent), find.artifact(reader, plant, made.candidate)
-        registered, gate = find.plant_digest(reader, plant), find.gate(reader, plant, made.gate)
-    from trueup_service.actions.switchback import rehearse_decision  # noqa: PLC0415  (numpy: a server that only serves needs none)
-
-    return rehearse_decision(parts.blobs, *artifacts, registered, made.document, gate.document, stamp.now)
 
 
 @router.post("/rollback", summary="Serve what served before")
@@ -130,34 +97,3 @@ async def rollback(request: Request, parts: With, stamp: By, plant: PlantName, w
     moved = await run_in_threadpool(roll_back_tested, parts, stamp, plant, wanted.expected_generation, key)
     request.app.state.answers.wake()
     return Serving(**moved)
-
-
-def roll_back_tested(parts: Parts, stamp: Stamp, plant: str, expected_generation: int, key: str | None) -> dict[str, Any]:
-    """The new position. Test outside any transaction, for it reads a model; then move, if the pointer is still where the test found it."""
-    tested, refused = {}, None
-    try:
-        tested = tested_way_back(parts, plant, expected_generation)
-    except PointerMoved as error:
-        if key is None:
-            raise
-        refused = error  # unless the request is a repeated one, whose answer is known
-
-    def act(writer: Writer) -> dict[str, Any]:
-        if refused is not None:
-            raise refused
-        move = roll_back_pointer(writer, plant, expected_generation, tested, stamp)
-        Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).moved(move)
-        return document(move)
-
-    return run_once(parts, stamp, f"rollback/{plant}", key, {"expected_generation": expected_generation}, act)
-
-
-def tested_way_back(parts: Parts, plant: str, expected_generation: int) -> dict[str, Any]:
-    """The record of the switchback test on what served before. Raises PointerMoved, SwitchbackFailed."""
-    from trueup_service.actions.switchback import test_switchback  # noqa: PLC0415  (numpy: a server that only serves needs none)
-
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        registered = find.plant_digest(reader, plant)
-        _, artifact = previous_artifact(reader, plant, expected_generation)
-    return test_switchback(parts.blobs, artifact, registered)

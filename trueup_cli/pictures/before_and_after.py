@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup_cli.drawing import INK, PALE, WIDTH, Panel, legend, nice, range_of, sheet, text
+from trueup_cli.pictures.drawing import INK, PALE, WIDTH, Panel, legend, nice, range_of, sheet, text
 
 Array = NDArray[np.float64]
 TOP_PANEL, BOTTOM_PANEL, HEIGHT = (92, 250), (392, 170), 640  # (top, height)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from trueup.collect.excitation import Excitation
 from trueup.model.plant import Plant
-from trueup_cli.drawing import PALE, SERIES, WIDTH, Panel, legend, nice, range_of, sheet, text
+from trueup_cli.pictures.drawing import PALE, SERIES, WIDTH, Panel, legend, nice, range_of, sheet, text
 
 Array = NDArray[np.float64]
 PANEL, GAP, TOP = 130, 54, 98

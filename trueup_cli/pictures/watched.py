@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup_cli.drawing import INK, PALE, SERIES, WIDTH, Panel, legend, nice, sheet, text
+from trueup_cli.pictures.drawing import INK, PALE, SERIES, WIDTH, Panel, legend, nice, sheet, text
 
 Array = NDArray[np.float64]
 TOP_PANEL, BOTTOM_PANEL, HEIGHT = (136, 192), (404, 160), 640

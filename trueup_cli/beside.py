@@ -1,0 +1,54 @@
+"""Beside: a server with a worker on a data folder, for as long as a command lasts."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+
+from trueup_cli.show import progress
+from trueup_client import Client, Unreachable
+
+START_LIMIT_S, PAUSE_S = 60.0, 0.05
+LOG_FILE = "service.log"
+
+
+@contextmanager
+def service_beside(data: Path, port: int | None = None) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Its address and process; its log is `service.log` in the folder. Without a port it takes a free one. Raises Unreachable."""
+    url = f"http://127.0.0.1:{port or _free_port()}"
+    data.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "trueup_cli.main", "serve", "--port", url.rpartition(":")[2]]
+    with (data / LOG_FILE).open("a") as log:
+        child = subprocess.Popen(command, env={**os.environ, "TRUEUP_DATA_DIR": str(data)}, stderr=log)
+        try:
+            with progress("starting the service"):
+                _wait_until_ready(url, child, data)
+            yield url, child
+        finally:
+            child.terminate()
+            child.wait(timeout=START_LIMIT_S)
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
+
+
+def _wait_until_ready(url: str, child: subprocess.Popen[bytes], data: Path) -> None:
+    deadline = time.monotonic() + START_LIMIT_S
+    while time.monotonic() < deadline and child.poll() is None:
+        try:
+            with closing(Client(url)) as client:
+                if client.is_ready():
+                    return
+        except Unreachable:
+            pass
+        time.sleep(PAUSE_S)
+    said = "another service may be there: give --url with another port, or see" if child.poll() is not None else "see"
+    raise Unreachable(f"the service did not start at {url}; {said} {data / LOG_FILE}")

@@ -1,0 +1,44 @@
+"""Sessions: a browser trades a token for a cookie that scripts cannot read and other sites cannot send."""
+
+from __future__ import annotations
+
+import secrets
+from datetime import UTC, datetime, timedelta
+
+from fastapi import Request, Response
+
+from trueup_service.actions.stamp import time_text
+from trueup_service.http.guard import COOKIE, origin_of
+from trueup_service.identity import Identities, Who, digest_of_secret
+from trueup_service.registry.store import writing
+from trueup_service.wiring import Parts
+
+
+def begin_session(identities: Identities, parts: Parts, token: str) -> tuple[Who, str]:
+    """Who a token is of, and the secret of a session that lasts for a while. Raises Unauthenticated."""
+    who = identities.by_token(token)
+    now, secret = datetime.now(UTC), secrets.token_urlsafe(32)
+    ends = now + timedelta(seconds=parts.settings.session_s)
+    with writing(parts.database) as writer:
+        writer.add_session(digest_of_secret(secret), who.token, time_text(now), time_text(ends))
+    return who, secret
+
+
+def give_cookie(request: Request, response: Response, parts: Parts, secret: str) -> None:
+    """Let a browser keep a session's secret, out of reach of scripts and of other sites."""
+    is_https = origin_of(request).startswith("https:")
+    response.set_cookie(COOKIE, secret, max_age=int(parts.settings.session_s), httponly=True, samesite="strict", secure=is_https)
+
+
+def end_session(request: Request, parts: Parts) -> None:
+    """End the session that a browser's cookie is of."""
+    cookie = request.cookies.get(COOKIE)
+    if cookie is not None:
+        with writing(parts.database) as writer:
+            writer.end_session(digest_of_secret(cookie))
+    request.app.state.identities.forget()
+
+
+def forget_cookie(response: Response) -> None:
+    """Take the cookie back."""
+    response.delete_cookie(COOKIE, httponly=True, samesite="strict")
