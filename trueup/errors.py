@@ -7,6 +7,7 @@
     │   └── NotAnEpisode         sound MCAP, but not what an episode must hold
     ├── BadPlant                 plant.json breaks a rule, at a field
     ├── NotInstalled             an optional part of the installation is needed
+    ├── NotExportable            this model has no form in what was asked for
     ├── BadArtifact              a manifest, an array or a digest does not hold
     ├── BadGate                  a gate that cannot judge
     ├── BadMonitor               a monitor that cannot watch
@@ -78,6 +79,13 @@ class NotInstalled(TrueupError):
 
     code = "not-installed"
     hint = "Install it with `pip install 'trueup[mujoco]'`; `trueup doctor` says what is there."
+
+
+class NotExportable(TrueupError):
+    """This model has no form in what was asked for."""
+
+    code = "not-exportable"
+    hint = "docs/export.md says which models have which form."
 
 
 class BadArtifact(TrueupError):

@@ -225,13 +225,13 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
 
 def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path, progress: Any) -> dict[str, Any]:
     """The decision's document, from verified bytes."""
+    from trueup.artifact.model import load
     from trueup.canonical import digest_of
     from trueup.episode.mcap import read_episode
     from trueup.gate import recompute as made_anew
-    from trueup_cli.model_folder import load_predictor
 
     predictors = {
-        which: load_predictor(client.fetch(plant, recorded[which], folder / which), recorded[which]) for which in ("candidate", "incumbent")
+        which: load(client.fetch(plant, recorded[which], folder / which), recorded[which]).predictor for which in ("candidate", "incumbent")
     }
     layout = predictors["candidate"].plant.layout
     episodes = []

@@ -13,19 +13,18 @@ from typing import Any
 import numpy as np
 from rich.text import Text
 
+from trueup.artifact.model import load
 from trueup.diagnose.words import sentence
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.fit.score import rollout_rms
 from trueup.gate.recompute import differences
 from trueup.model.mjcf import resolved
-from trueup.model.predictor import Predictor
+from trueup.model.predictor import Predictor, predict_episode
 from trueup.model.windows import starts_every
 from trueup_cli.audit import recompute
 from trueup_cli.beside import service_beside
-from trueup_cli.model_folder import load_predictor
 from trueup_cli.pictures.before_and_after import AFTER, BEFORE, Trace, before_and_after
-from trueup_cli.predict import predict_samples
 from trueup_cli.registry import run_job, show_decision
 from trueup_cli.serving import show_serving
 from trueup_cli.show import out, progress, table
@@ -155,8 +154,8 @@ def _promote_and_predict(client: Client, case: Case, decision: dict[str, Any]) -
     show_serving([serving], as_json_=False)
     _say(5, "Fetch what serves, verify it, predict held-out episodes with it")
     after = client.fetch(case.name, serving.artifact, case.work / "model")
-    episodes = _held_out(client, case, load_predictor(after))
-    _show_errors(case, load_predictor(before), load_predictor(after, serving.artifact), episodes)
+    episodes = _held_out(client, case, load(after).predictor)
+    _show_errors(case, load(before).predictor, load(after, serving.artifact).predictor, episodes)
     _say(6, "A gate must be able to reject: judge the weaker candidate against the new incumbent")
     weaker = client.version(case.name, 2)["digest"]
     judged = run_job(client, case.name, {"kind": "gate", "candidate": weaker, "gate": decision["gate"]}, "judge")
@@ -184,7 +183,7 @@ def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list
     most = int(np.argmax([np.ptp(e.observations[:, worst]) for e in episodes]))  # the one that moves furthest is looked at
     episode = episodes[most]
     traces = [
-        Trace(name, predict_samples(p, episode, horizon_s)[:, worst], f"{1e3 * rms[most]:.2f} m{channel.unit}", colour)
+        Trace(name, predict_episode(p, episode, horizon_s)[:, worst], f"{1e3 * rms[most]:.2f} m{channel.unit}", colour)
         for name, p, rms, colour in (("nominal", before, errors[0], BEFORE), ("serving", after, errors[1], AFTER))
     ]
     skip = int(np.searchsorted(episode.t_s, horizon_s))  # the first window starts where no past shows the velocity

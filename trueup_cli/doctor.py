@@ -38,6 +38,7 @@ PACKAGES = (
     ("dbos", True, "jobs of the service", "pip install trueup"),
     ("psycopg", True, "storage in PostgreSQL", "pip install trueup"),
     ("mujoco", False, "robots given as MJCF or URDF", "pip install 'trueup[mujoco]'"),
+    ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),
 )
 
 

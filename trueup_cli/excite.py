@@ -11,6 +11,7 @@ import numpy as np
 from cyclopts import Parameter
 from numpy.typing import NDArray
 
+from trueup.artifact.model import load
 from trueup.canonical import digest_of
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
@@ -26,7 +27,6 @@ from trueup.errors import BadArtifact, NotIdentifiable
 from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
-from trueup_cli.model_folder import load_predictor
 from trueup_cli.pictures.excitation import excite_picture
 from trueup_cli.show import out as screen
 from trueup_cli.show import progress, table
@@ -94,7 +94,7 @@ def _in_play(plant: Plant, folder: Path | None, spread: float) -> tuple[InPlay, 
     """Every model that may still be right, the answer of a diagnosis first, and its report."""
     if folder is None:
         return InPlay((Ensemble.prior(plant, spread),)), {}
-    found = load_predictor(folder / "model")
+    found = load(folder / "model").predictor
     if not isinstance(found, Corrected):
         raise BadArtifact("the folder holds no corrected model", hint="Give the folder that `trueup diagnose --out` wrote.")
     report = json.loads((folder / "report.json").read_text())

@@ -34,6 +34,7 @@ _COMMANDS = {
     "approve": ("serving:approve", "Approve a decision, where a promotion takes two people."),
     "rollback": ("serving:rollback", "Serve what served before, after its switchback test."),
     "fetch": ("serving:fetch", "Fetch a model, every byte verified."),
+    "convert": ("convert:convert", "Write a fetched model as ONNX or MJCF."),
     "evidence": ("channels:evidence", "List what was found of a version, and at which stage, or add to it."),
     "channels": ("channels:channels", "Say what each channel serves, or declare one."),
     "release": ("channels:release", "Serve what serves, or another version that did, on a channel."),

@@ -9,11 +9,10 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
+from trueup.artifact.model import load
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode_stream
-from trueup.model.predictor import Nominal, Predictor, predict_observations
-from trueup.model.windows import cut, starts_every
-from trueup_cli.model_folder import load_predictor
+from trueup.model.predictor import Nominal, Predictor, predict_episode
 
 
 def predict(
@@ -33,18 +32,11 @@ def predict(
     horizon: seconds between the starts of rollouts
     out: CSV file to write
     """
-    predictor = load_predictor(model)
+    predictor = load(model).predictor
     predictor = Nominal(predictor.plant) if nominal else predictor
     with episode.open("rb") as file:
         recorded = read_episode_stream(file, episode.stat().st_size, predictor.plant.layout)
-    write_csv(out, predictor, recorded, predict_samples(predictor, recorded, horizon))
-
-
-def predict_samples(predictor: Predictor, episode: Episode, horizon_s: float) -> np.ndarray:
-    """Predicted observations at every sample `(samples, observations)`; rollouts start at each multiple of the horizon [s]."""
-    windows = cut(predictor.plant, episode, starts_every(episode.t_s, horizon_s))
-    predicted = predict_observations(predictor, windows)
-    return np.asarray(predicted[windows.inside])
+    write_csv(out, predictor, recorded, predict_episode(predictor, recorded, horizon))
 
 
 def write_csv(to: Path, predictor: Predictor, episode: Episode, predicted: np.ndarray) -> None:

@@ -10,13 +10,13 @@ import numpy as np
 
 from tests.support.made import T0_NS
 from trueup.artifact.artifact import pack, unpack
+from trueup.artifact.model import load
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
 from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, run
-from trueup_cli.model_folder import load_predictor
 from trueup_client import Client
 
 STEP_S, SECONDS, SIGMA = 0.02, 12.0, (0.003, 0.005)
@@ -116,7 +116,7 @@ class Fleet:
     def forgetful(self) -> str:
         """A candidate that has what wore, and has lost what only long travel shows: added as a version, its digest."""
         serving = self.client.serving(self.name).artifact
-        model = load_predictor(self.client.fetch(self.name, serving, self.folder / "served"), serving)
+        model = load(self.client.fetch(self.name, serving, self.folder / "served"), serving).predictor
         assert isinstance(model, Corrected)
         values = list(model.values)
         rows = model.plant.block.rows_of("coulomb_friction")

@@ -8,8 +8,9 @@ Source of the gain: R. E. Kalman, Journal of Basic Engineering 82 (1960).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,14 +19,14 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.model.block import BLOCK, joint, kind, term
 from trueup.model.dynamics import CompiledFamily
-from trueup.model.effect import Effect, Port, effects
-from trueup.model.family import Family
+from trueup.model.effect import Port, effects
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.known import Known
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
-from trueup.model.series import Scheme, positions_and_velocities, roll, unobserved, whole
+from trueup.model.series import DECLARED, Scheme, positions_and_velocities, roll, unobserved, whole
 from trueup.model.state import past_states
+from trueup.model.stepping import Joint
 from trueup.model.windows import Windows
 
 Array = NDArray[np.float64]
@@ -48,6 +49,23 @@ class Corrected(Predictor):
     known: Known | None = None
     kind = "corrected"
 
+    @staticmethod
+    def of_numbers(plant: Plant, parameters: Sequence[float]) -> Corrected:
+        """The nominal form with its own parameters, and no effect."""
+        values = plant.block.nulls.copy()
+        values[: len(parameters)] = parameters
+        return Corrected(plant, Hypothesis(), tuple(float(x) for x in values), DECLARED)
+
+    @cached_property
+    def joint(self) -> Joint:
+        """The joint of a family, with the effects that act at it."""
+        plant, block = self.plant, self.plant.block
+        acting = [(effects()[name], block.rows_of(name)) for name in effects() if name in self.hypothesis.effects]
+        valued = [(effect, {name: self.values[row] for name, row in rows.items()}) for effect, rows in acting]
+        assert isinstance(plant.dynamics, CompiledFamily)
+        numbers = self.values[: len(plant.dynamics.parameter_names)]
+        return Joint(plant.dynamics.family, numbers, valued, self.scheme.alpha, float(plant.command_scales[0]), plant.timestep_s)
+
     def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
         """One step of the symmetric or declared scheme, with hidden states as they begin; of a family in numpy, the kernel's reference."""
         span = np.broadcast_to(self.plant.timestep_s if h_s is None else h_s, len(states))
@@ -55,10 +73,10 @@ class Corrected(Predictor):
         if not isinstance(self.plant.dynamics, CompiledFamily):
             rows = [self._stepped(state, u, float(h)) for state, u, h in zip(states, applied, span, strict=True)]
             return np.stack(rows) if rows else states
-        moved = states
+        q, v = states[:, 0], states[:, 1]
         for _ in range(self.scheme.parts):
-            moved = _step(self, self.plant.dynamics.family, moved, applied[:, 0], span / self.scheme.parts)
-        return moved
+            q, v, _ = self.joint.advance(q, v, {}, applied[:, 0], span / self.scheme.parts)
+        return np.stack([q, v], axis=1)
 
     def course(self, states: Array, issued: Array, steps: int) -> Array:
         """Of a tree compiled as a whole, with what its effects remember meanwhile."""
@@ -77,6 +95,13 @@ class Corrected(Predictor):
         s = unobserved(self.scheme, t_s, np.tile(applied, (len(t_s), 1)), self.plant.command_scales, float(t_s[1]))
         init = np.repeat(state[None, :, None], BLOCK, axis=2)
         return np.asarray(roll(s, self.plant.form, self._lanes(), switches(acting, len(self.plant.joints)), init)[:, :, 0])
+
+    def run(self, initial: Array, issued: Array) -> Array:
+        plant = self.plant
+        t_s = np.asarray(np.arange(len(issued)) * plant.timestep_s, np.float64)
+        s = unobserved(self.scheme, t_s, plant.applied(issued), plant.command_scales, plant.timestep_s)
+        init = np.repeat(initial[None, :, None], BLOCK, axis=2)
+        return np.asarray(roll(s, plant.form, self._lanes(), switches(self.hypothesis, len(plant.joints)), init)[:, :, 0])
 
     def rollout(self, windows: Windows) -> Array:
         plant, joints = self.plant, len(self.plant.joints)
@@ -135,46 +160,3 @@ class Corrected(Predictor):
             raise ValueError("a gain has eight numbers of each joint for each sample")
         known = None if given["nearest"] is None else Known(arrays["known"], int(given["nearest"]))
         return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, rows, known)
-
-
-def _step(model: Corrected, family: type[Family], states: Array, u: Array, h: Array) -> Array:
-    """One step, each effect's own function on arrays."""
-    plant, alpha = model.plant, model.scheme.alpha
-    numbers = model.values[: len(plant.dynamics.parameter_names)]
-    acceleration = family.acceleration
-    zero = np.zeros(len(states))
-    signals: dict[str, Any] = {"u": u, "h": h, "t": zero, "u_scale": plant.command_scales[0], "period": plant.timestep_s, "lag_s": zero}
-    signals["implicit"], signals["mobility"] = 1.0 - 2.0 * alpha, 1.0
-    signals |= {"q": states[:, 0], "v": states[:, 1], "level": zero}
-    acting = [effects()[name] for name in effects() if name in model.hypothesis.effects]
-    _act(model, acting, Port.TIMING, signals)
-    _act(model, acting, Port.COMMAND, signals)
-    q, v, u, h = states[:, 0], states[:, 1], signals["u"], signals["h"]
-    q = q + alpha * h * v
-    at = v + alpha * h * acceleration(q, v, u, *numbers)
-    a, passive, spring = (acceleration(q, s, c, *numbers) for s, c in ((at, u), (at, 0.0), (0.0, 0.0)))
-    signals |= {"q": q, "v": at, "a": a, "passive": passive, "drive": a - passive, "spring": spring}
-    _act(model, acting, Port.FORCE, signals)
-    for effect in (e for e in acting if e.port is Port.FRICTION):
-        signals["level"] = signals["level"] + effect.apply(*(_value(model, effect, name, signals) for name in effect.arguments()))
-    free = v + h * signals["a"]
-    after = np.copysign(np.maximum(np.abs(free) - h * signals["level"], 0.0), free)
-    return np.stack([q + (1.0 - alpha) * h * after, after], axis=1)
-
-
-def _act(model: Corrected, acting: list[type[Effect]], port: Port, signals: dict[str, Any]) -> None:
-    for effect in acting:
-        if effect.port is port and not effect.delays():
-            result = effect.apply(*(_value(model, effect, name, signals) for name in effect.arguments()))
-            name = {Port.TIMING: "h", Port.COMMAND: "u", Port.FORCE: "a"}[port]
-            signals[name] = result[0] if effect.states else result
-
-
-def _value(model: Corrected, effect: type[Effect], name: str, signals: Mapping[str, Any]) -> Any:
-    rows = model.plant.block.rows_of(effect.name)
-    if name in rows:
-        return model.values[rows[name]]
-    if name in effect.states:
-        begins = effect.begins[effect.states.index(name)]
-        return 0.0 * signals["u"] if begins == "zero" else signals[begins]
-    return signals[name]

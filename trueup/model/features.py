@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ CONDITIONED = (*POLYNOMIAL, "k", "c", "b", "k*q", "c*v", "b*u")
 FRICTION = ("1", "v", "u", "sign(v)", "abs(v)")
 
 _FACTOR = re.compile(r"(?:(sign|abs|sin)\(([qvu])(\d{0,3})\)|([qvu])(\d{0,3}))")
-_FUNCTIONS: Mapping[str, Callable[[Array], Array]] = {"sign": np.sign, "abs": np.abs, "sin": np.sin}
+_FUNCTIONS: Mapping[str, Callable[[Any], Any]] = {"sign": np.sign, "abs": np.abs, "sin": np.sin}
 _WORDS = "1, q, v, u, sign(v), abs(v), sin(q) with a joint's number behind the letter where it is not the first"
 
 
@@ -46,23 +47,26 @@ def known_features(features: Sequence[str], parameters: Sequence[str] = ("k", "c
 
 def design(features: Sequence[str], states: Array, issued: Array, parameters: Mapping[str, float | Array]) -> Array:
     """Values of the features, `(n, features)`; a parameter is one number or one for each row."""
-    columns = []
-    for feature in features:
-        column = np.ones(len(states))
-        for factor in feature.split("*"):
-            column = column * _values(factor, states, issued, parameters)
-        columns.append(column)
-    return np.stack(columns, axis=1)
+    joints = states.shape[1] // 2
+    columns = {"q": states.T[:joints], "v": states.T[joints:], "u": issued.T}
+    ones = np.ones(len(states))
+    return np.stack([ones * value(feature, columns, parameters) for feature in features], axis=1)
 
 
-def _values(factor: str, states: Array, issued: Array, parameters: Mapping[str, float | Array]) -> Array | float:
-    """One factor's values. Raises BadArtifact where the plant has no such joint or command."""
-    known = _FACTOR.fullmatch(factor)
-    if not known:
-        return 1.0 if factor == "1" else parameters[factor]
-    function, inner, of, plain, at = known.groups()
-    joints, number = states.shape[1] // 2, int(of or at or 0)
-    table = {"q": states[:, :joints], "v": states[:, joints:], "u": issued}[inner or plain]
-    if number >= table.shape[1]:
-        raise BadArtifact(f"the feature's factor {factor!r} names number {number} of {table.shape[1]}", hint="Numbers count from 0.")
-    return _FUNCTIONS[function](table[:, number]) if function else table[:, number]
+def value(feature: str, columns: Mapping[str, Sequence[Any] | Array], parameters: Mapping[str, Any]) -> Any:
+    """A feature's value, of whatever numpy's functions take: `columns` are positions `q`, velocities `v` and commands `u`, one for each.
+
+    Raises BadArtifact where the plant has no such joint or command.
+    """
+    found: Any = 1.0
+    for factor in feature.split("*"):
+        known = _FACTOR.fullmatch(factor)
+        if known is None:
+            found = found * (1.0 if factor == "1" else parameters[factor])
+            continue
+        function, inner, of, plain, at = known.groups()
+        table, number = columns[inner or plain], int(of or at or 0)
+        if number >= len(table):
+            raise BadArtifact(f"the feature's factor {factor!r} names number {number} of {len(table)}", hint="Numbers count from 0.")
+        found = found * (_FUNCTIONS[function](table[number]) if function else table[number])
+    return found

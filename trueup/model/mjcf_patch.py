@@ -79,6 +79,9 @@ class Left:
     joint: str
     instead: str
 
+    def __str__(self) -> str:
+        return f"{' at '.join(x for x in (self.effect, self.joint) if x) or 'masses'}: {self.instead}"
+
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
         return {"effect": self.effect, "joint": self.joint, "instead": self.instead}

@@ -63,7 +63,7 @@ def write(path: Path, patch: Patch, heading: Sequence[str]) -> Written:
     again = engine.MjSpec.from_string(changed)
     again.modelfiledir = str(path.parent)
     left = [*patch.left, *_lost(engine, model, again.compile(), patch)]
-    told = [*heading, *(f"not expressed: {' at '.join(x for x in (e.effect, e.joint) if x) or 'masses'}: {e.instead}" for e in left)]
+    told = [*heading, *(f"not expressed: {e}" for e in left)]
     comment = "<!--\n" + "\n".join(f"  {line.replace('--', '- -')}" for line in told) + "\n-->\n"
     root = tags(changed)[0].first
     encoded = changed.encode()

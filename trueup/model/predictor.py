@@ -21,10 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
+from trueup.episode.episode import Episode
 from trueup.errors import BadArtifact
 from trueup.model.features import design, known_features
 from trueup.model.plant import Plant
-from trueup.model.windows import Windows
+from trueup.model.windows import Windows, cut, starts_every
 
 Array = NDArray[np.float64]
 
@@ -52,6 +53,14 @@ class Predictor(ABC):
             states = self.predict_batch(states, issued)
             found.append(states)
         return np.stack(found, axis=1)
+
+    def run(self, initial: Array, issued: Array) -> Array:
+        """States `(samples, states)` from one `(states,)` on, under commands `(samples, commands)` each held for a declared step."""
+        found = [initial]
+        for u in issued[:-1]:
+            with np.errstate(over="ignore", invalid="ignore"):  # running away is an answer: it ends as inf or nan
+                found.append(self.predict_batch(found[-1][None], u[None])[0])
+        return np.stack(found)
 
     @abstractmethod
     def rollout(self, windows: Windows) -> Array:
@@ -89,6 +98,12 @@ class Physical(Predictor):
         runs[:, -1] = 0
         h_s = np.full(applied.shape[:2], plant.timestep_s)
         return np.asarray(plant.dynamics.rollout(np.array([self.parameters]), states, applied, h_s, runs)[0, :, 1:])
+
+    def run(self, initial: Array, issued: Array) -> Array:
+        applied = self.plant.applied(issued)[None]
+        runs = np.ones(applied.shape[:2], np.int64)
+        h_s = np.full(applied.shape[:2], self.plant.timestep_s)
+        return np.asarray(self.plant.dynamics.rollout(np.array([self.parameters]), initial[None], applied, h_s, runs)[0, 0])
 
     def rollout(self, windows: Windows) -> Array:
         applied = self.plant.applied(windows.issued)
@@ -247,3 +262,11 @@ def _move(states: Array, by: Array, plant: Plant, h_s: Array | float | None) -> 
 def predict_observations(predictor: Predictor, windows: Windows) -> Array:
     """Observations `(windows, samples, observations)` of a predictor's rollout."""
     return predictor.plant.observe(predictor.rollout(windows))
+
+
+def predict_episode(predictor: Predictor, episode: Episode, horizon_s: float | None = None) -> Array:
+    """Predicted observations at every sample `(samples, observations)`; rollouts start at each multiple of the horizon [s], the declared
+    one if None.
+    """
+    windows = cut(predictor.plant, episode, starts_every(episode.t_s, horizon_s or predictor.plant.horizon_s))
+    return np.asarray(predict_observations(predictor, windows)[windows.inside])

@@ -38,6 +38,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.BadGate: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.BadMonitor: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.NotInstalled: HTTPStatus.NOT_IMPLEMENTED,
+    errors.NotExportable: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.NotIdentifiable: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.RoleRefused: HTTPStatus.FORBIDDEN,
     errors.PointerMoved: HTTPStatus.CONFLICT,

@@ -1,0 +1,118 @@
+"""Model: a fetched artifact, ready to predict.
+
+    model = trueup.load("model")                                   # what `trueup fetch` wrote, every byte verified
+    path = model.rollout({"position": 0.1}, commands)              # from a start, on commands alone
+    predicted = model.predict(t_s, commands, observed, horizon_s=2.0)  # of a recording, window by window
+
+A rollout of one joint needs numpy alone; that of a robot, and predicting a recording, compile their kernel at the first call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from trueup.artifact.artifact import Artifact, unpack
+from trueup.episode.episode import Episode
+from trueup.episode.layout import Channel
+from trueup.episode.role import Role
+from trueup.errors import BadArtifact
+from trueup.model.plant import Plant
+from trueup.model.predictor import Predictor, predict_episode
+from trueup.model.stepper import Stepper
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A predictor with the digest that names it."""
+
+    predictor: Predictor
+    digest: str
+
+    @property
+    def plant(self) -> Plant:
+        """The machine as it was declared."""
+        return self.predictor.plant
+
+    @property
+    def observations(self) -> tuple[Channel, ...]:
+        """What is predicted, in the order of columns."""
+        return self.plant.layout.observations
+
+    @property
+    def commands(self) -> tuple[Channel, ...]:
+        """What drives it, in the order of columns."""
+        return self.plant.layout.commands
+
+    @property
+    def period_s(self) -> float:
+        """The declared time between samples [s]."""
+        return self.plant.timestep_s
+
+    def rollout(self, start: Mapping[str, float], commands: ArrayLike) -> Array:
+        """Observations `(samples, observations)` from a start, under commands `(samples, commands)` held for a period each.
+
+        `start` gives observations by name, 0 where it does not; sample 0 is the start, before its command has acted. Of one joint also many
+        at once: commands `(n, samples, commands)` give `(n, samples, observations)`. A single command may be left without its last axis.
+        Raises ValueError for a name or a shape that does not fit.
+        """
+        issued, joints = self._issued(commands), self.plant.dynamics.joints
+        state = np.zeros(2 * joints)
+        columns = {c.name: int(column) for c, column in zip(self.observations, self.plant.state_columns, strict=True)}
+        for name, x in start.items():
+            if name not in columns:
+                raise ValueError(f"there is no observation {name!r}: this model has {', '.join(columns)}")
+            state[columns[name]] = x
+        if joints > 1:
+            found = np.stack([self.plant.observe(self.predictor.run(state, one)) for one in issued])
+        else:
+            found = self._stepped(state, issued[:, :, 0])
+        return found if np.ndim(commands) == 3 else found[0]  # noqa: PLR2004
+
+    def predict(self, t_s: ArrayLike, commands: ArrayLike, observed: ArrayLike, horizon_s: float | None = None) -> Array:
+        """Predicted observations at every sample of a recording, `(samples, observations)`.
+
+        Rollouts start at each multiple of the horizon [s], the declared one if None, from what the recording's past up to there tells.
+        `t_s` `(samples,)` grows; `observed` `(samples, observations)` may hold nan.
+        """
+        t, layout = np.array(t_s, float), self.plant.layout
+        shape = len(t), len(layout.commands)
+        wanted = len(t), len(layout.observations)
+        episode = Episode(
+            t - t[0], np.array(commands, float).reshape(shape), np.array(observed, float).reshape(wanted), layout, Role.TEST, {}, 0, ""
+        )
+        return predict_episode(self.predictor, episode, horizon_s)
+
+    def _stepped(self, state: Array, u: Array) -> Array:
+        """Observations of one joint from a state `(2,)` under many commands `(n, samples)`."""
+        stepper, bounded = Stepper.of(self.predictor), np.clip(u[:, 0], *(bound[0] for bound in self.plant.limits))
+        now, found = stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), bounded), []
+        with np.errstate(over="ignore", invalid="ignore"):  # running away is an answer: it ends as inf or nan
+            for i in range(u.shape[1]):
+                seen, now = stepper.step(now, u[:, i])
+                found.append(np.stack(seen, axis=1))
+        return np.stack(found, axis=1)
+
+    def _issued(self, commands: ArrayLike) -> Array:
+        """Commands as `(n, samples, commands)`."""
+        given, width = np.array(commands, float), len(self.commands)
+        given = given[:, None] if given.ndim == 1 and width == 1 else given
+        if given.shape[-1] != width or given.ndim not in (2, 3):
+            raise ValueError(f"commands are (samples, {width}) or (n, samples, {width}), these are {given.shape}")
+        return given if given.ndim == 3 else given[None]  # noqa: PLR2004
+
+
+def load(folder: str | PathLike[str], digest: str | None = None) -> Model:
+    """The model in a folder that was fetched into, every digest held and its probe answered. Raises BadArtifact."""
+    manifest, arrays = Path(folder) / "manifest.json", Path(folder) / "arrays.safetensors"
+    if not manifest.is_file():
+        raise BadArtifact(f"{folder} holds no manifest.json", hint="Fetch a model with `trueup fetch PLANT FOLDER`.")
+    artifact = Artifact(manifest.read_bytes(), arrays.read_bytes() if arrays.is_file() else b"")
+    return Model(unpack(artifact, digest), artifact.digest)
