@@ -47,7 +47,7 @@ serve: $(RUN) ## run the service on embedded storage in .trueup, with a worker b
 	@$(BIN)/trueup serve
 
 test: $(DEV) ## run every test; brings its own PostgreSQL, S3 server and strace
-	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	@$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 check: $(DEV) ## format, lint, types, layers
 	@$(BIN)/ruff format --check .
@@ -68,6 +68,7 @@ docs: $(RUN) ## write the pages that are made from the code
 	@$(BIN)/python docs/make_settings.py
 	@$(BIN)/python docs/make_effects.py
 	@$(BIN)/python docs/make_access.py
+	@$(BIN)/python docs/make_commands.py
 
 pictures: $(DEV) ## take the pictures of the documentation anew, from a diagnosis that runs now
 	@PYTHONPATH=. $(BIN)/python docs/make_pictures.py

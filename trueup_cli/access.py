@@ -8,13 +8,14 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
+from trueup_cli.exits import ASKS, told
 from trueup_cli.options import DEFAULT_URL, Json, Url, connect, login_file
 from trueup_cli.show import as_json, err, moment, out, table
 from trueup_client import Client
-from trueup_client.records import Document
+from trueup_client.records import Token
 
-tokens = App(name="token", help="Issue, list and revoke tokens.")
-projects = App(name="project", help="Create and list projects.")
+tokens = App(name="token", help="Issue, list and revoke tokens.", help_epilogue=told(ASKS))
+projects = App(name="project", help="Create and list projects.", help_epilogue=told(ASKS))
 
 
 @tokens.command
@@ -31,8 +32,10 @@ def issue(
 
     Parameters
     ----------
-    name: who it is for; stands in the log behind everything that is done with it
-    roles: robot, engineer, operator, auditor or admin; several but for a robot
+    name
+        who it is for; stands in the log behind everything that is done with it
+    roles
+        robot, engineer, operator, auditor or admin; several but for a robot
     """
     made = connect(url).issue_token(name, list(roles), project, plant, days or None)
     if as_json_:
@@ -56,26 +59,34 @@ def list_tokens(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     table("", ["prefix", "name", "roles", "project", "plant", "expires", "state"], rows)
 
 
-def _state(token: Document) -> str:
+def _state(token: Token) -> str:
     return f"revoked by {token['revoked_by']}" if token["revoked_at"] else ""
 
 
 @tokens.command
-def revoke(prefix: str, *, url: Url = DEFAULT_URL) -> None:
+def revoke(prefix: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Revoke a token, for good.
 
     Parameters
     ----------
-    prefix: its public part, the twelve digits behind trueup_
+    prefix
+        its public part, the twelve digits behind trueup_
     """
     gone = connect(url).revoke_token(prefix)
-    out.print(f"{gone['name']} is revoked")
+    as_json(gone) if as_json_ else out.print(f"{gone['name']} is revoked")
 
 
 @projects.command
-def create(name: str, *, url: Url = DEFAULT_URL) -> None:
-    """Create a project: its plants are there for its own tokens, and for those of all projects."""
-    out.print(f"project [bold]{connect(url).create_project(name)['name']}[/] is there")
+def create(name: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """Create a project: its plants are there for its own tokens, and for those of all projects.
+
+    Parameters
+    ----------
+    name
+        of the project
+    """
+    made = connect(url).create_project(name)
+    as_json(made) if as_json_ else out.print(f"project [bold]{made['name']}[/] is there")
 
 
 @projects.command(name="list")
@@ -86,7 +97,7 @@ def list_projects(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     as_json(found) if as_json_ else table("", ["project", "since", "by"], rows)
 
 
-def login(*, url: Url = DEFAULT_URL) -> None:
+def login(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Keep a token for an address, read from standard input, once the service knows it."""
     import getpass
 
@@ -97,6 +108,9 @@ def login(*, url: Url = DEFAULT_URL) -> None:
     path.unlink(missing_ok=True)
     with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
         file.write(token)
+    if as_json_:
+        as_json({**who, "kept_in": str(path)})
+        return
     out.print(f"{url} knows you as [bold]{who['name']}[/] ({', '.join(who['roles'])}); the token is in {path}", soft_wrap=True)
 
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from trueup_cli.show import out, progress
+from trueup_cli.options import Json, PlantName
+from trueup_cli.show import as_json, out, progress
 
 if TYPE_CHECKING:
     from trueup.ledger.archive import Archive
@@ -41,57 +42,69 @@ def _now() -> str:
     return time_text(datetime.now(UTC))
 
 
-def backup(to: Path) -> None:
+def backup(to: Path, *, as_json_: Json = False) -> None:
     """Write all that is kept, as it is at one moment, while the service runs; the signing key is not in it.
 
     Parameters
     ----------
-    to: a folder, which keeps what it has of an earlier backup, or a file that ends in .tar
+    to
+        a folder, which keeps what it has of an earlier backup, or a file that ends in .tar
     """
-    _write(to, None)
+    _write(to, None, as_json_=as_json_)
 
 
-def export(plant: str, to: Path) -> None:
+def export(plant: PlantName, to: Path, *, as_json_: Json = False) -> None:
     """Write a plant with its whole history: episodes, artifacts, gates, decisions, moves, and its part of the log with proofs.
 
     Parameters
     ----------
-    plant: name of the plant
-    to: a folder, or a file that ends in .tar
+    to
+        a folder, or a file that ends in .tar
     """
-    _write(to, plant)
+    _write(to, plant, as_json_=as_json_)
 
 
-def _write(to: Path, plant: str | None) -> None:
+def _write(to: Path, plant: str | None, *, as_json_: bool) -> None:
     from trueup_service.archives import export as write
     from trueup_service.signed_log import open_log
 
     with _parts() as parts, progress(f"writing {to}") as bar:
         digest = write(parts, open_log(parts.settings, parts.database), to, plant, _now(), bar)
-    out.print(f"{to} is sha256:{digest}", soft_wrap=True)
+    as_json({"archive": str(to), "digest": f"sha256:{digest}"}) if as_json_ else out.print(f"{to} is sha256:{digest}", soft_wrap=True)
 
 
-def restore(source: Path, *, key: LogKey = None) -> None:
+def restore(source: Path, *, key: LogKey = None, as_json_: Json = False) -> None:
     """Bring a backup back into empty storage, once it holds against its own log; jobs that were under way go on.
 
     Parameters
     ----------
-    source: what `trueup backup` wrote
+    source
+        what `trueup backup` wrote
     """
     from trueup_service.archives import restore as bring
 
     with _parts() as parts, _whole(source, key) as archive, progress("restoring") as bar:
         jobs = bring(parts, archive, bar)
+    if as_json_:
+        as_json({"as_of": archive.config["created_at"], "jobs": jobs})
+        return
     out.print(f"restored as it was {archive.config['created_at']}; {jobs} jobs go on", soft_wrap=True)
     out.print("Its log is signed with the key that it had: give it back as TRUEUP_SIGNING_KEY, or as signing.key.", soft_wrap=True)
 
 
-def import_(source: Path, *, project: Annotated[str | None, Parameter(help="The plant will be of it")] = None, key: LogKey = None) -> None:
+def import_(
+    source: Path,
+    *,
+    project: Annotated[str | None, Parameter(help="The plant will be of it")] = None,
+    key: LogKey = None,
+    as_json_: Json = False,
+) -> None:
     """Bring a plant in with its history, once it holds against the log that it comes from.
 
     Parameters
     ----------
-    source: what `trueup export` wrote
+    source
+        what `trueup export` wrote
     """
     from trueup_service.actions.stamp import Stamp
     from trueup_service.archives import import_plant
@@ -99,7 +112,8 @@ def import_(source: Path, *, project: Annotated[str | None, Parameter(help="The 
     with _parts() as parts, _whole(source, key) as archive, progress("importing") as bar:
         actor = os.environ.get("TRUEUP_ACTOR") or getpass.getuser()
         plant = import_plant(parts, archive, project, Stamp(f"command for {actor}", _now()), bar)
-    out.print(f"plant [bold]{plant}[/] is here, from {archive.config['checkpoint'].splitlines()[0]}", soft_wrap=True)
+    log = archive.config["checkpoint"].splitlines()[0]
+    as_json({"plant": plant, "from": log}) if as_json_ else out.print(f"plant [bold]{plant}[/] is here, from {log}", soft_wrap=True)
 
 
 @contextmanager
@@ -128,11 +142,15 @@ def gc(
     *,
     older_than_h: Annotated[float, Parameter(help="Leave what came in later than this alone [h]")] = 24.0,
     dry_run: Annotated[bool, Parameter(negative=(), help="Only say what would be removed")] = False,
+    as_json_: Json = False,
 ) -> None:
     """Remove bytes that no row names: what uploads left that never ended. What was registered is never removed."""
     from trueup_service.leftovers import remove_leftovers
 
     with _parts() as parts, progress("looking for what is left over") as bar:
         removed: dict[str, Any] = remove_leftovers(parts, older_than_h * 3600.0, dry_run=dry_run, told=bar)
+    if as_json_:
+        as_json({**removed, "dry_run": dry_run})
+        return
     what = "would be" if dry_run else "were"
     out.print(f"{removed['blobs']} blobs and {removed['files']} files of uploads {what} removed, {removed['bytes'] / 1e6:.1f} MB")

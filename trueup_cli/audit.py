@@ -13,23 +13,25 @@ from cyclopts import App, Parameter
 from rich.markup import escape
 
 from trueup.errors import TrueupError
-from trueup_cli.complaints import EXIT_DISAGREES
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect, seen, witness_file, witnessed
+from trueup_cli.exits import DISAGREES, HOLDS, told
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, seen, witness_file, witnessed
 from trueup_cli.show import as_json, err, moment, out, progress, table
 from trueup_client import Client, Witness
 from trueup_client.problem import ClientError
+from trueup_client.records import Decision
 
 T = TypeVar("T")
-app = App(name="audit", help="Print or verify the audit log.")
+app = App(name="audit", help="Print or verify the audit log.", help_epilogue=told(HOLDS))
 
 
 @app.default
-def audit(plant: str | None = None, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def audit(plant: PlantName | None = None, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Print the audit log.
 
     Parameters
     ----------
-    plant: only the entries of this plant
+    plant
+        only the entries of this plant
     """
     entries = list(connect(url).audit(plant))
     if as_json_:
@@ -46,26 +48,31 @@ def audit(plant: str | None = None, *, url: Url = DEFAULT_URL, as_json_: Json = 
 
 
 @app.command
-def checkpoint(*, url: Url = DEFAULT_URL) -> None:
+def checkpoint(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Print the log's signed head, once it was seen to extend the last one that this user saw."""
-    out.print(witnessed(url).checkpoint(), end="", markup=False, soft_wrap=True)
+    note = witnessed(url).checkpoint()
+    if as_json_:
+        as_json({"checkpoint": note})
+    else:
+        out.print(note, end="", markup=False, soft_wrap=True)
     err.print(f"seen; kept in {witness_file(url)}", style="dim", soft_wrap=True)
 
 
 @app.command
-def key(*, url: Url = DEFAULT_URL) -> None:
+def key(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Print the log's public key, to be given to robots and auditors by a way of your own."""
-    print(connect(url).audit_key())
+    found = connect(url).audit_key()
+    as_json({"key": found}) if as_json_ else print(found)
 
 
 @app.command
-def provenance(plant: str, digest: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def provenance(plant: PlantName, digest: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Print where an artifact comes from, or what a gate said, as an in-toto statement; --json for its signed envelope.
 
     Parameters
     ----------
-    plant: name of the plant
-    digest: digest of an artifact or a decision
+    digest
+        digest of an artifact or a decision
     """
     client, witness = seen(url)
     found = client.decision_provenance if any(d["digest"] == digest for d in client.decisions(plant)) else client.artifact_provenance
@@ -183,10 +190,10 @@ def _replayed(client: Client, decision: str) -> list[str]:
 
 def _disagree(what: str) -> NoReturn:
     err.print(f"[bold red]disagrees[/] {escape(what)}", soft_wrap=True)
-    sys.exit(EXIT_DISAGREES)
+    sys.exit(DISAGREES)
 
 
-def _told(record: dict[str, Any]) -> dict[str, Any] | None:
+def _told(record: Decision) -> dict[str, Any] | None:
     """A decision's document, if it is the one that its digest names and the columns beside it say the same."""
     from trueup.canonical import digest_of
 
@@ -200,7 +207,8 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
 
     Parameters
     ----------
-    decision: digest of the decision
+    decision
+        digest of the decision
     """
     from trueup.gate.recompute import differences
 
@@ -220,7 +228,7 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
     else:
         _show(recorded, recomputed, wrong)
     if wrong:
-        sys.exit(EXIT_DISAGREES)
+        sys.exit(DISAGREES)
 
 
 def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path, progress: Any) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from cyclopts.validators import Number
 
 from trueup.canonical import is_digest
 from trueup.errors import TrueupError
-from trueup_cli.options import DEFAULT_URL, Url, connect
-from trueup_cli.show import moment, progress
+from trueup_cli.options import DEFAULT_URL, Json, Url, connect
+from trueup_cli.show import as_json, moment, progress
 from trueup_cli.show import out as console
 
 TRIALS = 60
@@ -33,6 +33,7 @@ def run(
     ] = None,
     verify: Annotated[bool, Parameter(negative=(), help="TARGET is a trial's folder: hold its report against its log")] = False,
     url: Url = DEFAULT_URL,
+    as_json_: Json = False,
 ) -> None:
     """Hide effects in machines like a user's, diagnose them blindly, and say how often the verdict was right.
 
@@ -41,11 +42,14 @@ def run(
 
     Parameters
     ----------
-    target: a case folder, or the name of a plant on the service
-    out: folder to write to; blindtrial-TARGET if none is given
+    target
+        a case folder, or the name of a plant on the service
+    out
+        folder to write to; blindtrial-TARGET if none is given
     """
     if verify:
-        _verify(Path(target))
+        said = _verify(Path(target))
+        as_json({"holds": True, "said": said}) if as_json_ else console.print(said, soft_wrap=True)
         return
     out = out or Path(f"blindtrial-{Path(target).resolve().name}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -55,19 +59,22 @@ def run(
     if (Path(target) / "plant.json").is_file():
         document = _local(Path(target), out, trials, _secret(secret_file))
     else:
-        from trueup_cli.registry import run_job
+        from trueup_cli.registry import result_of, run_job
 
-        document = run_job(connect(url), target, {"kind": "blindtrial", "trials": trials}, "blind trial")["result"]["report"]
+        document = result_of(run_job(connect(url), target, {"kind": "blindtrial", "trials": trials}, "blind trial"))["report"]
         out.mkdir(parents=True, exist_ok=True)
     write(document, out)
     from trueup_pages.blindtrial import sentence
 
+    if as_json_:
+        as_json({"sentence": sentence(document), "report": document, "files": {"report": str(out / "report.html")}})
+        return
     console.print(sentence(document))
     console.print(f"report: {out / 'report.html'}")
 
 
-def _verify(trial: Path) -> None:
-    """Raises BrokenChain, NotAsCommitted."""
+def _verify(trial: Path) -> str:
+    """What holds, in words. Raises BrokenChain, NotAsCommitted."""
     from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
     from trueup.errors import BrokenChain
     from trueup.ledger.audit import AuditEntry, append
@@ -92,7 +99,7 @@ def _verify(trial: Path) -> None:
             raise BrokenChain(f"entry {entry.sequence} is not what was written", sequence=entry.sequence)
     committed = entries[0].facts.get("commitments", []) if entries else []
     require_as_committed(document, list(committed))  # type: ignore[arg-type]
-    console.print(f"{len(document['rows'])} labels are those committed at {moment(entries[0].at)}, before the first diagnosis.")
+    return f"{len(document['rows'])} labels are those committed at {moment(entries[0].at)}, before the first diagnosis."
 
 
 class NotEmpty(TrueupError):

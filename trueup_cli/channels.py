@@ -9,27 +9,23 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 from rich.markup import escape
 
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect, witnessed
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, witnessed
 from trueup_cli.show import as_json, moment, out, table
 from trueup_client import Client, Problem
+from trueup_client.records import ChannelPosition
 
 Artifact = Annotated[str | None, Parameter(help="Digest; default: what serves")]
 
 
 def evidence(
-    plant: str,
+    plant: PlantName,
     *,
     artifact: Artifact = None,
     add: Annotated[Path | None, Parameter(help="JSON file: stage, passed, shows, cannot_show, figures")] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """List what was found of a version and at which stage (MIL, SIL, PIL, HIL, physical), or add to it.
-
-    Parameters
-    ----------
-    plant: name of the plant
-    """
+    """List what was found of a version and at which stage (MIL, SIL, PIL, HIL, physical), or add to it."""
     client = connect(url)
     of = artifact or client.serving(plant).artifact
     if add is not None:
@@ -52,40 +48,35 @@ def evidence(
 
 
 def channels(
-    plant: str,
+    plant: PlantName,
     *,
     declare: Annotated[str | None, Parameter(help="Name of a new channel, such as field")] = None,
     requires: Annotated[str, Parameter(help="Comma-separated stages whose passed evidence it requires, once and for all")] = "",
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Say what each channel serves and which stages it requires, or declare one.
-
-    Parameters
-    ----------
-    plant: name of the plant
-    """
+    """Say what each channel serves and which stages it requires, or declare one."""
     client = connect(url)
     if declare is not None:
         client.declare_channel(plant, declare, [s.strip() for s in requires.split(",") if s.strip()])
-    found = [{**c, "serving": _position(client, plant, c["name"])} for c in client.channels(plant)]
+    found = [(c, _position(client, plant, c["name"])) for c in client.channels(plant)]
     if as_json_:
-        as_json(found)
+        as_json([{**c, "serving": position} for c, position in found])
         return
-    rows = [(c["name"], ", ".join(c["requires"]) or "nothing", *_row(c["serving"])) for c in found]
+    rows = [(c["name"], ", ".join(c["requires"]) or "nothing", *_row(position)) for c, position in found]
     if rows:
         table("Channels", ["channel", "requires", "gen.", "version", "artifact", "since (UTC)"], rows)
     else:
         out.print("no channels: `trueup channels PLANT --declare field --requires MIL,physical` makes one")
 
 
-def release(plant: str, channel: str, *, artifact: Artifact = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def release(plant: PlantName, channel: str, *, artifact: Artifact = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Serve a version on a channel: what serves the plant, or another one that did, with passed evidence of the stages required.
 
     Parameters
     ----------
-    plant: name of the plant
-    channel: name of the channel
+    channel
+        name of the channel
     """
     client = witnessed(url)
     before = _position(client, plant, channel)
@@ -96,7 +87,7 @@ def release(plant: str, channel: str, *, artifact: Artifact = None, url: Url = D
         out.print(f"{channel} serves version {moved['version']} of {plant}, generation {moved['generation']}")
 
 
-def _position(client: Client, plant: str, channel: str) -> dict[str, Any] | None:
+def _position(client: Client, plant: str, channel: str) -> ChannelPosition | None:
     """Where a channel stands, None if it has served nothing; any other refusal is raised."""
     try:
         return client.channel_serving(plant, channel)
@@ -106,7 +97,7 @@ def _position(client: Client, plant: str, channel: str) -> dict[str, Any] | None
         return None
 
 
-def _row(position: dict[str, Any] | None) -> tuple[Any, ...]:
+def _row(position: ChannelPosition | None) -> tuple[Any, ...]:
     if position is None:
         return "", "", "nothing yet", ""
     return position["generation"], position["version"], position["artifact"][:12], moment(position["at"])

@@ -5,10 +5,10 @@ from __future__ import annotations
 from rich.markup import escape
 
 from trueup.errors import TrueupError
+from trueup_cli.exits import DISAGREES, REFUSED, UNREACHABLE
 from trueup_cli.show import err
 from trueup_client.problem import ClientError, NotSigned, Problem, Rewritten, Untrue
 
-EXIT_REFUSED, EXIT_UNREACHABLE, EXIT_DISAGREES = 1, 3, 4
 UNTRUE_HINT = "The bytes are not what their digest names: the stored copy is damaged, or was changed."
 REWRITTEN_HINT = (
     "Ask whoever runs the service what happened to its database, and compare mirrors of its checkpoint; if it was made anew on purpose, "
@@ -21,19 +21,19 @@ def complain(error: Exception) -> int | None:
     """Print an error of ours and give the exit code; None for one that is not ours."""
     if isinstance(error, Problem):
         _print(error.code, error.detail, error.hint, error.request_id)
-        return EXIT_REFUSED
+        return REFUSED
     if isinstance(error, Untrue):
         _print("untrue", str(error), UNTRUE_HINT)
-        return EXIT_DISAGREES
+        return DISAGREES
     if isinstance(error, NotSigned | Rewritten):
         _print("not-signed" if isinstance(error, NotSigned) else "rewritten", str(error), REWRITTEN_HINT)
-        return EXIT_DISAGREES
+        return DISAGREES
     if isinstance(error, ClientError):
         _print("unreachable", str(error), UNREACHABLE_HINT)
-        return EXIT_UNREACHABLE
+        return UNREACHABLE
     if isinstance(error, TrueupError):
         _print(error.code, error.message, error.hint)
-        return EXIT_REFUSED
+        return REFUSED
     return None
 
 

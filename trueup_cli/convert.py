@@ -21,19 +21,22 @@ from trueup_cli.options import Json
 from trueup_cli.show import as_json, out, progress
 
 
-def convert(model: Path, to: Path, *, mjcf: Path | None = None, json_: Json = False) -> None:
+def convert(model: Path, to: Path, *, mjcf: Path | None = None, as_json_: Json = False) -> None:
     """Write a fetched model as ONNX (`*.onnx`: its step, for any runtime) or as MJCF (`*.xml`: what of it MuJoCo has elements for).
 
     Parameters
     ----------
-    model: folder of a fetched model
-    to: file to write; its ending says which form
-    mjcf: file that a robot's model was declared by, into which the correction is written
+    model
+        folder of a fetched model
+    to
+        file to write; its ending says which form
+    mjcf
+        file that a robot's model was declared by, into which the correction is written
     """
     found = load(model)
     with progress(f"writing {to.name}"):
         left = WRITERS[to.suffix](found, to, mjcf) if to.suffix in WRITERS else _of_no_form(to)
-    if json_:
+    if as_json_:
         as_json({"file": str(to), "artifact": found.digest, "not_expressed": [x.document() for x in left]})
         return
     out.print(f"{to}: {found.plant.name}, artifact {found.digest[:12]}", soft_wrap=True)

@@ -25,10 +25,11 @@ from trueup.model.windows import starts_every
 from trueup_cli.audit import recompute
 from trueup_cli.beside import service_beside
 from trueup_cli.pictures.before_and_after import AFTER, BEFORE, Trace, before_and_after
-from trueup_cli.registry import run_job, show_decision
+from trueup_cli.registry import result_of, run_job, show_decision
 from trueup_cli.serving import show_serving
 from trueup_cli.show import out, progress, table
 from trueup_client import Client
+from trueup_client.records import Decision
 
 EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
 FRICTION = ["1", "v", "u", "sign(v)", "abs(v)"]
@@ -64,8 +65,10 @@ def demo(case: Path = EXAMPLE, *, work: Path = DEMO) -> None:
 
     Parameters
     ----------
-    case: case folder with plant.json, gate.json and *.mcap
-    work: folder for the demo's own storage, model and picture; emptied first
+    case
+        case folder with plant.json, gate.json and *.mcap
+    work
+        folder for the demo's own storage, model and picture; emptied first
     """
     began = time.monotonic()
     shutil.rmtree(work, ignore_errors=True)
@@ -107,7 +110,7 @@ def _upload(client: Client, case: Case) -> None:
     )
 
 
-def _fit_and_gate(client: Client, case: Case) -> dict[str, Any] | None:
+def _fit_and_gate(client: Client, case: Case) -> Decision | None:
     """The decision on the candidate with the smallest rollout error among those accepted, if any."""
     _say(2, "Declare the gate, before anything is scored")
     gate = client.declare_gate(case.name, json.loads((case.folder / "gate.json").read_text()))
@@ -120,12 +123,12 @@ def _fit_and_gate(client: Client, case: Case) -> dict[str, Any] | None:
     for name, request in CANDIDATES.items():
         if case.is_robot and name not in OF_ROBOTS:
             continue
-        result = run_job(client, case.name, request, request["kind"])["result"]
+        result = result_of(run_job(client, case.name, request, request["kind"]))
         artifact = result["artifact"]
         if "report" in result:
             out.print(sentence(result["report"]))
         judged = run_job(client, case.name, {"kind": "gate", "candidate": artifact, "gate": gate["digest"]}, "judge")
-        decisions.append(client.decision(case.name, judged["result"]["decision"]))
+        decisions.append(client.decision(case.name, result_of(judged)["decision"]))
         figures = {v["rule"]: v["value"] for v in decisions[-1]["document"]["verdicts"]}
         rows.append(
             (
@@ -146,7 +149,7 @@ def _fit_and_gate(client: Client, case: Case) -> dict[str, Any] | None:
     return min(accepted, key=lambda d: float(np.mean(d["document"]["figures"]["candidate"]["rollout"])), default=None)
 
 
-def _promote_and_predict(client: Client, case: Case, decision: dict[str, Any]) -> None:
+def _promote_and_predict(client: Client, case: Case, decision: Decision) -> None:
     _say(4, "Promote the best, and ask what serves")
     before = client.fetch(case.name, client.serving(case.name).artifact, case.work / "nominal")
     client.promote(case.name, decision["digest"], decision["generation"])
@@ -159,7 +162,7 @@ def _promote_and_predict(client: Client, case: Case, decision: dict[str, Any]) -
     _say(6, "A gate must be able to reject: judge the weaker candidate against the new incumbent")
     weaker = client.version(case.name, 2)["digest"]
     judged = run_job(client, case.name, {"kind": "gate", "candidate": weaker, "gate": decision["gate"]}, "judge")
-    show_decision(client.decision(case.name, judged["result"]["decision"]))
+    show_decision(client.decision(case.name, result_of(judged)["decision"]))
 
 
 def _held_out(client: Client, case: Case, predictor: Predictor) -> list[Episode]:
@@ -221,5 +224,5 @@ def _audit(client: Client) -> None:
         if entry["kind"] == "decision:made":
             recorded = entry["facts"]["decision"]
             with progress(f"replay {entry['subject'][:12]}") as bar, tempfile.TemporaryDirectory() as folder:
-                recomputed = recompute(client, entry["plant"], recorded, Path(folder), bar)
+                recomputed = recompute(client, str(entry["plant"]), recorded, Path(folder), bar)
             out.print(f"{entry['subject'][:12]} {'[green]agrees[/]' if not differences(recorded, recomputed) else '[red]disagrees[/]'}")

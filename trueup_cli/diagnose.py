@@ -15,32 +15,41 @@ from trueup.diagnose.report import COMMAND_FILE
 from trueup.diagnose.words import pushed, sentence
 from trueup.episode.episode import Episode
 from trueup.model.mjcf_writer import write as write_corrected
-from trueup_cli.show import progress
+from trueup_cli.options import Json, Seed
+from trueup_cli.show import as_json, progress
 from trueup_pages.diagnosis import report_page
 
 
-def run(case: Path, *, out: Path, seed: int = 0) -> None:
+def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> None:
     """Diagnose the gap between a case's nominal model and its recordings.
 
     Writes report.json, report.html and the corrected model to a folder; of a robot also its MJCF, corrected, and the difference as a patch.
 
     Parameters
     ----------
-    case: folder with plant.json and *.mcap episodes; or a recording or a ROS 2 bag, of which a case is made first
-    out: folder to write to
-    seed: of the resampling behind the intervals
+    case
+        folder with plant.json and *.mcap episodes; or a recording or a ROS 2 bag, of which a case is made first
+    out
+        folder to write to
     """
     if not (case / "plant.json").is_file() and (case.is_file() or any(case.glob("*.mcap"))):
-        from trueup_cli.init import make_case
+        from trueup_cli.init import Wanted, make_case, tell
 
-        make_case(case, out / "case")
-        case = out / "case"
+        made = make_case(case, out / "case", Wanted())
+        case = made.folder
+        if not as_json_:
+            tell(made)
     with progress("diagnose") as bar:
         bar(0.0, "reading the episodes")
         plant, episodes = read_case(case)
         found = diagnose(plant, episodes, seed, lambda stage, part: bar(part, stage))
     write(found, episodes, out)
     files = {"report": out / "report.html", "model": out / "model", **write_mjcf(found, case, out)}
+    if as_json_:
+        as_json(
+            {"sentence": sentence(found.document), "report": dict(found.document), "files": {what: str(to) for what, to in files.items()}}
+        )
+        return
     print(sentence(found.document))
     for push in pushed(found.document):
         print(f"Something outside pushes, as a contact does: {push}. Leave it out: a contact is not simulated.")

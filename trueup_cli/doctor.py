@@ -9,6 +9,7 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from trueup_cli.exits import REFUSED
 from trueup_cli.options import Json
 from trueup_cli.show import as_json, out, table
 
@@ -73,4 +74,4 @@ def doctor(*, as_json_: Json = False) -> None:
     missing = [f.part for f in found if f.needed and not f.ok]
     if missing:
         out.print(f"[red]{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} needed[/]")
-        raise SystemExit(1)
+        raise SystemExit(REFUSED)

@@ -27,9 +27,10 @@ from trueup.errors import BadArtifact, NotIdentifiable
 from trueup.model.corrected import Corrected
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
+from trueup_cli.options import Json, Seed
 from trueup_cli.pictures.excitation import excite_picture
+from trueup_cli.show import as_json, progress, table
 from trueup_cli.show import out as screen
-from trueup_cli.show import progress, table
 
 Array = NDArray[np.float64]
 ELSEWHERE = "add another sensor at the joint, or another load"
@@ -49,7 +50,8 @@ def excite(
     ] = None,
     rate: Annotated[float | None, Parameter(help="Largest change of a command [its unit / s]")] = None,
     margin: Annotated[float, Parameter(help="Of the declared envelope, kept free under every model")] = 0.1,
-    seed: int = 0,
+    seed: Seed = 0,
+    as_json_: Json = False,
 ) -> None:
     """Design a bounded excitation that identifies a plant's numbers, or splits explanations, safe under every model still in play.
 
@@ -57,8 +59,10 @@ def excite(
 
     Parameters
     ----------
-    plant: case folder with plant.json, and any recordings
-    out: folder to write to
+    plant
+        case folder with plant.json, and any recordings
+    out
+        folder to write to
     """
     described = read_plant(plant)
     episodes = [e for e in read_episodes(plant, described) if e.role is Role.ADAPTATION]
@@ -81,6 +85,9 @@ def excite(
     goal = "split" if split else "identify"
     document = {"schema": "trueup.excitation/1", "plant": described.name, "goal": goal, "seed": seed, **found.document()}
     _write(described, found, document, out)
+    if as_json_:
+        as_json(document)
+        return
     _show(found)
     if isinstance(found.information, Separation):
         for how in _otherwise(play, found.information):

@@ -6,7 +6,7 @@ import sys
 
 from rich.markup import escape
 
-from trueup_cli.complaints import EXIT_DISAGREES
+from trueup_cli.exits import DISAGREES
 from trueup_cli.options import Json
 from trueup_cli.show import as_json, err, out, progress, table
 
@@ -34,4 +34,4 @@ def fsck(*, as_json_: Json = False) -> None:
         out.print(f"{len(left)} blobs are named by no row: uploads under way, or left over; `trueup gc` removes old ones.", soft_wrap=True)
     if wrong:
         err.print(f"[bold red]wrong[/] {escape(f'{len(wrong)} things')}: restore them from a backup (`trueup restore`), or from a mirror.")
-        sys.exit(EXIT_DISAGREES)
+        sys.exit(DISAGREES)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,23 +16,37 @@ from trueup.episode.role import Role
 from trueup.episode.survey import survey
 from trueup.errors import NotAnEpisode
 from trueup.fit.first_model import Chosen, choose, describe
+from trueup_cli.options import Json
+from trueup_cli.show import as_json, progress, table
 from trueup_cli.show import out as console
-from trueup_cli.show import progress, table
 
 HELD_OUT = 0.3  # of what was recorded
 
 
-def init(
-    log: Path,
-    *,
-    out: Path,
-    name: str | None = None,
-    family: Annotated[str | None, Parameter(help="inertia, pendulum or oscillator; default: the simplest that the data allow")] = None,
-    joint: str | None = None,
-    observation: Annotated[str | None, Parameter(help="Topic of the observed JointState")] = None,
-    command: Annotated[str | None, Parameter(help="Topic of the commanded JointState")] = None,
-    stage: Annotated[str, Parameter(help="MIL, SIL, PIL, HIL or physical: where it was recorded")] = "physical",
-) -> None:
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Wanted:
+    """What a person says of a recording; the rest is found."""
+
+    name: Annotated[str | None, Parameter(help="Of the plant; default: the log's")] = None
+    family: Annotated[str | None, Parameter(help="inertia, pendulum or oscillator; default: the simplest that the data allow")] = None
+    joint: Annotated[str | None, Parameter(help="Which one, where several move")] = None
+    observation: Annotated[str | None, Parameter(help="Topic of the observed JointState")] = None
+    command: Annotated[str | None, Parameter(help="Topic of the commanded JointState")] = None
+    stage: Annotated[str, Parameter(help="MIL, SIL, PIL, HIL or physical: where it was recorded")] = "physical"
+
+
+@dataclass(frozen=True)
+class Made:
+    """A case folder that was written: its plant.json, and what was found and assumed for it."""
+
+    folder: Path
+    document: dict[str, Any]
+    chosen: Chosen
+    stage: str
+
+
+def init(log: Path, *, out: Path, wanted: Wanted | None = None, as_json_: Json = False) -> None:
     """Make a case folder from recordings: an MCAP file, or what `ros2 bag record -s mcap` left behind.
 
     Finds topics, joint, fields and rates, holds the last part of the recordings out, and identifies the numbers of the simplest model that
@@ -39,26 +54,20 @@ def init(
 
     Parameters
     ----------
-    log: MCAP file, or a folder of some
-    out: case folder to write
-    name: of the plant; default: the log's
-    joint: which one, where several move
+    log
+        MCAP file, or a folder of some
+    out
+        case folder to write
     """
-    make_case(log, out, name=name, family=family, joint=joint, observation=observation, command=command, stage=stage)
+    made = make_case(log, out, wanted or Wanted())
+    if as_json_:
+        as_json({"case": str(out), "plant": made.document})
+        return
+    tell(made)
     console.print(f"next: trueup diagnose {out} --out {out / 'diagnosis'}", soft_wrap=True)
 
 
-def make_case(
-    log: Path,
-    out: Path,
-    *,
-    name: str | None = None,
-    family: str | None = None,
-    joint: str | None = None,
-    observation: str | None = None,
-    command: str | None = None,
-    stage: str = "physical",
-) -> None:
+def make_case(log: Path, out: Path, wanted: Wanted) -> Made:
     """The same, for a command that goes on. Raises NotAnEpisode, BadPlant, NotIdentifiable."""
     files = sorted(log.glob("*.mcap")) if log.is_dir() else [log]
     if not files:
@@ -68,14 +77,15 @@ def make_case(
         bar(0.0, "looking through the recordings")
         with files[0].open("rb") as stream:
             found = survey(stream, files[0].stat().st_size)
-        chosen = choose(found, observation=observation, command=command, joint=joint)
+        chosen = choose(found, observation=wanted.observation, command=wanted.command, joint=wanted.joint)
         bar(0.3, "writing episodes")
-        episodes = [read_episode(path.read_bytes(), chosen.layout) for path in _write_parts(files, chosen, out, stage)]
+        episodes = [read_episode(path.read_bytes(), chosen.layout) for path in _write_parts(files, chosen, out, wanted.stage)]
         bar(0.6, "identifying a first model")
-        plain = re.sub(r"[^a-z0-9_-]+", "-", (name or (log.stem if log.is_file() else log.resolve().name)).lower()).strip("-_") or "robot"
-        document = describe(plain[:63], chosen, [e for e in episodes if e.role is Role.ADAPTATION], family)
+        named = wanted.name or (log.stem if log.is_file() else log.resolve().name)
+        plain = re.sub(r"[^a-z0-9_-]+", "-", named.lower()).strip("-_") or "robot"
+        document = describe(plain[:63], chosen, [e for e in episodes if e.role is Role.ADAPTATION], wanted.family)
     (out / "plant.json").write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    _tell(document, chosen, out, stage)
+    return Made(out, document, chosen, wanted.stage)
 
 
 def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> list[Path]:
@@ -105,7 +115,9 @@ def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> li
     return written
 
 
-def _tell(document: dict[str, Any], chosen: Chosen, out: Path, stage: str) -> None:
+def tell(made: Made) -> None:
+    """Print what was found, and what was assumed."""
+    document, chosen, out, stage = made.document, made.chosen, made.folder, made.stage
     nominal, limits = document["nominal"], document["commands"][0]["limits"]
     numbers = ", ".join(f"{k} = {v:g}" for k, v in nominal["parameters"].items())
     table(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import webbrowser
 from contextlib import suppress
@@ -12,17 +13,18 @@ from cyclopts import Parameter
 from cyclopts.types import ExistingDirectory
 
 from trueup_cli.beside import service_beside
-from trueup_cli.options import DEFAULT_URL, Url, connect, token_for
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, token_for
 from trueup_cli.show import err
 from trueup_client import Client
 
 
 def look(
-    plant: str | None = None,
+    plant: PlantName | None = None,
     *,
     data: Annotated[ExistingDirectory | None, Parameter(help="Serve this data folder until Ctrl-C, and look at that")] = None,
     browser: Annotated[bool, Parameter(help="Open a browser; else the link is printed alone")] = True,
     url: Url = DEFAULT_URL,
+    as_json_: Json = False,
 ) -> None:
     """Open the service in a browser, signed in: at a plant's newest diagnosis, where there is one.
 
@@ -30,25 +32,26 @@ def look(
 
     Parameters
     ----------
-    plant: name of the plant; the only one, if there is one
+    plant
+        name of the plant; the only one, if there is one
     """
     if data is None:
-        _open(url, plant, browser=browser)
+        _open(url, plant, browser=browser, as_json_=as_json_)
         return
     os.environ["TRUEUP_DATA_DIR"] = str(data)  # whose token is asked for
     with suppress(KeyboardInterrupt), service_beside(data, urlsplit(url).port) as (_, child):
-        _open(url, plant, browser=browser)
+        _open(url, plant, browser=browser, as_json_=as_json_)
         err.print("[dim]serving until Ctrl-C[/]")
         child.wait()
 
 
-def _open(url: str, plant: str | None, *, browser: bool) -> None:
+def _open(url: str, plant: str | None, *, browser: bool, as_json_: bool) -> None:
     client = connect(url)
     client.whoami()
     to = _best_page(client, plant)
     token = token_for(url)
     link = f"{url}/sign-in?{urlencode({'next': to})}" + (f"#token={quote(token, safe='')}" if token else "")
-    print(link, flush=True)
+    print(json.dumps({"url": link, "page": to}) if as_json_ else link, flush=True)
     if browser:
         webbrowser.open(link)
 

@@ -8,35 +8,31 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect
-from trueup_cli.registry import run_job
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect
+from trueup_cli.registry import result_of, run_job
 from trueup_cli.show import as_json, moment, out, table
 from trueup_client import Client
+from trueup_client.records import Alarm
 
 LATEST = 12  # episodes in the table
 
 
 def calibrate(
-    plant: str,
+    plant: PlantName,
     *,
     promise_h: Annotated[float, Parameter(help="Operating hours in which one false alarm is allowed, of all joints together")] = 100.0,
     detectors: Annotated[str | None, Parameter(help="Comma-separated; default: all")] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Calibrate a monitor of what serves, on the plant's reference episodes; from then on it watches.
-
-    Parameters
-    ----------
-    plant: name of the plant
-    """
+    """Calibrate a monitor of what serves, on the plant's reference episodes; from then on it watches."""
     client = connect(url)
     request: dict[str, Any] = {"kind": "calibrate", "promise_h": promise_h, **({"detectors": detectors.split(",")} if detectors else {})}
     found = run_job(client, plant, request, "calibrate")
     if as_json_:
         as_json(found)
         return
-    monitor = next(m for m in client.monitors(plant) if m["digest"] == found["result"]["monitor"])
+    monitor = next(m for m in client.monitors(plant) if m["digest"] == result_of(found)["monitor"])
     show_calibration(monitor["document"])
 
 
@@ -63,18 +59,13 @@ def _delays(delays: dict[str, Any]) -> str:
 
 
 def monitor(
-    plant: str,
+    plant: PlantName,
     *,
     picture: Annotated[Path | None, Parameter(help="Write what the monitor saw as an SVG file")] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Say whether a plant's model is watched, what was seen last, and which alarm is open.
-
-    Parameters
-    ----------
-    plant: name of the plant
-    """
+    """Say whether a plant's model is watched, what was seen last, and which alarm is open."""
     client = connect(url)
     state = client.monitor(plant)
     watches = list(client.watches(plant, state["monitor"])) if state["monitor"] else []
@@ -111,19 +102,14 @@ def _row(seen: dict[str, Any], names: list[str]) -> tuple[object, ...]:
 
 
 def alarms(
-    plant: str,
+    plant: PlantName,
     *,
     close: Annotated[str | None, Parameter(help="Id of an alarm to close")] = None,
     because: Annotated[str | None, Parameter(help="Why it is closed")] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """List a plant's alarms, or close one.
-
-    Parameters
-    ----------
-    plant: name of the plant
-    """
+    """List a plant's alarms, or close one."""
     client: Client = connect(url)
     found = [client.close_alarm(plant, close, because or "no reason was given")] if close is not None else list(client.alarms(plant))
     if as_json_:
@@ -136,7 +122,7 @@ def alarms(
 
 
 def policy(
-    plant: str,
+    plant: PlantName,
     file: Path | None = None,
     *,
     url: Url = DEFAULT_URL,
@@ -146,8 +132,8 @@ def policy(
 
     Parameters
     ----------
-    plant: name of the plant
-    file: policy as JSON: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h, reference_episodes, validate_every_h
+    file
+        policy as JSON: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h, reference_episodes, validate_every_h
     """
     client = connect(url)
     found = client.policy(plant) if file is None else client.declare_policy(plant, json.loads(file.read_text()))
@@ -158,7 +144,7 @@ def policy(
     table("", ["", ""], [(name, value) for name, value in found["document"].items() if name != "schema"])
 
 
-def show_alarm(alarm: dict[str, Any]) -> None:
+def show_alarm(alarm: Alarm) -> None:
     """Print what changed, and what came of it."""
     standing = f"closed: {alarm['closed_because']}" if alarm["closed_at"] else "[bold red]open[/]"
     out.print(f"alarm [bold]{alarm['id']}[/] {moment(alarm['raised_at'])}, {standing}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import os
 import socket
+from itertools import islice
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import quote, urlsplit
@@ -12,11 +13,27 @@ from urllib.parse import quote, urlsplit
 from cyclopts import Parameter
 
 from trueup_client import Client, Witness
+from trueup_client.problem import ClientError
 
 Url = Annotated[str, Parameter(name="--url", env_var="TRUEUP_URL", help="Address of the service")]
+Seed = Annotated[int, Parameter(help="Of what is drawn by lot: the same seed gives the same answer")]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
 DEFAULT_URL = "http://127.0.0.1:8321"
+COMPLETED, COMPLETION_LIMIT_S = 500, 1.0
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+def plants_there(_: object) -> list[str]:
+    """Names of plants for a shell to complete; none where the service does not answer at once."""
+    url = os.environ.get("TRUEUP_URL", DEFAULT_URL)
+    try:
+        with Client(url, timeout_s=COMPLETION_LIMIT_S, token=token_for(url)) as client:
+            return [str(plant["name"]) for plant in islice(client.plants(), COMPLETED)]
+    except (ClientError, OSError):
+        return []
+
+
+PlantName = Annotated[str, Parameter(completer=plants_there, help="Name of the plant")]
 
 
 def seen(url: str) -> tuple[Client, Witness]:

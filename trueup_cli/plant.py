@@ -7,10 +7,11 @@ from pathlib import Path
 
 from cyclopts import App
 
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect
-from trueup_cli.show import as_json, out, table
+from trueup_cli.exits import ASKS, told
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect
+from trueup_cli.show import as_json, moment, out, table
 
-app = App(name="plant", help="Register and look at plants.")
+app = App(name="plant", help="Register and look at plants.", help_epilogue=told(ASKS))
 
 
 @app.command
@@ -19,7 +20,8 @@ def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> N
 
     Parameters
     ----------
-    file: plant.json, or a folder that holds one
+    file
+        plant.json, or a folder that holds one
     """
     from trueup.model.mjcf import resolved
 
@@ -29,9 +31,23 @@ def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> N
 
 
 @app.command
-def show(name: str, *, url: Url = DEFAULT_URL) -> None:
-    """Print a plant's registration as JSON."""
-    as_json(connect(url).plant(name))
+def show(name: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """Say what a plant was declared as; with --json its whole registration."""
+    found = connect(url).plant(name)
+    if as_json_:
+        as_json(found)
+        return
+    declared = found["document"]
+    nominal = declared["nominal"]
+    channels = [
+        (kind, c["name"], c.get("unit"), c.get("joint"), " to ".join(f"{x:g}" for x in c.get("limits", ())))
+        for kind in ("commands", "observations")
+        for c in declared[kind]
+    ]
+    model = nominal.get("mjcf") or f"{nominal['family']}, " + ", ".join(f"{k} = {v:g}" for k, v in nominal["parameters"].items())
+    out.print(f"[bold]{found['name']}[/] {found['digest'][:12]}, registered {moment(found['created_at'])} by {found['created_by']}")
+    out.print(f"{model}; a step of {1e3 * nominal['timestep_s']:g} ms", markup=False)
+    table("", ["", "channel", "unit", "joint", "limits"], channels)
 
 
 @app.command(name="list")

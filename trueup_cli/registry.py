@@ -9,20 +9,21 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Seed, Url, connect
 from trueup_cli.show import Bar, as_json, out, progress, table
 from trueup_client import Client
+from trueup_client.records import Decision, JobWithReads
 
 SENDING = 0.9  # share of the bar for sending; the rest is the service's inspection
 
 
-def upload(plant: str, *files: Path, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Upload recordings; the same file again is the same episode.
 
     Parameters
     ----------
-    plant: name of the plant
-    files: MCAP files, or folders of them
+    files
+        MCAP files, or folders of them
     """
     client, paths = connect(url), [p for f in files for p in (sorted(f.glob("*.mcap")) if f.is_dir() else [f])]
     found = []
@@ -50,9 +51,11 @@ def _sent(bar: Bar, share: float) -> None:
 
 
 def fit(
-    plant: str,
+    plant: PlantName,
     *,
-    method: Literal["identify", "residual"] = "identify",
+    method: Annotated[
+        Literal["identify", "residual"], Parameter(help="New numbers in the nominal form, or what it misses as a map of features")
+    ] = "identify",
     features: Annotated[str | None, Parameter(help="residual only: comma-separated, such as 1,v,u,sign(v),abs(v)")] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
@@ -60,10 +63,10 @@ def fit(
     """Fit a candidate from the plant's adaptation episodes."""
     request: dict[str, Any] = {"kind": "fit", "method": method, **({"features": features.split(",")} if features else {})}
     found = run_job(connect(url), plant, request, f"fit {method}")
-    as_json(found) if as_json_ else out.print(f"candidate [bold]{found['result']['artifact']}[/]")
+    as_json(found) if as_json_ else out.print(f"candidate [bold]{result_of(found)['artifact']}[/]")
 
 
-def diagnosis(plant: str, *, seed: int = 0, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def diagnosis(plant: PlantName, *, seed: Seed = 0, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Diagnose a plant's gap from its uploaded episodes; the corrected model becomes a candidate."""
     found = run_job(connect(url), plant, {"kind": "diagnose", "seed": seed}, "diagnose")
     if as_json_:
@@ -71,13 +74,13 @@ def diagnosis(plant: str, *, seed: int = 0, url: Url = DEFAULT_URL, as_json_: Js
         return
     from trueup.diagnose.words import sentence
 
-    out.print(sentence(found["result"]["report"]), soft_wrap=True)
-    out.print(f"candidate [bold]{found['result']['artifact']}[/]")
+    out.print(sentence(result_of(found)["report"]), soft_wrap=True)
+    out.print(f"candidate [bold]{result_of(found)['artifact']}[/]")
     out.print(f"[dim]the whole of it in a browser: trueup look {plant}[/]")
 
 
 def gate(
-    plant: str,
+    plant: PlantName,
     candidate: str,
     *,
     rules: Annotated[Path | None, Parameter(help="Gate as JSON; the default gate if none is given")] = None,
@@ -88,24 +91,29 @@ def gate(
 
     Parameters
     ----------
-    plant: name of the plant
-    candidate: digest of the artifact
+    candidate
+        digest of the artifact
     """
     client = connect(url)
     declared = client.declare_gate(plant, json.loads(rules.read_text()) if rules else None)
     found = run_job(client, plant, {"kind": "gate", "candidate": candidate, "gate": declared["digest"]}, "judge")
-    decision = client.decision(plant, found["result"]["decision"])
+    decision = client.decision(plant, result_of(found)["decision"])
     as_json(decision) if as_json_ else show_decision(decision)
 
 
-def run_job(client: Client, plant: str, request: dict[str, Any], what: str) -> dict[str, Any]:
+def run_job(client: Client, plant: str, request: dict[str, Any], what: str) -> JobWithReads:
     """Submit a job and wait for it with a progress bar."""
     job = client.submit(plant, request)
     with progress(what) as bar:
         return client.wait(job["id"], lambda found: bar(found["progress"], found["stage"]))
 
 
-def show_decision(decision: dict[str, Any]) -> None:
+def result_of(job: JobWithReads) -> dict[str, Any]:
+    """What a job that succeeded answers with."""
+    return job["result"] or {}
+
+
+def show_decision(decision: Decision) -> None:
     """Print a decision with every verdict."""
     word = "[bold green]accepted[/]" if decision["accepted"] else "[bold red]rejected[/]"
     out.print(f"{word}: decision [bold]{decision['digest']}[/] at generation {decision['generation']}")

@@ -10,6 +10,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from trueup_cli.options import Json
+from trueup_cli.show import as_json, out, progress
+
 RESTART_PAUSE_S = 1.0
 
 
@@ -20,8 +23,10 @@ def serve(
 
     Parameters
     ----------
-    host: address to listen on; TRUEUP_HOST, else 127.0.0.1
-    port: port to listen on; TRUEUP_PORT, else 8321
+    host
+        address to listen on; TRUEUP_HOST, else 127.0.0.1
+    port
+        port to listen on; TRUEUP_PORT, else 8321
     """
     from trueup_service.http.serve import listen
     from trueup_service.http.serve import serve as run
@@ -83,36 +88,45 @@ def work(*, with_parent: Annotated[bool, Parameter(help="End when standard input
     run(build(settings), with_parent=with_parent)
 
 
-def migrate() -> None:
+def migrate(*, as_json_: Json = False) -> None:
     """Bring the database's schema up to date, the registry's and the job engine's; servers do it when they start."""
     from trueup_service.jobs import migrate_engine
+    from trueup_service.registry.schema import HEAD
     from trueup_service.settings import Settings
     from trueup_service.wiring import build
 
     settings = Settings()
-    build(settings).close()
-    migrate_engine(settings.sqlalchemy_url)
+    with progress("migrating"):
+        build(settings).close()
+        migrate_engine(settings.sqlalchemy_url)
+    as_json({"schema": HEAD}) if as_json_ else out.print(f"the schema is at {HEAD}")
 
 
-def kernels() -> None:
+def kernels(*, as_json_: Json = False) -> None:
     """Compile the rollout kernels into the cache, so that the first rollout is as quick as the others."""
     from trueup.fit.rollout_fit import warm
     from trueup.model.compose import compile_all
-    from trueup_cli.show import out
 
-    out.print(f"compiled: {', '.join(compile_all())}, and one kernel with {warm()} effects")
+    with progress("compiling"):
+        families, count = compile_all(), warm()
+    said = f"compiled: {', '.join(families)}, and one kernel with {count} effects"
+    as_json({"families": families, "effects": count}) if as_json_ else out.print(said)
 
 
-def keygen(name: str) -> None:
+def keygen(name: str, *, as_json_: Json = False) -> None:
     """Make a signing key: set the first line as TRUEUP_SIGNING_KEY on every server, and give the second to robots and auditors.
 
     Parameters
     ----------
-    name: name of the log, such as registry.example.com/robots; it stands in every checkpoint
+    name
+        name of the log, such as registry.example.com/robots; it stands in every checkpoint
     """
     from trueup.ledger.note import Signer
     from trueup_service.signed_log import new_signer
 
     made = Signer.from_text(new_signer(name).text)
+    if as_json_:
+        as_json({"signing_key": made.text, "verifier": made.verifier})
+        return
     print(made.text)
     print(made.verifier)

@@ -8,15 +8,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trueup_cli.options import DEFAULT_URL, Json, Url, connect, witnessed
-from trueup_cli.show import as_json, moment, out, table
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, witnessed
+from trueup_cli.show import as_json, moment, out, progress, table
 from trueup_client import Serving
 
 Generation = Annotated[int | None, Parameter(help="Refuse if the pointer is elsewhere; default: where it is now")]
 
 
 def serving(
-    plant: str,
+    plant: PlantName,
     *,
     history: Annotated[bool, Parameter(negative=(), help="Every position of the pointer")] = False,
     at: str | None = None,
@@ -27,8 +27,8 @@ def serving(
 
     Parameters
     ----------
-    plant: name of the plant
-    at: UTC, ISO 8601, such as 2026-01-31T12:00:00Z
+    at
+        UTC, ISO 8601, such as 2026-01-31T12:00:00Z
     """
     client = connect(url)
     if at is not None:
@@ -39,13 +39,13 @@ def serving(
     show_serving(found, as_json_=as_json_)
 
 
-def promote(plant: str, decision: str, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def promote(plant: PlantName, decision: str, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Serve the candidate of an accepted decision.
 
     Parameters
     ----------
-    plant: name of the plant
-    decision: digest of the decision
+    decision
+        digest of the decision
     """
     client = witnessed(url)
     show_serving(
@@ -53,38 +53,47 @@ def promote(plant: str, decision: str, *, generation: Generation = None, url: Ur
     )
 
 
-def approve(plant: str, decision: str, *, url: Url = DEFAULT_URL) -> None:
+def approve(plant: PlantName, decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Approve a decision for promotion by somebody else, where the plant's policy takes two people.
 
     Parameters
     ----------
-    plant: name of the plant
-    decision: digest of the decision
+    decision
+        digest of the decision
     """
     found = witnessed(url).approve(plant, decision)
-    out.print(f"approved by {found['actor']}; another token may promote it", markup=False)
+    if as_json_:
+        as_json(found)
+    else:
+        out.print(f"approved by {found['actor']}; another token may promote it", markup=False)
 
 
-def rollback(plant: str, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def rollback(plant: PlantName, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Serve what served before, after its switchback test."""
     client = witnessed(url)
     show_serving([client.roll_back(plant, client.serving(plant).generation if generation is None else generation)], as_json_=as_json_)
 
 
 def fetch(
-    plant: str, to: Path, *, artifact: Annotated[str | None, Parameter(help="Digest; default: what serves")] = None, url: Url = DEFAULT_URL
+    plant: PlantName,
+    to: Path,
+    *,
+    artifact: Annotated[str | None, Parameter(help="Digest; default: what serves")] = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
 ) -> None:
     """Fetch an artifact into a folder, every byte verified.
 
     Parameters
     ----------
-    plant: name of the plant
-    to: folder, made if it is missing
+    to
+        folder, made if it is missing
     """
     client = witnessed(url)
     digest = artifact or client.serving(plant).artifact
-    client.fetch(plant, digest, to)
-    out.print(f"{digest} is in {to}")
+    with progress(f"fetch {digest[:12]}"):
+        client.fetch(plant, digest, to)
+    as_json({"artifact": digest, "folder": str(to)}) if as_json_ else out.print(f"{digest} is in {to}", soft_wrap=True)
 
 
 def show_serving(found: list[Serving], *, as_json_: bool) -> None:

@@ -1,4 +1,4 @@
-"""How the command shows things: tables and colours for people, JSON for programs, progress on standard error."""
+"""How the command shows things: tables and colours for people, lines in a pipe, JSON for programs, progress on standard error."""
 
 from __future__ import annotations
 
@@ -26,7 +26,11 @@ def as_json(value: Any) -> None:
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table; numbers stand to the right."""
+    """Print a table; numbers stand to the right. In a pipe it is a line for each row, its cells between tabs, and nothing is cut."""
+    if not out.is_terminal:
+        for row in (columns, *rows):
+            print("\t".join(str(cell(x)).replace("\t", " ") for x in row))
+        return
     made = Table(title=title, title_justify="left", title_style="bold", header_style="dim", box=None, pad_edge=False)
     cells = [list(row) for row in rows]
     for i, name in enumerate(columns):
@@ -45,7 +49,7 @@ def cell(value: object) -> str | Text:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.5g}"
-    return "" if value is None else escape(str(value))
+    return "" if value is None else escape(str(value)) if out.is_terminal else str(value)
 
 
 Bar = Callable[[float, str], None]

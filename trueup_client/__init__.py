@@ -7,6 +7,8 @@ serving = client.serving("emps")
 client.fetch("emps", serving.artifact, "model")
 """
 
+from typing import TYPE_CHECKING, Any
+
 from trueup_client.client import Client
 from trueup_client.freshness import Ages, Freshness
 from trueup_client.problem import NotSigned, Problem, Rewritten, Unreachable, Untrue
@@ -14,4 +16,29 @@ from trueup_client.records import Serving
 from trueup_client.robot import Robot
 from trueup_client.witness import Witness
 
-__all__ = ["Ages", "Client", "Freshness", "NotSigned", "Problem", "Rewritten", "Robot", "Serving", "Unreachable", "Untrue", "Witness"]
+if TYPE_CHECKING:
+    from trueup_client.asynchronous import AsyncClient
+
+__all__ = [
+    "Ages",
+    "AsyncClient",
+    "Client",
+    "Freshness",
+    "NotSigned",
+    "Problem",
+    "Rewritten",
+    "Robot",
+    "Serving",
+    "Unreachable",
+    "Untrue",
+    "Witness",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """`AsyncClient`, brought when it is asked for: a robot has no use for an event loop."""
+    if name != "AsyncClient":
+        raise AttributeError(f"module 'trueup_client' has no attribute {name!r}")
+    from trueup_client.asynchronous import AsyncClient  # noqa: PLC0415
+
+    return AsyncClient

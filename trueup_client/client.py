@@ -10,13 +10,39 @@ import time
 import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 from urllib.parse import quote, urlencode
 
 from trueup_client.connection import STREAM_BYTES, Connection
 from trueup_client.problem import Problem, Unreachable, Untrue
 from trueup_client.proof import Checkpoint
-from trueup_client.records import Document, Serving
+from trueup_client.records import (
+    Alarm,
+    Approval,
+    Artifact,
+    AuditEntry,
+    Channel,
+    ChannelPosition,
+    Decision,
+    Document,
+    Envelope,
+    Episode,
+    EpisodeContext,
+    Evidence,
+    Gate,
+    Identity,
+    IssuedToken,
+    Job,
+    JobWithReads,
+    Monitor,
+    MonitorState,
+    Plant,
+    Policy,
+    Project,
+    Serving,
+    Token,
+    Watch,
+)
 from trueup_client.witness import Witness
 
 FINAL = ("succeeded", "failed", "cancelled")
@@ -28,8 +54,8 @@ ATTEMPTS = 5  # of a part, none of which comes through
 Share = Callable[[float], None]
 
 
-def _silent(_: float) -> None:
-    return
+def silent(_: float) -> None:
+    """Progress that nobody looks at."""
 
 
 class Client:
@@ -54,19 +80,23 @@ class Client:
         """Close the connection."""
         self._to.close()
 
+    def abort(self) -> None:
+        """Close the connection for good, from another thread: what is on its way ends with Unreachable, and nothing is asked again."""
+        self._to.abort()
+
     # -- plants and episodes
 
-    def register_plant(self, document: Document, project: str | None = None) -> Document:
+    def register_plant(self, document: Document, project: str | None = None) -> Plant:
         """Register a plant by the content of its plant.json; registering it again changes nothing."""
         return self._post(f"/v1/plants?{urlencode({'project': project})}" if project else "/v1/plants", document)
 
-    def plant(self, name: str) -> Document:
+    def plant(self, name: str) -> Plant:
         return self._get(f"/v1/plants/{_name(name)}")
 
-    def plants(self) -> Iterator[Document]:
+    def plants(self) -> Iterator[Plant]:
         return self._pages("/v1/plants", "after")
 
-    def upload_episode(self, plant: str, path: str | os.PathLike[str], progress: Share = _silent) -> Document:
+    def upload_episode(self, plant: str, path: str | os.PathLike[str], progress: Share = silent) -> Episode:
         """Upload an MCAP file, streamed, with its digest; the same file again is the same episode.
 
         A long one goes in parts: where the line breaks it goes on from what came, in this call or the next.
@@ -82,7 +112,7 @@ class Client:
         }
         return self._send("POST", f"/v1/plants/{_name(plant)}/episodes", lambda: _Watched(path, progress), headers)
 
-    def _upload_in_parts(self, path: str, file: Path, progress: Share) -> Document:
+    def _upload_in_parts(self, path: str, file: Path, progress: Share) -> Episode:
         """Send what is missing, then finish. Raises Unreachable once no part comes through any more."""
         size, failed = file.stat().st_size, 0
         while (offset := self._get(path)["offset_bytes"]) < size:
@@ -100,10 +130,10 @@ class Client:
         progress(1.0)
         return self._post(f"{path}/finish", None)
 
-    def episodes(self, plant: str, role: str | None = None) -> Iterator[Document]:
+    def episodes(self, plant: str, role: str | None = None) -> Iterator[Episode]:
         return self._pages(f"/v1/plants/{_name(plant)}/episodes", "after", **({"role": role} if role else {}))
 
-    def episode(self, plant: str, digest: str) -> Document:
+    def episode(self, plant: str, digest: str) -> EpisodeContext:
         """An episode, with what was serving while it was recorded."""
         return self._get(f"/v1/plants/{_name(plant)}/episodes/{_name(digest)}")
 
@@ -113,10 +143,10 @@ class Client:
 
     # -- artifacts, gates, jobs, decisions
 
-    def artifacts(self, plant: str) -> Iterator[Document]:
+    def artifacts(self, plant: str) -> Iterator[Artifact]:
         return self._pages(f"/v1/plants/{_name(plant)}/artifacts", "after")
 
-    def artifact(self, plant: str, digest: str) -> Document:
+    def artifact(self, plant: str, digest: str) -> Artifact:
         return self._get(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}")
 
     def manifest_digest(self, plant: str, digest: str) -> str:
@@ -125,10 +155,10 @@ class Client:
             self._to.whole("GET", f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/manifest", lambda: None)
         ).hexdigest()
 
-    def version(self, plant: str, version: int) -> Document:
+    def version(self, plant: str, version: int) -> Artifact:
         return self._get(f"/v1/plants/{_name(plant)}/versions/{_name(version)}")
 
-    def add_artifact(self, plant: str, manifest: bytes, arrays: bytes = b"") -> Document:
+    def add_artifact(self, plant: str, manifest: bytes, arrays: bytes = b"") -> Artifact:
         """Add a version: first its arrays under their digest, then the manifest's exact bytes."""
         if arrays:
             self._to.whole(
@@ -148,25 +178,28 @@ class Client:
             self._save(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/arrays", arrays, to / "arrays.safetensors")
         return to
 
-    def declare_gate(self, plant: str, document: Document | None = None) -> Document:
+    def declare_gate(self, plant: str, document: Document | None = None) -> Gate:
         """Declare a gate before anything is scored by it; the default one without a document."""
         return self._post(f"/v1/plants/{_name(plant)}/gates", document)
 
-    def gate(self, plant: str, digest: str) -> Document:
+    def gate(self, plant: str, digest: str) -> Gate:
         return self._get(f"/v1/plants/{_name(plant)}/gates/{_name(digest)}")
 
-    def submit(self, plant: str, request: Document) -> Document:
-        """Submit a job, such as {"kind": "fit", "method": "identify"} or {"kind": "gate", "candidate": …, "gate": …}."""
-        return self._post(f"/v1/plants/{_name(plant)}/jobs", request)
+    def submit(self, plant: str, request: Document, key: str | None = None) -> Job:
+        """Submit a job, such as {"kind": "fit", "method": "identify"} or {"kind": "gate", "candidate": …, "gate": …}.
 
-    def jobs(self, plant: str) -> Iterator[Document]:
+        With a `key` of your own the same request is the same job, also from another process, for as long as the service remembers keys.
+        """
+        return self._post(f"/v1/plants/{_name(plant)}/jobs", request, key)
+
+    def jobs(self, plant: str) -> Iterator[Job]:
         """Jobs of a plant, the newest first."""
         return self._pages(f"/v1/plants/{_name(plant)}/jobs", "before")
 
-    def job(self, job: str) -> Document:
+    def job(self, job: str) -> JobWithReads:
         return self._get(f"/v1/jobs/{_name(job)}")
 
-    def wait(self, job: str, progress: Callable[[Document], None] = lambda _: None) -> Document:
+    def wait(self, job: str, progress: Callable[[JobWithReads], None] = lambda _: None) -> JobWithReads:
         """The job once it is final, `progress` called with it meanwhile. Raises Problem if it failed or was cancelled."""
         while True:
             found = self.job(job)
@@ -183,20 +216,20 @@ class Client:
             )
         return found
 
-    def cancel(self, job: str) -> Document:
+    def cancel(self, job: str) -> Job:
         return self._post(f"/v1/jobs/{_name(job)}/cancel", None)
 
-    def decisions(self, plant: str) -> Iterator[Document]:
+    def decisions(self, plant: str) -> Iterator[Decision]:
         return self._pages(f"/v1/plants/{_name(plant)}/decisions", "before")
 
-    def decision(self, plant: str, digest: str) -> Document:
+    def decision(self, plant: str, digest: str) -> Decision:
         return self._get(f"/v1/plants/{_name(plant)}/decisions/{_name(digest)}")
 
-    def approve(self, plant: str, decision: str) -> Document:
+    def approve(self, plant: str, decision: str) -> Approval:
         """Approve a decision, where a promotion takes two people: this client's token, and that of whoever promotes."""
         return self._post(f"/v1/plants/{_name(plant)}/decisions/{_name(decision)}/approvals", None)
 
-    def find_decision(self, digest: str) -> Document:
+    def find_decision(self, digest: str) -> Decision:
         """A decision of whichever plant."""
         return self._get(f"/v1/decisions/{_name(digest)}")
 
@@ -216,7 +249,7 @@ class Client:
 
     def watch_channel(
         self, plant: str, channel: str, wait_s: float = 30.0, confirmed: Callable[[], None] = lambda: None
-    ) -> Iterator[Document]:
+    ) -> Iterator[ChannelPosition]:
         """The same of a channel, which must have served something."""
         return self._watched(f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/serving", wait_s, confirmed)
 
@@ -229,113 +262,113 @@ class Client:
         items = self._get(f"/v1/plants/{_name(plant)}/serving/history?{urlencode({'at': at})}")["items"]
         return Serving(**items[0]) if items else None
 
-    def promote(self, plant: str, decision: str, expected_generation: int) -> Serving:
-        """Serve the candidate of an accepted decision, if the pointer has not moved since."""
-        return Serving(
-            **self._post(f"/v1/plants/{_name(plant)}/serving/promote", {"decision": decision, "expected_generation": expected_generation})
-        )
+    def promote(self, plant: str, decision: str, expected_generation: int, key: str | None = None) -> Serving:
+        """Serve the candidate of an accepted decision, if the pointer has not moved since; once under a `key` of your own."""
+        wanted = {"decision": decision, "expected_generation": expected_generation}
+        return Serving(**self._post(f"/v1/plants/{_name(plant)}/serving/promote", wanted, key))
 
-    def roll_back(self, plant: str, expected_generation: int) -> Serving:
-        """Serve what served before, after its switchback test."""
-        return Serving(**self._post(f"/v1/plants/{_name(plant)}/serving/rollback", {"expected_generation": expected_generation}))
+    def roll_back(self, plant: str, expected_generation: int, key: str | None = None) -> Serving:
+        """Serve what served before, after its switchback test; once under a `key` of your own."""
+        return Serving(**self._post(f"/v1/plants/{_name(plant)}/serving/rollback", {"expected_generation": expected_generation}, key))
 
-    def serving_envelope(self, plant: str) -> Document:
+    def serving_envelope(self, plant: str) -> Envelope:
         """What serves, signed: `Robot` verifies it."""
         return self._get(f"/v1/plants/{_name(plant)}/serving/envelope")
 
     # -- evidence and channels
 
-    def add_evidence(self, plant: str, document: Document) -> Document:
+    def add_evidence(self, plant: str, document: Document) -> Evidence:
         """Add what was found of an artifact at a stage: artifact, stage, passed, shows, cannot_show, figures."""
         return self._post(f"/v1/plants/{_name(plant)}/evidence", {"schema": "trueup.evidence/1", **document})
 
-    def evidence(self, plant: str, artifact: str) -> list[Document]:
+    def evidence(self, plant: str, artifact: str) -> list[Evidence]:
         """Everything that was found of an artifact, in order."""
-        items: list[Document] = self._get(f"/v1/plants/{_name(plant)}/artifacts/{_name(artifact)}/evidence")["items"]
+        items: list[Evidence] = self._get(f"/v1/plants/{_name(plant)}/artifacts/{_name(artifact)}/evidence")["items"]
         return items
 
-    def declare_channel(self, plant: str, name: str, requires: list[str]) -> Document:
+    def declare_channel(self, plant: str, name: str, requires: list[str]) -> Channel:
         """Declare a channel of serving that requires passed evidence of these stages."""
         return self._post(f"/v1/plants/{_name(plant)}/channels", {"name": name, "requires": requires})
 
-    def channels(self, plant: str) -> Iterator[Document]:
+    def channels(self, plant: str) -> Iterator[Channel]:
         return self._pages(f"/v1/plants/{_name(plant)}/channels", "after")
 
-    def channel_serving(self, plant: str, channel: str) -> Document:
+    def channel_serving(self, plant: str, channel: str) -> ChannelPosition:
         """What a channel serves now."""
         return self._get(f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/serving")
 
-    def move_channel(self, plant: str, channel: str, artifact: str, expected_generation: int) -> Document:
+    def move_channel(self, plant: str, channel: str, artifact: str, expected_generation: int) -> ChannelPosition:
         """Serve an artifact on a channel, if the channel has not moved since; its first move expects generation 0."""
         wanted = {"artifact": artifact, "expected_generation": expected_generation}
         return self._post(f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/move", wanted)
 
     # -- monitoring
 
-    def declare_policy(self, plant: str, document: Document) -> Document:
+    def declare_policy(self, plant: str, document: Document) -> Policy:
         """Declare what may happen without a person; it holds from then on."""
         return self._post(f"/v1/plants/{_name(plant)}/policies", document)
 
-    def policy(self, plant: str) -> Document:
+    def policy(self, plant: str) -> Policy:
         """The update policy that holds."""
         return self._get(f"/v1/plants/{_name(plant)}/policy")
 
-    def send_telemetry(self, plant: str, batch: Document) -> Document:
+    def send_telemetry(self, plant: str, batch: Document) -> Episode:
         """Send a live batch: `start_ns` as text, `t_s`, `observations` and `commands` by channel; it becomes an episode that is watched."""
         return self._post(f"/v1/plants/{_name(plant)}/telemetry", batch)
 
-    def monitor(self, plant: str) -> Document:
+    def monitor(self, plant: str) -> MonitorState:
         """Whether the model that serves is watched, and the alarm that is open."""
         return self._get(f"/v1/plants/{_name(plant)}/monitor")
 
-    def monitors(self, plant: str) -> Iterator[Document]:
+    def monitors(self, plant: str) -> Iterator[Monitor]:
         """Every monitor there was, the newest first, each with its calibration."""
         return self._pages(f"/v1/plants/{_name(plant)}/monitors", "before")
 
-    def watches(self, plant: str, monitor: str) -> Iterator[Document]:
+    def watches(self, plant: str, monitor: str) -> Iterator[Watch]:
         """What a monitor saw, episode by episode."""
         return self._pages(f"/v1/plants/{_name(plant)}/monitors/{_name(monitor)}/watches", "after")
 
-    def alarms(self, plant: str) -> Iterator[Document]:
+    def alarms(self, plant: str) -> Iterator[Alarm]:
         """Every alarm, the newest first."""
         return self._pages(f"/v1/plants/{_name(plant)}/alarms", "before")
 
-    def alarm(self, plant: str, alarm: str) -> Document:
+    def alarm(self, plant: str, alarm: str) -> Alarm:
         return self._get(f"/v1/plants/{_name(plant)}/alarms/{_name(alarm)}")
 
-    def close_alarm(self, plant: str, alarm: str, because: str) -> Document:
+    def close_alarm(self, plant: str, alarm: str, because: str) -> Alarm:
         """Close an alarm, and say why; the next one may then be raised."""
         return self._post(f"/v1/plants/{_name(plant)}/alarms/{_name(alarm)}/close", {"because": because})
 
     # -- access
 
-    def whoami(self) -> Document:
+    def whoami(self) -> Identity:
         """Whom the service takes this client for: name, roles, project, plant."""
         return self._get("/v1/session")
 
-    def create_project(self, name: str) -> Document:
+    def create_project(self, name: str) -> Project:
         return self._post("/v1/projects", {"name": name})
 
-    def projects(self) -> Iterator[Document]:
+    def projects(self) -> Iterator[Project]:
         return self._pages("/v1/projects", "after")
 
     def issue_token(
         self, name: str, roles: list[str], project: str | None = None, plant: str | None = None, days: float | None = 365.0
-    ) -> Document:
+    ) -> IssuedToken:
         """Issue a token; `token` of the answer is shown this once. Not repeated where the answer was lost: revoke it, issue another."""
         wanted = {"name": name, "roles": roles, "project": project, "plant": plant, "days": days}
-        return self._post("/v1/tokens", wanted)
+        sent = {"Content-Type": "application/json"}
+        return json.loads(self._to.once("POST", "/v1/tokens", json.dumps(wanted).encode(), sent))
 
-    def tokens(self) -> Iterator[Document]:
+    def tokens(self) -> Iterator[Token]:
         return self._pages("/v1/tokens", "after")
 
-    def revoke_token(self, prefix: str) -> Document:
+    def revoke_token(self, prefix: str) -> Token:
         """Revoke a token, for good."""
         return self._post(f"/v1/tokens/{_name(prefix)}/revoke", None)
 
     # -- audit
 
-    def audit(self, plant: str | None = None, after: int = 0) -> Iterator[Document]:
+    def audit(self, plant: str | None = None, after: int = 0) -> Iterator[AuditEntry]:
         """Every entry of the log, in order, from behind one."""
         return self._pages("/v1/audit", "after", after=str(after), **({"plant": plant} if plant else {}))
 
@@ -377,11 +410,11 @@ class Client:
         """An artifact's arrays in parts, not verified."""
         return self._to.parts(f"/v1/blobs/{_name(digest)}")
 
-    def artifact_provenance(self, plant: str, digest: str) -> Document:
+    def artifact_provenance(self, plant: str, digest: str) -> Envelope:
         """Where an artifact comes from: an in-toto statement in a signed envelope."""
         return self._get(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/provenance")
 
-    def decision_provenance(self, plant: str, digest: str) -> Document:
+    def decision_provenance(self, plant: str, digest: str) -> Envelope:
         """What a gate said of a candidate: an in-toto statement in a signed envelope."""
         return self._get(f"/v1/plants/{_name(plant)}/decisions/{_name(digest)}/provenance")
 
@@ -394,21 +427,21 @@ class Client:
 
     # -- how
 
-    def _get(self, path: str) -> Document:
-        found: Document = self._to.json("GET", path)
-        return found
+    def _get(self, path: str) -> Any:
+        return self._to.json("GET", path)
 
-    def _post(self, path: str, body: Document | None) -> Document:
-        found: Document = self._to.json("POST", path, body, {"Idempotency-Key": uuid.uuid4().hex})
-        return found
+    def _post(self, path: str, body: Document | None, key: str | None = None) -> Any:
+        return self._to.json("POST", path, body, {"Idempotency-Key": key or uuid.uuid4().hex})
 
-    def _watched(self, path: str, wait_s: float, confirmed: Callable[[], None]) -> Iterator[Document]:
+    def _watched(self, path: str, wait_s: float, confirmed: Callable[[], None]) -> Iterator[Any]:
         tag, pause_s = "", FIRST_PAUSE_S
         while True:
             try:
                 headers = {"If-None-Match": tag} if tag else {}
                 status, answered, body = self._to.tagged("GET", f"{path}?wait_s={wait_s:g}", lambda: None, headers)
             except Unreachable:
+                if self._to.aborted:
+                    raise
                 time.sleep(pause_s)
                 pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
                 continue
@@ -418,11 +451,10 @@ class Client:
                 tag = answered["ETag"]
                 yield json.loads(body)
 
-    def _send(self, method: str, path: str, body: Callable[[], bytes | _Watched], headers: dict[str, str]) -> Document:
-        found: Document = json.loads(self._to.whole(method, path, body, headers))
-        return found
+    def _send(self, method: str, path: str, body: Callable[[], bytes | _Watched], headers: dict[str, str]) -> Any:
+        return json.loads(self._to.whole(method, path, body, headers))
 
-    def _pages(self, path: str, cursor: str, **query: str) -> Iterator[Document]:
+    def _pages(self, path: str, cursor: str, **query: str) -> Iterator[Any]:
         while True:
             page = self._get(f"{path}?{urlencode(query)}")
             yield from page["items"]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
+import socket
 import time
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -25,6 +27,7 @@ class Connection:
             raise Unreachable(f"{url!r} is no http:// or https:// address")
         kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
         self._url, self._base = url, parts.path.rstrip("/")
+        self.aborted = False
         self._http = kind(parts.hostname, parts.port, timeout=timeout_s)
         self._headers = {"Trueup-Actor": actor} if actor else {}
         if token:
@@ -51,7 +54,7 @@ class Connection:
                 content = found.read()
             except (http.client.HTTPException, OSError) as error:
                 self._http.close()
-                if pause_s is None:
+                if pause_s is None or self.aborted:
                     raise Unreachable(f"{self._url} does not answer: {error}") from error
             else:
                 if found.status < REFUSED:
@@ -91,6 +94,8 @@ class Connection:
             raise Unreachable(f"{self._url} broke off after {read} of {announced} bytes")
 
     def _once(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> http.client.HTTPResponse:
+        if self.aborted:
+            raise http.client.NotConnected("the connection was closed")
         try:
             self._http.request(method, self._base + path, body=body, headers={**self._headers, **headers})
         finally:
@@ -101,6 +106,14 @@ class Connection:
     def close(self) -> None:
         """Close the connection."""
         self._http.close()
+
+    def abort(self) -> None:
+        """Close it for good, from another thread: what is on its way ends with Unreachable."""
+        self.aborted = True
+        sock = self._http.sock
+        if sock is not None:
+            with contextlib.suppress(OSError):  # it ended by itself
+                sock.shutdown(socket.SHUT_RDWR)
 
 
 def _document(body: bytes) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from typing import Any
 
 from trueup_client import ed25519
 from trueup_client.problem import NotSigned
+from trueup_client.records import Envelope
 
 HASH_BYTES, KEY_HASH_BYTES = 32, 4
 ED25519 = b"\x01"
@@ -74,7 +75,7 @@ class Key:
                 found.append(then)
         return found[1:]
 
-    def payload(self, envelope: dict[str, Any], payload_type: str) -> Any:
+    def payload(self, envelope: Envelope, payload_type: str) -> Any:
         """The document in an envelope, if this key signed it as of this type. Raises NotSigned."""
         try:
             data, named = base64.b64decode(envelope["payload"], validate=True), envelope["payloadType"]

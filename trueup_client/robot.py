@@ -25,6 +25,7 @@ from typing import Any
 from trueup_client.client import Client, is_whole, sync_folder
 from trueup_client.problem import NotSigned, Rewritten
 from trueup_client.proof import Key
+from trueup_client.records import Envelope
 from trueup_client.witness import Witness
 
 ENVELOPE_TYPE, SCHEMA = "application/vnd.trueup.serving+json", "trueup.serving/1"
@@ -143,7 +144,7 @@ class Robot:
                 self.problem = error
             self._stop.wait(interval_s)
 
-    def _opened(self, envelope: dict[str, Any], key: Key) -> tuple[Answer, str]:
+    def _opened(self, envelope: Envelope, key: Key) -> tuple[Answer, str]:
         """The answer in an envelope, and the checkpoint beside it. Raises NotSigned."""
         found = key.payload(envelope, ENVELOPE_TYPE)
         if found.get("schema") != SCHEMA or found.get("plant") != self._plant:

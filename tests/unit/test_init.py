@@ -13,7 +13,7 @@ from trueup.episode.survey import survey
 from trueup.episode.writer import Encoding, write_episode
 from trueup.errors import BadPlant, NotAnEpisode, NotIdentifiable
 from trueup.model.plant import Plant
-from trueup_cli.init import make_case
+from trueup_cli.init import Wanted, make_case
 
 PLANT = Plant.from_document(plant_document())
 LAYOUT = Layout(
@@ -66,7 +66,7 @@ def test_a_bag_of_several_files_becomes_a_case(tmp_path):
     bag.mkdir()
     for seed in range(4):
         record(bag / f"bag_{seed}.mcap", seed)
-    make_case(bag, tmp_path / "case")
+    make_case(bag, tmp_path / "case", Wanted())
     document = json.loads((tmp_path / "case" / "plant.json").read_text())
     assert document["name"] == "my-bag-3"
     assert document["topics"] == {"observation": "/robot/joint_states", "command": "/robot/effort_command"}
@@ -80,7 +80,7 @@ def test_a_bag_of_several_files_becomes_a_case(tmp_path):
 
 
 def test_the_end_of_a_single_file_is_held_out_and_nothing_is_in_both(tmp_path):
-    make_case(record(tmp_path / "bag.mcap", 1), tmp_path / "case")
+    make_case(record(tmp_path / "bag.mcap", 1), tmp_path / "case", Wanted())
     _, (first, second) = read_case(tmp_path / "case")
     assert (first.role, second.role) == (Role.ADAPTATION, Role.VALIDATION)
     assert first.start_ns + round(first.t_s[-1] * 1e9) < second.start_ns
@@ -90,17 +90,17 @@ def test_the_end_of_a_single_file_is_held_out_and_nothing_is_in_both(tmp_path):
 
 def test_roles_that_files_declare_are_kept_byte_by_byte(tmp_path):
     paths = [record(tmp_path / f"{i}.mcap", i, role=role) for i, role in enumerate((Role.VALIDATION, Role.ADAPTATION))]
-    make_case(tmp_path, tmp_path / "case")
+    make_case(tmp_path, tmp_path / "case", Wanted())
     kept = {p.name.split("-")[1].removesuffix(".mcap"): p.read_bytes() for p in (tmp_path / "case").glob("*.mcap")}
     assert kept == {"validation": paths[0].read_bytes(), "adaptation": paths[1].read_bytes()}
 
 
 def test_a_family_may_be_given_and_an_unknown_one_is_refused(tmp_path):
     path = record(tmp_path / "bag.mcap", 2)
-    make_case(path, tmp_path / "case", family="pendulum")
+    make_case(path, tmp_path / "case", Wanted(family="pendulum"))
     assert json.loads((tmp_path / "case" / "plant.json").read_text())["nominal"]["family"] == "pendulum"
     with pytest.raises(BadPlant, match="no family") as refused:
-        make_case(path, tmp_path / "other", family="rocket")
+        make_case(path, tmp_path / "other", Wanted(family="rocket"))
     assert "inertia" in refused.value.hint
 
 
@@ -109,23 +109,23 @@ def test_several_joints_are_asked_about(tmp_path):
     both = {"states": np.hstack([states[:, :1], states[:, :1], states[:, 1:], states[:, 1:]]), "issued": np.hstack([issued, issued])}
     path = record(tmp_path / "arm.mcap", 3, layout=arm_layout(2), **both)
     with pytest.raises(BadPlant, match="2 joints") as refused:
-        make_case(path, tmp_path / "case")
+        make_case(path, tmp_path / "case", Wanted())
     assert "j0, j1" in refused.value.hint
-    make_case(path, tmp_path / "case", joint="j1")
+    make_case(path, tmp_path / "case", Wanted(joint="j1"))
     assert json.loads((tmp_path / "case" / "plant.json").read_text())["observations"][0]["joint"] == "j1"
 
 
 def test_what_cannot_be_found_is_named_with_what_there_is(tmp_path):
     path = record(tmp_path / "bag.mcap", 4)
     with pytest.raises(BadPlant) as refused:
-        make_case(path, tmp_path / "case", observation="/nothing")
+        make_case(path, tmp_path / "case", Wanted(observation="/nothing"))
     assert "/robot/joint_states" in refused.value.hint
     with pytest.raises(NotAnEpisode) as refused:
-        make_case(tmp_path / "case", tmp_path / "other")
+        make_case(tmp_path / "case", tmp_path / "other", Wanted())
     assert "ros2 bag record" in refused.value.hint
 
 
 def test_a_command_that_never_moves_is_refused(tmp_path):
     path = record(tmp_path / "bag.mcap", 5, issued=np.zeros((600, 1)))
     with pytest.raises(NotIdentifiable, match="0 throughout"):
-        make_case(path, tmp_path / "case")
+        make_case(path, tmp_path / "case", Wanted())

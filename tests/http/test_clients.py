@@ -1,0 +1,121 @@
+"""The client's records and its form for an event loop are made from what is there, and both ask safely."""
+
+import asyncio
+import json
+import subprocess
+import sys
+import time
+import urllib.request
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from tests.support.made import episode_bytes, plant_document, save
+from tests.support.service import ROOT
+from trueup_client import AsyncClient, Client, Problem, Unreachable
+
+sys.path.insert(0, str(ROOT / "tools"))
+import make_async_client
+import make_records
+
+
+@pytest.fixture
+def plant(service):
+    name = f"clients-{time.time_ns()}"
+    with closing(Client(service.url)) as client:
+        client.register_plant(plant_document(name))
+    return name
+
+
+def test_records_are_what_the_service_says_it_answers_with(service):
+    with urllib.request.urlopen(f"{service.url}/openapi.json") as answer:
+        document = json.load(answer)
+    assert (ROOT / "trueup_client" / "records.py").read_text() == make_records.module(document), "run tools/make_records.py"
+
+
+def test_the_form_for_an_event_loop_is_made_from_the_client():
+    ruff = Path(sys.executable).parent / "ruff"
+    made = subprocess.run(
+        [ruff, "format", "--stdin-filename", "trueup_client/asynchronous.py", "-"],
+        input=make_async_client.module(),
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    ).stdout
+    assert (ROOT / "trueup_client" / "asynchronous.py").read_text() == made, "run tools/make_async_client.py and format"
+
+
+def test_it_uploads_lists_and_waits(service, plant, tmp_path):
+    async def go():
+        shares = []
+        async with AsyncClient(service.url) as client:
+            paths = [save(tmp_path, f"{seed}.mcap", episode_bytes(seed=seed)) for seed in range(3)]
+            sent = await asyncio.gather(*(client.upload_episode(plant, path, shares.append) for path in paths))
+            listed = [e["digest"] async for e in client.episodes(plant)]
+            asked = await asyncio.gather(*(client.serving(plant) for _ in range(20)))
+            with pytest.raises(Problem, match="not-found"):
+                await client.plant("nobody")
+            names = [p["name"] async for p in client.plants()]
+            async for one in client.plants():
+                assert one["name"] in names
+                break
+        return sent, listed, asked, shares, names
+
+    sent, listed, asked, shares, names = asyncio.run(go())
+    assert sorted(listed) == sorted(e["digest"] for e in sent)
+    assert {a.version for a in asked} == {1}
+    assert max(shares) == 1.0
+    assert plant in names
+
+
+def test_a_watch_that_is_given_up_ends_at_once(service, plant):
+    async def go():
+        began = time.monotonic()
+        async with AsyncClient(service.url) as client:
+            seen = client.watch(plant, wait_s=30.0)
+            first = await anext(seen)
+            with pytest.raises(TimeoutError):
+                await asyncio.wait_for(anext(seen), 0.5)
+            after = await client.serving(plant)  # others go on
+        return first, after, time.monotonic() - began
+
+    first, after, took_s = asyncio.run(go())
+    assert first == after
+    assert took_s < 10.0  # and not the 30 that the service would have held it
+
+
+def test_whatever_asks_when_it_is_closed_ends(service, plant):
+    async def go():
+        client = AsyncClient(service.url)
+        seen = client.watch(plant, wait_s=30.0)
+        await anext(seen)
+        waits = asyncio.ensure_future(anext(seen))
+        await asyncio.sleep(0.3)
+        await client.close()
+        with pytest.raises(Unreachable):
+            await waits
+
+    asyncio.run(asyncio.wait_for(go(), 10.0))
+
+
+def test_a_key_of_ones_own_makes_one_job_of_a_request_sent_twice(service, plant, tmp_path):
+    with closing(Client(service.url)) as one, closing(Client(service.url)) as other:
+        one.upload_episode(plant, save(tmp_path, "1.mcap", episode_bytes(seed=1)))
+        request = {"kind": "fit", "method": "identify"}
+        first, again = one.submit(plant, request, key="mine"), other.submit(plant, request, key="mine")
+        assert first["id"] == again["id"]
+        assert one.submit(plant, request)["id"] != first["id"]
+        with pytest.raises(Problem, match="idempotency-key-reused"):
+            other.submit(plant, {"kind": "fit", "method": "residual"}, key="mine")
+
+
+def test_a_token_whose_answer_was_lost_is_not_issued_twice(service, monkeypatch):
+    with closing(Client(service.url)) as client:
+        client.tokens()
+        asked = []
+        monkeypatch.setattr(client._to._http, "getresponse", lambda: asked.append(1) or (_ for _ in ()).throw(ConnectionResetError()))
+        with pytest.raises(Unreachable):
+            client.issue_token(f"lost-{time.time_ns()}", ["engineer"])
+        assert len(asked) == 1

@@ -1,0 +1,108 @@
+"""Every command: its help, its exit codes, JSON, lines in a pipe, and what a shell completes."""
+
+import inspect
+import json
+import os
+import re
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+from cyclopts import App
+
+from tests.support.service import ROOT
+from trueup_cli import exits, main, show
+from trueup_cli.complaints import complain
+from trueup_client.problem import NotSigned, Problem, Unreachable, Untrue
+
+FOR_PEOPLE = {"serve", "work", "demo", "completion"}  # what runs until it is stopped, what is to be watched, what a shell reads
+SHELLS = ("bash", "zsh", "fish", "powershell")
+
+
+def functions():
+    """Every command's name, function and exit codes."""
+    for name, (where, _, codes) in main._COMMANDS.items():
+        module, attribute = where.split(":")
+        found = getattr(import_module(f"trueup_cli.{module}"), attribute)
+        if not isinstance(found, App):
+            yield name, found, codes
+            continue
+        for sub in found:
+            if not sub.startswith("-"):
+                yield f"{name} {sub}", found[sub].default_command, codes
+        if found.default_command:
+            yield name, found.default_command, codes
+
+
+ALL = list(functions())
+
+
+@pytest.mark.parametrize(("name", "function", "codes"), ALL, ids=[name for name, *_ in ALL])
+def test_a_command_says_what_it_takes_prints_json_and_names_its_exit_codes(name, function, codes):
+    parameters = inspect.signature(function).parameters
+    assert ("as_json_" in parameters) == (name not in FOR_PEOPLE)
+    assert (exits.UNREACHABLE in codes) == ("url" in parameters)
+
+
+def test_every_argument_is_explained():
+    said = re.findall(r"^\* `(.+?)`:(.*)$", (ROOT / "docs" / "commands.md").read_text(), flags=re.MULTILINE)
+    assert len(said) > 100
+    assert [name for name, text in said if not re.sub(r"\*+\[.*?\]\*+", "", text).strip()] == []
+
+
+def run(*arguments, **environment):
+    return subprocess.run(
+        [sys.executable, "-m", "trueup_cli.main", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+        env={**os.environ, "TRUEUP_URL": "http://127.0.0.1:9", **environment},
+    )
+
+
+def test_exit_codes_are_what_they_are_told_to_be(tmp_path):
+    assert "Exit codes: 0 done; 1 refused" in run("diagnose", "--help", COLUMNS="200").stdout
+    assert run("serving").returncode == exits.MISUSED
+    assert run("serving", "emps").returncode == exits.UNREACHABLE
+    refused = run("predict", "--model", str(tmp_path), "--episode", "x", "--horizon", "1", "--out", "y")
+    assert (refused.returncode, refused.stderr.split()[0]) == (exits.REFUSED, "bad-artifact")
+    assert complain(Untrue("x")) == complain(NotSigned("x")) == exits.DISAGREES
+    assert (complain(Unreachable("x")), complain(Problem(409, {})), complain(ValueError("x"))) == (exits.UNREACHABLE, exits.REFUSED, None)
+
+
+@pytest.mark.parametrize("command", [("completion", "zsh"), ("doctor",)], ids=" ".join)
+def test_who_stops_reading_gets_no_traceback(command):
+    child = subprocess.Popen(
+        [sys.executable, "-m", "trueup_cli.main", *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True
+    )
+    child.stdout.close()
+    with child.stderr:
+        assert child.stderr.read() == ""
+    assert child.wait() == exits.PIPE_CLOSED
+
+
+def test_a_table_in_a_pipe_is_a_line_for_each_row(capsys):
+    long = "[bold]" + "x" * 300
+    show.table("title", ["what", "how many"], [("a\tb", 1.25), (long, None)])
+    assert capsys.readouterr().out == f"what\thow many\na b\t1.25\n{long}\t\n"
+
+
+def test_doctor_prints_json():
+    found = json.loads(run("doctor", "--json").stdout)
+    assert {"python", "numba", "onnx"} <= {f["part"] for f in found}
+
+
+def test_shells_complete_commands_and_options_and_plants(tmp_path):
+    for shell in SHELLS:
+        assert "diagnose" in run("completion", shell).stdout
+    script = run("completion", "bash").stdout
+    (tmp_path / "c.sh").write_text(script)
+    said = 'source "$1"; COMP_WORDS=(trueup fetch --a); COMP_CWORD=2; _trueup; echo "${COMPREPLY[@]}"'
+    assert subprocess.run(["bash", "-c", said, "_", tmp_path / "c.sh"], capture_output=True, text=True, check=True).stdout == "--artifact\n"
+    run("completion", "bash", "--install", "--to", str(tmp_path / "there.sh"))
+    assert (tmp_path / "there.sh").read_text().strip() == script.strip()
+    unknown = run("completion", SHELL="/bin/nothing", PATH="/nowhere")
+    assert unknown.returncode in (exits.DONE, exits.REFUSED)
+    assert "Traceback" not in unknown.stderr

@@ -1,0 +1,109 @@
+"""Write trueup_client/asynchronous.py: the client for an event loop, method by method what the client has."""
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+SOURCE, MADE = ROOT / "trueup_client" / "client.py", ROOT / "trueup_client" / "asynchronous.py"
+APART = ("close", "abort")
+HEAD = '''"""The client for an event loop: every method of `Client`, awaited, or iterated over with `async for`.
+
+    async with AsyncClient("http://127.0.0.1:8321") as client:
+        serving = await client.serving("emps")
+        async for moved in client.watch("emps"):
+            ...
+
+Made by tools/make_async_client.py from the client itself.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+from trueup_client.client import Client, Share, silent
+from trueup_client.pool import Pool
+from trueup_client.proof import Checkpoint
+from trueup_client.records import (
+    Alarm,
+    Approval,
+    Artifact,
+    AuditEntry,
+    Channel,
+    ChannelPosition,
+    Decision,
+    Document,
+    Envelope,
+    Episode,
+    EpisodeContext,
+    Evidence,
+    Gate,
+    Identity,
+    IssuedToken,
+    Job,
+    JobWithReads,
+    Monitor,
+    MonitorState,
+    Plant,
+    Policy,
+    Project,
+    Serving,
+    Token,
+    Watch,
+)
+from trueup_client.witness import Witness
+
+
+class AsyncClient:
+    """Talks to one service, with at most `at_once` requests on their way; arguments as `Client` takes them.
+
+    `progress` is called in the thread that sends. A watch holds one of the requests for as long as it lasts.
+    """
+
+    def __init__(
+        self,
+        url: str = "http://127.0.0.1:8321",
+        actor: str | None = None,
+        timeout_s: float = 120.0,
+        token: str | None = None,
+        *,
+        at_once: int = 8,
+    ) -> None:
+        self._pool = Pool(lambda: Client(url, actor, timeout_s, token), at_once)
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close every connection; whatever still asks ends with Unreachable."""
+        await self._pool.close()
+'''
+
+
+def module() -> str:
+    """The module's text."""
+    tree = ast.parse(SOURCE.read_text())
+    client = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Client")
+    return HEAD + "".join(method(node) for node in client.body if isinstance(node, ast.FunctionDef) and node.name not in APART)
+
+
+def method(node: ast.FunctionDef) -> str:
+    """One method, "" for what is not public."""
+    if node.name.startswith("_"):
+        return ""
+    names = [a.arg for a in node.args.args[1:]]
+    named = [f"{a.arg}={a.arg}" for a in node.args.kwonlyargs]
+    given = ", ".join([f"Client.{node.name}", *names, *named])
+    answer, doc = ast.unparse(node.returns), ast.get_docstring(node, clean=False)
+    told = f'        """{doc}"""\n' if doc else ""
+    if answer.startswith("Iterator["):
+        return f"\n    def {node.name}({ast.unparse(node.args)}) -> Async{answer}:\n{told}        return self._pool.each({given})\n"
+    return f"\n    async def {node.name}({ast.unparse(node.args)}) -> {answer}:\n{told}        return await self._pool.run({given})\n"
+
+
+if __name__ == "__main__":
+    MADE.write_text(module())

@@ -1,0 +1,62 @@
+"""Write trueup_client/records.py: what the service answers with, from its OpenAPI document."""
+
+import json
+import sys
+import textwrap
+from pathlib import Path
+
+MADE = Path(__file__).parent.parent / "trueup_client" / "records.py"
+RECORDS = (
+    "Plant", "Episode", "EpisodeContext", "Artifact", "Gate", "Output", "Job", "JobWithReads", "Decision", "Approval", "Evidence",
+    "Channel",
+    "ChannelPosition", "Policy", "Monitor", "Watch", "Alarm", "MonitorState", "Project", "Token", "IssuedToken", "Identity", "AuditEntry",
+    "Envelope",
+)  # fmt: skip
+PLAIN = {"string": "str", "integer": "int", "number": "float", "boolean": "bool", "object": "Document", "null": "None"}
+HEAD = '''"""What the service answers with, as its OpenAPI document describes it. Made by tools/make_records.py."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypedDict
+
+Document = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Serving:
+    """Which artifact answers for a plant. `generation` only grows; `since` is UTC, ISO 8601."""
+
+'''
+
+
+def module(document):
+    """The module's text."""
+    schemas = document["components"]["schemas"]
+    fields = [f"    {name}: {kind(schema)}" for name, schema in schemas["Serving"]["properties"].items()]
+    return HEAD + "\n".join(fields) + "\n" + "".join(record(name, schemas[name]) for name in RECORDS)
+
+
+def record(name, schema):
+    """One record."""
+    told = textwrap.fill(" ".join((schema.get("description") or f"{name}, as the service keeps it.").split()), 130)
+    told = told.replace("\n", "\n    ") + ("\n    " if "\n" in told else "")
+    fields = [f"    {key}: {kind(value)}" for key, value in schema["properties"].items()]
+    return f'\n\nclass {name}(TypedDict):\n    """{told}"""\n\n' + "\n".join(fields) + "\n"
+
+
+def kind(schema):
+    """A field's type."""
+    if "anyOf" in schema:
+        return " | ".join(dict.fromkeys(kind(one) for one in schema["anyOf"]))
+    if "$ref" in schema:
+        named = schema["$ref"].rpartition("/")[2]
+        return named if named in RECORDS or named == "Serving" else "str"
+    if schema.get("type") == "array":
+        items = kind(schema.get("items", {"type": "object"}))
+        return f"list[{'Document' if items == 'Serving' else items}]"
+    return PLAIN[schema["type"]] if "type" in schema else "Any"
+
+
+if __name__ == "__main__":
+    MADE.write_text(module(json.load(sys.stdin)))
