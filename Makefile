@@ -8,7 +8,7 @@ RUN := $(VENV)/.run
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo look demo-arm serve test check laws flow bench docs pictures lock clean
+.PHONY: help setup demo look demo-arm serve test check laws flow bench docs site pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -67,8 +67,13 @@ bench: $(DEV) ## measure, and print the figures beside their targets
 docs: $(RUN) ## write the pages that are made from the code
 	@$(BIN)/python docs/make_settings.py
 	@$(BIN)/python docs/make_effects.py
+	@PYTHONPATH=. $(BIN)/python docs/effect_pictures.py
 	@$(BIN)/python docs/make_access.py
 	@$(BIN)/python docs/make_commands.py
+
+site: $(DEV) ## build the documentation as a site in build/site
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "build/site/index.html"
 
 pictures: $(DEV) ## take the pictures of the documentation anew, from a diagnosis that runs now
 	@PYTHONPATH=. $(BIN)/python docs/make_pictures.py

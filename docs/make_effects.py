@@ -47,6 +47,7 @@ def _entry(effect: type[Effect]) -> str:
     rows = [
         f"\n### `{effect.name}`\n",
         " ".join(what.split()),
+        f"\n![{effect.name.replace('_', ' ')}: what it does to a motion, a command or a log](pictures/effects/{effect.name}.svg)",
         f"\n- Equation: `{fields['Equation']}`",
         f"- Numbers, in units of the plant's own: {numbers}",
         f"- Category: {effect.category}",

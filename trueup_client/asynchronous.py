@@ -55,7 +55,7 @@ class AsyncClient:
 
     def __init__(
         self,
-        url: str = "http://127.0.0.1:8321",
+        url: str | None = None,
         actor: str | None = None,
         timeout_s: float = 120.0,
         token: str | None = None,

@@ -45,6 +45,7 @@ from trueup_client.records import (
 )
 from trueup_client.witness import Witness
 
+DEFAULT_URL = "http://127.0.0.1:8321"
 FINAL = ("succeeded", "failed", "cancelled")
 JOB_LOOK_S = 0.1
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 5.0
@@ -61,14 +62,13 @@ def silent(_: float) -> None:
 class Client:
     """Talks to one service. Not for several threads at once: give each its own.
 
-    `token` says who asks (default: TRUEUP_TOKEN); `actor` stands in the audit log behind the token's name. Refusals raise Problem, silence
-    raises Unreachable.
+    `url` is its address (default: TRUEUP_URL, else this machine's), `token` says who asks (default: TRUEUP_TOKEN), and `actor` stands in
+    the audit log behind the token's name. Refusals raise Problem, silence raises Unreachable.
     """
 
-    def __init__(
-        self, url: str = "http://127.0.0.1:8321", actor: str | None = None, timeout_s: float = 120.0, token: str | None = None
-    ) -> None:
-        self._to = Connection(url, actor, timeout_s, token or os.environ.get("TRUEUP_TOKEN"))
+    def __init__(self, url: str | None = None, actor: str | None = None, timeout_s: float = 120.0, token: str | None = None) -> None:
+        address = url or os.environ.get("TRUEUP_URL") or DEFAULT_URL
+        self._to = Connection(address, actor, timeout_s, token or os.environ.get("TRUEUP_TOKEN"))
 
     def __enter__(self) -> Client:
         return self

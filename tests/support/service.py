@@ -18,14 +18,19 @@ ADMIN = "an-admins-token-that-the-tests-know"
 ROOT = Path(__file__).parent.parent.parent
 
 
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        return int(free.getsockname()[1])
+
+
 class Service:
     """A server and workers on one storage, with `settings` by their name, as in `long_poll_limit_s=1`."""
 
     def __init__(self, storage: Storage, **settings: object) -> None:
         self.storage = storage
         self._settings = {f"TRUEUP_{name.upper()}": str(value) for name, value in settings.items()}
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
+        self.port = free_port()
         self._children: list[subprocess.Popen] = []
 
     @property

@@ -1,0 +1,113 @@
+"""Every snippet of the tutorial and the how-tos runs and prints what its page says; the site builds, and loads from nowhere else."""
+
+import os
+import re
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from tests.support.s3 import until_listening
+from tests.support.service import ROOT, free_port
+from trueup_client import Client
+
+PAGES = ("tutorial", "howto-engineer", "howto-operator", "howto-auditor")
+FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
+
+
+def blocks(page):
+    return [(kind, more.strip(), text) for kind, more, text in FENCE.findall((ROOT / "docs" / f"{page}.md").read_text())]
+
+
+def commands(text):
+    """Each command of a block with the lines that it is said to print."""
+    found = []
+    for line in text.splitlines():
+        if line.startswith("$ "):
+            found.append((line[2:], []))
+        else:
+            found[-1][1].append(line)
+    return found
+
+
+def plain(text):
+    return " ".join(text.split())
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, tmp_path):
+    for name in ("examples", "tools"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    port, folder = free_port(), tmp_path / "said"
+    folder.mkdir()
+    environment = {
+        **{k: v for k, v in os.environ.items() if not k.startswith("TRUEUP_")},
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "TRUEUP_PORT": str(port),
+        "TRUEUP_URL": f"http://127.0.0.1:{port}",
+        "XDG_STATE_HOME": str(tmp_path / "state"),
+        "XDG_CONFIG_HOME": str(tmp_path / "config"),
+    }
+    script, expected, service = ["set -eo pipefail"], [], None
+    for kind, more, text in blocks(page):
+        if (kind, more) == ("console", "service"):
+            ((command, _),) = commands(text)
+            service = subprocess.Popen(command.split(), cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
+        elif kind == "console":
+            for command, lines in commands(text):
+                script.append(f"{{ {command}\n}} > said/{len(expected)} || {{ echo {len(expected)} >&2; exit 1; }}")
+                expected.append((command, lines))
+        elif kind == "python":
+            (folder / f"{len(expected)}.py").write_text(text)
+            script.append(f"python -W error said/{len(expected)}.py > said/{len(expected)}")
+            expected.append((text, []))
+        else:
+            pytest.fail(f"a snippet of the kind {kind!r} is not run by anything")
+    try:
+        if service is not None:
+            until_listening(port, service)
+            _until_ready(environment["TRUEUP_URL"])
+        done = subprocess.run(["bash"], input="\n".join(script), cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    finally:
+        if service is not None:
+            service.terminate()
+            service.wait(timeout=30)
+    assert done.returncode == 0, done.stderr
+    assert len(expected) > 3
+    for number, (command, lines) in enumerate(expected):
+        said = plain((folder / str(number)).read_text())
+        for line in lines:
+            pattern = ".*".join(re.escape(plain(part)) for part in line.split("…"))
+            assert re.search(pattern, said), f"{command!r} is said to print {line!r} and prints {said!r}"
+
+
+def _until_ready(url):
+    deadline = time.monotonic() + 60.0
+    with closing(Client(url)) as client:
+        while not client.is_ready():
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+
+
+def test_the_site_builds_with_every_link_and_loads_from_nowhere_else(tmp_path):
+    made = subprocess.run(
+        [Path(sys.executable).parent / "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"],
+        cwd=ROOT,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (made.returncode, made.stderr) == (0, "")
+    pages = list((tmp_path / "site").rglob("*.html"))
+    assert len(pages) > 25
+    for page in pages:
+        loaded = re.findall(r'<(?:script|link|img|iframe)[^>]*(?:src|href)="(https?:[^"]*)"', page.read_text())
+        assert loaded == [], page
+    effects = (tmp_path / "site" / "effects.html").read_text()
+    assert effects.count("<img") == 29
+    assert "Roll a model" in (tmp_path / "site" / "commands.html").read_text()
+    assert "upload_episode" in (tmp_path / "site" / "python.html").read_text()
