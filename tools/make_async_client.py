@@ -25,33 +25,7 @@ from pathlib import Path
 from trueup_client.client import Client, Share, silent
 from trueup_client.pool import Pool
 from trueup_client.proof import Checkpoint
-from trueup_client.records import (
-    Alarm,
-    Approval,
-    Artifact,
-    AuditEntry,
-    Channel,
-    ChannelPosition,
-    Decision,
-    Document,
-    Envelope,
-    Episode,
-    EpisodeContext,
-    Evidence,
-    Gate,
-    Identity,
-    IssuedToken,
-    Job,
-    JobWithReads,
-    Monitor,
-    MonitorState,
-    Plant,
-    Policy,
-    Project,
-    Serving,
-    Token,
-    Watch,
-)
+{records}
 from trueup_client.witness import Witness
 
 
@@ -88,7 +62,10 @@ def module() -> str:
     """The module's text."""
     tree = ast.parse(SOURCE.read_text())
     client = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Client")
-    return HEAD + "".join(method(node) for node in client.body if isinstance(node, ast.FunctionDef) and node.name not in APART)
+    records = next(n for n in tree.body if isinstance(n, ast.ImportFrom) and n.module == "trueup_client.records")
+    return HEAD.replace("{records}", ast.unparse(records)) + "".join(
+        method(node) for node in client.body if isinstance(node, ast.FunctionDef) and node.name not in APART
+    )
 
 
 def method(node: ast.FunctionDef) -> str:
