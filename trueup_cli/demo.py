@@ -60,19 +60,20 @@ class Case:
         return str(self.plant["name"])
 
 
-def demo(case: Path = EXAMPLE, *, work: Path = DEMO) -> None:
+def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
     """Register a plant, upload recordings, fit candidates and diagnose, gate, promote, predict, roll back, and show the audit trail.
 
     Parameters
     ----------
     case
-        case folder with plant.json, gate.json and *.mcap
+        case folder with plant.json, gate.json and *.mcap; the recordings of a linear axis that trueup brings, unless given
     work
         folder for the demo's own storage, model and picture; emptied first
     """
     began = time.monotonic()
     shutil.rmtree(work, ignore_errors=True)
-    told = Case(case, work, resolved(json.loads((case / "plant.json").read_text()), case))
+    folder = case or EXAMPLE
+    told = Case(folder, work, resolved(json.loads((folder / "plant.json").read_text()), folder))
     with service_beside(work / "data") as (url, _):
         client = Client(url, actor="demo", token=(work / "data" / "admin.token").read_text().strip())
         _upload(client, told)

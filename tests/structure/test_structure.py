@@ -164,6 +164,12 @@ def test_no_package_registry_is_named():
             assert not [h for h in hosts if h in content], path
 
 
+def test_no_path_of_the_machine_it_was_written_on_is_named():
+    of_here = [str(ROOT).encode() + b"/", str(Path.home()).encode() + b"/"]
+    for path in tracked():
+        assert not [found for found in of_here if found in path.read_bytes()], path
+
+
 def test_the_robots_client_imports_the_standard_library_alone():
     code = "import sys, trueup_client; print(*{m.split('.')[0] for m in sys.modules})"
     loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split())
