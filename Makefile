@@ -80,7 +80,7 @@ pictures: $(DEV) ## take the pictures of the documentation anew, from a diagnosi
 
 lock: $(BIN)/uv ## pin the dependencies anew
 	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --extra mujoco --extra onnx pyproject.toml -o requirements.txt
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --group dev --extra mujoco --extra onnx -c requirements.txt pyproject.toml -o requirements-dev.txt
+	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --group dev --extra mlflow --extra mujoco --extra onnx -c requirements.txt pyproject.toml -o requirements-dev.txt
 
 clean: ## remove the environment and everything that was made
 	@rm -rf $(VENV) .trueup build

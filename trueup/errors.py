@@ -88,6 +88,20 @@ class NotExportable(TrueupError):
     hint = "docs/export.md says which models have which form."
 
 
+class NotImportable(TrueupError):
+    """What another registry keeps of this model makes no predictor of the plant."""
+
+    code = "not-importable"
+    hint = "Log the plant's parameters, as its plant.json names them, as params of the run that the model came from."
+
+
+class MlflowRefused(TrueupError):
+    """The MLflow registry did not do what it was asked for."""
+
+    code = "mlflow-refused"
+    hint = "Say where it is with --registry or MLFLOW_TRACKING_URI, and who asks as its own client does (MLFLOW_TRACKING_TOKEN)."
+
+
 class BadArtifact(TrueupError):
     """The artifact is damaged or does not fit."""
 

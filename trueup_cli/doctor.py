@@ -39,6 +39,7 @@ PACKAGES = (
     ("dbos", True, "jobs of the service", "pip install trueup"),
     ("psycopg", True, "storage in PostgreSQL", "pip install trueup"),
     ("mujoco", False, "robots given as MJCF or URDF", "pip install 'trueup[mujoco]'"),
+    ("mlflow", False, "versions to and from an MLflow registry", "pip install 'trueup[mlflow]'"),
     ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),
 )
 
@@ -51,7 +52,7 @@ def _python() -> Finding:
 
 def _package(name: str, needed: bool, used_for: str, do: str) -> Finding:
     there = importlib.util.find_spec(name) is not None
-    found = importlib.metadata.version(name) if there else "missing"
+    found = importlib.metadata.version(importlib.metadata.packages_distributions()[name][0]) if there else "missing"
     return Finding(name, found, there, needed, used_for, "" if there else do)
 
 

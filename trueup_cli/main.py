@@ -38,6 +38,7 @@ _COMMANDS = {
     "rollback": ("serving:rollback", "Serve what served before, after its switchback test.", HOLDS),
     "fetch": ("serving:fetch", "Fetch a model, every byte verified.", HOLDS),
     "convert": ("convert:convert", "Write a fetched model as ONNX or MJCF.", HERE),
+    "mlflow": ("mlflow:app", "Pass versions to an MLflow registry, and take them from one.", HOLDS),
     "evidence": ("channels:evidence", "List what was found of a version, and at which stage, or add to it.", ASKS),
     "channels": ("channels:channels", "Say what each channel serves, or declare one.", ASKS),
     "release": ("channels:release", "Serve what serves, or another version that did, on a channel.", HOLDS),
@@ -64,7 +65,7 @@ _COMMANDS = {
     "chapter": ("chapter:chapter", "Reproduce the chapter's figures beside the published digits.", HERE),
     "demo": ("demo:demo", "Run the main job on a real recording.", HERE),
 }
-APPS = ("plant:app", "audit:app", "access:tokens", "access:projects")  # with help and exit codes of their own
+APPS = ("plant:app", "audit:app", "mlflow:app", "access:tokens", "access:projects")  # with help and exit codes of their own
 for _name, (_where, _help, _codes) in _COMMANDS.items():
     app.command(f"trueup_cli.{_where}", name=_name, **({} if _where in APPS else {"help": _help, "help_epilogue": told(_codes)}))
 

@@ -39,6 +39,8 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.BadMonitor: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.NotInstalled: HTTPStatus.NOT_IMPLEMENTED,
     errors.NotExportable: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.NotImportable: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.MlflowRefused: HTTPStatus.BAD_GATEWAY,
     errors.NotIdentifiable: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.RoleRefused: HTTPStatus.FORBIDDEN,
     errors.PointerMoved: HTTPStatus.CONFLICT,

@@ -19,7 +19,7 @@ from trueup.model.series import DECLARED
 
 def kept(predictor, folder):
     artifact = pack(predictor, {"origin": "by hand"})
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     (folder / "manifest.json").write_bytes(artifact.manifest)
     (folder / "arrays.safetensors").unlink(missing_ok=True)
     if artifact.arrays:

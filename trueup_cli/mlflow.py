@@ -1,0 +1,263 @@
+"""Commands that pass versions to an MLflow registry, and take them from one."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any
+
+from cyclopts import App, Parameter
+
+from trueup.artifact.artifact import Artifact, pack
+from trueup.artifact.mlflow_model import ARTIFACT, FILE, holds_artifact, write_mlflow_model
+from trueup.artifact.model import Model
+from trueup.canonical import Json as JsonValue
+from trueup.errors import MlflowRefused, NotImportable, NotInstalled
+from trueup.model.plant import Plant
+from trueup.model.predictor import Identified
+from trueup_cli.exits import HOLDS, told
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, witnessed
+from trueup_cli.show import Bar, as_json, out, progress
+from trueup_client import Client
+
+app = App(name="mlflow", help="Pass versions to an MLflow registry, and take them from one.", help_epilogue=told(HOLDS))
+Registry = Annotated[str | None, Parameter(env_var="MLFLOW_TRACKING_URI", help="Address of MLflow's tracking server, or sqlite:///FILE")]
+SERVING = "serving"  # the alias of what serves
+MADE_HERE = "trueup.artifact"
+QUIET = {"MLFLOW_DISABLE_TELEMETRY": "true", "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2", "MLFLOW_LOGGING_LEVEL": "WARNING"}
+
+
+@app.command
+def export(
+    plant: PlantName,
+    *,
+    artifact: Annotated[str | None, Parameter(help="Digest; default: what serves")] = None,
+    name: Annotated[str | None, Parameter(help="Registered model; default: the plant's name")] = None,
+    registry: Registry = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """Write a version to an MLflow registry, with its numbers, its gate's figures and where it comes from; once for each version.
+
+    What serves gets the alias `serving` there.
+    """
+    with witnessed(url) as client, _asking(registry) as mlflow, _working("export") as (bar, folder):
+        serving = client.serving(plant)
+        digest = artifact or serving.artifact
+        client.fetch(plant, digest, folder / ARTIFACT)
+        bar(0.3, "writing it there")
+        there = _Version.of(mlflow, name or plant, digest)
+        version = there.found() or there.create(client, plant, folder)
+        if digest == serving.artifact:
+            there.mark(version)
+    told_ = {"model": f"models:/{there.name}/{version}", "artifact": digest, "serving": digest == serving.artifact}
+    as_json(told_) if as_json_ else out.print(f"{digest} is [bold]{told_['model']}[/]", soft_wrap=True)
+
+
+@app.command(name="import")
+def import_(
+    model: Annotated[str, Parameter(help="models:/NAME/VERSION, models:/NAME@ALIAS, or a folder that holds an MLmodel")],
+    plant: PlantName,
+    *,
+    registry: Registry = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """Make a candidate of an MLflow model: of the artifact that it holds, else of the plant's parameters among its run's params.
+
+    All that is known of it there stands in the candidate's provenance.
+    """
+    with witnessed(url) as client, _asking(registry) as mlflow, _working(f"import {model}") as (_, folder):
+        known, kept = _known(mlflow, model, folder)
+        made = kept or _of_parameters(Plant.from_document(client.plant(plant)["document"]), known)
+        version = client.add_artifact(plant, made.manifest, made.arrays)
+    as_json(version) if as_json_ else out.print(f"candidate [bold]{version['digest']}[/], version {version['version']} of {plant}")
+
+
+@contextmanager
+def _asking(registry: str | None) -> Iterator[ModuleType]:
+    """MLflow's own client, asking a registry, without telemetry or minutes of retries. Raises MlflowRefused, NotInstalled."""
+    os.environ.update({k: x for k, x in QUIET.items() if k not in os.environ})
+    try:
+        mlflow = importlib.import_module("mlflow")
+    except ImportError as error:
+        raise NotInstalled(
+            "an MLflow registry is asked by MLflow's own client", hint="Install it with `pip install 'trueup[mlflow]'`."
+        ) from error
+    if registry is not None:
+        mlflow.set_tracking_uri(registry)
+        mlflow.set_registry_uri(registry)
+    try:
+        yield mlflow
+    except mlflow.MlflowException as error:
+        raise MlflowRefused(f"{without_password(mlflow.get_registry_uri())}: {str(error).splitlines()[0]}") from error
+
+
+@contextmanager
+def _working(what: str) -> Iterator[tuple[Bar, Path]]:
+    """Progress, and a folder for as long as it lasts."""
+    with progress(what) as bar, tempfile.TemporaryDirectory() as folder:
+        yield bar, Path(folder)
+
+
+def without_password(address: str) -> str:
+    """An address without the name and password that it may hold."""
+    return re.sub(r"(?<=//)[^/]*@", "", address)
+
+
+@dataclass(frozen=True)
+class _Version:
+    """An artifact as a version of a registered model."""
+
+    mlflow: ModuleType
+    asked: Any
+    name: str
+    digest: str
+
+    @staticmethod
+    def of(mlflow: ModuleType, name: str, digest: str) -> _Version:
+        return _Version(mlflow, mlflow.MlflowClient(), name, digest)
+
+    def found(self) -> str | None:
+        """The version that holds it, if there is one."""
+        found = self.asked.search_model_versions(f"name = '{self.name}' and tags.`{MADE_HERE}` = '{self.digest}'")
+        return str(found[0].version) if found else None
+
+    def create(self, client: Client, plant: str, folder: Path) -> str:
+        """Write a run with its numbers and files, and a version that came from it."""
+        experiment = self.asked.get_experiment_by_name(plant)
+        run = self.asked.create_run(
+            experiment.experiment_id if experiment else self.asked.create_experiment(plant), run_name=self.digest[:12]
+        )
+        made, (metrics, tags) = run.info.run_id, self._told(client, plant)
+        model = write_mlflow_model(folder, made)
+        for key, x in numbers(model).items():
+            self.asked.log_param(made, key, x)
+        for key, x in metrics.items():
+            self.asked.log_metric(made, key, x)
+        for key, tag in tags.items():
+            self.asked.set_tag(made, key, tag)
+        self.asked.log_artifacts(made, str(folder), "model")
+        self.asked.set_terminated(made)
+        if not self.asked.search_registered_models(f"name = '{self.name}'"):
+            self.asked.create_registered_model(self.name, description=f"The dynamics model of {plant}, kept and judged by trueup")
+        source = f"{run.info.artifact_uri}/model"
+        return str(self.asked.create_model_version(self.name, source, made, tags=tags).version)
+
+    def mark(self, version: str) -> None:
+        """Let the alias of what serves stand at a version."""
+        self.asked.set_registered_model_alias(self.name, SERVING, version)
+
+    def _told(self, client: Client, plant: str) -> tuple[dict[str, float], dict[str, str]]:
+        """Figures and tags of the newest decision on it."""
+        tags = {MADE_HERE: self.digest, "trueup.plant": plant, "trueup.version": str(client.artifact(plant, self.digest)["version"])}
+        decision = next((d for d in client.decisions(plant) if d["candidate"] == self.digest), None)
+        if decision is None:
+            return {}, tags
+        verdicts = decision["document"]["verdicts"]
+        figures = {f"gate.{v['rule']}.{key}": v[key] for v in verdicts for key in ("value", "threshold") if v[key] is not None}
+        return figures, tags | {"trueup.decision": decision["digest"], "trueup.accepted": str(decision["accepted"]).lower()}
+
+
+def numbers(model: Model) -> dict[str, float | str]:
+    """A predictor's numbers under the names that MLflow takes: the plant's parameters as they are called, an effect's after it."""
+    described: Any = model.predictor.description()
+    plant = model.plant
+    found = dict(described.get("parameters") or dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True)))
+    for effect in described.get("effects") or ():
+        found |= {f"{effect['effect']}/{effect['joint']}/{name}": x for name, x in effect["parameters"].items()}
+    return {key(name): x for name, x in found.items()} | {"kind": model.predictor.kind}
+
+
+def key(name: str) -> str:
+    """A name in the letters that MLflow takes."""
+    return re.sub(r"[^\w\-./ ]", "_", name, flags=re.ASCII)
+
+
+def _known(mlflow: ModuleType, model: str, folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
+    """What an MLflow model's file, its version and its run say of it, and the artifact in it."""
+    version = None if Path(model).is_dir() else _version(mlflow, model)
+    if version is None:
+        here = Path(model)
+    else:
+        here = folder
+        mlflow.artifacts.download_artifacts(f"{_uri(version)}/{FILE}", dst_path=str(folder))
+    document = _read(here / FILE)
+    known: dict[str, JsonValue] = {
+        "source": _uri(version) if version else None,
+        "registry": without_password(mlflow.get_registry_uri()) if version else None,
+        "flavors": sorted(map(str, document.get("flavors", ()))),
+        "created": str(document.get("utc_time_created")),
+        "signature": document.get("signature"),
+        "metadata": document.get("metadata"),
+        **(_of_version(mlflow, version) if version else {}),
+    }
+    if not holds_artifact(document):
+        return known, None
+    if version is not None:
+        mlflow.artifacts.download_artifacts(f"{_uri(version)}/{ARTIFACT}", dst_path=str(folder))
+    arrays = here / ARTIFACT / "arrays.safetensors"
+    return known, Artifact((here / ARTIFACT / "manifest.json").read_bytes(), arrays.read_bytes() if arrays.is_file() else b"")
+
+
+def _version(mlflow: ModuleType, model: str) -> Any:
+    named = re.fullmatch(r"models:/([^/@]+)(?:/(\d+)|@([^/@]+))", model)
+    if named is None:
+        raise NotImportable(f"{model!r} names no version of a model", hint="Give models:/NAME/VERSION, models:/NAME@ALIAS, or a folder.")
+    name, number, alias = named.groups()
+    asked = mlflow.MlflowClient()
+    return asked.get_model_version(name, number) if number else asked.get_model_version_by_alias(name, alias)
+
+
+def _uri(version: Any) -> str:
+    return f"models:/{version.name}/{version.version}"
+
+
+def _of_version(mlflow: ModuleType, version: Any) -> dict[str, JsonValue]:
+    run = mlflow.MlflowClient().get_run(version.run_id).data if version.run_id else None
+    return {
+        "run": version.run_id,
+        "description": version.description,
+        "aliases": [str(a) for a in version.aliases or ()],
+        "tags": dict(version.tags or {}),
+        "params": dict(run.params) if run else {},
+        "metrics": {name: x if math.isfinite(x) else None for name, x in run.metrics.items()} if run else {},
+    }
+
+
+def _read(file: Path) -> Mapping[str, Any]:
+    """An MLmodel document, which is YAML."""
+    import yaml
+
+    try:
+        document = yaml.safe_load(file.read_text())
+    except (OSError, yaml.YAMLError) as error:
+        raise NotImportable(f"{file} is no MLmodel file: {error}", hint="Name the folder that MLflow wrote, or its version.") from error
+    if not isinstance(document, dict) or not isinstance(document.get("flavors", {}), dict):
+        raise NotImportable(f"{file} is no MLmodel file", hint="Name the folder that MLflow wrote, or its version.")
+    return dict(json.loads(json.dumps(document, default=str)))  # YAML has dates, JSON has none
+
+
+def _of_parameters(plant: Plant, known: Mapping[str, JsonValue]) -> Artifact:
+    """The plant's form with the numbers that a run had as params. Raises NotImportable."""
+    params: Any = known.get("params") or {}
+    names = plant.dynamics.parameter_names
+    missing = [name for name in names if key(name) not in params]
+    if missing:
+        raise NotImportable(f"nothing is told of its {', '.join(missing)}", missing=missing, found=sorted(params))
+    try:
+        values = tuple(float(params[key(name)]) for name in names)
+    except ValueError as error:
+        raise NotImportable(f"its run's params are no numbers: {error}") from error
+    if not all(map(math.isfinite, values)):
+        raise NotImportable("its run's params are not all finite numbers")
+    return pack(Identified(plant, values), {"origin": "mlflow", "mlflow": dict(known)})
