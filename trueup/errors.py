@@ -8,6 +8,8 @@
     ├── BadPlant                 plant.json breaks a rule, at a field
     ├── NotInstalled             an optional part of the installation is needed
     ├── NotExportable            this model has no form in what was asked for
+    ├── NotImportable            what another registry keeps of a model makes no predictor
+    ├── MlflowRefused            an MLflow registry did not do what it was asked for
     ├── BadArtifact              a manifest, an array or a digest does not hold
     ├── BadGate                  a gate that cannot judge
     ├── BadMonitor               a monitor that cannot watch

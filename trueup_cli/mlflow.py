@@ -28,6 +28,7 @@ from trueup_cli.exits import HOLDS, told
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, witnessed
 from trueup_cli.show import Bar, as_json, out, progress
 from trueup_client import Client
+from trueup_client.records import Artifact as Registered
 
 app = App(name="mlflow", help="Pass versions to an MLflow registry, and take them from one.", help_epilogue=told(HOLDS))
 Registry = Annotated[str | None, Parameter(env_var="MLFLOW_TRACKING_URI", help="Address of MLflow's tracking server, or sqlite:///FILE")]
@@ -138,8 +139,9 @@ class _Version:
         run = self.asked.create_run(
             experiment.experiment_id if experiment else self.asked.create_experiment(plant), run_name=self.digest[:12]
         )
-        made, (metrics, tags) = run.info.run_id, self._told(client, plant)
-        model = write_mlflow_model(folder, made)
+        made, known = run.info.run_id, client.artifact(plant, self.digest)
+        metrics, tags = self._told(client, known)
+        model = write_mlflow_model(folder, made, known["created_at"])
         for key, x in numbers(model).items():
             self.asked.log_param(made, key, x)
         for key, x in metrics.items():
@@ -157,10 +159,10 @@ class _Version:
         """Let the alias of what serves stand at a version."""
         self.asked.set_registered_model_alias(self.name, SERVING, version)
 
-    def _told(self, client: Client, plant: str) -> tuple[dict[str, float], dict[str, str]]:
+    def _told(self, client: Client, known: Registered) -> tuple[dict[str, float], dict[str, str]]:
         """Figures and tags of the newest decision on it."""
-        tags = {MADE_HERE: self.digest, "trueup.plant": plant, "trueup.version": str(client.artifact(plant, self.digest)["version"])}
-        decision = next((d for d in client.decisions(plant) if d["candidate"] == self.digest), None)
+        tags = {MADE_HERE: self.digest, "trueup.plant": known["plant"], "trueup.version": str(known["version"])}
+        decision = next((d for d in client.decisions(known["plant"]) if d["candidate"] == self.digest), None)
         if decision is None:
             return {}, tags
         verdicts = decision["document"]["verdicts"]

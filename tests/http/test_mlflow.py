@@ -168,7 +168,7 @@ def test_what_names_no_version_or_no_registry_is_told(service, mlflow, registry,
 def test_an_artifact_becomes_a_folder_that_loads_by_either_flavor(service, mlflow, tmp_path):
     predictor = unpack(identified("p"))
     digest = kept(predictor, tmp_path / "m" / "artifact")
-    write_mlflow_model(tmp_path / "m", "r")
+    write_mlflow_model(tmp_path / "m", "r", "2026-01-02T03:04:05.678901Z")
     flavors = yaml.safe_load((tmp_path / "m" / FILE).read_text())["flavors"]
     assert flavors["python_function"]["loader_module"] == mlflow_model.__name__
     found = mlflow_model._load_pyfunc(str(tmp_path / "m" / flavors["python_function"]["data"]))
@@ -195,7 +195,7 @@ def test_an_artifact_becomes_a_folder_that_loads_by_either_flavor(service, mlflo
 def test_a_robot_loads_as_a_function_alone(service, tmp_path):
     plant = arm_plant(tmp_path)
     kept(Identified(plant, plant.parameters), tmp_path / "m" / "artifact")
-    model = write_mlflow_model(tmp_path / "m", None)
+    model = write_mlflow_model(tmp_path / "m", None, "2026-01-02T03:04:05Z")
     assert set(json.loads((tmp_path / "m" / FILE).read_text())["flavors"]) == {"python_function"}
     assert not (tmp_path / "m" / "model.onnx").exists()
     assert set(passing.numbers(model)) == {passing.key(name) for name in Plant.from_document(plant.document).dynamics.parameter_names} | {

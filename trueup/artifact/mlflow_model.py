@@ -14,7 +14,6 @@ import json
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -57,8 +56,11 @@ def _load_pyfunc(path: str) -> Loaded:
     return Loaded(load(path))
 
 
-def write_mlflow_model(folder: Path, run: str | None) -> Model:
-    """Make a folder whose `artifact/` was fetched an MLflow model, which came from a run; the model that it holds. Raises BadArtifact."""
+def write_mlflow_model(folder: Path, run: str | None, created: str) -> Model:
+    """Make a folder whose `artifact/` was fetched an MLflow model, which came from a run; the model that it holds.
+
+    `created` says when the artifact was, in UTC. Raises BadArtifact.
+    """
     model = load(folder / ARTIFACT)
     flavors: dict[str, Json] = {
         "python_function": {"loader_module": __name__, "data": ARTIFACT, "python_version": platform.python_version()},
@@ -70,7 +72,7 @@ def write_mlflow_model(folder: Path, run: str | None) -> Model:
         pass  # several joints have no graph
     document: dict[str, Json] = {
         "run_id": run,
-        "utc_time_created": datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S.%f"),
+        "utc_time_created": created.replace("T", " ").removesuffix("Z"),
         "model_uuid": model.digest[:32],
         "flavors": flavors,
         "signature": _signature(model),
