@@ -17,6 +17,7 @@ from contextlib import closing
 import pytest
 
 from tests.flow.test_failures import until
+from tests.support import forks
 from tests.support.made import episode_bytes, plant_document, save
 from tests.support.service import ROOT, Service, command, kill
 from tests.support.storage import embedded, scaled
@@ -33,14 +34,7 @@ VERIFIER = ROOT / "tools" / "verify_archive.py"
 def run(storage, *arguments, check=True):
     """A command on the storage itself."""
     environment = {**os.environ, **storage.environment, "COLUMNS": "200", "NO_COLOR": "1"}
-    done = subprocess.run(
-        [sys.executable, "-m", "trueup_cli.main", *map(str, arguments)],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=ROOT,
-    )
+    done = forks.run("trueup_cli.main", [str(x) for x in arguments], environment, ROOT)
     assert not check or done.returncode == 0, done.stderr
     return done
 

@@ -35,7 +35,7 @@ def reached(postgres, s3, tmp_path_factory):
         "TRUEUP_S3_ENDPOINT": f"http://127.0.0.1:{store.port}",
     }
     service = Service(Storage("scaled", storage.environment | over | FAST))
-    with service.running(), closing(Client(service.url, timeout_s=30)) as client:
+    with service.running(kept=True), closing(Client(service.url, timeout_s=30)) as client:
         client.register_plant(plant_document("p"))
         yield service, client, database, store, folder
     database.close()

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import os
 import random
 import shutil
 import struct
@@ -17,8 +18,9 @@ import pytest
 from sqlalchemy import text
 
 from tests.http.test_http import move
+from tests.support.forks import run
 from tests.support.made import plant_document
-from tests.support.service import ADMIN, Service, command
+from tests.support.service import ADMIN, ROOT, Service, command
 from tests.support.storage import embedded
 from tests.support.tampering import cut, flip, promoted
 from trueup.ledger.note import Signer
@@ -321,12 +323,7 @@ def test_what_was_not_touched_holds(kept, told):
 
 
 def run_fsck(told):
-    import os
-    import subprocess
-    import sys
-
-    environment = {**os.environ, **told[0].storage.environment, "COLUMNS": "200"}
-    return subprocess.run([sys.executable, "-m", "trueup_cli.main", "fsck"], env=environment, capture_output=True, text=True, check=False)
+    return run("trueup_cli.main", ["fsck"], {**os.environ, **told[0].storage.environment, "COLUMNS": "200"}, ROOT)
 
 
 def test_any_flipped_byte_is_found(kept):

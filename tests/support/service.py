@@ -6,11 +6,11 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from tests.support.forks import Forked, run
 from tests.support.s3 import until_listening
 from tests.support.storage import Storage
 
@@ -31,29 +31,32 @@ class Service:
         self.storage = storage
         self._settings = {f"TRUEUP_{name.upper()}": str(value) for name, value in settings.items()}
         self.port = free_port()
-        self._children: list[subprocess.Popen] = []
+        self._children: list[Forked] = []
 
     @property
     def url(self) -> str:
         return f"http://127.0.0.1:{self.port}"
 
     @contextmanager
-    def running(self, worker: bool = True) -> Iterator[Service]:
+    def running(self, worker: bool = True, kept: bool = False) -> Iterator[Service]:
+        """A server and a worker; `kept` if the server starts it, and again when it dies."""
         try:
-            self.start_server(worker)
+            self.start_server(worker, kept=kept)
             yield self
         finally:
             self.stop()
 
-    def start_server(self, worker: bool = False, module: str = "trueup_cli.main") -> subprocess.Popen:
-        child = self._start(module, "serve", "--port", str(self.port), *([] if worker else ["--no-worker"]))
+    def start_server(self, worker: bool = False, module: str = "trueup_cli.main", *, kept: bool = False) -> Forked:
+        child = self._start(module, "serve", "--port", str(self.port), *([] if kept else ["--no-worker"]))
         until_listening(self.port, child)
+        if worker and not kept:
+            self.start_worker()
         return child
 
-    def start_worker(self, module: str = "trueup_cli.main") -> subprocess.Popen:
+    def start_worker(self, module: str = "trueup_cli.main") -> Forked:
         return self._start(module, "work")
 
-    def stop(self, children: Sequence[subprocess.Popen] | None = None) -> None:
+    def stop(self, children: Sequence[Forked] | None = None) -> None:
         """Stop all that runs, or some of it."""
         stopped = list(self._children if children is None else children)
         for child in stopped:
@@ -62,15 +65,15 @@ class Service:
             child.wait(timeout=30)
         self._children = [child for child in self._children if child not in stopped]
 
-    def _start(self, module: str, *arguments: str) -> subprocess.Popen:
-        quiet = {"TRUEUP_LOG_LEVEL": "WARNING", "PYTHONWARNINGS": "default", "TRUEUP_JOB_POLL_INTERVAL_S": "0.3"}
+    def _start(self, module: str, *arguments: str) -> Forked:
+        quiet = {"TRUEUP_LOG_LEVEL": "WARNING", "TRUEUP_JOB_POLL_INTERVAL_S": "0.3"}
         environment = {**os.environ, **self.storage.environment, **quiet, **self._settings}
-        child = subprocess.Popen([sys.executable, "-m", module, *arguments], env=environment, cwd=ROOT)
+        child = Forked(module, arguments, environment, ROOT)
         self._children.append(child)
         return child
 
 
-def kill(child: subprocess.Popen) -> None:
+def kill(child: Forked) -> None:
     """As the kernel would."""
     child.send_signal(signal.SIGKILL)
     child.wait()
@@ -86,8 +89,6 @@ def command(service: Service, *arguments: str, check: bool = True) -> subprocess
         "COLUMNS": "200",
         "NO_COLOR": "1",
     }
-    done = subprocess.run(
-        [sys.executable, "-m", "trueup_cli.main", *arguments], env=environment, capture_output=True, text=True, check=False, cwd=ROOT
-    )
+    done = run("trueup_cli.main", arguments, environment, ROOT)
     assert not check or done.returncode == 0, done.stderr
     return done

@@ -1,0 +1,100 @@
+"""Processes of the service without the seconds that each takes to load what it imports: forked from one that has loaded it.
+
+Each is a process of its own with its own environment, that runs a module as `python -m` does, and dies as processes die.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import runpy
+import signal
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Mapping, Sequence
+from multiprocessing.reduction import DupFd
+from pathlib import Path
+from typing import Any
+
+LOADED = [  # what the command imports; not its own modules, which look at the environment and the terminal as they are loaded
+    "cyclopts", "dbos", "fastapi", "numba", "obstore", "psycopg", "rich.console", "rich.progress", "rich.table", "uvicorn", "uvloop",
+    "trueup.gate.recompute", "trueup_client", "trueup_service.http.app", "trueup_service.http.serve", "trueup_service.identity",
+    "trueup_service.logs", "trueup_worker.main",
+]  # fmt: skip
+_context = multiprocessing.get_context("forkserver")
+_context.set_forkserver_preload(LOADED)
+
+
+class Forked:
+    """A child, with what `subprocess.Popen` has that tests use."""
+
+    def __init__(
+        self, module: str, arguments: Sequence[str], environment: Mapping[str, str], cwd: Path, outputs: Sequence[int] = (1, 2)
+    ) -> None:
+        """`outputs` are the descriptors of what is its standard output and standard error."""
+        passed = [_Descriptor(number) for number in outputs]
+        self._process = _context.Process(target=_run, args=(module, list(arguments), dict(environment), cwd, passed))
+        self._process.start()
+        self.pid = self._process.pid
+
+    @property
+    def returncode(self) -> int | None:
+        return self._process.exitcode
+
+    def poll(self) -> int | None:
+        return self.returncode
+
+    def wait(self, timeout: float | None = None) -> int:
+        self._process.join(timeout)
+        if self.returncode is None:
+            raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)
+        return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        if self.returncode is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, number)
+
+    def terminate(self) -> None:
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        self.send_signal(signal.SIGKILL)
+
+
+def run(module: str, arguments: Sequence[str], environment: Mapping[str, str], cwd: Path) -> subprocess.CompletedProcess:
+    """What `subprocess.run` gives, its output captured as text."""
+    with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
+        code = Forked(module, arguments, environment, cwd, [out.fileno(), err.fileno()]).wait()
+        for file in (out, err):
+            file.seek(0)
+        return subprocess.CompletedProcess(list(arguments), code, out.read(), err.read())
+
+
+class _Descriptor:
+    """A file that is handed to a child."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _taken, (DupFd(self._number),)
+
+
+def _taken(handed: Any) -> int:
+    return handed.detach()
+
+
+def _run(module: str, arguments: list[str], environment: dict[str, str], cwd: Path, outputs: Sequence[int]) -> None:
+    for number, file in enumerate(outputs, 1):
+        os.dup2(file, number)
+        os.close(file)
+    os.environ.clear()
+    os.environ.update(environment)
+    os.chdir(cwd)
+    sys.argv = [module, *arguments]
+    warnings.simplefilter("default")
+    runpy.run_module(module, run_name="__main__", alter_sys=True)
