@@ -12,7 +12,8 @@ from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect
 from trueup_cli.registry import result_of, run_job
 from trueup_cli.show import as_json, moment, out, table
 from trueup_client import Client
-from trueup_client.records import Alarm
+from trueup_client.problem import Problem
+from trueup_client.records import Alarm, Policy
 
 LATEST = 12  # episodes in the table
 
@@ -136,12 +137,25 @@ def policy(
         policy as JSON: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h, reference_episodes, validate_every_h
     """
     client = connect(url)
-    found = client.policy(plant) if file is None else client.declare_policy(plant, json.loads(file.read_text()))
+    found = _policy(client, plant) if file is None else client.declare_policy(plant, json.loads(file.read_text()))
     if as_json_:
         as_json(found)
         return
+    if found is None:
+        out.print(f"{plant} has no policy: every step is a person's. Declare one with [bold]trueup policy {plant} FILE[/].", soft_wrap=True)
+        return
     out.print(f"policy [bold]{found['digest']}[/], the {found['sequence']}. of {plant}, since {moment(found['created_at'])}")
     table("", ["", ""], [(name, value) for name, value in found["document"].items() if name != "schema"])
+
+
+def _policy(client: Client, plant: str) -> Policy | None:
+    """The policy that holds, if one was declared."""
+    try:
+        return client.policy(plant)
+    except Problem as problem:
+        if (problem.code, problem.facts.get("noun")) == ("not-found", "policy"):
+            return None
+        raise
 
 
 def show_alarm(alarm: Alarm) -> None:

@@ -96,5 +96,6 @@ def _run(module: str, arguments: list[str], environment: dict[str, str], cwd: Pa
     os.environ.update(environment)
     os.chdir(cwd)
     sys.argv = [module, *arguments]
-    warnings.simplefilter("default")
+    if "PYTHONWARNINGS" in environment:  # heard by an interpreter as it starts
+        warnings.simplefilter(environment["PYTHONWARNINGS"])  # type: ignore[arg-type]
     runpy.run_module(module, run_name="__main__", alter_sys=True)

@@ -66,7 +66,7 @@ class Service:
         self._children = [child for child in self._children if child not in stopped]
 
     def _start(self, module: str, *arguments: str) -> Forked:
-        quiet = {"TRUEUP_LOG_LEVEL": "WARNING", "TRUEUP_JOB_POLL_INTERVAL_S": "0.3"}
+        quiet = {"TRUEUP_LOG_LEVEL": "WARNING", "PYTHONWARNINGS": "default", "TRUEUP_JOB_POLL_INTERVAL_S": "0.3"}
         environment = {**os.environ, **self.storage.environment, **quiet, **self._settings}
         child = Forked(module, arguments, environment, ROOT)
         self._children.append(child)

@@ -1,0 +1,196 @@
+"""Snippets of the reference pages: commands as they stand there against one service, Python against the same, JSON as what it is for.
+
+The tutorial and the how-tos are run whole elsewhere. A command that runs long, waits for a person or goes on for ever is held against its
+parser.
+"""
+
+import contextlib
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from tests.support import forks
+from tests.support.made import T0_NS, mcap_bytes, save
+from tests.support.robots import ARM
+from tests.support.service import ADMIN, ROOT, Service
+from tests.support.storage import embedded
+from trueup.episode.mcap import read_episode
+from trueup.episode.role import Role
+from trueup.model.mjcf import resolved
+from trueup.model.plant import Plant
+from trueup.model.predictor import Nominal
+from trueup_cli.main import app
+from trueup_client import Client
+
+EXAMPLE = ROOT / "examples" / "emps"
+FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
+RUN_WHOLE = ("tutorial.md", "howto-engineer.md", "howto-operator.md", "howto-auditor.md")
+PAGES = [ROOT / "README.md", *sorted(p for p in (ROOT / "docs").rglob("*.md") if p.name != "commands.md")]
+WATCHED = {"calibrate", "monitor", "alarms"}  # need days of recordings: tests of monitoring have them
+LONG = {"serve", "work", "look", "diagnose", "diagnosis", "blindtrial", "chapter", "demo", "excite", "login", "mlflow", "init"}
+OTHERS = {"make", "export", "pip", "ros2", "."}  # what is no command of ours, or is tested as what `make` does
+DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
+
+
+def snippets(page, *kinds):
+    return [text for kind, text in FENCE.findall(page.read_text()) if kind in kinds]
+
+
+def lines(page):
+    """Commands of a page's plain blocks, as words."""
+    said = [line for text in snippets(page, "") for line in text.splitlines()]
+    return [words for words in (shlex.split(line, comments=True) for line in said) if words]
+
+
+def of_page(pages):
+    return pytest.mark.parametrize("page", pages, ids=lambda page: page.stem)
+
+
+def test_every_snippet_is_of_a_kind_that_is_tested():
+    kinds = {(page.name, kind) for page in PAGES for kind, _ in FENCE.findall(page.read_text()) if page.name not in RUN_WHOLE}
+    assert {kind for _, kind in kinds} == {"", "python", "json"}
+    assert {name for name, kind in kinds if kind == "json"} == {"continual.md", "robots.md"}
+
+
+@of_page([page for page in PAGES if lines(page)])
+def test_every_command_line_is_one_that_the_command_takes(page):
+    for words in lines(page):
+        if words[0] == "trueup":
+            app.parse_args(words[1:], print_error=False, exit_on_error=False)
+        else:
+            assert words[0] in OTHERS or words[:2] == ["python", "tools/verify_archive.py"], words
+
+
+class World:
+    """A folder with the examples, a service, and what words in capitals stand for so far."""
+
+    def __init__(self, folder, service):
+        self.folder, self.service = folder, service
+        self.words = {"/mnt/backup": str(folder / "backup")}
+        self.environment = {
+            **{name: x for name, x in os.environ.items() if not name.startswith("TRUEUP_")},
+            **service.storage.environment,
+            "TRUEUP_URL": service.url,
+            "TRUEUP_TOKEN": ADMIN,
+            "XDG_STATE_HOME": str(folder / "state"),
+        }
+
+    def run(self, words, **environment):
+        """A command as it stands, and what it printed."""
+        arguments = [self.words.get(word, word) for word in words[1:]]
+        done = forks.run("trueup_cli.main", arguments, self.environment | environment, self.folder)
+        assert done.returncode == 0, (words, done.stdout, done.stderr)
+        for command, capital in (("fit", "CANDIDATE"), ("gate", "DECISION")):
+            if words[1] == command:
+                (self.words[capital],) = DIGEST.findall(done.stdout)
+        if words[1:3] == ["token", "issue"]:
+            self.words["0123456789ab"] = done.stdout.split("_")[1]
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """What README's commands leave behind, run in their order."""
+    folder = tmp_path_factory.mktemp("snippets")
+    for name in ("examples", "tools"):
+        (folder / name).symlink_to(ROOT / name)
+    healthy_runs(folder / "my-healthy-runs")
+    with Service(embedded(folder / "data")).running() as service:
+        found = World(folder, service)
+        found.printed = {" ".join(words): found.run(words) for words in lines(ROOT / "README.md") if can_run(words)}
+        yield found
+
+
+def healthy_runs(folder):
+    """Recordings of the example once more, as if of healthy operation."""
+    folder.mkdir()
+    layout = Plant.from_document(json.loads((EXAMPLE / "plant.json").read_text())).layout
+    recorded = [read_episode(file.read_bytes(), layout) for file in sorted(EXAMPLE.glob("*.mcap"))]
+    for day, e in enumerate(recorded[:1]):
+        stamps = T0_NS + day * 10**12 + np.rint(e.t_s * 1e9).astype(np.int64)
+        save(folder, f"{day}.mcap", mcap_bytes(layout, e.observations, e.commands, role=Role.REFERENCE, stamps_ns=stamps))
+
+
+def can_run(words):
+    return words[0] == "trueup" and words[1] not in LONG | WATCHED | {"keygen"}
+
+
+def test_readmes_commands_do_in_their_order_what_they_say(world):
+    said = world.printed
+    assert len(said) > 14
+    assert "every step is a person's" in said["trueup policy emps"]
+    assert "accepted" in said["trueup gate emps CANDIDATE --rules examples/emps/gate.json"]
+    assert "rolled_back" in said["trueup rollback emps"]
+    assert "holds" in said["trueup audit verify"]
+    assert "agrees" in said["trueup replay DECISION"]
+    for name in ("model.onnx", "predicted.csv"):
+        assert (world.folder / name).exists()
+
+
+@pytest.mark.parametrize("name", ["access", "audit"])
+def test_commands_of_a_page_run_in_their_order(world, name):
+    if name == "access":
+        world.run(["trueup", "project", "create", "lab"])
+    world.words["DIGEST"] = world.words["CANDIDATE"]
+    ran = [world.run(words) for words in lines(ROOT / "docs" / f"{name}.md") if can_run(words)]
+    assert len(ran) > 2
+
+
+def test_what_operations_tells_goes_out_and_comes_back(world, tmp_path):
+    world.words["KEY"] = world.run(["trueup", "audit", "key"]).strip()
+    elsewhere = {name: embedded(tmp_path / name).environment for name in ("restore", "import")}
+    ran = set()
+    for words in lines(ROOT / "docs" / "operations.md"):
+        if words[0] == "python":
+            subprocess.run([sys.executable, *(world.words.get(word, word) for word in words[1:])], cwd=world.folder, check=True)
+        elif can_run(words):
+            world.run(words, **elsewhere.get(words[1], {}))
+            ran.add(words[1])
+    assert ran == {"migrate", "backup", "restore", "export", "import", "gc", "fsck"}
+
+
+def watched_once(client, *arguments, **more):
+    return islice(WATCH(client, *arguments, **more), 1)
+
+
+WATCH = Client.watch
+
+
+@of_page([page for page in PAGES if snippets(page, "python") and page.name not in RUN_WHOLE])
+def test_python_of_a_page_runs(world, page, monkeypatch):
+    monkeypatch.chdir(world.folder)
+    monkeypatch.setattr(Client, "watch", watched_once)  # a robot goes on; a test has seen it once
+    monkeypatch.setenv("TRUEUP_TOKEN", ADMIN)
+    plant = Plant.from_document(json.loads((EXAMPLE / "plant.json").read_text()))
+    t, many = np.arange(200) * plant.timestep_s, np.zeros((3, 200, 1))
+    known = {"commands": many[0], "commands_of_many": many, "t_s": t, "observed": np.zeros((200, 1)), "predictor": Nominal(plant)}
+    known |= {"u": np.zeros(1), "x": np.zeros(2)}
+    with contextlib.ExitStack() as closing:
+        for text in snippets(page, "python"):
+            here = text.replace("http://127.0.0.1:8321", world.service.url).replace("trueup_…", ADMIN)
+            exec(compile(here, str(page), "exec"), known)
+            for name, end in (("client", "close"), ("robot", "stop")):
+                if name in known:
+                    closing.callback(getattr(known.pop(name), end))
+
+
+def test_the_policy_of_a_page_is_one(world, tmp_path):
+    (text,) = snippets(ROOT / "docs" / "continual.md", "json")
+    client = Client(world.service.url, token=ADMIN)
+    (tmp_path / "policy.json").write_text(text.replace("<digest>", client.declare_gate("emps")["digest"]))
+    client.close()
+    assert "promote" in world.run(["trueup", "policy", "emps", str(tmp_path / "policy.json")])
+
+
+def test_the_robot_of_a_page_is_one(tmp_path):
+    (text,) = snippets(ROOT / "docs" / "robots.md", "json")
+    (tmp_path / "arm.xml").write_text(ARM)
+    plant = Plant.from_document(resolved(json.loads(text), tmp_path))
+    assert plant.joints == ("shoulder", "elbow")
