@@ -34,7 +34,12 @@ app = App(name="mlflow", help="Pass versions to an MLflow registry, and take the
 Registry = Annotated[str | None, Parameter(env_var="MLFLOW_TRACKING_URI", help="Address of MLflow's tracking server, or sqlite:///FILE")]
 SERVING = "serving"  # the alias of what serves
 MADE_HERE = "trueup.artifact"
-QUIET = {"MLFLOW_DISABLE_TELEMETRY": "true", "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2", "MLFLOW_LOGGING_LEVEL": "WARNING"}
+QUIET = {  # no telemetry, no minutes of retries, and nothing of its own on standard output
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
+    "MLFLOW_LOGGING_LEVEL": "WARNING",
+    "MLFLOW_SUPPRESS_PRINTING_URL_TO_STDOUT": "true",
+}
 
 
 @app.command
@@ -86,7 +91,7 @@ def import_(
 
 @contextmanager
 def _asking(registry: str | None) -> Iterator[ModuleType]:
-    """MLflow's own client, asking a registry, without telemetry or minutes of retries. Raises MlflowRefused, NotInstalled."""
+    """MLflow's own client, asking a registry. Raises MlflowRefused, NotInstalled."""
     os.environ.update({k: x for k, x in QUIET.items() if k not in os.environ})
     try:
         mlflow = importlib.import_module("mlflow")
