@@ -70,6 +70,7 @@ docs: $(RUN) ## write the pages that are made from the code
 	@PYTHONPATH=. $(BIN)/python docs/effect_pictures.py
 	@$(BIN)/python docs/make_access.py
 	@$(BIN)/python docs/make_commands.py
+	@$(BIN)/python docs/make_api.py
 
 site: $(DEV) ## build the documentation as a site in build/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
