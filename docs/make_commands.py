@@ -7,9 +7,9 @@ from trueup_cli.main import app
 
 HEAD = """# Commands
 
-`trueup COMMAND --help` says the same. Tables and colours are for terminals: in a pipe a table is a line for each row, its cells
-between tabs. `--json` prints JSON. Progress goes to standard error. Errors say there what is wrong, under a stable code, and what to do
-next.
+`trueup COMMAND --help` says the same. Tables and colours are for terminals: in a pipe a table is a line for each row, its cells between
+tabs. `--json` prints JSON, a refusal too. Progress goes to standard error. Errors say there what is wrong, under a stable code, and what
+to do next.
 
 | exit code | meaning |
 |---|---|

@@ -10,6 +10,7 @@
     ├── NotExportable            this model has no form in what was asked for
     ├── NotImportable            what another registry keeps of a model makes no predictor
     ├── MlflowRefused            an MLflow registry did not do what it was asked for
+    ├── NoSuchDigest             no digest, or several, begin as one was given
     ├── BadArtifact              a manifest, an array or a digest does not hold
     ├── BadGate                  a gate that cannot judge
     ├── BadMonitor               a monitor that cannot watch
@@ -25,6 +26,9 @@ do next; `facts` are the values that a program may want (byte, field, expected, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 MESSAGE_CHARACTERS = 500  # a message may quote what somebody sent, and not more of it than one reads
 
 
@@ -39,6 +43,16 @@ class TrueupError(Exception):
         self.hint = hint or type(self).hint
         self.facts = facts
         super().__init__(self.message)
+
+
+@contextmanager
+def of_file(name: str) -> Iterator[None]:
+    """What goes wrong within names this file, beside others that did not."""
+    try:
+        yield
+    except TrueupError as error:
+        error.facts.setdefault("file", name)
+        raise
 
 
 class BadEpisode(TrueupError):
@@ -102,6 +116,13 @@ class MlflowRefused(TrueupError):
 
     code = "mlflow-refused"
     hint = "Say where it is with --registry or MLFLOW_TRACKING_URI, and who asks as its own client does (MLFLOW_TRACKING_TOKEN)."
+
+
+class NoSuchDigest(TrueupError):
+    """Nothing, or more than one thing, has a digest that begins so."""
+
+    code = "no-such-digest"
+    hint = "Give more digits, or all of them."
 
 
 class BadArtifact(TrueupError):

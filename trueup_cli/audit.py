@@ -13,6 +13,7 @@ from cyclopts import App, Parameter
 from rich.markup import escape
 
 from trueup.errors import TrueupError
+from trueup_cli.digests import whole
 from trueup_cli.exits import DISAGREES, HOLDS, told
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, seen, witness_file, witnessed
 from trueup_cli.show import as_json, err, moment, out, progress, table
@@ -33,7 +34,10 @@ def audit(plant: PlantName | None = None, *, url: Url = DEFAULT_URL, as_json_: J
     plant
         only the entries of this plant
     """
-    entries = list(connect(url).audit(plant))
+    client = connect(url)
+    if plant is not None:
+        client.plant(plant)  # raises where there is none: nothing done to it would read as nothing done
+    entries = list(client.audit(plant))
     if as_json_:
         as_json(entries)
     else:
@@ -75,8 +79,9 @@ def provenance(plant: PlantName, digest: str, *, url: Url = DEFAULT_URL, as_json
         digest of an artifact or a decision
     """
     client, witness = seen(url)
-    found = client.decision_provenance if any(d["digest"] == digest for d in client.decisions(plant)) else client.artifact_provenance
-    envelope = found(plant, digest)
+    of_decision = any(d["digest"].startswith(digest) for d in client.decisions(plant))
+    records, found = (client.decisions, client.decision_provenance) if of_decision else (client.artifacts, client.artifact_provenance)
+    envelope = found(plant, whole(digest, records(plant), "artifact or decision", f"trueup versions {plant}"))
     assert witness.key is not None
     statement = witness.key.payload(envelope, envelope["payloadType"])
     as_json(envelope if as_json_ else statement)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 from rich.markup import escape
 
-from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, witnessed
+from trueup.gate.evidence import BadEvidence
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, read_json, witnessed
 from trueup_cli.show import as_json, moment, out, table
 from trueup_client import Client, Problem
 from trueup_client.records import ChannelPosition
@@ -29,7 +29,7 @@ def evidence(
     client = connect(url)
     of = artifact or client.serving(plant).artifact
     if add is not None:
-        document = json.loads(add.read_text())
+        document = read_json(add, BadEvidence)
         of = document.get("artifact", of) if artifact is None else of
         client.add_evidence(plant, {**document, "artifact": of})
     found = client.evidence(plant, of)

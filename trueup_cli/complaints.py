@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import sys
+from collections.abc import Mapping
+
 from rich.markup import escape
 
 from trueup.errors import TrueupError
 from trueup_cli.exits import DISAGREES, REFUSED, UNREACHABLE
-from trueup_cli.show import err
+from trueup_cli.show import as_json, err
 from trueup_client.problem import ClientError, NotSigned, Problem, Rewritten, Untrue
 
 UNTRUE_HINT = "The bytes are not what their digest names: the stored copy is damaged, or was changed."
@@ -14,32 +18,57 @@ REWRITTEN_HINT = (
     "Ask whoever runs the service what happened to its database, and compare mirrors of its checkpoint; if it was made anew on purpose, "
     "remove the named file."
 )
+SHOWN = 200  # characters of a value that a program may want
+PATH_HINT = "Check the path; it is looked for from the folder in which the command runs."
+PORT_HINT = "Choose another with --port, or use the service that listens there already."
+HINTS = {  # what to do at the command, where the service's words are for programs
+    ("not-found", "plant"): "`trueup plant list` says which there are.",
+    ("not-found", "artifact"): "`trueup versions PLANT` lists them.",
+    ("not-found", "decision"): "`trueup decisions PLANT` lists them.",
+    ("unauthenticated", ""): (
+        "Sign in with `trueup login`, set TRUEUP_TOKEN, or run the command in the folder in which the service was started (or with its "
+        "TRUEUP_DATA_DIR), where it finds the first admin's token."
+    ),
+}
 UNREACHABLE_HINT = "Start it with `trueup serve`, or name it with --url or TRUEUP_URL."
 
 
 def complain(error: Exception) -> int | None:
     """Print an error of ours and give the exit code; None for one that is not ours."""
+    code = UNREACHABLE if isinstance(error, ClientError) else REFUSED
+    facts: Mapping[str, object] = {}
     if isinstance(error, Problem):
-        _print(error.code, error.detail, error.hint, error.request_id)
-        return REFUSED
-    if isinstance(error, Untrue):
-        _print("untrue", str(error), UNTRUE_HINT)
-        return DISAGREES
-    if isinstance(error, NotSigned | Rewritten):
-        _print("not-signed" if isinstance(error, NotSigned) else "rewritten", str(error), REWRITTEN_HINT)
-        return DISAGREES
-    if isinstance(error, ClientError):
-        _print("unreachable", str(error), UNREACHABLE_HINT)
-        return UNREACHABLE
-    if isinstance(error, TrueupError):
-        _print(error.code, error.message, error.hint)
-        return REFUSED
-    return None
+        noun, code, facts = str(error.facts.get("noun", "")), REFUSED, {k: x for k, x in error.facts.items() if k != "noun"}
+        told = error.code, error.detail, HINTS.get((error.code, noun), error.hint)
+    elif isinstance(error, Untrue):
+        told, code = ("untrue", str(error), UNTRUE_HINT), DISAGREES
+    elif isinstance(error, NotSigned | Rewritten):
+        told, code = ("not-signed" if isinstance(error, NotSigned) else "rewritten", str(error), REWRITTEN_HINT), DISAGREES
+    elif isinstance(error, ClientError):
+        told = "unreachable", str(error), UNREACHABLE_HINT
+    elif isinstance(error, TrueupError):
+        told, facts = (error.code, error.message, error.hint), error.facts
+    elif isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+        told = "address-in-use", str(error.strerror), PORT_HINT
+    elif isinstance(error, OSError) and error.filename is not None:
+        told = "file", f"{error.strerror}: {error.filename}", PATH_HINT
+    else:
+        return None
+    _print(*told, facts, getattr(error, "request_id", None))
+    return code
 
 
-def _print(code: str, detail: str, hint: str, request_id: str | None = None) -> None:
+def _print(code: str, detail: str, hint: str, facts: Mapping[str, object], request_id: str | None) -> None:
+    """In words; for a program that asked for JSON as a problem document on standard output."""
+    known = {name: x for name, x in facts.items() if x is not None}
+    if "--json" in sys.argv:
+        as_json({"code": code, "detail": detail, "hint": hint, "facts": known, "request_id": request_id})
+        return
     err.print(f"[bold red]{escape(code)}[/] {escape(detail)}", soft_wrap=True)
     if hint:
         err.print(f"  {escape(hint)}", soft_wrap=True)
+    for name, x in known.items():
+        if isinstance(x, str | int | float) and str(x) not in detail:
+            err.print(f"  [dim]{escape(name)}[/] {escape(str(x)[:SHOWN])}", soft_wrap=True)
     if request_id:
         err.print(f"  [dim]request {request_id}[/]")

@@ -179,6 +179,11 @@ def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path)
 def _show(found: Excitation) -> None:
     others = dict(found.random.rows())
     table(found.title, ["", "designed", "random, same energy"], [(name, value, others[name]) for name, value in found.information.rows()])
-    room = f"at most {100 * found.used:.0f} % of the envelope is used" if np.isfinite(found.used) else "no envelope is declared"
-    said = f"{len(found.t_s)} samples, {found.t_s[-1]:.4g} s; under {len(found.paths)} models {room}"
-    screen.print(f"{said}, breaches: {found.breaches}")
+    length = f"{len(found.t_s)} samples, {found.t_s[-1]:.4g} s"
+    if np.isfinite(found.used):
+        room = f"at most {100 * found.used:.0f} % of the envelope is used, breaches: {found.breaches}"
+        screen.print(f"{length}; under {len(found.paths)} models {room}")
+    else:
+        screen.print(
+            f"{length}; plant.json declares no envelope, so nothing but the command's limits was kept: declare one before you play it"
+        )

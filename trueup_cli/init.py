@@ -14,12 +14,13 @@ from trueup.episode.cutting import write_part
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.episode.survey import survey
-from trueup.errors import NotAnEpisode
+from trueup.errors import BadPlant, NotAnEpisode
 from trueup.fit.first_model import Chosen, choose, describe
 from trueup_cli.options import Json
 from trueup_cli.show import as_json, progress, table
 from trueup_cli.show import out as console
 
+Force = Annotated[bool, Parameter(negative=(), help="Write over a case that is there")]
 HELD_OUT = 0.3  # of what was recorded
 
 
@@ -46,7 +47,7 @@ class Made:
     stage: str
 
 
-def init(log: Path, *, out: Path, wanted: Wanted | None = None, as_json_: Json = False) -> None:
+def init(log: Path, *, out: Path, wanted: Wanted | None = None, force: Force = False, as_json_: Json = False) -> None:
     """Make a case folder from recordings: an MCAP file, or what `ros2 bag record -s mcap` left behind.
 
     Finds topics, joint, fields and rates, holds the last part of the recordings out, and identifies the numbers of the simplest model that
@@ -59,6 +60,8 @@ def init(log: Path, *, out: Path, wanted: Wanted | None = None, as_json_: Json =
     out
         case folder to write
     """
+    if (out / "plant.json").exists() and not force:
+        raise BadPlant(f"{out} holds a plant.json already", hint="Name another folder with --out, or write over it with --force.")
     made = make_case(log, out, wanted or Wanted())
     if as_json_:
         as_json({"case": str(out), "plant": made.document})
@@ -72,7 +75,11 @@ def make_case(log: Path, out: Path, wanted: Wanted) -> Made:
     files = sorted(log.glob("*.mcap")) if log.is_dir() else [log]
     if not files:
         raise NotAnEpisode(f"{log} holds no *.mcap", rule="samples", hint="Record with `ros2 bag record -s mcap`.")
+    if out.resolve() in {file.resolve().parent for file in files}:
+        raise BadPlant("the case would be written among the recordings", hint="Name another folder with --out.")
     out.mkdir(parents=True, exist_ok=True)
+    for left in out.glob("*.mcap"):  # of a case that was made here before
+        left.unlink()
     with progress("init") as bar:
         bar(0.0, "looking through the recordings")
         with files[0].open("rb") as stream:
@@ -127,7 +134,11 @@ def tell(made: Made) -> None:
             ("observed", chosen.observed.topic, f"{', '.join(chosen.observed.fields)} of {chosen.joint or 'the first joint'}"),
             ("commanded", chosen.commanded.topic, f"{chosen.command_field}, within {limits[0]:g} and {limits[1]:g} so far"),
             ("step", f"{1e3 * nominal['timestep_s']:g} ms", f"rollouts over {document['evaluation']['horizon_s']:g} s"),
-            ("first model", nominal["family"], f"{numbers}: identified here, so a diagnosis starts from the best numbers of this form"),
+            (
+                "first model",
+                nominal["family"],
+                f"{numbers}: identified here, without friction or delay; a start, which a diagnosis corrects",
+            ),
             ("units", "rad, rad/s, N·m", "assumed; correct them where they are others"),
             ("stage", stage, "assumed: recorded on a machine" if stage == "physical" else "as given"),
         ],

@@ -28,6 +28,8 @@ _COMMANDS = {
     "fit": ("registry:fit", "Fit a candidate from adaptation episodes.", ASKS),
     "diagnosis": ("registry:diagnosis", "The same as a job of the service, on uploaded episodes.", ASKS),
     "gate": ("registry:gate", "Judge a candidate by a declared gate against what serves.", ASKS),
+    "versions": ("registry:versions", "List the versions of a plant's model.", ASKS),
+    "decisions": ("registry:decisions", "List what gates decided.", ASKS),
     "calibrate": ("monitor:calibrate", "Calibrate a monitor of what serves, to a promise in operating hours.", ASKS),
     "monitor": ("monitor:monitor", "Say whether a plant's model is watched, and what was seen.", ASKS),
     "alarms": ("monitor:alarms", "List alarms, with what changed, or close one.", ASKS),

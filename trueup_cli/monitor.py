@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect
+from trueup.gate.policy import BadPolicy
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, read_json
 from trueup_cli.registry import result_of, run_job
 from trueup_cli.show import as_json, moment, out, table
 from trueup_client import Client
@@ -137,7 +137,7 @@ def policy(
         policy as JSON: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h, reference_episodes, validate_every_h
     """
     client = connect(url)
-    found = _policy(client, plant) if file is None else client.declare_policy(plant, json.loads(file.read_text()))
+    found = _policy(client, plant) if file is None else client.declare_policy(plant, read_json(file, BadPolicy))
     if as_json_:
         as_json(found)
         return

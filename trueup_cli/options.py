@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import getpass
+import json
 import os
 import socket
 from itertools import islice
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 from urllib.parse import quote, urlsplit
 
 from cyclopts import Parameter
 
+from trueup.errors import TrueupError
 from trueup_client import Client, Witness
 from trueup_client.problem import ClientError
 
@@ -21,6 +23,14 @@ Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
 DEFAULT_URL = "http://127.0.0.1:8321"
 COMPLETED, COMPLETION_LIMIT_S = 500, 1.0
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+def read_json(file: Path, kind: type[TrueupError]) -> Any:
+    """A file's JSON. Raises an error of that kind where it is none, OSError where there is no file."""
+    try:
+        return json.loads(file.read_text())
+    except ValueError as error:
+        raise kind(f"{file} is no JSON: {error}") from error
 
 
 def plants_there(_: object) -> list[str]:

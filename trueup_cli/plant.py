@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 from cyclopts import App
 
+from trueup.errors import BadPlant
 from trueup_cli.exits import ASKS, told
-from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, read_json
 from trueup_cli.show import as_json, moment, out, table
 
 app = App(name="plant", help="Register and look at plants.", help_epilogue=told(ASKS))
@@ -26,7 +26,7 @@ def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> N
     from trueup.model.mjcf import resolved
 
     description = file / "plant.json" if file.is_dir() else file
-    found = connect(url).register_plant(resolved(json.loads(description.read_text()), description.parent))
+    found = connect(url).register_plant(resolved(read_json(description, BadPlant), description.parent))
     as_json(found) if as_json_ else out.print(f"plant [bold]{found['name']}[/] is registered as {found['digest'][:12]}")
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import json
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from trueup_cli.options import DEFAULT_URL, Json, PlantName, Seed, Url, connect
-from trueup_cli.show import Bar, as_json, out, progress, table
+from trueup.errors import BadGate, NotAnEpisode
+from trueup_cli.digests import whole
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Seed, Url, connect, read_json
+from trueup_cli.show import Bar, as_json, moment, out, progress, table
 from trueup_client import Client
-from trueup_client.records import Decision, JobWithReads
+from trueup_client.problem import Problem
+from trueup_client.records import Decision, Gate, JobWithReads
 
 SENDING = 0.9  # share of the bar for sending; the rest is the service's inspection
 
@@ -25,17 +28,23 @@ def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Jso
     files
         MCAP files, or folders of them
     """
-    client, paths = connect(url), [p for f in files for p in (sorted(f.glob("*.mcap")) if f.is_dir() else [f])]
+    client, paths = connect(url), [path for file in files for path in _recordings(file)]
+    if not paths:
+        raise NotAnEpisode("nothing to upload was named", rule="samples", hint="Name MCAP files, or folders that hold some.")
     found = []
     for path in paths:
         with progress(f"upload {path.name}") as bar:
-            found.append(client.upload_episode(plant, path, partial(_sent, bar)))
+            try:
+                found.append(client.upload_episode(plant, path, partial(_sent, bar)))
+            except Problem as problem:
+                problem.facts.setdefault("file", str(path))
+                raise
     if as_json_:
         as_json(found)
     else:
-        for path, episode in zip(paths, found, strict=True):
-            for warning in episode["summary"].get("collection", {}).get("warnings", []):
-                out.print(f"[yellow]{path.name}[/]: {warning}")
+        warned = Counter(warning for episode in found for warning in episode["summary"].get("collection", {}).get("warnings", []))
+        for warning, times in warned.items():
+            out.print(f"[yellow]{times} of {len(found)} episodes[/]: {warning}", soft_wrap=True)
         table(
             "Episodes",
             ["file", "digest", "role", "samples", "seconds"],
@@ -44,6 +53,16 @@ def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Jso
                 for p, e in zip(paths, found, strict=True)
             ],
         )
+
+
+def _recordings(path: Path) -> list[Path]:
+    """The MCAP files that a path names."""
+    if not path.is_dir():
+        return [path]
+    found = sorted(path.glob("*.mcap"))
+    if not found:
+        raise NotAnEpisode(f"{path} holds no *.mcap", rule="samples", hint="Name MCAP files, or folders that hold some.")
+    return found
 
 
 def _sent(bar: Bar, share: float) -> None:
@@ -89,16 +108,50 @@ def gate(
 ) -> None:
     """Declare a gate, then judge a candidate by it against what serves.
 
+    The default gate asks for rollouts below 0.98 of the incumbent's error and for one step no worse, over every window of the plant's
+    horizon in every held-out episode.
+
     Parameters
     ----------
     candidate
-        digest of the artifact
+        digest of the artifact, or its first digits
     """
     client = connect(url)
-    declared = client.declare_gate(plant, json.loads(rules.read_text()) if rules else None)
-    found = run_job(client, plant, {"kind": "gate", "candidate": candidate, "gate": declared["digest"]}, "judge")
-    decision = client.decision(plant, result_of(found)["decision"])
-    as_json(decision) if as_json_ else show_decision(decision)
+    declared = client.declare_gate(plant, read_json(rules, BadGate) if rules else None)
+    request = {"kind": "gate", "candidate": whole_artifact(client, plant, candidate), "gate": declared["digest"]}
+    decision = client.decision(plant, result_of(run_job(client, plant, request, "judge"))["decision"])
+    as_json(decision) if as_json_ else show_decision(decision, declared)
+
+
+def versions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """List the versions of a plant's model: what was declared, fitted, diagnosed or brought."""
+    found = list(connect(url).artifacts(plant))
+    as_json(found) if as_json_ else table(
+        "",
+        ["version", "artifact", "kind", "made by", "added (UTC)", "by"],
+        [
+            (a["version"], a["digest"][:12], a["kind"], "a job" if a["job"] else "hand", moment(a["created_at"]), a["created_by"])
+            for a in found
+        ],
+    )
+
+
+def decisions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+    """List what gates decided, the newest first."""
+    found = list(connect(url).decisions(plant))
+    as_json(found) if as_json_ else table(
+        "",
+        ["decision", "candidate", "accepted", "against", "gate", "decided (UTC)"],
+        [
+            (d["digest"][:12], d["candidate"][:12], d["accepted"], d["incumbent"][:12], d["gate"][:12], moment(d["created_at"]))
+            for d in found
+        ],
+    )
+
+
+def whole_artifact(client: Client, plant: str, given: str) -> str:
+    """An artifact's digest by its first digits. Raises NoSuchDigest."""
+    return whole(given, client.artifacts(plant), "version", f"trueup versions {plant}")
 
 
 def run_job(client: Client, plant: str, request: dict[str, Any], what: str) -> JobWithReads:
@@ -113,10 +166,17 @@ def result_of(job: JobWithReads) -> dict[str, Any]:
     return job["result"] or {}
 
 
-def show_decision(decision: Decision) -> None:
-    """Print a decision with every verdict."""
+def show_decision(decision: Decision, gate: Gate) -> None:
+    """Print a decision with every verdict, and what it was judged on."""
     word = "[bold green]accepted[/]" if decision["accepted"] else "[bold red]rejected[/]"
-    out.print(f"{word}: decision [bold]{decision['digest']}[/] at generation {decision['generation']}")
+    out.print(f"{word}: decision [bold]{decision['digest']}[/] at generation {decision['generation']}", soft_wrap=True)
+    scoring, episodes = gate["document"]["scoring"], len(decision["document"]["episodes"])
+    windows = "every window" if scoring["windows"] == "every" else "the first window alone"
+    out.print(
+        f"[dim]on {windows} of {scoring['horizon_s']:g} s in {episodes} held-out episode{'s' * (episodes != 1)}, against "
+        f"{decision['incumbent'][:12]}; errors in units of the channels' declared scales[/]",
+        soft_wrap=True,
+    )
     table(
         "",
         ["rule", "passed", "value", "threshold"],

@@ -8,9 +8,13 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from trueup.canonical import is_digest
+from trueup.errors import NoSuchDigest
+from trueup_cli.digests import whole
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, witnessed
+from trueup_cli.registry import whole_artifact
 from trueup_cli.show import as_json, moment, out, progress, table
-from trueup_client import Serving
+from trueup_client import Client, Problem, Serving
 
 Generation = Annotated[int | None, Parameter(help="Refuse if the pointer is elsewhere; default: where it is now")]
 
@@ -45,12 +49,33 @@ def promote(plant: PlantName, decision: str, *, generation: Generation = None, u
     Parameters
     ----------
     decision
-        digest of the decision
+        digest of the decision, or its first digits
     """
     client = witnessed(url)
-    show_serving(
-        [client.promote(plant, decision, client.serving(plant).generation if generation is None else generation)], as_json_=as_json_
-    )
+    digest, serves = _decision(client, plant, decision), client.serving(plant)
+    if serves.decision != digest or generation is not None:  # else it was promoted before, and serves
+        serves = client.promote(plant, digest, serves.generation if generation is None else generation)
+    show_serving([serves], as_json_=as_json_)
+
+
+def _decision(client: Client, plant: str, given: str) -> str:
+    """A decision's digest by its first digits. Raises NoSuchDigest, and says so where a candidate's was given."""
+    if is_digest(given):
+        try:
+            return client.decision(plant, given)["digest"]
+        except Problem as problem:
+            if problem.code != "not-found":
+                raise
+    known = list(client.decisions(plant))
+    if not any(d["digest"].startswith(given) for d in known):
+        judged = next((d["digest"] for d in known if d["candidate"].startswith(given)), None)
+        if judged is not None:
+            hint = f"Promote its newest decision: `trueup promote {plant} {judged[:12]}`."
+            raise NoSuchDigest(f"{given[:12]} is a candidate; what is promoted is a decision on it", hint=hint)
+        if any(a["digest"].startswith(given) for a in client.artifacts(plant)):
+            hint = f"Judge it first: `trueup gate {plant} {given[:12]}`."
+            raise NoSuchDigest(f"{given[:12]} is a version that no gate has judged", hint=hint)
+    return whole(given, known, "decision", f"trueup decisions {plant}")
 
 
 def approve(plant: PlantName, decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -59,9 +84,10 @@ def approve(plant: PlantName, decision: str, *, url: Url = DEFAULT_URL, as_json_
     Parameters
     ----------
     decision
-        digest of the decision
+        digest of the decision, or its first digits
     """
-    found = witnessed(url).approve(plant, decision)
+    client = witnessed(url)
+    found = client.approve(plant, _decision(client, plant, decision))
     if as_json_:
         as_json(found)
     else:
@@ -90,7 +116,7 @@ def fetch(
         folder, made if it is missing
     """
     client = witnessed(url)
-    digest = artifact or client.serving(plant).artifact
+    digest = whole_artifact(client, plant, artifact) if artifact else client.serving(plant).artifact
     with progress(f"fetch {digest[:12]}"):
         client.fetch(plant, digest, to)
     as_json({"artifact": digest, "folder": str(to)}) if as_json_ else out.print(f"{digest} is in {to}", soft_wrap=True)

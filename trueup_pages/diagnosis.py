@@ -21,7 +21,7 @@ MODELS = (
 STILL = 400  # points of a line that is drawn without a script
 INSEPARABLE = "the evidence cannot separate what is above this line"
 NOT_ENOUGH = "none explains the gap: what is above this line comes nearest"
-ALONE = "the evidence separates the answer from everything below this line"
+ALONE = "everything below this line is worse than the answer, or better by less than its numbers must earn"
 
 
 def report_page(report: Mapping[str, Any], figures: Mapping[str, Any] | None, command_file: str | None = "next_experiment.csv") -> str:

@@ -23,6 +23,7 @@ from tests.support.service import ADMIN, ROOT, Service
 from tests.support.storage import embedded
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
+from trueup.gate.decision import Gate
 from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
@@ -56,7 +57,7 @@ def of_page(pages):
 def test_every_snippet_is_of_a_kind_that_is_tested():
     kinds = {(page.name, kind) for page in PAGES for kind, _ in FENCE.findall(page.read_text()) if page.name not in RUN_WHOLE}
     assert {kind for _, kind in kinds} == {"", "python", "json"}
-    assert {name for name, kind in kinds if kind == "json"} == {"continual.md", "robots.md"}
+    assert {name for name, kind in kinds if kind == "json"} == {"continual.md", "gates.md", "robots.md"}
 
 
 @of_page([page for page in PAGES if lines(page)])
@@ -187,6 +188,11 @@ def test_the_policy_of_a_page_is_one(world, tmp_path):
     (tmp_path / "policy.json").write_text(text.replace("<digest>", client.declare_gate("emps")["digest"]))
     client.close()
     assert "promote" in world.run(["trueup", "policy", "emps", str(tmp_path / "policy.json")])
+
+
+def test_the_gate_of_a_page_is_one():
+    (text,) = snippets(ROOT / "docs" / "gates.md", "json")
+    assert len(Gate.from_document(json.loads(text)).rules) == 3
 
 
 def test_the_robot_of_a_page_is_one(tmp_path):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from trueup.control.planner import RandomShooting
 from trueup.control.watchdog import inject_sensor_failure
 from trueup.fit.identify import Identification, identify
 from trueup.fit.residual import family_box, fit_blind, fit_conditioned, fit_residual
-from trueup.fit.score import Scoring, rollout_errors
+from trueup.fit.score import FIRST, Scoring, rollout_errors
 from trueup.gate.decision import default_gate
 from trueup.gate.judge import judge, run_trial
 from trueup.model.predictor import Nominal, Predictor
@@ -202,7 +202,7 @@ def _one_channel(errors: Array) -> Residuals:
 
 
 def _gate(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
-    gate = default_gate(PLANT.horizon_s)
+    gate = replace(default_gate(PLANT.horizon_s), scoring=Scoring(PLANT.horizon_s, FIRST))
     nominal = predictors["nominal"]
     rows: dict[str, dict[str, Value]] = {}
     for name, candidate in (("A", predictors["residual"]), ("B", fit_residual(PLANT, [data.mismatched])[0])):

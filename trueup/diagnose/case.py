@@ -8,7 +8,7 @@ import orjson
 
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode_stream
-from trueup.errors import BadPlant, NotAnEpisode
+from trueup.errors import BadPlant, NotAnEpisode, of_file
 from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
 
@@ -30,6 +30,8 @@ def read_episodes(folder: Path, plant: Plant) -> list[Episode]:
 def read_plant(folder: Path) -> Plant:
     """The plant of a case folder. Raises BadPlant."""
     description = folder / "plant.json"
+    if not folder.is_dir():
+        raise BadPlant(f"there is no folder {folder}", field="plant.json", hint="Name a case folder, a recording or a ROS 2 bag.")
     if not description.is_file():
         raise BadPlant(f"{folder} holds no plant.json", field="plant.json", hint="A case is a folder with plant.json and *.mcap episodes.")
     try:
@@ -40,5 +42,5 @@ def read_plant(folder: Path) -> Plant:
 
 
 def _read(file: Path, plant: Plant) -> Episode:
-    with file.open("rb") as stream:
+    with of_file(file.name), file.open("rb") as stream:
         return read_episode_stream(stream, file.stat().st_size, plant.layout)

@@ -8,6 +8,7 @@ from typing import Any
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 PLAINLY = 2.0  # times the floor: an error above that is no noise
+WORTH_NAMING = 0.05  # of the gap: less of it is not named in the sentence
 MOST = 0.5  # of the gap: more than that is most of it
 DIGITS = 2  # of an uncertainty that are worth writing
 MOSTLY = "New numbers in the nominal form explain most of the gap; no effect of the catalogue takes a material part of what remains"
@@ -43,6 +44,8 @@ def _effects(document: Mapping[str, Any]) -> str:
     elif parts:
         explained = sum(p["share"] for p in parts[1:] if p["effect"])
         text = f"{joined} {'explains' if len(named) == 1 else 'explain'} {percent(explained)} of the gap"
+        if parts[0]["share"] >= WORTH_NAMING:
+            text += f" and new numbers {percent(parts[0]['share'])}"
     else:
         text = joined.rstrip(",")
     return text[0].upper() + text[1:]

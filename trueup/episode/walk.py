@@ -43,6 +43,7 @@ from trueup.episode.container import (
 from trueup.episode.fields import Fields
 from trueup.errors import MalformedMcap, TooLarge
 
+NO_MCAP = "It is no MCAP file. Record with `ros2 bag record -s mcap`; other logs are converted first."
 GATHER_BYTES = 1 << 20  # messages outside chunks are handed on together, once they are this many bytes
 
 
@@ -75,7 +76,7 @@ class Walk:
     def _magic(self) -> None:
         at = self._at
         if self._take(len(MAGIC)) != MAGIC:
-            raise MalformedMcap("the MCAP magic is missing", rule="magic", byte=at)
+            raise MalformedMcap("the MCAP magic is missing", rule="magic", byte=at, hint=NO_MCAP if at == 0 else None)
 
     def _header(self) -> None:
         at, op, body = self._record()

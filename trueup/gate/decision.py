@@ -16,6 +16,7 @@ from trueup.gate.rule import Rule, Verdict, rules
 
 SCHEMA = "trueup.gate/1"
 NEEDED = {"schema", "rules", "scoring"}
+HOLDS = f"A gate holds schema ({SCHEMA}), rules, and scoring (horizon_s, windows)."
 DECISION_SCHEMA = "trueup.decision/1"
 
 
@@ -66,7 +67,9 @@ class Gate:
             uses = given.get("held_out_uses")
             conditions = tuple(str(c) for c in given.get("conditions", ()))
             return Gate(tuple(_rule(r) for r in given["rules"]), scoring, conditions, None if uses is None else int(uses))
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
+        except KeyError as error:
+            raise BadGate(f"a gate needs {error.args[0]!r}", hint=HOLDS) from error
+        except (TypeError, ValueError, OverflowError) as error:
             raise BadGate(f"the gate cannot be read: {error!r}") from error
 
 
@@ -85,8 +88,8 @@ def _rule(document: Mapping[str, Json]) -> Rule:
 
 
 def default_gate(horizon_s: float) -> Gate:
-    """Rollout mean below 0.98 of the incumbent's and one-step error no worse, over the first window of each episode."""
-    return Gate((rules()["rollout_improves"](), rules()["one_step_no_worse"]()), Scoring(horizon_s, FIRST))
+    """Rollout mean below 0.98 of the incumbent's and one-step error no worse, over every window of each episode."""
+    return Gate((rules()["rollout_improves"](), rules()["one_step_no_worse"]()), Scoring(horizon_s, EVERY))
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.NotInstalled: HTTPStatus.NOT_IMPLEMENTED,
     errors.NotExportable: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.NotImportable: HTTPStatus.UNPROCESSABLE_ENTITY,
+    errors.NoSuchDigest: HTTPStatus.NOT_FOUND,
     errors.MlflowRefused: HTTPStatus.BAD_GATEWAY,
     errors.NotIdentifiable: HTTPStatus.UNPROCESSABLE_ENTITY,
     errors.RoleRefused: HTTPStatus.FORBIDDEN,

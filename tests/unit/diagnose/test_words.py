@@ -21,7 +21,7 @@ def friction(share=0.6, **more):
 
 def test_an_effect_is_told_with_its_level_its_part_and_the_errors():
     assert sentence(report([friction()], numbers=0.2)) == (
-        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², explains 90 % of the gap; "
+        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², explains 90 % of the gap and new numbers 9.3 %; "
         "held-out error falls from 0.21 to 0.013, the noise floor is 0.012."
     )
 

@@ -24,7 +24,7 @@ def declare(
     document: Annotated[dict[str, Any] | None, Body()] = None,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Without a body the default gate is declared: rollout error below 0.98 of the incumbent's, one-step error no worse."""
+    """Without a body the default: rollouts below 0.98 of the incumbent's error, one step no worse, over every window of the horizon."""
     from trueup_service.actions.declare_gate import declare_gate  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     return create(parts, stamp, f"gates/{plant}", key, document, lambda w: declare_gate(w, plant, document, stamp), Gate)
