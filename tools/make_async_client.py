@@ -5,7 +5,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 SOURCE, MADE = ROOT / "trueup_client" / "client.py", ROOT / "trueup_client" / "asynchronous.py"
-APART = ("close", "abort")
+APART = ("close", "abort", "aborted")
 HEAD = '''"""The client for an event loop: every method of `Client`, awaited, or iterated over with `async for`.
 
     async with AsyncClient("http://127.0.0.1:8321") as client:
@@ -32,7 +32,8 @@ from trueup_client.witness import Witness
 class AsyncClient:
     """Talks to one service, with at most `at_once` requests on their way; arguments as `Client` takes them.
 
-    `progress` is called in the thread that sends. A watch holds one of the requests for as long as it lasts.
+    `progress` and `confirmed` are called in the thread that asks. A call that is cancelled is broken off, and what it asked for may
+    have been done: ask, or repeat it with its key. A watch holds one of the requests for as long as it lasts.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class AsyncClient:
         await self.close()
 
     async def close(self) -> None:
-        """Close every connection; whatever still asks ends with Unreachable."""
+        """Close every connection; whatever still asks, or waits for its turn, ends with Unreachable."""
         await self._pool.close()
 '''
 

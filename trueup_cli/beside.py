@@ -20,8 +20,9 @@ LOG_FILE = "service.log"
 
 @contextmanager
 def service_beside(data: Path, port: int | None = None) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Its address and process; its log is `service.log` in the folder. Without a port it takes a free one. Raises Unreachable."""
-    url = f"http://127.0.0.1:{port or _free_port()}"
+    """Its address and process; its log is `service.log` in the folder. Without a port it takes a free one. Raises OSError, Unreachable."""
+    with socket.create_server(("127.0.0.1", port or 0)) as free:  # raises where another service listens: it would be taken for ours
+        url = f"http://127.0.0.1:{free.getsockname()[1]}"
     data.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "trueup_cli.main", "serve", "--port", url.rpartition(":")[2]]
     with (data / LOG_FILE).open("a") as log:
@@ -35,17 +36,12 @@ def service_beside(data: Path, port: int | None = None) -> Iterator[tuple[str, s
             child.wait(timeout=START_LIMIT_S)
 
 
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
-
-
 def _wait_until_ready(url: str, child: subprocess.Popen[bytes], data: Path) -> None:
     deadline = time.monotonic() + START_LIMIT_S
     while time.monotonic() < deadline and child.poll() is None:
         try:
             with closing(Client(url)) as client:
-                if client.is_ready():
+                if client.is_ready() and child.poll() is None:
                     return
         except Unreachable:
             pass

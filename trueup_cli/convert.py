@@ -13,6 +13,7 @@ from trueup.artifact.onnx import to_onnx
 from trueup.errors import NotExportable
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledFamily
+from trueup.model.mjcf import compile_file
 from trueup.model.mjcf_family import mjcf_of_joint
 from trueup.model.mjcf_patch import Left, patch
 from trueup.model.mjcf_writer import Written, write
@@ -72,10 +73,16 @@ def _mjcf(model: Model, source: Path | None) -> Written:
     if isinstance(model.plant.dynamics, CompiledFamily):
         with tempfile.TemporaryDirectory() as folder:
             return mjcf_of_joint(predictor, Path(folder), heading)
+    nominal: Any = model.plant.document["nominal"]
     if source is None:
-        nominal: Any = model.plant.document["nominal"]
         raise NotExportable(
             "the model of a robot is written into the file that it was declared by",
             hint=f"Name that file with --mjcf; its SHA-256 is {nominal.get('sha256') or 'not known'}.",
+        )
+    found = compile_file(source).sha256
+    if found != nominal.get("sha256"):
+        raise NotExportable(
+            f"{source.name} is not the file that the robot was declared by",
+            hint=f"Name the one whose SHA-256 is {nominal.get('sha256')}; this one's is {found}.",
         )
     return write(source, patch(predictor), heading)

@@ -14,26 +14,28 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
+from urllib.parse import urlsplit
 
 from cyclopts import App, Parameter
 
 from trueup.artifact.artifact import Artifact, pack
-from trueup.artifact.mlflow_model import ARTIFACT, FILE, holds_artifact, write_mlflow_model
+from trueup.artifact.mlflow_model import ARTIFACT, FILE, artifact_of, holds_artifact, write_mlflow_model
 from trueup.artifact.model import Model
 from trueup.canonical import Json as JsonValue
 from trueup.errors import MlflowRefused, NotImportable, NotInstalled
 from trueup.model.plant import Plant
-from trueup.model.predictor import Identified
+from trueup.model.predictor import Identified, Nominal
 from trueup_cli.exits import HOLDS, told
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, witnessed
 from trueup_cli.show import Bar, as_json, out, progress
-from trueup_client import Client
+from trueup_client import Client, Untrue
 from trueup_client.records import Artifact as Registered
 
 app = App(name="mlflow", help="Pass versions to an MLflow registry, and take them from one.", help_epilogue=told(HOLDS))
 Registry = Annotated[str | None, Parameter(env_var="MLFLOW_TRACKING_URI", help="Address of MLflow's tracking server, or sqlite:///FILE")]
 SERVING = "serving"  # the alias of what serves
 MADE_HERE = "trueup.artifact"
+SIGNED_IN = r"//[^\s/]*@"  # what stands before the host of an address
 QUIET = {  # no telemetry, no minutes of retries, and nothing of its own on standard output
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
@@ -71,7 +73,7 @@ def export(
 
 @app.command(name="import")
 def import_(
-    model: Annotated[str, Parameter(help="models:/NAME/VERSION, models:/NAME@ALIAS, or a folder that holds an MLmodel")],
+    model: Annotated[str, Parameter(help="models:/NAME/VERSION, models:/NAME@ALIAS, or a folder that an export wrote")],
     plant: PlantName,
     *,
     registry: Registry = None,
@@ -80,10 +82,14 @@ def import_(
 ) -> None:
     """Make a candidate of an MLflow model: of the artifact that it holds, else of the plant's parameters among its run's params.
 
-    All that is known of it there stands in the candidate's provenance.
+    All that is known there of a model that was made elsewhere stands in the candidate's provenance.
     """
-    with witnessed(url) as client, _asking(registry) as mlflow, _working(f"import {model}") as (_, folder):
-        known, kept = _known(mlflow, model, folder)
+    with witnessed(url) as client, _working(f"import {model}") as (_, folder):
+        if Path(model).is_dir():
+            known, kept = _held(Path(model))
+        else:
+            with _asking(registry) as mlflow:
+                known, kept = _known(mlflow, model, folder)
         made = kept or _of_parameters(Plant.from_document(client.plant(plant)["document"]), known)
         version = client.add_artifact(plant, made.manifest, made.arrays)
     as_json(version) if as_json_ else out.print(f"candidate [bold]{version['digest']}[/], version {version['version']} of {plant}")
@@ -92,6 +98,8 @@ def import_(
 @contextmanager
 def _asking(registry: str | None) -> Iterator[ModuleType]:
     """MLflow's own client, asking a registry. Raises MlflowRefused, NotInstalled."""
+    if registry is None:
+        raise MlflowRefused("no registry was named")
     os.environ.update({k: x for k, x in QUIET.items() if k not in os.environ})
     try:
         mlflow = importlib.import_module("mlflow")
@@ -99,13 +107,15 @@ def _asking(registry: str | None) -> Iterator[ModuleType]:
         raise NotInstalled(
             "an MLflow registry is asked by MLflow's own client", hint="Install it with `pip install 'trueup[mlflow]'`."
         ) from error
-    if registry is not None:
-        mlflow.set_tracking_uri(registry)
-        mlflow.set_registry_uri(registry)
+    mlflow.set_tracking_uri(registry)
+    mlflow.set_registry_uri(registry)
     try:
         yield mlflow
-    except mlflow.MlflowException as error:
-        raise MlflowRefused(f"{without_password(mlflow.get_registry_uri())}: {str(error).splitlines()[0]}") from error
+    except Exception as error:
+        if not isinstance(error, mlflow.MlflowException) and not type(error).__module__.startswith("sqlalchemy"):
+            raise
+        said = str(error).splitlines()[0].replace(registry.rstrip("/"), where(registry))
+        raise MlflowRefused(f"{where(registry)}: {re.sub(SIGNED_IN, '//', said)}") from None
 
 
 @contextmanager
@@ -115,9 +125,12 @@ def _working(what: str) -> Iterator[tuple[Bar, Path]]:
         yield bar, Path(folder)
 
 
-def without_password(address: str) -> str:
-    """An address without the name and password that it may hold."""
-    return re.sub(r"(?<=//)[^/]*@", "", address)
+def where(address: str) -> str:
+    """Of a registry's address what holds no password: scheme and host, of a database or a folder the scheme alone."""
+    parts = urlsplit(address)
+    if parts.scheme not in ("http", "https"):
+        return parts.scheme or "file"
+    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}"
 
 
 @dataclass(frozen=True)
@@ -146,15 +159,19 @@ class _Version:
         )
         made, known = run.info.run_id, client.artifact(plant, self.digest)
         metrics, tags = self._told(client, known)
-        model = write_mlflow_model(folder, made, known["created_at"])
-        for key, x in numbers(model).items():
-            self.asked.log_param(made, key, x)
-        for key, x in metrics.items():
-            self.asked.log_metric(made, key, x)
-        for key, tag in tags.items():
-            self.asked.set_tag(made, key, tag)
-        self.asked.log_artifacts(made, str(folder), "model")
-        self.asked.set_terminated(made)
+        ended = "FAILED"
+        try:
+            model = write_mlflow_model(folder, made, known["created_at"])
+            for name, x in numbers(model).items():
+                self.asked.log_param(made, name, x)
+            for name, figure in metrics.items():
+                self.asked.log_metric(made, name, figure)
+            for name, tag in tags.items():
+                self.asked.set_tag(made, name, tag)
+            self.asked.log_artifacts(made, str(folder), "model")
+            ended = "FINISHED"
+        finally:
+            self.asked.set_terminated(made, ended)
         if not self.asked.search_registered_models(f"name = '{self.name}'"):
             self.asked.create_registered_model(self.name, description=f"The dynamics model of {plant}, kept and judged by trueup")
         source = f"{run.info.artifact_uri}/model"
@@ -178,42 +195,54 @@ class _Version:
 def numbers(model: Model) -> dict[str, float | str]:
     """A predictor's numbers under the names that MLflow takes: the plant's parameters as they are called, an effect's after it."""
     described: Any = model.predictor.description()
-    plant = model.plant
-    found = dict(described.get("parameters") or dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True)))
+    plant, kind = model.plant, model.predictor.kind
+    found = described.get("parameters") or {}
+    if kind == Nominal.kind:
+        found = dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True))
+    told = {key(name): x for name, x in found.items()}
     for effect in described.get("effects") or ():
-        found |= {f"{effect['effect']}/{effect['joint']}/{name}": x for name, x in effect["parameters"].items()}
-    return {key(name): x for name, x in found.items()} | {"kind": model.predictor.kind}
+        place = "/".join(key(part) for part in (effect["effect"], effect["joint"]) if part)
+        told |= {f"{place}/{key(name)}": x for name, x in effect["parameters"].items()}
+    return told | {"kind": kind}
 
 
 def key(name: str) -> str:
-    """A name in the letters that MLflow takes."""
-    return re.sub(r"[^\w\-./ ]", "_", name, flags=re.ASCII)
+    """A name in the letters that MLflow takes: another letter is its number between colons, so that no two names become one."""
+    return re.sub(r"[^A-Za-z0-9_.-]", lambda found: f":{ord(found[0]):x}:", name)
 
 
 def _known(mlflow: ModuleType, model: str, folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
     """What an MLflow model's file, its version and its run say of it, and the artifact in it."""
-    version = None if Path(model).is_dir() else _version(mlflow, model)
-    if version is None:
-        here = Path(model)
-    else:
-        here = folder
-        mlflow.artifacts.download_artifacts(f"{_uri(version)}/{FILE}", dst_path=str(folder))
-    document = _read(here / FILE)
+    version = _version(mlflow, model)
+    uri = f"models:/{version.name}/{version.version}"
+    mlflow.artifacts.download_artifacts(f"{uri}/{FILE}", dst_path=str(folder))
+    if holds_artifact(_read(folder / FILE)):
+        mlflow.artifacts.download_artifacts(f"{uri}/{ARTIFACT}", dst_path=str(folder))
+    known, kept = _held(folder)
+    registered = (version.tags or {}).get(MADE_HERE)
+    if kept is not None and registered not in (None, kept.digest):
+        raise Untrue(f"{uri} is registered as {registered[:12]} and holds {kept.digest[:12]}")
+    return {**known, "source": uri, "registry": where(mlflow.get_registry_uri()), **_of_version(mlflow, version)}, kept
+
+
+def _held(folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
+    """What an MLflow model's file says of it, and the artifact in its folder. Raises NotImportable, Untrue."""
+    document = _read(folder / FILE)
     known: dict[str, JsonValue] = {
-        "source": _uri(version) if version else None,
-        "registry": without_password(mlflow.get_registry_uri()) if version else None,
         "flavors": sorted(map(str, document.get("flavors", ()))),
         "created": str(document.get("utc_time_created")),
         "signature": document.get("signature"),
         "metadata": document.get("metadata"),
-        **(_of_version(mlflow, version) if version else {}),
     }
     if not holds_artifact(document):
         return known, None
-    if version is not None:
-        mlflow.artifacts.download_artifacts(f"{_uri(version)}/{ARTIFACT}", dst_path=str(folder))
-    arrays = here / ARTIFACT / "arrays.safetensors"
-    return known, Artifact((here / ARTIFACT / "manifest.json").read_bytes(), arrays.read_bytes() if arrays.is_file() else b"")
+    manifest, arrays = (folder / ARTIFACT / name for name in ("manifest.json", "arrays.safetensors"))
+    if not manifest.is_file():
+        raise NotImportable(f"{FILE} names an artifact, and there is none", hint="Export the version again.")
+    kept, told = Artifact(manifest.read_bytes(), arrays.read_bytes() if arrays.is_file() else b""), artifact_of(document)
+    if told != kept.digest:
+        raise Untrue(f"{FILE} names artifact {str(told)[:12]} and holds {kept.digest[:12]}")
+    return known, kept
 
 
 def _version(mlflow: ModuleType, model: str) -> Any:
@@ -223,10 +252,6 @@ def _version(mlflow: ModuleType, model: str) -> Any:
     name, number, alias = named.groups()
     asked = mlflow.MlflowClient()
     return asked.get_model_version(name, number) if number else asked.get_model_version_by_alias(name, alias)
-
-
-def _uri(version: Any) -> str:
-    return f"models:/{version.name}/{version.version}"
 
 
 def _of_version(mlflow: ModuleType, version: Any) -> dict[str, JsonValue]:
@@ -246,12 +271,12 @@ def _read(file: Path) -> Mapping[str, Any]:
     import yaml
 
     try:
-        document = yaml.safe_load(file.read_text())
-    except (OSError, yaml.YAMLError) as error:
+        document = json.loads(json.dumps(yaml.safe_load(file.read_text()), default=str))  # YAML has dates, JSON has none
+    except (OSError, ValueError, TypeError, RecursionError, yaml.YAMLError) as error:
         raise NotImportable(f"{file} is no MLmodel file: {error}", hint="Name the folder that MLflow wrote, or its version.") from error
     if not isinstance(document, dict) or not isinstance(document.get("flavors", {}), dict):
         raise NotImportable(f"{file} is no MLmodel file", hint="Name the folder that MLflow wrote, or its version.")
-    return dict(json.loads(json.dumps(document, default=str)))  # YAML has dates, JSON has none
+    return document
 
 
 def _of_parameters(plant: Plant, known: Mapping[str, JsonValue]) -> Artifact:

@@ -50,7 +50,8 @@ from trueup_client.witness import Witness
 class AsyncClient:
     """Talks to one service, with at most `at_once` requests on their way; arguments as `Client` takes them.
 
-    `progress` is called in the thread that sends. A watch holds one of the requests for as long as it lasts.
+    `progress` and `confirmed` are called in the thread that asks. A call that is cancelled is broken off, and what it asked for may
+    have been done: ask, or repeat it with its key. A watch holds one of the requests for as long as it lasts.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class AsyncClient:
         await self.close()
 
     async def close(self) -> None:
-        """Close every connection; whatever still asks ends with Unreachable."""
+        """Close every connection; whatever still asks, or waits for its turn, ends with Unreachable."""
         await self._pool.close()
 
     async def register_plant(self, document: Document, project: str | None = None) -> Plant:

@@ -84,6 +84,11 @@ class Client:
         """Close the connection for good, from another thread: what is on its way ends with Unreachable, and nothing is asked again."""
         self._to.abort()
 
+    @property
+    def aborted(self) -> bool:
+        """Whether it was closed for good."""
+        return self._to.aborted
+
     # -- plants and episodes
 
     def register_plant(self, document: Document, project: str | None = None) -> Plant:

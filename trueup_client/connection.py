@@ -16,6 +16,7 @@ from trueup_client.problem import Problem, Unreachable
 PAUSES_S = (0.1, 0.2, 0.4)  # between attempts
 REFUSED, UNAVAILABLE = 400, 503
 STREAM_BYTES = 1 << 20
+CONNECT_LIMIT_S = 10.0
 
 
 class Connection:
@@ -28,7 +29,8 @@ class Connection:
         kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
         self._url, self._base = url, parts.path.rstrip("/")
         self.aborted = False
-        self._http = kind(parts.hostname, parts.port, timeout=timeout_s)
+        self._timeout_s = timeout_s
+        self._http = kind(parts.hostname, parts.port, timeout=min(timeout_s, CONNECT_LIMIT_S))
         self._headers = {"Trueup-Actor": actor} if actor else {}
         if token:
             self._headers["Authorization"] = f"Bearer {token}"
@@ -66,6 +68,7 @@ class Connection:
 
     def once(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> bytes:
         """Send once, and read the whole answer. Raises Problem, and Unreachable where it breaks off."""
+        self._http.close()  # the service may have closed a connection that nobody used: this must not be found out by sending
         try:
             found = self._once(method, path, body, headers)
             content = found.read()
@@ -78,6 +81,7 @@ class Connection:
 
     def parts(self, path: str) -> Iterator[bytes]:
         """Read an answer in parts. Raises Problem, and Unreachable where it breaks off."""
+        self._http.close()  # as above
         try:
             found = self._once("GET", path, None, {})
             if found.status >= REFUSED:
@@ -94,14 +98,22 @@ class Connection:
             raise Unreachable(f"{self._url} broke off after {read} of {announced} bytes")
 
     def _once(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> http.client.HTTPResponse:
-        if self.aborted:
-            raise http.client.NotConnected("the connection was closed")
         try:
+            self._connect()
             self._http.request(method, self._base + path, body=body, headers={**self._headers, **headers})
         finally:
             if hasattr(body, "close"):
                 body.close()
         return self._http.getresponse()
+
+    def _connect(self) -> None:
+        if self._http.sock is None and not self.aborted:
+            self._http.connect()
+        if self._http.sock is not None:
+            self._http.sock.settimeout(self._timeout_s)
+        if self.aborted:  # before, or while it was on its way
+            self._http.close()
+            raise http.client.NotConnected("the connection was closed")
 
     def close(self) -> None:
         """Close the connection."""

@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Callable, Iterator
+import threading
+from collections.abc import AsyncIterator, Callable, Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from trueup_client.client import Client
+from trueup_client.problem import Unreachable
 
 P = ParamSpec("P")
 T = TypeVar("T")
 END: Any = object()
+CLOSED = "the client was closed"
 
 
 class Pool:
     """At most `at_once` clients that ask at the same time; one more waits for its turn.
 
-    A request that is cancelled is not taken back: it goes on to its end at the service, as any that was sent.
+    A call that is cancelled is broken off. Whether the service did what it asked for is then not known: ask, or repeat it with its key.
     """
 
     def __init__(self, make: Callable[[], Client], at_once: int) -> None:
@@ -28,42 +31,70 @@ class Pool:
 
     async def run(self, method: Callable[Concatenate[Client, P], T], *arguments: P.args, **named: P.kwargs) -> T:
         """What a method of a client gives."""
-        return await asyncio.get_running_loop().run_in_executor(self._threads, lambda: self._with_one(method, *arguments, **named))
+        turn = _Turn()
+
+        def ask() -> T:
+            client = self._take()
+            try:
+                turn.begin(client)
+                return method(client, *arguments, **named)
+            finally:
+                self._give_back(client)
+
+        try:
+            return await self._threaded(ask)
+        except asyncio.CancelledError:
+            turn.abort()
+            raise
 
     async def each(self, method: Callable[Concatenate[Client, P], Iterator[T]], *arguments: P.args, **named: P.kwargs) -> AsyncIterator[T]:
         """What a method of a client gives one after the other, each asked for when the one before was taken."""
-        client, asks = self._take(), False
+        client, asks = self._take(), threading.Lock()
+        found = method(client, *arguments, **named)
+
+        def ask() -> T:
+            with asks:
+                return next(found, END)
+
         try:
-            found, loop = method(client, *arguments, **named), asyncio.get_running_loop()
-            while True:
-                asks = True
-                item = await loop.run_in_executor(self._threads, next, found, END)
-                asks = False
-                if item is END:
-                    return
+            while (item := await self._threaded(ask)) is not END:
                 yield item
         finally:
-            if asks:  # cancelled while its thread asks, or refused: nobody else may use it
+            if asks.acquire(blocking=False):
+                asks.release()
+                self._end(client, found, asks)
+            else:  # cancelled while its thread asks
                 client.abort()
-                self._busy.discard(client)
-            else:
-                self._give_back(client)
+                threading.Thread(target=self._end, args=(client, found, asks), daemon=True).start()
 
     async def close(self) -> None:
-        """Close every connection; whatever still asks ends with Unreachable."""
+        """Close every connection; whatever still asks, or waits for its turn, ends with Unreachable."""
         self._closed = True
         for client in [*self._busy]:
             client.abort()
         await asyncio.to_thread(self._threads.shutdown, cancel_futures=True)
-        for client in self._free:
+        for client in [*self._free, *self._busy]:
             client.close()
 
-    def _with_one(self, method: Callable[Concatenate[Client, P], T], *arguments: P.args, **named: P.kwargs) -> T:
-        client = self._take()
+    async def _threaded(self, function: Callable[[], T]) -> T:
         try:
-            return method(client, *arguments, **named)
-        finally:
-            self._give_back(client)
+            future = self._threads.submit(function)
+        except RuntimeError as error:
+            raise Unreachable(CLOSED) from error
+        try:
+            return await asyncio.wrap_future(future)
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if self._closed and task is not None and not task.cancelling():
+                raise Unreachable(CLOSED) from None
+            raise
+
+    def _end(self, client: Client, found: Iterator[T], asks: threading.Lock) -> None:
+        """Close what was not read to its end, once no thread asks any more; then the client is free for others."""
+        with asks:
+            if isinstance(found, Generator):
+                found.close()
+        self._give_back(client)
 
     def _take(self) -> Client:
         client = None
@@ -71,11 +102,31 @@ class Pool:
             client = self._free.pop()  # whole under the interpreter's lock, as all of these are
         client = client or self._make()
         self._busy.add(client)
+        if self._closed:  # while it was on its way here
+            client.abort()
         return client
 
     def _give_back(self, client: Client) -> None:
         self._busy.discard(client)
-        if self._closed:
+        if self._closed or client.aborted:
             client.close()
         else:
             self._free.append(client)
+
+
+class _Turn:
+    """A call's client, once a thread took one for it, and whether the call is still wanted."""
+
+    def __init__(self) -> None:
+        self._client: Client | None = None
+        self._wanted = True
+
+    def begin(self, client: Client) -> None:
+        self._client = client
+        if not self._wanted:
+            client.abort()
+
+    def abort(self) -> None:
+        self._wanted = False
+        if self._client is not None:
+            self._client.abort()

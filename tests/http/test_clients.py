@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import socket
 import subprocess
 import sys
 import time
@@ -100,6 +101,58 @@ def test_whatever_asks_when_it_is_closed_ends(service, plant):
     asyncio.run(asyncio.wait_for(go(), 10.0))
 
 
+def test_calls_that_wait_for_their_turn_end_when_it_is_closed_and_none_is_taken_for_cancelled(service, plant):
+    async def go():
+        client = AsyncClient(service.url, at_once=1)
+        first = asyncio.ensure_future(anext(client.watch(plant, wait_s=30.0)))
+        await first
+        waiting = [asyncio.ensure_future(client.wait("0" * 32)) for _ in range(3)]
+        waiting.append(asyncio.ensure_future(anext(client.watch(plant, wait_s=30.0))))
+        await client.close()
+        ended = await asyncio.gather(*waiting, return_exceptions=True)
+        assert all(isinstance(x, Unreachable | Problem) for x in ended), ended
+        with pytest.raises(Unreachable):
+            await client.plant(plant)
+
+    asyncio.run(asyncio.wait_for(go(), 10.0))
+
+
+def test_calls_that_are_cancelled_leave_room_for_others(service, plant, tmp_path):
+    async def go():
+        async with AsyncClient(service.url, at_once=2) as client:
+            await client.upload_episode(plant, save(tmp_path, "1.mcap", episode_bytes(seed=1)))
+            watches = [client.watch(plant, wait_s=30.0) for _ in range(2)]
+            for seen in watches:
+                await anext(seen)
+            asked = [asyncio.ensure_future(anext(seen)) for seen in watches]
+            await asyncio.sleep(0.2)
+            for one in asked:
+                one.cancel()
+            return await asyncio.wait_for(client.plant(plant), 5.0)
+
+    assert asyncio.run(go())["name"] == plant
+
+
+def test_a_download_that_is_given_up_leaves_the_next_answer_whole(service, plant, tmp_path):
+    async def go():
+        async with AsyncClient(service.url, at_once=2) as client:
+            digest = (await client.upload_episode(plant, save(tmp_path, "1.mcap", episode_bytes(seed=1))))["digest"]
+            for _ in range(50):
+                parts = client.episode_parts(plant, digest)
+                await anext(parts)
+                found, _ = await asyncio.gather(client.plant(plant), parts.aclose())
+                assert found["name"] == plant
+
+    asyncio.run(go())
+
+
+def test_a_connection_that_the_service_closed_meanwhile_is_not_found_out_by_what_must_not_be_repeated(service):
+    with closing(Client(service.url)) as client:
+        list(client.plants())
+        client._to._http.sock.shutdown(socket.SHUT_RDWR)
+        assert client.issue_token(f"after-{time.time_ns()}", ["engineer"])["token"]
+
+
 def test_a_key_of_ones_own_makes_one_job_of_a_request_sent_twice(service, plant, tmp_path):
     with closing(Client(service.url)) as one, closing(Client(service.url)) as other:
         one.upload_episode(plant, save(tmp_path, "1.mcap", episode_bytes(seed=1)))
@@ -113,7 +166,7 @@ def test_a_key_of_ones_own_makes_one_job_of_a_request_sent_twice(service, plant,
 
 def test_a_token_whose_answer_was_lost_is_not_issued_twice(service, monkeypatch):
     with closing(Client(service.url)) as client:
-        client.tokens()
+        list(client.tokens())
         asked = []
         monkeypatch.setattr(client._to._http, "getresponse", lambda: asked.append(1) or (_ for _ in ()).throw(ConnectionResetError()))
         with pytest.raises(Unreachable):

@@ -21,7 +21,7 @@ from trueup.errors import BadArtifact, MlflowRefused, NotImportable, NotInstalle
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
 from trueup_cli import mlflow as passing
-from trueup_client import Client, Problem
+from trueup_client import Client, Problem, Untrue
 
 pytestmark = [
     pytest.mark.parametrize("service", ["embedded"], indirect=True),
@@ -130,7 +130,7 @@ def test_a_model_from_elsewhere_becomes_a_candidate_that_says_so(service, client
     assert manifest["predictor"]["parameters"] == {"k": 1.5, "c": 0.25, "b": 2.0}
     assert manifest["provenance"]["origin"] == "mlflow"
     known = manifest["provenance"]["mlflow"]
-    assert (known["source"], known["run"], known["registry"]) == (f"models:/{plant}/1", run, registry)
+    assert (known["source"], known["run"], known["registry"]) == (f"models:/{plant}/1", run, "sqlite")
     assert (known["flavors"], known["created"], known["tags"]) == (["sklearn"], "2026-01-02 10:00:00", {"who": "</script>"})
     assert known["metrics"]["rmse"] == 0.25
     assert known["metrics"]["worst"] is None or known["metrics"]["worst"] > 1e300  # this registry keeps an infinity as its largest number
@@ -145,7 +145,7 @@ def test_what_makes_no_predictor_of_the_plant_is_refused(service, client, mlflow
     assert len(list(client.artifacts(plant))) == 1
 
 
-@pytest.mark.parametrize("text", ["- a\n- list\n", "{", None, "flavors: 7\n"])
+@pytest.mark.parametrize("text", ["- a\n- list\n", "{", None, "flavors: 7\n", "at: 2026-13-45\n", "2026-01-02: 3\n", "a: &x [*x]\n"])
 def test_folders_that_mlflow_did_not_write_are_refused(service, mlflow, registry, plant, tmp_path, text):
     (tmp_path / "m").mkdir()
     if text is not None:
@@ -157,8 +157,11 @@ def test_folders_that_mlflow_did_not_write_are_refused(service, mlflow, registry
 def test_what_names_no_version_or_no_registry_is_told(service, mlflow, registry, plant, monkeypatch):
     with pytest.raises(NotImportable, match="names no version"):
         passing.import_("models:/x/latest", plant, registry=registry, url=service.url)
-    with pytest.raises(MlflowRefused, match=r"http://127\.0\.0\.1:1: "):
+    with pytest.raises(MlflowRefused, match=r"http://127\.0\.0\.1:1: ") as refused:
         passing.export(plant, registry="http://ada:secret@127.0.0.1:1", url=service.url)
+    assert "secret" not in str(refused.value)
+    with pytest.raises(MlflowRefused, match="no registry"):
+        passing.export(plant, url=service.url)
     monkeypatch.setattr(importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
     with pytest.raises(NotInstalled) as refused:
         passing.export(plant, registry=registry, url=service.url)
@@ -190,6 +193,30 @@ def test_an_artifact_becomes_a_folder_that_loads_by_either_flavor(service, mlflo
         found.__class__.__module__ and importlib.import_module(flavors["python_function"]["loader_module"])._load_pyfunc(
             str(tmp_path / "m" / "artifact")
         )
+
+
+def test_what_was_changed_in_the_registry_is_not_taken_for_what_it_was(service, mlflow, registry, plant, tmp_path):
+    kept(unpack(identified(plant)), tmp_path / "m" / "artifact")
+    write_mlflow_model(tmp_path / "m", None, "2026-01-02T03:04:05Z")
+    kept(unpack(identified(plant, k=99.0)), tmp_path / "m" / "artifact")
+    with pytest.raises(Untrue, match="names artifact"):
+        passing.import_(str(tmp_path / "m"), plant, url=service.url)
+    (tmp_path / "m" / "artifact" / "manifest.json").unlink()
+    with pytest.raises(NotImportable, match="there is none"):
+        passing.import_(str(tmp_path / "m"), plant, url=service.url)
+
+
+@pytest.mark.parametrize(
+    "address", ["http://u:s3@h:5/x", "postgresql://u:s/3@h/db", "postgresql://h/db?password=s3", "sqlite:///x@y.db", "/a/b"]
+)
+def test_what_is_told_of_a_registry_holds_no_password(service, address):
+    assert passing.where(address) in {"http://h:5", "postgresql", "sqlite", "file"}
+
+
+def test_names_that_differ_stay_different(service):
+    names = ["a", "damping(à)", "damping(é)", "/arm/j1", "//arm/j1", "arm:j1"]
+    assert len({passing.key(name) for name in names}) == len(names)
+    assert passing.key("k_1.b-c") == "k_1.b-c"
 
 
 def test_a_robot_loads_as_a_function_alone(service, tmp_path):

@@ -36,11 +36,15 @@ def test_a_robot_is_written_into_its_own_file(tmp_path):
     (tmp_path / "own.xml").write_text(ARM)
     convert(tmp_path / "m", tmp_path / "corrected.xml", mjcf=tmp_path / "own.xml")
     text = (tmp_path / "corrected.xml").read_text()
+    (tmp_path / "other.xml").write_text(ARM.replace('mass="1.6"', 'mass="5.6"'))
+    with pytest.raises(NotExportable, match=r"other\.xml is not the file"):
+        convert(tmp_path / "m", tmp_path / "o.xml", mjcf=tmp_path / "other.xml")
+    assert not (tmp_path / "o.xml").exists()
     assert 'frictionloss="0.25"' in text
     with pytest.raises(NotExportable, match="the file that it was declared by") as refused:
         convert(tmp_path / "m", tmp_path / "corrected.xml")
     assert plant.document["nominal"]["sha256"] in refused.value.hint
-    with pytest.raises(NotExportable, match="several joints") as refused:
+    with pytest.raises(NotExportable, match="given as MJCF") as refused:
         convert(tmp_path / "m", tmp_path / "m.onnx")
     assert "--mjcf" in refused.value.hint
 

@@ -69,7 +69,7 @@ def write_mlflow_model(folder: Path, run: str | None, created: str) -> Model:
         (folder / "model.onnx").write_bytes(to_onnx(model.predictor, model.digest))
         flavors["onnx"] = {"data": "model.onnx", "onnx_version": importlib.metadata.version("onnx")}
     except NotExportable:
-        pass  # several joints have no graph
+        pass  # a robot has no graph
     document: dict[str, Json] = {
         "run_id": run,
         "utc_time_created": created.replace("T", " ").removesuffix("Z"),
@@ -90,6 +90,13 @@ def holds_artifact(document: Mapping[str, Any]) -> bool:
     flavors = document.get("flavors")
     found = flavors.get("python_function") if isinstance(flavors, Mapping) else None
     return isinstance(found, Mapping) and found.get("loader_module") == __name__ and found.get("data") == ARTIFACT
+
+
+def artifact_of(document: Mapping[str, Any]) -> object:
+    """The digest that an MLmodel document gives the artifact in its folder."""
+    metadata = document.get("metadata")
+    told = metadata.get("trueup") if isinstance(metadata, Mapping) else None
+    return told.get("artifact") if isinstance(told, Mapping) else None
 
 
 def _signature(model: Model) -> dict[str, Json]:

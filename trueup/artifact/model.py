@@ -22,11 +22,13 @@ from trueup.episode.episode import Episode
 from trueup.episode.layout import Channel
 from trueup.episode.role import Role
 from trueup.errors import BadArtifact
+from trueup.model.dynamics import CompiledFamily
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor, predict_episode
 from trueup.model.stepper import Stepper
 
 Array = NDArray[np.float64]
+TWO = 2
 
 
 @dataclass(frozen=True)
@@ -59,41 +61,46 @@ class Model:
     def rollout(self, start: Mapping[str, float], commands: ArrayLike) -> Array:
         """Observations `(samples, observations)` from a start, under commands `(samples, commands)` held for a period each.
 
-        `start` gives observations by name, 0 where it does not; sample 0 is the start, before its command has acted. Of one joint also many
-        at once: commands `(n, samples, commands)` give `(n, samples, observations)`. A single command may be left without its last axis.
-        Raises ValueError for a name or a shape that does not fit.
+        `start` gives, by the name of its observation, what is truly so, and 0 where it gives nothing; sample 0 is what the sensors say of
+        it, before its command has acted. Of one joint also many at once: commands `(n, samples, commands)` give
+        `(n, samples, observations)`. A single command may be left without its last axis. Raises ValueError for a name or a shape that does
+        not fit, or without a sample.
         """
-        issued, joints = self._issued(commands), self.plant.dynamics.joints
-        state = np.zeros(2 * joints)
+        issued, state = self._issued(commands), np.zeros(2 * self.plant.dynamics.joints)
         columns = {c.name: int(column) for c, column in zip(self.observations, self.plant.state_columns, strict=True)}
         for name, x in start.items():
             if name not in columns:
                 raise ValueError(f"there is no observation {name!r}: this model has {', '.join(columns)}")
             state[columns[name]] = x
-        if joints > 1:
-            found = np.stack([self.plant.observe(self.predictor.run(state, one)) for one in issued])
-        else:
+        if isinstance(self.plant.dynamics, CompiledFamily):
             found = self._stepped(state, issued[:, :, 0])
+        else:
+            found = np.stack([self.plant.observe(self.predictor.run(state, one)) for one in issued])
         return found if np.ndim(commands) == 3 else found[0]  # noqa: PLR2004
 
     def predict(self, t_s: ArrayLike, commands: ArrayLike, observed: ArrayLike, horizon_s: float | None = None) -> Array:
         """Predicted observations at every sample of a recording, `(samples, observations)`.
 
         Rollouts start at each multiple of the horizon [s], the declared one if None, from what the recording's past up to there tells.
-        `t_s` `(samples,)` grows; `observed` `(samples, observations)` may hold nan.
+        `t_s` `(samples,)` grows; `observed` `(samples, observations)` may hold nan. A single column may be left without its last axis.
+        Raises ValueError for what does not fit.
         """
         t, layout = np.array(t_s, float), self.plant.layout
-        shape = len(t), len(layout.commands)
-        wanted = len(t), len(layout.observations)
-        episode = Episode(
-            t - t[0], np.array(commands, float).reshape(shape), np.array(observed, float).reshape(wanted), layout, Role.TEST, {}, 0, ""
+        if t.ndim != 1 or len(t) < TWO or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
+            raise ValueError("t_s are two or more finite times, each after the one before")
+        if horizon_s is not None and not (np.isfinite(horizon_s) and horizon_s > 0.0):
+            raise ValueError(f"horizon_s is a positive time, this is {horizon_s}")
+        columns = (
+            _columns("commands", commands, len(t), len(layout.commands)),
+            _columns("observed", observed, len(t), len(self.observations)),
         )
+        episode = Episode(t - t[0], *columns, layout, Role.TEST, {}, 0, "")
         return predict_episode(self.predictor, episode, horizon_s)
 
     def _stepped(self, state: Array, u: Array) -> Array:
         """Observations of one joint from a state `(2,)` under many commands `(n, samples)`."""
-        stepper, bounded = Stepper.of(self.predictor), np.clip(u[:, 0], *(bound[0] for bound in self.plant.limits))
-        now, found = stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), bounded), []
+        stepper = Stepper.of(self.predictor)
+        now, found = stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), u[:, 0]), []
         with np.errstate(over="ignore", invalid="ignore"):  # running away is an answer: it ends as inf or nan
             for i in range(u.shape[1]):
                 seen, now = stepper.step(now, u[:, i])
@@ -104,9 +111,18 @@ class Model:
         """Commands as `(n, samples, commands)`."""
         given, width = np.array(commands, float), len(self.commands)
         given = given[:, None] if given.ndim == 1 and width == 1 else given
-        if given.shape[-1] != width or given.ndim not in (2, 3):
+        if given.ndim not in (2, 3) or given.shape[-1] != width or given.shape[-2] == 0:
             raise ValueError(f"commands are (samples, {width}) or (n, samples, {width}), these are {given.shape}")
         return given if given.ndim == 3 else given[None]  # noqa: PLR2004
+
+
+def _columns(what: str, values: ArrayLike, samples: int, width: int) -> Array:
+    """Columns `(samples, width)`; a single one may be `(samples,)`."""
+    given = np.array(values, float)
+    given = given[:, None] if given.ndim == 1 and width == 1 else given
+    if given.shape != (samples, width):
+        raise ValueError(f"{what} are ({samples}, {width}), these are {given.shape}")
+    return given
 
 
 def load(folder: str | PathLike[str], digest: str | None = None) -> Model:

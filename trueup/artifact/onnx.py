@@ -37,7 +37,7 @@ COMPARISONS = ("Greater", "Less", "GreaterOrEqual", "LessOrEqual", "Equal")
 def to_onnx(predictor: Predictor, artifact: str) -> bytes:
     """A predictor's step as an ONNX model; `artifact` is the digest that it says it comes from.
 
-    Raises NotExportable for a robot of several joints, NotInstalled without the package onnx.
+    Raises NotExportable for a robot given as MJCF, NotInstalled without the package onnx.
     """
     onnx = _package()
     stepper = Stepper.of(predictor)
@@ -72,14 +72,17 @@ def _package() -> ModuleType:
 
 
 def _told(stepper: Stepper, artifact: str) -> dict[str, str]:
-    """What the columns are, as metadata. A state begins with the position, the velocity and the first command, or at 0."""
-    layout, marks = stepper.plant.layout, {1.0: "position", 10.0: "velocity", 100.0: "command", 0.0: "0"}
+    """What the columns are, as metadata. A state begins with the position, the velocity and the first command (limited), or at 0."""
+    layout, (low, high) = stepper.plant.layout, (float(bound[0]) for bound in stepper.plant.limits)
+    u = high if high != 0.0 else low
+    q, v = 1e3 * abs(u) + 1.0, 1e3 * abs(u) + 2.0  # three numbers that are not one another, nor 0
+    marks = {q: "position", v: "velocity", u: "command within its limits", 0.0: "0"}
     told: dict[str, Json] = {
         "schema": SCHEMA,
         "plant": stepper.plant.name,
         "artifact": artifact,
         "period_s": stepper.plant.timestep_s,
-        "state": [{"name": name, "begins": marks[x]} for name, x in stepper.begin(1.0, 10.0, 100.0).items()],
+        "state": [{"name": name, "begins": marks[x]} for name, x in stepper.begin(q, v, u).items()],
         "command": [{"name": c.name, "unit": c.unit, "limits": list(c.limits or ())} for c in layout.commands],
         "observation": [{"name": c.name, "unit": c.unit} for c in layout.observations],
     }
@@ -139,6 +142,9 @@ class Symbol(NDArrayOperatorsMixin):
 
     def __init__(self, graph: Graph, name: str, *, is_truth: bool = False) -> None:
         self.graph, self.name, self.is_truth = graph, name, is_truth
+
+    def __bool__(self) -> bool:
+        raise NotExportable("an effect decides by a value in a way that no graph can hold")
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **more: Any) -> Symbol:
         if method != "__call__" or more or (function is not np.copysign and function.__name__ not in OPERATORS):

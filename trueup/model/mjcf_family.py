@@ -21,6 +21,7 @@ from trueup.model.mjcf import resolved
 from trueup.model.mjcf_patch import patch
 from trueup.model.mjcf_writer import Written, write
 from trueup.model.plant import Plant
+from trueup.model.series import DECLARED, Scheme
 
 JOINT = "joint"
 FINEST_S = 0.002  # MuJoCo's own default step; a declared period is cut into whole parts of at most this
@@ -32,7 +33,7 @@ def mjcf_of_joint(model: Corrected, folder: Path, heading: Sequence[str]) -> Wri
     """A family's model with its effects as MJCF; `folder` is for files on the way. Raises NotInstalled without MuJoCo."""
     plant, joint = model.plant, model.plant.joints[0] or JOINT
     assert isinstance(plant.dynamics, CompiledFamily)
-    (folder / FILE).write_text(nominal(plant, model.values, joint))
+    (folder / FILE).write_text(nominal(plant, model.values, joint, model.scheme))
     channels = {key: [{**c, "joint": joint} for c in _listed(plant.document[key])] for key in ("commands", "observations")}
     document = {**plant.document, **channels, "nominal": {"mjcf": FILE, "timestep_s": plant.timestep_s}}
     robot = Plant.from_document(resolved(document, folder))
@@ -43,13 +44,16 @@ def mjcf_of_joint(model: Corrected, folder: Path, heading: Sequence[str]) -> Wri
     return write(folder / FILE, patch(Corrected(robot, model.hypothesis, tuple(map(float, values)), model.scheme)), heading)
 
 
-def nominal(plant: Plant, numbers: Sequence[float], joint: str) -> str:
-    """A family with the numbers of its form, as MJCF."""
+def nominal(plant: Plant, numbers: Sequence[float], joint: str, scheme: Scheme) -> str:
+    """A family with the numbers of its form, as MJCF: stepped as declared, or as finely as the symmetric scheme asks for."""
     assert isinstance(plant.dynamics, CompiledFamily)
     family = plant.dynamics.family.name
     given = dict(zip(plant.dynamics.parameter_names, numbers, strict=False))
     low, high = (float(bound[0]) for bound in plant.limits)
-    step_s = plant.timestep_s / int(np.ceil(plant.timestep_s / FINEST_S - 1e-9))
+    declared = scheme == DECLARED
+    step_s = plant.timestep_s / (1 if declared else int(np.ceil(plant.timestep_s / FINEST_S - 1e-9)))
+    gravity = f'gravity="0 0 {-given["k"] / ARM_M if family == "pendulum" else 0.0!r}"'
+    how = 'integrator="Euler"><flag eulerdamp="disable"/></option>' if declared else 'integrator="implicitfast"/>'
     hangs = family == "pendulum"
     stiffness = f' stiffness="{given["k"]!r}"' if family == "oscillator" else ""
     kind, axis = ("hinge", "0 1 0") if hangs else ("slide", "1 0 0")
@@ -57,7 +61,7 @@ def nominal(plant: Plant, numbers: Sequence[float], joint: str) -> str:
     inertial = f'pos="0 0 {-ARM_M if hangs else 0.0!r}" mass="1" diaginertia="{own!r} {own!r} {own!r}"'
     lines = [
         f"<mujoco model={quoteattr(plant.name)}>",
-        f'  <option timestep="{step_s!r}" integrator="implicitfast" gravity="0 0 {-given["k"] / ARM_M if hangs else 0.0!r}"/>',
+        f'  <option timestep="{step_s!r}" {gravity} {how}',
         "  <worldbody>",
         f"    <body name={quoteattr(plant.name)}>",
         f'      <joint name={quoteattr(joint)} type="{kind}" axis="{axis}" damping="{given["c"]!r}"{stiffness}/>',

@@ -37,11 +37,11 @@ class Stepper:
 
     @staticmethod
     def of(predictor: Predictor) -> Stepper:
-        """Of a predictor. Raises NotExportable for a robot of several joints."""
+        """Of a predictor of a family. Raises NotExportable for a robot given as MJCF."""
         plant = predictor.plant
         if not isinstance(plant.dynamics, CompiledFamily):
             raise NotExportable(
-                f"{plant.name} is a robot of several joints: its step is no function of this form",
+                f"{plant.name} is a robot given as MJCF: its step solves its joints together",
                 hint="Export its corrected MJCF instead: `trueup convert MODEL corrected.xml --mjcf FILE`.",
             )
         match predictor:
@@ -76,10 +76,11 @@ class Stepper:
         return tuple(found)
 
     def begin(self, position: Any, velocity: Any, command: Any) -> dict[str, Any]:
-        """The state at an episode's first sample; the command has been the first one for ever."""
+        """The state at an episode's first sample; the command, within its limits, has been the first one for ever."""
         found = {POSITION: position, VELOCITY: velocity}
         if self.physics is None:
             return found
+        command = self._held(command)
         found |= self.physics.joint.begin(velocity, command)
         remembers = "actuator_delay" in self.physics.hypothesis.effects
         found |= {f"command {k} before": command if remembers else 0.0 * command for k in range(1, len(self.shares[0]))}
@@ -87,9 +88,7 @@ class Stepper:
 
     def step(self, state: State, command: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
         """What is observed now, in the order of the plant's observations, and the next state, under a command held until then."""
-        low, high = (float(bound[0]) for bound in self.plant.limits)
-        q, v = state[POSITION], state[VELOCITY]
-        held = np.minimum(np.maximum(command, low), high)
+        q, v, held = state[POSITION], state[VELOCITY], self._held(command)
         if self.physics is None:
             by = self._mapped(q, v, command)
             return self._observed(q, v), {POSITION: by[0], VELOCITY: by[1]}
@@ -105,6 +104,10 @@ class Stepper:
         after |= {name: memory[name] for name in state if "." in name}
         after |= {f"command {k} before": u for k, u in enumerate(late[:-1], 1)}
         return self._observed(seen_q, seen_v), after | ({TIME: state[TIME] + period} if self._asks_time else {})
+
+    def _held(self, command: Any) -> Any:
+        low, high = (float(bound[0]) for bound in self.plant.limits)
+        return np.minimum(np.maximum(command, low), high)
 
     def _mapped(self, q: Any, v: Any, u: Any) -> tuple[Any, Any]:
         """What the map gives for position and velocity."""

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 import trueup
-from tests.support.made import TRUE, episode_bytes
+from tests.support.made import TRUE, episode_bytes, plant_document
 from tests.support.robots import arm_plant
 from tests.unit.model.test_stepper import PLANT, TOGETHER, commands, compiled, corrected
 from trueup.artifact.artifact import pack
 from trueup.episode.mcap import read_episode
 from trueup.errors import BadArtifact
+from trueup.model.mjcf import resolved
+from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
 from trueup.model.series import DECLARED
 
@@ -88,3 +90,39 @@ def test_one_joint_needs_numpy_alone(tmp_path):
         "print(*sorted({n.partition('.')[0] for n in sys.modules} & {'numba', 'llvmlite', 'mujoco', 'fastapi', 'sqlalchemy'}))"
     )
     assert subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True).stdout == "\n"
+
+
+def test_a_robot_of_one_joint_rolls_out(tmp_path):
+    (tmp_path / "one.xml").write_text(
+        '<mujoco><worldbody><body><joint name="j" type="slide" axis="1 0 0" damping="0.5"/><geom size="0.1" mass="2"/></body></worldbody>'
+        '<actuator><motor joint="j"/></actuator></mujoco>'
+    )
+    channels = {
+        "commands": [{"name": "u", "joint": "j", "unit": "N", "limits": [-1, 1]}],
+        "observations": [{"name": "q", "joint": "j", "field": "position", "unit": "m"}],
+    }
+    document = {"name": "one", "nominal": {"mjcf": "one.xml", "timestep_s": 0.01}, "evaluation": {"horizon_s": 0.5}, **channels}
+    plant = Plant.from_document(resolved(document, tmp_path))
+    kept(Nominal(plant), tmp_path / "m")
+    path = trueup.load(tmp_path / "m").rollout({"q": 0.2}, np.full(50, 3.0))
+    assert path[0, 0] == 0.2
+    assert np.allclose(path, plant.observe(Nominal(plant).run(np.array([0.2, 0.0]), np.full((50, 1), 3.0))))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "complaint"),
+    [
+        ({"t_s": [0.0, 0.1, 0.1]}, "each after the one before"),
+        ({"t_s": [0.0, np.nan, 0.2]}, "finite"),
+        ({"observed": np.zeros((2, 3))}, r"observed are \(3, 2\)"),
+        ({"commands": np.zeros(4)}, r"commands are \(3, 1\)"),
+        ({"horizon_s": -1.0}, "positive"),
+    ],
+)
+def test_a_recording_that_does_not_fit_is_refused(tmp_path, wrong, complaint):
+    kept(Nominal(Plant.from_document(plant_document())), tmp_path / "m")
+    given = {"t_s": [0.0, 0.05, 0.1], "commands": np.zeros(3), "observed": np.zeros((3, 2)), **wrong}
+    with pytest.raises(ValueError, match=complaint):
+        trueup.load(tmp_path / "m").predict(**given)
+    with pytest.raises(ValueError, match="commands are"):
+        trueup.load(tmp_path / "m").rollout({}, np.zeros((0, 1)))

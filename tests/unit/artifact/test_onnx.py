@@ -21,7 +21,12 @@ def run(content, start, issued):
     """Observations of a graph that is stepped, three lanes at once."""
     session = onnxruntime.InferenceSession(content)
     told = session.get_modelmeta().custom_metadata_map
-    begins = {"position": start[0], "velocity": start[1], "command": float(np.clip(issued[0, 0], *PLANT.limits).item()), "0": 0.0}
+    begins = {
+        "position": start[0],
+        "velocity": start[1],
+        "command within its limits": float(np.clip(issued[0, 0], *PLANT.limits).item()),
+        "0": 0.0,
+    }
     state = np.tile([begins[x["begins"]] for x in json.loads(told["state"])], (3, 1))
     found = []
     for u in issued[:, 0]:
@@ -67,5 +72,5 @@ def test_a_graph_says_what_it_is_and_is_the_same_bytes_each_time():
 
 
 def test_a_robot_of_several_joints_has_none(tmp_path):
-    with pytest.raises(NotExportable, match="several joints"):
+    with pytest.raises(NotExportable, match="given as MJCF"):
         to_onnx(Nominal(arm_plant(tmp_path)), "a" * 64)

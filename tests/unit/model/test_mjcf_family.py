@@ -1,5 +1,7 @@
 """One joint as MJCF: MuJoCo moves it as the model does."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ from tests.support.made import plant_document
 from trueup.model.corrected import Corrected
 from trueup.model.mjcf_family import mjcf_of_joint
 from trueup.model.plant import Plant
-from trueup.model.series import Scheme
+from trueup.model.series import DECLARED, Scheme
 
 SAMPLES, PERIOD_S = 400, 0.01
 FORMS = {"inertia": {"c": 0.6, "b": 0.8}, "oscillator": {"k": 3.0, "c": 0.6, "b": 0.8}, "pendulum": {"k": 9.0, "c": 0.6, "b": -0.8}}
@@ -68,6 +70,14 @@ def test_mujoco_moves_as_the_model_does(family, effect, tmp_path):
     without = model_of(family, {}).run(np.array(start), issued)[:, 0]
     assert off < 0.01 * np.ptp(ours)
     assert effect is None or off < 0.1 * np.abs(without - ours).max()
+
+
+@pytest.mark.parametrize("family", FORMS)
+def test_the_declared_step_is_mujocos_own(family, tmp_path):
+    model, start = replace(model_of(family, {}), scheme=DECLARED), (0.2, 0.1)
+    issued = 1.3 * np.sin(2.1 * np.arange(SAMPLES) * PERIOD_S)[:, None]
+    ours = model.run(np.array(start), issued)[:, 0]
+    assert np.abs(moved(mjcf_of_joint(model, tmp_path, ["by hand"]).text, issued[:, 0], start) - ours).max() < 1e-12
 
 
 def test_what_mujoco_has_no_element_for_is_said(tmp_path):
