@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -39,12 +40,14 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Made:
-    """A case folder that was written: its plant.json, and what was found and assumed for it."""
+    """A case folder that was written: its plant.json, its episodes' roles, and what was found and assumed for it."""
 
     folder: Path
     document: dict[str, Any]
     chosen: Chosen
     stage: str
+    roles: Counter[Role]
+    declared: bool
 
 
 def init(log: Path, *, out: Path, wanted: Wanted | None = None, force: Force = False, as_json_: Json = False) -> None:
@@ -92,7 +95,7 @@ def make_case(log: Path, out: Path, wanted: Wanted) -> Made:
         plain = re.sub(r"[^a-z0-9_-]+", "-", named.lower()).strip("-_") or "robot"
         document = describe(plain[:63], chosen, [e for e in episodes if e.role is Role.ADAPTATION], wanted.family)
     (out / "plant.json").write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    return Made(out, document, chosen, wanted.stage)
+    return Made(out, document, chosen, wanted.stage, Counter(e.role for e in episodes), found.role is not None)
 
 
 def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> list[Path]:
@@ -131,6 +134,12 @@ def tell(made: Made) -> None:
         f"{out / 'plant.json'}",
         ["what", "found", "so"],
         [
+            ("plant", document["name"], "its name in a service; --name gives another"),
+            (
+                "episodes",
+                ", ".join(f"{count} {role}" for role, count in made.roles.items()),
+                "roles as recorded" if made.declared else "the last of what was recorded is held out",
+            ),
             ("observed", chosen.observed.topic, f"{', '.join(chosen.observed.fields)} of {chosen.joint or 'the first joint'}"),
             ("commanded", chosen.commanded.topic, f"{chosen.command_field}, within {limits[0]:g} and {limits[1]:g} so far"),
             ("step", f"{1e3 * nominal['timestep_s']:g} ms", f"rollouts over {document['evaluation']['horizon_s']:g} s"),
