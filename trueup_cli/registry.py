@@ -45,6 +45,8 @@ def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Jso
         warned = Counter(warning for episode in found for warning in episode["summary"].get("collection", {}).get("warnings", []))
         for warning, times in warned.items():
             out.print(f"[yellow]{times} of {len(found)} episodes[/]: {warning}", soft_wrap=True)
+        if warned:
+            out.print("[dim]A recording says so in its metadata record `episode`: docs/plant.md.[/]")
         table(
             "Episodes",
             ["file", "digest", "role", "samples", "seconds"],

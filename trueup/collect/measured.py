@@ -49,7 +49,7 @@ def _conditions(episode: Episode, warnings: list[str]) -> dict[str, Json]:
         warnings.append(f"the stage {stage!r} is none of {', '.join(STAGES)}")
     missing = [name for name in ("safeguards", "supervisor", "stop_criterion") if name not in declared]
     if stage in ON_A_MACHINE and missing:
-        warnings.append(f"recorded on a machine without a declared {', '.join(missing).replace('_', ' ')}")
+        warnings.append(f"recorded on a machine, and its metadata do not say: {', '.join(missing).replace('_', ' ')}")
     return {"declared": dict(declared), "missing": [name for name in CONDITIONS if name not in declared]}
 
 

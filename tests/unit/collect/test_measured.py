@@ -32,7 +32,7 @@ def test_a_whole_declaration_inside_the_envelope_has_no_warning():
     [
         ({}, "the stage is not declared"),
         ({"stage": "lab"}, "the stage 'lab' is none of MIL, SIL, PIL, HIL, physical"),
-        ({**WHOLE, "stage": "HIL", "supervisor": None}, "without a declared supervisor"),
+        ({**WHOLE, "stage": "HIL", "supervisor": None}, "its metadata do not say: supervisor"),
     ],
 )
 def test_what_is_not_declared_is_said(conditions, says):

@@ -92,7 +92,7 @@ def _changes(first: ArtifactRecord, second: ArtifactRecord) -> list[dict[str, An
 def _told(record: ArtifactRecord) -> dict[str, str]:
     manifest: dict[str, Any] = json.loads(record.manifest)
     predictor, provenance = manifest.get("predictor", {}), manifest.get("provenance", {})
-    nominal = manifest.get("plant", {}).get("nominal", {}).get("parameters", {}) if isinstance(manifest.get("plant"), dict) else {}
+    nominal = manifest["plant"]["document"]["nominal"].get("parameters", {})
     told = {"kind": record.kind, "artifact": record.digest[:16], "made": record.created_at[:19].replace("T", " "), "by": record.created_by}
     numbers = predictor.get("parameters") or nominal
     if isinstance(numbers, dict):
