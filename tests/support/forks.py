@@ -1,6 +1,7 @@
 """Processes of the service without the seconds that each takes to load what it imports: forked from one that has loaded it.
 
-Each is a process of its own with its own environment, that runs a module as `python -m` does, and dies as processes die.
+Each is a process of its own with its own environment, that runs a module as `python -m` does, and dies as processes die; but no `atexit`
+handler runs in it.
 """
 
 from __future__ import annotations
