@@ -40,10 +40,11 @@ def completion(
     from trueup_cli.main import app
 
     try:
-        if not install:
+        if not install and to is None:
             print(app.generate_completion(shell=shell))
             return
         written = app.install_completion(shell=shell, output=to, add_to_startup=to is None)
     except ShellDetectionError as error:
         raise NoShell(str(error)) from error
-    out.print(f"{written} completes trueup in every shell that is started from now on", soft_wrap=True)
+    says = "completes trueup in every shell that is started from now on" if to is None else "completes trueup in a shell that reads it"
+    out.print(f"{written} {says}", soft_wrap=True)
