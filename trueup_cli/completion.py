@@ -24,7 +24,7 @@ def completion(
     shell: Shell | None = None,
     *,
     install: Annotated[bool, Parameter(negative=(), help="Put it where the shell finds it, and load it when the shell starts")] = False,
-    to: Annotated[Path | None, Parameter(help="With --install: the file to write, and no start-up file changed")] = None,
+    to: Annotated[Path | None, Parameter(help="Write it to this file; no start-up file is changed")] = None,
 ) -> None:
     """Print what a shell needs to complete commands, options and plants: `eval "$(trueup completion bash)"`, or --install it.
 
