@@ -84,7 +84,7 @@ def test_a_watch_that_is_given_up_ends_at_once(service, plant):
 
     first, after, took_s = asyncio.run(go())
     assert first == after
-    assert took_s < 10.0  # and not the 30 that the service would have held it
+    assert took_s < 20.0  # and not the 30 that the service would have held it
 
 
 def test_whatever_asks_when_it_is_closed_ends(service, plant):
@@ -98,7 +98,7 @@ def test_whatever_asks_when_it_is_closed_ends(service, plant):
         with pytest.raises(Unreachable):
             await waits
 
-    asyncio.run(asyncio.wait_for(go(), 10.0))
+    asyncio.run(asyncio.wait_for(go(), 20.0))
 
 
 def test_calls_that_wait_for_their_turn_end_when_it_is_closed_and_none_is_taken_for_cancelled(service, plant):
@@ -114,7 +114,7 @@ def test_calls_that_wait_for_their_turn_end_when_it_is_closed_and_none_is_taken_
         with pytest.raises(Unreachable):
             await client.plant(plant)
 
-    asyncio.run(asyncio.wait_for(go(), 10.0))
+    asyncio.run(asyncio.wait_for(go(), 20.0))
 
 
 def test_calls_that_are_cancelled_leave_room_for_others(service, plant, tmp_path):
@@ -128,7 +128,7 @@ def test_calls_that_are_cancelled_leave_room_for_others(service, plant, tmp_path
             await asyncio.sleep(0.2)
             for one in asked:
                 one.cancel()
-            return await asyncio.wait_for(client.plant(plant), 5.0)
+            return await asyncio.wait_for(client.plant(plant), 20.0)
 
     assert asyncio.run(go())["name"] == plant
 
