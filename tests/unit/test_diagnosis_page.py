@@ -65,3 +65,12 @@ def test_nothing_in_a_report_becomes_markup():
     assert HOSTILE not in page
     assert "<img" not in page
     assert page.count("</script>") == 3  # the data's, and those of the two scripts
+
+
+@pytest.mark.parametrize(("after", "said"), [(0.2, True), (0.06, False)])
+def test_what_is_left_beside_the_noise_is_said_where_intervals_are(after, said):
+    found = report(row(2.0, "coulomb_friction", answer=True))
+    estimate = {"level": {"value": 0.2, "unit": "m/s^2", "ci95": [0.19, 0.21]}}
+    found["effects"] = [{"effect": "coulomb_friction", "channel": "joint", "estimate": estimate, "share": 0.5}]
+    found["gap"] |= {"after": after, "floor": 0.05}
+    assert ("What is left is 4 times the noise floor" in report_page(found, None)) == said
