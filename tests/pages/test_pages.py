@@ -21,6 +21,7 @@ SERIOUS = ("serious", "critical")
 HOSTILE = "<img src=x onerror=\"document.title='taken'\"><script>document.title='taken'</script>"
 LIGHTEST = 500_000
 A_MINUTE = 120_000  # and another, on a slow machine [ms]
+expect.set_options(timeout=A_MINUTE)
 FOCUSED = "[document.activeElement].map(e => e.getAttribute('aria-label') || e.innerText || e.name || '')[0]"
 
 
@@ -73,6 +74,7 @@ class Seat:
     def __init__(self, browser, service, width=1280, scheme="light", *, scripts=True, signed_in=True):
         self.url, self.faults, self.loaded = service.url, [], []
         self.context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, java_script_enabled=scripts)
+        self.context.set_default_timeout(3 * A_MINUTE)  # a browser that has a twelfth of one core gets there, too
         self.page = self.context.new_page()
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
         self.page.on("console", lambda said: self.faults.append(said.text) if said.type in ("error", "warning") else None)
