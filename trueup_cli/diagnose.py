@@ -12,7 +12,7 @@ from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.figures import figures
 from trueup.diagnose.report import COMMAND_FILE
-from trueup.diagnose.words import pushed, sentence
+from trueup.diagnose.words import sentence, warnings
 from trueup.episode.episode import Episode
 from trueup.model.mjcf_writer import write as write_corrected
 from trueup_cli.options import Json, Seed
@@ -47,12 +47,17 @@ def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> Non
     files = {"report": out / "report.html", "model": out / "model", **write_mjcf(found, case, out)}
     if as_json_:
         as_json(
-            {"sentence": sentence(found.document), "report": dict(found.document), "files": {what: str(to) for what, to in files.items()}}
+            {
+                "sentence": sentence(found.document),
+                "warnings": warnings(found.document),
+                "report": dict(found.document),
+                "files": {what: str(to) for what, to in files.items()},
+            }
         )
         return
     print(sentence(found.document))
-    for push in pushed(found.document):
-        print(f"Something outside pushes, as a contact does: {push}. Leave it out: a contact is not simulated.")
+    for warning in warnings(found.document):
+        print(warning)
     if found.choice.rivals:
         print(f"What would part the explanations: trueup excite {case} --model {out} --split --out {out / 'experiment'}")
     print("   ".join(f"{what}: {where}" for what, where in files.items()))

@@ -93,9 +93,12 @@ def diagnosis(plant: PlantName, *, seed: Seed = 0, url: Url = DEFAULT_URL, as_js
     if as_json_:
         as_json(found)
         return
-    from trueup.diagnose.words import sentence
+    from trueup.diagnose.words import sentence, warnings
 
-    out.print(sentence(result_of(found)["report"]), soft_wrap=True)
+    report = result_of(found)["report"]
+    out.print(sentence(report), soft_wrap=True)
+    for warning in warnings(report):
+        out.print(warning, style="yellow", soft_wrap=True, markup=False)
     out.print(f"candidate [bold]{result_of(found)['artifact']}[/]")
     out.print(f"[dim]the whole of it in a browser: trueup look {plant}[/]")
 

@@ -15,6 +15,7 @@ from trueup.canonical import Json
 from trueup.collect.coverage import Coverage, compared
 from trueup.episode.episode import Episode
 from trueup.episode.role import STAGES, Role
+from trueup.model.clock import off_step
 from trueup.model.dynamics import CompiledFamily
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
@@ -29,7 +30,8 @@ STILL = 0.05  # of the command's range: less is hardly an excitation
 
 def measured(plant: Plant, episode: Episode, fitted_on: Sequence[Coverage] = ()) -> dict[str, Json]:
     """Conditions, envelope, excitation, how much of it lies where the serving model was `fitted_on`, and warnings in words."""
-    warnings: list[str] = []
+    off = off_step(episode.period_s, plant.timestep_s)
+    warnings = [off] if off else []
     found: dict[str, Json] = {
         "conditions": _conditions(episode, warnings),
         "envelope": _envelope(plant, episode, warnings),

@@ -70,7 +70,10 @@ def report(
         "gap": gap.document(),
         "next_experiment": experiment.document(COMMAND_FILE, lambda t: told(plant, t)) if experiment else None,
         "evidence": {
-            "episodes": [{"sha256": e.digest, "role": str(e.role)} for e in sorted(episodes, key=lambda e: e.digest)],
+            "timestep_s": plant.timestep_s,
+            "episodes": [
+                {"sha256": e.digest, "role": str(e.role), "period_s": e.period_s} for e in sorted(episodes, key=lambda e: e.digest)
+            ],
             "hypotheses": _hypotheses(plant, search, choice, nominal),
             "alternatives": list(alternatives),
             "noise": {c.name: float(admission.noise[i]) for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)},

@@ -6,7 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from trueup.model.clock import off_step
+
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
+MISLEADS = 1.05  # times the nominal model's error: new numbers that do worse are no improvement
 PLAINLY = 2.0  # times the floor: an error above that is no noise
 WORTH_NAMING = 0.05  # of the gap: less of it is not named in the sentence
 MOST = 0.5  # of the gap: more than that is most of it
@@ -99,7 +102,23 @@ def composition(effects: Sequence[Any], nothing: str = "no effect") -> str:
     return " with ".join(map(name, effects)) or nothing
 
 
-def pushed(document: Mapping[str, Any]) -> list[str]:
+def warnings(document: Mapping[str, Any]) -> list[str]:
+    """What a reader of the answer should know first, a sentence each: of pushes, of the clock, of new numbers that mislead."""
+    push = "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
+    found = [push.format(when) for when in _pushed(document)]
+    evidence, gap = document["evidence"], document["gap"]
+    clocks = [off_step(e["period_s"], evidence["timestep_s"]) for e in evidence["episodes"] if "timestep_s" in evidence]
+    if off := [clock for clock in clocks if clock]:
+        found.append(f"{len(off)} of {len(clocks)} episodes are off the declared step, the first {off[0]}.")
+    if gap["parameters_only"] > MISLEADS * gap["before"] > MISLEADS * PLAINLY * gap["floor"]:
+        found.append(
+            f"New numbers alone are worse held out than the nominal model ({short(gap['parameters_only'])}, was {short(gap['before'])}): "
+            "they bend to what the form lacks; do not use them without it."
+        )
+    return found
+
+
+def _pushed(document: Mapping[str, Any]) -> list[str]:
     """When something outside pushes a robot, in words."""
     roles = {e["sha256"]: e["role"] for e in document["evidence"]["episodes"]}
     found = []

@@ -71,3 +71,10 @@ def test_a_robots_excitation_is_its_command_range_alone(tmp_path):
     found = measured(plant, recorded(plant, lambda _: None, [1], [Role.ADAPTATION], seconds=1.0)[0])
     assert found["excitation"]["rank"] is None
     assert all(0.0 <= part <= 1.0 for part in found["excitation"]["range_used"].values())
+
+
+def test_a_recording_off_the_declared_step_is_told():
+    one = episode(**WHOLE)
+    (warning,) = measured(PLANT, replace(one, t_s=1.07 * one.t_s))["warnings"]
+    assert warning.startswith("recorded every")
+    assert "declare the step of the loop that recorded" in warning

@@ -16,7 +16,7 @@ from trueup.diagnose.locate import Strides, _pushed
 from trueup.diagnose.periodicity import pitches
 from trueup.diagnose.problem import Candidate, Problem
 from trueup.diagnose.search import Search
-from trueup.diagnose.words import pushed, sentence
+from trueup.diagnose.words import sentence, warnings
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.residual import fit_residual
@@ -143,7 +143,8 @@ def test_something_that_leans_on_a_joint_is_told_with_its_time(plant):
     assert push["joints"][0]["force"] < -15.0
     assert _pushed(plant, leaned_on(plant, episodes, 1.0, 1.5), episodes) == []
     roles = [{"sha256": e.digest, "role": str(e.role)} for e in episodes]
-    (words,) = pushed({"where": {"pushed": [push]}, "evidence": {"episodes": roles}})
+    gap = {"parameters_only": 0.1, "before": 0.1, "floor": 0.1}
+    (words,) = warnings({"where": {"pushed": [push]}, "evidence": {"episodes": roles}, "gap": gap})
     assert "1 to 2.2 s: elbow by -2" in words
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from trueup.diagnose.words import composition, plus_minus, sentence, short, waterfall
+from trueup.diagnose.words import composition, plus_minus, sentence, short, warnings, waterfall
 
 
 def report(effects=(), *, verdict="effect", before=0.21, numbers=0.12, after=0.013, floor=0.012, closed=0.99, rivals=()):
@@ -12,6 +12,11 @@ def report(effects=(), *, verdict="effect", before=0.21, numbers=0.12, after=0.0
         "indistinguishable": list(rivals),
         "gap": {"before": before, "parameters_only": numbers, "after": after, "floor": floor, "closed": closed, "ci95": [0.98, 1.0]},
     }
+
+
+def recorded(*periods_s, step_s=0.005, **gap):
+    episodes = [{"sha256": f"{i}" * 64, "role": "adaptation", "period_s": period} for i, period in enumerate(periods_s)]
+    return {**report(**gap), "where": {}, "evidence": {"timestep_s": step_s, "episodes": episodes}}
 
 
 def friction(share=0.6, **more):
@@ -74,3 +79,28 @@ def test_numbers_are_written_to_their_uncertainty():
     assert plus_minus(2.0, 0.0) == "2"
     assert short(None) == "–"
     assert composition([]) == "no effect"
+
+
+@pytest.mark.parametrize("period_s", [0.005, 0.0051, 0.01, 0.0333, 0.00495])
+def test_a_clock_of_whole_steps_is_passed_over(period_s):
+    assert warnings(recorded(period_s)) == []
+
+
+@pytest.mark.parametrize(("period_s", "told"), [(0.0053, "5.3 ms"), (0.0083, "8.3 ms"), (0.004, "4 ms")])
+def test_a_clock_off_the_declared_step_is_told(period_s, told):
+    (warning,) = warnings(recorded(0.005, period_s))
+    assert warning.startswith(f"1 of 2 episodes are off the declared step, the first recorded every {told}, ")
+    assert "declares steps of 5 ms" in warning
+
+
+def test_new_numbers_that_do_worse_than_nominal_are_told_where_there_is_a_gap():
+    (warning,) = warnings(recorded(0.005, before=0.21, numbers=0.3))
+    assert "worse held out than the nominal model (0.3, was 0.21)" in warning
+    assert warnings(recorded(0.005, before=0.013, numbers=0.02)) == []
+    assert warnings(recorded(0.005, before=0.21, numbers=0.215)) == []
+
+
+def test_a_report_of_before_says_nothing_of_its_clock():
+    old = recorded(0.0053)
+    del old["evidence"]["timestep_s"]
+    assert warnings(old) == []
