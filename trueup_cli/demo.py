@@ -14,7 +14,6 @@ import numpy as np
 from rich.text import Text
 
 from trueup.artifact.model import load
-from trueup.diagnose.words import sentence
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.fit.score import rollout_rms
@@ -27,7 +26,7 @@ from trueup_cli.beside import service_beside
 from trueup_cli.pictures.before_and_after import AFTER, BEFORE, Trace, before_and_after
 from trueup_cli.registry import result_of, run_job, show_decision
 from trueup_cli.serving import show_serving
-from trueup_cli.show import out, progress, table
+from trueup_cli.show import answer, out, progress, table
 from trueup_client import Client
 from trueup_client.records import Decision
 
@@ -127,7 +126,7 @@ def _fit_and_gate(client: Client, case: Case) -> Decision | None:
         result = result_of(run_job(client, case.name, request, request["kind"]))
         artifact = result["artifact"]
         if "report" in result:
-            out.print(sentence(result["report"]))
+            answer(result["report"])
         judged = run_job(client, case.name, {"kind": "gate", "candidate": artifact, "gate": gate["digest"]}, "judge")
         decisions.append(client.decision(case.name, result_of(judged)["decision"]))
         figures = {v["rule"]: v["value"] for v in decisions[-1]["document"]["verdicts"]}

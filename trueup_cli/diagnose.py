@@ -16,7 +16,7 @@ from trueup.diagnose.words import sentence, warnings
 from trueup.episode.episode import Episode
 from trueup.model.mjcf_writer import write as write_corrected
 from trueup_cli.options import Json, Seed
-from trueup_cli.show import as_json, progress
+from trueup_cli.show import answer, as_json, progress
 from trueup_pages.diagnosis import report_page
 
 
@@ -55,9 +55,7 @@ def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> Non
             }
         )
         return
-    print(sentence(found.document))
-    for warning in warnings(found.document):
-        print(warning)
+    answer(found.document)
     if found.choice.rivals:
         print(f"What would part the explanations: trueup excite {case} --model {out} --split --out {out / 'experiment'}")
     print("   ".join(f"{what}: {where}" for what, where in files.items()))

@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
+from rich.markup import escape
 
 from trueup.errors import BadGate, NotAnEpisode
 from trueup_cli.digests import whole
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Seed, Url, connect, read_json
-from trueup_cli.show import Bar, as_json, moment, out, progress, table
+from trueup_cli.show import Bar, answer, as_json, moment, out, progress, table
 from trueup_client import Client
 from trueup_client.problem import Problem
 from trueup_client.records import Decision, Gate, JobWithReads
@@ -44,9 +45,9 @@ def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Jso
     else:
         warned = Counter(warning for episode in found for warning in episode["summary"].get("collection", {}).get("warnings", []))
         for warning, times in warned.items():
-            out.print(f"[yellow]{times} of {len(found)} episodes[/]: {warning}", soft_wrap=True)
+            out.print(f"[yellow]{times} of {len(found)} episodes[/]: {escape(warning)}", soft_wrap=True)
         if warned:
-            out.print("[dim]A recording says so in its metadata record `episode`: docs/plant.md.[/]")
+            out.print("[dim]A recording declares in its metadata record `episode`, a plant in plant.json: docs/plant.md.[/]")
         table(
             "Episodes",
             ["file", "digest", "role", "samples", "seconds"],
@@ -93,12 +94,7 @@ def diagnosis(plant: PlantName, *, seed: Seed = 0, url: Url = DEFAULT_URL, as_js
     if as_json_:
         as_json(found)
         return
-    from trueup.diagnose.words import sentence, warnings
-
-    report = result_of(found)["report"]
-    out.print(sentence(report), soft_wrap=True)
-    for warning in warnings(report):
-        out.print(warning, style="yellow", soft_wrap=True, markup=False)
+    answer(result_of(found)["report"])
     out.print(f"candidate [bold]{result_of(found)['artifact']}[/]")
     out.print(f"[dim]the whole of it in a browser: trueup look {plant}[/]")
 

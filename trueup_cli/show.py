@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,6 +15,8 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from trueup.diagnose.words import sentence, warnings
+
 out = Console(highlight=False, soft_wrap=not sys.stdout.isatty())  # in a pipe nothing is broken into lines of a terminal's width
 err = Console(stderr=True, highlight=False, soft_wrap=not sys.stderr.isatty())
 
@@ -23,6 +25,13 @@ def as_json(value: Any) -> None:
     """Print a value as JSON."""
     json.dump(value, sys.stdout, indent=2, default=str)
     print()
+
+
+def answer(report: Mapping[str, Any]) -> None:
+    """Print a diagnosis's answer and what to know before it is used; names of joints are printed as they are."""
+    out.print(sentence(report), markup=False, soft_wrap=True)
+    for warning in warnings(report):
+        out.print(warning, style="yellow", markup=False, soft_wrap=True)
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

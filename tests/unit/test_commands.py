@@ -89,6 +89,18 @@ def test_a_table_in_a_pipe_is_a_line_for_each_row(capsys):
     assert capsys.readouterr().out == f"what\thow many\na b\t1.25\n{long}\t\n"
 
 
+def test_an_answer_is_printed_with_its_warnings_and_names_as_they_are(capsys):
+    gap = {"before": 0.2, "parameters_only": 0.3, "after": 0.1, "floor": 0.01, "closed": None}
+    rival = [{"effect": "backlash", "joint": "[bold]"}]
+    episodes = [{"sha256": "0" * 64, "role": "adaptation", "period_s": 0.0053}]
+    evidence = {"timestep_s": 0.005, "episodes": episodes}
+    show.answer({"verdict": "unknown_effect", "gap": gap, "indistinguishable": [rival], "where": {}, "evidence": evidence})
+    sentence, clock, numbers = capsys.readouterr().out.splitlines()
+    assert sentence.endswith("cannot tell this from backlash at [bold].")
+    assert "off the declared step" in clock
+    assert "worse held out" in numbers
+
+
 def test_doctor_prints_json():
     found = json.loads(run("doctor", "--json").stdout)
     assert {"python", "numba", "onnx"} <= {f["part"] for f in found}

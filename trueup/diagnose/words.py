@@ -107,10 +107,11 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
     push = "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
     found = [push.format(when) for when in _pushed(document)]
     evidence, gap = document["evidence"], document["gap"]
-    clocks = [off_step(e["period_s"], evidence["timestep_s"]) for e in evidence["episodes"] if "timestep_s" in evidence]
-    if off := [clock for clock in clocks if clock]:
-        found.append(f"{len(off)} of {len(clocks)} episodes are off the declared step, the first {off[0]}.")
-    if gap["parameters_only"] > MISLEADS * gap["before"] > MISLEADS * PLAINLY * gap["floor"]:
+    episodes = evidence["episodes"] if "timestep_s" in evidence else []  # a report of before does not tell its clock
+    off = [told for e in episodes if (told := off_step(e["period_s"], evidence["timestep_s"]))]
+    if off:
+        found.append(f"{len(off)} of {len(episodes)} episodes are off the declared step, the first {off[0]}.")
+    if gap["before"] > PLAINLY * gap["floor"] and gap["parameters_only"] > MISLEADS * gap["before"]:
         found.append(
             f"New numbers alone are worse held out than the nominal model ({short(gap['parameters_only'])}, was {short(gap['before'])}): "
             "they bend to what the form lacks; do not use them without it."

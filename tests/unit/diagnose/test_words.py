@@ -3,6 +3,7 @@
 import pytest
 
 from trueup.diagnose.words import composition, plus_minus, sentence, short, warnings, waterfall
+from trueup.model.clock import off_step
 
 
 def report(effects=(), *, verdict="effect", before=0.21, numbers=0.12, after=0.013, floor=0.012, closed=0.99, rivals=()):
@@ -104,3 +105,8 @@ def test_a_report_of_before_says_nothing_of_its_clock():
     old = recorded(0.0053)
     del old["evidence"]["timestep_s"]
     assert warnings(old) == []
+
+
+def test_recordings_of_one_loop_are_told_alike():
+    assert off_step(0.005303, 0.005) == off_step(0.005326, 0.005)
+    assert "every 120 ms" in off_step(0.1203, 0.1)
