@@ -164,10 +164,7 @@ def _left(search: Search, base: Candidate) -> float:
 def polished(
     plant: Plant, problem: Problem, best: Candidate, adaptation: Sequence[Episode], validation: Sequence[Episode]
 ) -> tuple[Candidate, Scheme]:
-    """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates.
-
-    On a machine the windows start where the log says: what no law explains must not hide in their starts.
-    """
+    """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates."""
     scheme, physical = problem.scheme, yardstick(adaptation) is PHYSICAL
     if scheme.alpha == 0.0 and not physical:
         return best, scheme
@@ -175,7 +172,7 @@ def polished(
     several = len(plant.joints) > 1 and problem.exact
     last = Problem(
         problem.fitter,
-        [_started(plant, e, series(plant, e, finer, problem.length_s), best) for e in adaptation],
+        [series(plant, e, finer, problem.length_s) for e in adaptation],
         [series(plant, e, finer, problem.length_s) for e in validation],
         problem.short,
         pieces=in_pieces(plant, [*adaptation, *validation], finer, problem.length_s) if several else {},
@@ -191,17 +188,10 @@ def polished(
         starts,
         iterations=25,
         tolerance=1e-7 if problem.exact else 1e-4,
-        hold_starts=physical,
         fixed=problem.still(best.fit),
     )
     done = last.candidate(fit if physical else last.pruned(fit))
     return (done, finer) if done.misfit < WORSE * best.misfit else (best, scheme)
-
-
-def _started(plant: Plant, episode: Episode, s: Series, best: Candidate) -> Series:
-    """A series whose windows start from positions alone where an effect of the composition hides the velocity."""
-    hidden = any(kind(t).hides_velocity for t in best.hypothesis.effects)
-    return replace(s, begin=smoothed_states(plant, episode, np.flatnonzero(s.resets >= 0), from_positions=True)) if hidden else s
 
 
 def _refined(search: Search, generation: Sequence[Candidate], most: int) -> list[Candidate]:

@@ -19,6 +19,7 @@ from trueup.fit.identify import identify
 from trueup.fit.rollout_fit import Fitter, RolloutFit
 from trueup.model.block import joint, kind
 from trueup.model.plant import Plant
+from trueup.model.rounding import GUESS_BITS, rounded
 from trueup.model.series import Scheme, Series, series
 
 WINDOW_S = 2.0
@@ -86,7 +87,7 @@ def _in_windows(
 ) -> Problem:
     """What is fitted to windows of a length [s]."""
     return Problem(
-        Fitter(plant.form, directions(plant, adaptation), admission.scales, admission.sigma),
+        Fitter(plant.form, directions(plant, adaptation), admission.scales, admission.sigma, held=yardstick(adaptation) is PHYSICAL),
         [series(plant, e, scheme, length_s) for e in adaptation],
         [series(plant, e, scheme, length_s) for e in validation],
         [series(plant, e, scheme, min(SHORT_S, length_s)) for e in adaptation],
@@ -114,7 +115,7 @@ def _furnished(
         problem,
         short=[series(plant, e, scheme, short_s) for e in _telling(base, adaptation, len(plant.joints))],
         declared=plant.parameters,
-        pieces=in_pieces(plant, [*adaptation, *validation], scheme, problem.length_s),
+        pieces={} if problem.fitter.held else in_pieces(plant, [*adaptation, *validation], scheme, problem.length_s),
     )
 
 
@@ -141,7 +142,7 @@ def _begins(plant: Plant, adaptation: Sequence[Episode]) -> list[Sequence[float]
     """Parameters from which the nominal form is fitted: the declared ones, and of a robot those of a regression."""
     if len(plant.joints) == 1:
         return [plant.parameters]
-    return [plant.parameters, identify(plant, adaptation)[0].parameters]
+    return [plant.parameters, rounded(np.array(identify(plant, adaptation)[0].parameters), GUESS_BITS)]
 
 
 def _telling(base: RolloutFit, episodes: Sequence[Episode], joints: int) -> list[Episode]:

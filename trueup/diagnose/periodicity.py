@@ -19,6 +19,7 @@ from trueup.episode.episode import Episode
 from trueup.fit.base_parameters import columns
 from trueup.model.dynamics import CompiledFamily
 from trueup.model.plant import Plant
+from trueup.model.rounding import GUESS_BITS, rounded
 from trueup.model.state import smoothed_states
 from trueup.model.tree import GAIN, JOINT, LINK, OFFSET
 
@@ -54,14 +55,14 @@ def pitches(plant: Plant, admission: Admission, joint: int, episodes: Sequence[E
     across = inner[0] * inner[2] - inner[1] ** 2
     flat = across <= FLAT * np.einsum("ri,ri->i", waves[:, : len(rates)], waves[:, : len(rates)]) ** 2
     across = np.where(flat, np.inf, across)
-    taken = (inner[2] * at[0] ** 2 - 2.0 * inner[1] * at[0] * at[1] + inner[0] * at[1] ** 2) / across
+    taken = rounded((inner[2] * at[0] ** 2 - 2.0 * inner[1] * at[0] * at[1] + inner[0] * at[1] ** 2) / across)
     chosen: list[int] = []
     for i in np.argsort(-taken, kind="stable"):
         if all(abs(int(i) - k) > OVERSAMPLED for k in chosen):
             chosen.append(int(i))
     found: list[Begin] = []
     for i in chosen[:KEPT]:
-        sizes = np.linalg.lstsq(np.column_stack([own, waves[:, [i, len(rates) + i]]]), missing, rcond=None)[0]
+        sizes = rounded(np.linalg.lstsq(np.column_stack([own, waves[:, [i, len(rates) + i]]]), missing, rcond=None)[0], GUESS_BITS)
         family = list(sizes[: len(plant.parameters)]) if isinstance(plant.dynamics, CompiledFamily) else []
         found.append((family, [sizes[-2] / scales.acceleration, sizes[-1] / scales.acceleration, 1.0 / rates[i] / reach]))
     return found, float(taken.max() / max(rest @ rest, 1e-300))

@@ -19,6 +19,7 @@ from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import STEP, Directions
 from trueup.model.dynamics import CompiledTree, mass_matrix, regressors
 from trueup.model.plant import Plant
+from trueup.model.rounding import GUESS_BITS, rounded
 from trueup.model.state import smoothed_states
 from trueup.model.tree import ARMATURE, DAMPING, FRAME, FRICTION, GAIN, JOINT, LINK, REST, SERVO, STIFFNESS, ZERO
 
@@ -63,7 +64,9 @@ def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
 def _shown(design: Array, felt: float) -> Array:
     """The ways along which a design moves by more than `felt`, `(ways, parameters)`."""
     _, singular, ways = np.linalg.svd(design, full_matrices=False)
-    return np.asarray(ways[singular > felt])
+    shown = ways[singular > felt]
+    largest = np.take_along_axis(shown, np.abs(rounded(shown)).argmax(axis=1)[:, None], axis=1)
+    return np.asarray(rounded(shown * np.sign(largest), GUESS_BITS))  # a singular vector's sign is nobody's
 
 
 def _single(plant: Plant, episodes: Sequence[Episode]) -> tuple[NDArray[np.bool_], Array]:

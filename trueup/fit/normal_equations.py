@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from trueup.model.rigid_body import invert
+from trueup.model.rounding import rounded
 
 Array = NDArray[np.float64]
 Lanes = NDArray[np.int64]
@@ -33,15 +34,17 @@ class Kept:
     first: int
 
 
-def summed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, lanes: Lanes, windows: int) -> Array:
+def summed(
+    out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, lanes: Lanes, against: Lanes, windows: int
+) -> Array:
     """Sums of outer products of (error, derivatives) by window, `(windows, 1 + derivatives, 1 + derivatives)`, of a rollout
     `(samples, 2 x joints, lanes)`.
 
-    Its first lane is unperturbed; `lanes` are those of the derivatives, `inverse` `(lanes,)` is that of each lane's step, `weight` that of
-    an error and `window_of` the window that it is an error of, `(samples, 2 x joints)`.
+    Its first lane is unperturbed; `lanes` are those of the derivatives, `against` which they are differences, `inverse` `(lanes,)` is that of
+    each lane's step, `weight` that of an error and `window_of` the window that it is an error of, `(samples, 2 x joints)`.
     """
     into = np.zeros((windows, 1 + len(lanes), 1 + len(lanes)))
-    _summed(out, observed, weight, window_of, inverse, lanes, np.empty((*out.shape[:2], 0)), into)
+    _summed(out, observed, weight, window_of, inverse, lanes, against, np.empty((*out.shape[:2], 0)), into)
     return into
 
 
@@ -59,7 +62,7 @@ def renewed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.in
     (windows, many), fresh = old.products.shape[:2], len(lanes)
     found = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
     found[:, :many, :many] = old.products
-    _summed(out, observed, weight, window_of, inverse, lanes, old.rows, found)
+    _summed(out, observed, weight, window_of, inverse, lanes, np.zeros_like(lanes), old.rows, found)
     behind = 1 + old.first + fresh  # where the starts' begin; before them the new ones, and the error first of all
     at = np.array([*range(1, old.first + 1), *range(behind, many + 1 + fresh), 0, *range(1 + old.first, behind)])
     into = np.empty_like(found)
@@ -154,7 +157,7 @@ class Gram:
             part = normal[np.ix_(moving, moving)]
             size = np.sqrt(np.diag(part))
             scaled = part / size[:, None] / size + (damping + 1e-12) * np.eye(len(size))
-            step[moving] = np.linalg.solve(scaled, gradient[moving] / size) / size
+            step[moving] = rounded(np.linalg.solve(scaled, gradient[moving] / size) / size)
         expected = float(step @ gradient)
         expected += float(np.einsum("ei,eij,ej->", c.total[:, n + 1 :, 0], c.solve, c.total[:, n + 1 :, 0]))
         expected += float(np.einsum("wi,wij,wj->", c.cross[:, :, 0], c.inverse, c.cross[:, :, 0]))
@@ -178,9 +181,9 @@ class _Condensed:
     def moves(self, episodes: Sequence[str], step: Array) -> dict[str, tuple[Array, Array]]:
         """Steps of each episode's starts and memories beside a step of the parameters."""
         n = len(step)
-        memory = np.einsum("eij,ej->ei", self.solve, self.total[:, n + 1 :, 0] - self.total[:, n + 1 :, 1 : n + 1] @ step)
+        memory = rounded(np.einsum("eij,ej->ei", self.solve, self.total[:, n + 1 :, 0] - self.total[:, n + 1 :, 1 : n + 1] @ step))
         others = np.concatenate([np.repeat(step[None], len(memory), axis=0), memory], axis=1)[self.episode]
-        windows = np.einsum("wij,wj->wi", self.inverse, self.cross[:, :, 0] - np.einsum("wij,wj->wi", self.cross[:, :, 1:], others))
+        windows = rounded(np.einsum("wij,wj->wi", self.inverse, self.cross[:, :, 0] - np.einsum("wij,wj->wi", self.cross[:, :, 1:], others)))
         return {key: (windows[self.episode == e], memory[e]) for e, key in enumerate(episodes)}
 
 
@@ -216,7 +219,7 @@ def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignor
 
 
 @njit(cache=True, nogil=True)
-def _summed(out, observed, weight, window_of, inverse, lanes, rows, into):  # type: ignore[no-untyped-def]
+def _summed(out, observed, weight, window_of, inverse, lanes, against, rows, into):  # type: ignore[no-untyped-def]
     """Outer products of (kept derivatives, error, fresh derivatives) summed over each window; those of the kept ones are there."""
     kept, size = rows.shape[2], into.shape[1]
     row = np.zeros(size)
@@ -230,7 +233,7 @@ def _summed(out, observed, weight, window_of, inverse, lanes, rows, into):  # ty
                 row[b] = rows[i, c, b]
             row[kept] = (observed[i, c] - base) * weight[i, c]
             for b in range(len(lanes)):
-                row[kept + 1 + b] = (out[i, c, lanes[b]] - base) * inverse[lanes[b]] * weight[i, c]
+                row[kept + 1 + b] = (out[i, c, lanes[b]] - out[i, c, against[b]]) * inverse[lanes[b]] * weight[i, c]
             for a in range(kept, size):
                 for b in range(a + 1):
                     into[w, a, b] += row[a] * row[b]

@@ -23,6 +23,7 @@ from trueup.model.dynamics import CompiledFamily, Form
 from trueup.model.effect import Port, Scale, effects
 from trueup.model.family import families
 from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
+from trueup.model.rounding import rounded
 from trueup.model.series import DECLARED, Series, roll, seen_by, unobserved
 
 Array = NDArray[np.float64]
@@ -86,6 +87,7 @@ class Free:
     low: Array
     high: Array
     along: Array
+    central: bool = False  # whether differences are taken on both sides
 
     def at(self, values: Array) -> Array:
         """Their values, `(free,)`; those of combinations up to a constant."""
@@ -177,16 +179,18 @@ def warm(family: str = "oscillator") -> int:
 class Fitter:
     """Fits hypotheses on one nominal form to a set of series. Holds no state but what it was built with.
 
-    `scales` are the joints' own sizes, `sigma` `(2 x joints,)` what counts as noise of each position and velocity.
+    `scales` are the joints' own sizes, `sigma` `(2 x joints,)` what counts as noise of each position and velocity. Where starts are `held`,
+    windows start as observed, as a prediction's do: what no law explains must not hide in their starts.
     """
 
-    def __init__(self, form: Form, directions: Directions, scales: Sequence[Scales], sigma: Array) -> None:
+    def __init__(self, form: Form, directions: Directions, scales: Sequence[Scales], sigma: Array, *, held: bool = False) -> None:
         self.form = form
         self.block = form.block
         self.joints = form.block.joints
         self.directions = directions
         self.scales = tuple(scales)
         self.sigma = np.where(np.isfinite(sigma), sigma, np.inf)
+        self.held = held
         self.start_steps = 1e-3 * np.array([s.position for s in scales] + [s.velocity for s in scales])
 
     def unit(self, of: str, scale: Scale) -> float:
@@ -251,18 +255,17 @@ class Fitter:
         *,
         iterations: int = 12,
         fixed: Iterable[tuple[str, str]] = (),
-        hold_starts: bool = False,
         tolerance: float = 1e-4,
         linear: Linear | None = None,
     ) -> RolloutFit:
-        """Levenberg-Marquardt from `values`. With `hold_starts` positions and velocities of windows stay as observed, as a prediction's do.
+        """Levenberg-Marquardt from `values`.
 
         Where derivatives take several blocks of lanes, those by the nominal form's directions and by the starts are kept while steps do
         what they promise; `linear` are some of a fit nearby to begin with.
         """
-        task = self._task(data, hypothesis, self.free(hypothesis, fixed), hold_starts=hold_starts)
+        task = self._task(data, hypothesis, self.free(hypothesis, fixed))
         values = task.free.moved(values, np.zeros(len(task.free.rows)))
-        samples, now = self._samples(data), _from(starts, data)
+        samples, now = self._samples(data), self._from(starts, data, hypothesis)
         weight, centre = self._expected(task.free)
         stale = linear is not None and task.keeps > 0
         best, linear = self._evaluate(task, values, now, linear if stale else None)
@@ -315,7 +318,7 @@ class Fitter:
         hidden states remember they know nothing of each other.
         """
         task = self._task(data, hypothesis, self.free(hypothesis).none())
-        now, converged = _from(starts, data), False
+        now, converged = self._from(starts, data, hypothesis), False
         best, _ = self._evaluate(task, values, now)
         damping = {key: np.full(len(g), 1e-3) for key, g in best.parts.items()}
         for _ in range(iterations):
@@ -337,6 +340,19 @@ class Fitter:
                 break
         costs = np.concatenate([best.costs(key) for key in now])
         return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, self._samples(data), np.zeros((0, 0)), converged)
+
+    def _from(self, starts: Mapping[str, Start] | None, data: Sequence[Series], hypothesis: Hypothesis) -> dict[str, Start]:
+        """Where rollouts start: as given, or as observed; where they are held, as observed whatever was given, and by positions alone a
+        joint whose velocity the log hides.
+        """
+        given = {s.digest: (starts or {}).get(s.digest, Start(s.begin, {})) for s in data}
+        if not self.held:
+            return given
+        hidden = np.zeros(2 * self.joints, np.bool_)
+        hidden[[self.joints + joint(t) for t in hypothesis.effects if kind(t).hides_velocity]] = True
+        seen = np.isfinite(self.sigma)
+        begun = {s.digest: np.where(hidden, s.begin_by_positions, s.begin) for s in data}
+        return {key: Start(np.where(seen, begun[key], start.windows), start.memory) for key, start in given.items()}
 
     def _samples(self, data: Sequence[Series]) -> int:
         """Numbers that are compared."""
@@ -371,7 +387,7 @@ class Fitter:
             return Screening(np.full(len(starts), parent.cost), np.zeros(len(starts)), np.full(len(starts), np.inf))
         parts = [self._screened(task, parent, effect, starts[i : i + room], linear) for i in range(0, len(starts), room)]
         cost, factor, error = np.concatenate(parts, axis=1)
-        return Screening(cost, factor, error)
+        return Screening(rounded(cost), factor, error)
 
     def _screened(self, task: _Task, parent: RolloutFit, effect: str, begins: Sequence[Sequence[float]], linear: Linear | None) -> Array:
         n, k = len(task.free.rows), len(begins)
@@ -401,12 +417,12 @@ class Fitter:
             found[:, i] = parent.cost - gained, by[-1] / size[-1], np.sqrt(inverse_part[-1, -1]) / size[-1]
         return found
 
-    def _task(self, data: Sequence[Series], hypothesis: Hypothesis, free: Free, *, hold_starts: bool = False) -> _Task:
+    def _task(self, data: Sequence[Series], hypothesis: Hypothesis, free: Free) -> _Task:
         keys = [key for key in self.block.memories if key[0] in hypothesis.effects]
         states = tuple(keys[: max(0, self._room() - len(free.rows))])  # as far as lanes are left
         directions = sum(owner == "" for owner, _ in free.names)
         several = 1 + len(free.rows) + len(states) + 2 * self.joints > BLOCK
-        return _Task(data, hypothesis, free, states, hold_starts, directions if several else 0)
+        return _Task(data, hypothesis, free, states, directions if several else 0)
 
     def _evaluate(self, task: _Task, values: Array, starts: Mapping[str, Start], old: Linear | None = None) -> tuple[Gram, Linear | None]:
         """The normal equations at a place, and what may be kept of them; with old derivatives, those are kept."""
@@ -424,20 +440,24 @@ class Fitter:
         numbers = range(kept, len(task.free.rows))
         starts = 0 if kept else 2 * self.joints
         of = 1 + starts + np.arange(len(numbers) + more)
-        count = -(-(1 + starts + len(of)) // BLOCK) * BLOCK
+        behind = 1 + starts + len(of)
+        count = -(-(behind + len(numbers) * task.free.central) // BLOCK) * BLOCK
         p = np.repeat(values[:, None], count, axis=1)
-        inverse = np.zeros(count)
-        for lane, which in zip(of, numbers, strict=False):
+        inverse, against = np.zeros(count), np.zeros(len(of) + starts, np.int64)
+        for i, (lane, which) in enumerate(zip(of, numbers, strict=False)):
             row, size = task.free.rows[which], task.free.step[which]
             if 0 <= row < self.block.nominal and not self.directions.combined:
-                size *= max(1.0, abs(values[row]))
+                size *= 1.0 if task.free.central else max(1.0, abs(values[row]))
             elif row >= 0:
                 size = -size if values[row] + size > task.free.high[which] else size
             task.free.nudge(p[:, lane], which, size)
             inverse[lane] = 1.0 / size
-        if not task.hold_starts:
-            inverse[1 : 1 + starts] = 1.0 / self.start_steps[:starts]
-        return _Lanes(p, inverse, of, starts)
+            if task.free.central and (row < 0 or task.free.low[which] <= values[row] - size <= task.free.high[which]):
+                task.free.nudge(p[:, behind + i], which, -size)
+                inverse[lane], against[i] = 0.5 / size, behind + i
+        free = ~np.isfinite(self.sigma[:starts]) if self.held else np.ones(starts, np.bool_)
+        inverse[1 : 1 + starts] = np.where(free, 1.0 / self.start_steps[:starts], 0.0)
+        return _Lanes(p, inverse, of, starts, against)
 
     def _sums(
         self,
@@ -478,7 +498,7 @@ class Fitter:
             init[:, state, 1 + state] += self.start_steps[state]
         out = roll(s, self.form, block, on, init, starts=lanes.starts)
         columns = np.concatenate([lanes.of, 1 + np.arange(lanes.starts)])
-        sums = summed(out, s.observed, weight, window_of, inverse, columns, len(init))
+        sums = summed(out, s.observed, weight, window_of, inverse, columns, lanes.against, len(init))
         return sums, kept(out, weight, inverse, columns, sums, task.keeps, len(lanes.of) + 1) if task.keeps else None
 
     def _late_s(self, hypothesis: Hypothesis, values: Array) -> Array:
@@ -500,7 +520,6 @@ class _Task:
     hypothesis: Hypothesis
     free: Free
     states: tuple[tuple[str, str], ...]
-    hold_starts: bool
     keeps: int
 
 
@@ -514,11 +533,7 @@ class _Lanes:
     inverse: Array
     of: NDArray[np.int64]
     starts: int
-
-
-def _from(starts: Mapping[str, Start] | None, data: Sequence[Series]) -> dict[str, Start]:
-    """Where rollouts start: as given, or as observed."""
-    return {s.digest: (starts or {}).get(s.digest, Start(s.begin, {})) for s in data}
+    against: NDArray[np.int64]
 
 
 def _moved(start: Start, windows: Array, memory: Array, states: tuple[tuple[str, str], ...]) -> Start:

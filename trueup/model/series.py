@@ -48,7 +48,8 @@ class Series:
     2 x joints)` are positions and velocities, `usable` what counts.
 
     `window_of` is the window to which a sample belongs, `resets` the window that starts at it or -1; `begin` `(windows, 2 x joints)`
-    are first guesses of the windows' starting states; `u_scale` `(joints,)` the commands' declared limits.
+    are first guesses of the windows' starting states, `begin_by_positions` the same with velocities that positions show; `u_scale`
+    `(joints,)` are the commands' declared limits.
     """
 
     digest: str
@@ -63,6 +64,7 @@ class Series:
     window_of: NDArray[np.int64]
     resets: NDArray[np.int64]
     begin: Array
+    begin_by_positions: Array
     period_s: float
     u_scale: Array
 
@@ -97,6 +99,7 @@ def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int6
         np.cumsum(resets >= 0) - 1,
         resets,
         smoothed_states(plant, episode, first) if begin is None else begin,
+        smoothed_states(plant, episode, first, from_positions=True) if begin is None else begin,
         episode.period_s,
         plant.command_scales,
     )
@@ -134,6 +137,7 @@ def unobserved(scheme: Scheme, t_s: Array, command: Array, u_scale: Array, perio
         window_of=np.zeros(n, np.int64),
         resets=resets,
         begin=np.zeros((1, zeros.shape[1])),
+        begin_by_positions=np.zeros((1, zeros.shape[1])),
         period_s=period_s,
         u_scale=u_scale,
     )
