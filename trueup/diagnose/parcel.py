@@ -134,6 +134,8 @@ class _Packing:
             "samples": fit.samples,
             "information": self.array(fit.information),
             "converged": bool(fit.converged),
+            "scores": self.array(fit.scores),
+            "off": None if fit.off is None else _number(fit.off),
         }
 
     def text(self, given: Any) -> str:
@@ -190,4 +192,6 @@ class _Unpacking:
             given["samples"],
             self.arrays[given["information"]],
             given["converged"],
+            self.arrays[given["scores"]],
+            None if given["off"] is None else float.fromhex(given["off"]),
         )

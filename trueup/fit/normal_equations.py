@@ -20,6 +20,7 @@ from trueup.model.rounding import rounded
 Array = NDArray[np.float64]
 Lanes = NDArray[np.int64]
 RAN_AWAY = 1e100  # of a sum of squares: no rollout that stays near its log comes there, and its own square is still finite
+EVEN = 1e-3  # of a period: stamps that are so regular
 NOTHING = 1e-200  # of a squared derivative: what does no more than that has no step
 
 
@@ -34,40 +35,63 @@ class Kept:
     first: int
 
 
-def summed(
-    out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, lanes: Lanes, against: Lanes, windows: int
-) -> Array:
-    """Sums of outer products of (error, derivatives) by window, `(windows, 1 + derivatives, 1 + derivatives)`, of a rollout
-    `(samples, 2 x joints, lanes)`.
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """What a rollout is compared with, and what an error counts.
 
-    Its first lane is unperturbed; `lanes` are those of the derivatives, `against` which they are differences, `inverse` `(lanes,)` is that of
-    each lane's step, `weight` that of an error and `window_of` the window that it is an error of, `(samples, 2 x joints)`.
+    `observed` and `weight` `(samples, 2 x joints)`, the inverse standard deviation of the noise, 0 where nothing was seen; `window_of` the
+    window that a sample is an error of; `t_s` `(samples,)` [s]. `correlation` `(2 x joints,)` is that of the noise with itself one `period_s`
+    before: errors are taken less what the noise of the last one leads to expect.
+    Source: D. Cochrane, G. H. Orcutt, Journal of the American Statistical Association 44 (1949); the first error of a window counts as it is,
+    S. J. Prais, C. B. Winsten, Cowles Commission Discussion Paper 383 (1954).
     """
-    into = np.zeros((windows, 1 + len(lanes), 1 + len(lanes)))
-    _summed(out, observed, weight, window_of, inverse, lanes, against, np.empty((*out.shape[:2], 0)), into)
-    return into
 
+    observed: Array
+    weight: Array
+    window_of: NDArray[np.int64]
+    t_s: Array
+    period_s: float
+    correlation: Array
 
-def kept(out: Array, weight: Array, inverse: Array, lanes: Lanes, sums: Array, first: int, start: int) -> Kept:
-    """What is kept of a rollout and its sums: derivatives by the `first` numbers and by the start, whose columns begin at `start`."""
-    columns = np.array([*range(1, first + 1), *range(start, sums.shape[1])])
-    from_ = lanes[columns - 1]
-    with np.errstate(over="ignore", invalid="ignore"):
-        rows = (out[:, :, from_] - out[:, :, :1]) * (inverse[from_] * weight[:, :, None])
-    return Kept(np.where(weight[:, :, None] > 0.0, rows, 0.0), np.ascontiguousarray(sums[:, columns[:, None], columns]), first)
+    def _arguments(self) -> tuple[Array, Array, NDArray[np.int64], Array, float, Array]:
+        return self.observed, self.weight, self.window_of, self.t_s, self.period_s, self.correlation
 
+    def summed(self, out: Array, inverse: Array, lanes: Lanes, against: Lanes, windows: int) -> Array:
+        """Sums of outer products of (error, derivatives) by window, `(windows, 1 + derivatives, 1 + derivatives)`, of a rollout
+        `(samples, 2 x joints, lanes)`.
 
-def renewed(out: Array, observed: Array, weight: Array, window_of: NDArray[np.int64], inverse: Array, lanes: Lanes, old: Kept) -> Array:
-    """The same sums, with what was kept and the new derivatives of `lanes`."""
-    (windows, many), fresh = old.products.shape[:2], len(lanes)
-    found = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
-    found[:, :many, :many] = old.products
-    _summed(out, observed, weight, window_of, inverse, lanes, np.zeros_like(lanes), old.rows, found)
-    behind = 1 + old.first + fresh  # where the starts' begin; before them the new ones, and the error first of all
-    at = np.array([*range(1, old.first + 1), *range(behind, many + 1 + fresh), 0, *range(1 + old.first, behind)])
-    into = np.empty_like(found)
-    into[:, at[:, None], at] = found
-    return into
+        Its first lane is unperturbed; `lanes` are those of the derivatives, `against` which they are differences, `inverse` `(lanes,)` is
+        that of each lane's step.
+        """
+        into = np.zeros((windows, 1 + len(lanes), 1 + len(lanes)))
+        _summed(out, *self._arguments(), inverse, lanes, against, np.empty((*out.shape[:2], 0)), into)
+        return into
+
+    def kept(self, out: Array, inverse: Array, lanes: Lanes, sums: Array, first: int, start: int) -> Kept:
+        """What is kept of a rollout and its sums: derivatives by the `first` numbers and by the start, whose columns begin at `start`."""
+        columns = np.array([*range(1, first + 1), *range(start, sums.shape[1])])
+        from_ = lanes[columns - 1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            rows = (out[:, :, from_] - out[:, :, :1]) * (inverse[from_] * self.weight[:, :, None])
+        return Kept(np.where(self.weight[:, :, None] > 0.0, rows, 0.0), np.ascontiguousarray(sums[:, columns[:, None], columns]), first)
+
+    def renewed(self, out: Array, inverse: Array, lanes: Lanes, old: Kept) -> Array:
+        """The same sums, with what was kept and the new derivatives of `lanes`."""
+        (windows, many), fresh = old.products.shape[:2], len(lanes)
+        found = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
+        found[:, :many, :many] = old.products
+        _summed(out, *self._arguments(), inverse, lanes, np.zeros_like(lanes), old.rows, found)
+        behind = 1 + old.first + fresh  # where the starts' begin; before them the new ones, and the error first of all
+        at = np.array([*range(1, old.first + 1), *range(behind, many + 1 + fresh), 0, *range(1 + old.first, behind)])
+        into = np.empty_like(found)
+        into[:, at[:, None], at] = found
+        return into
+
+    def costs(self, out: Array, lanes: Lanes) -> Array:
+        """Sums of squared errors of some lanes of a rollout, `(lanes,)`."""
+        found = np.zeros(len(lanes))
+        _costs(out, *self._arguments(), lanes, found)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,6 +187,17 @@ class Gram:
         expected += float(np.einsum("wi,wij,wj->", c.cross[:, :, 0], c.inverse, c.cross[:, :, 0]))
         return step, c.moves(list(self.parts), step), expected
 
+    def moves_with(self, step: Array) -> dict[str, tuple[Array, Array]]:
+        """Steps of each episode's starts and memories beside a step of the parameters."""
+        return self._condensed(self._alike(0.0)).moves(list(self.parts), step)
+
+    def scores(self) -> Array:
+        """Each window's part of the parameters' gradient, what its start takes up removed, `(windows, parameters)`."""
+        c, n = self._condensed(self._alike(0.0)), self.free
+        stacked = np.concatenate(list(self.parts.values()))
+        taken = np.einsum("wi,wij,wjk->wk", c.cross[:, :, 0], c.inverse, c.cross[:, :, 1 : n + 1])
+        return np.asarray(stacked[:, 0, 1 : n + 1] - taken)
+
     def _alike(self, damping: float) -> Array:
         return np.full(sum(map(len, self.parts.values())), damping)
 
@@ -181,9 +216,11 @@ class _Condensed:
     def moves(self, episodes: Sequence[str], step: Array) -> dict[str, tuple[Array, Array]]:
         """Steps of each episode's starts and memories beside a step of the parameters."""
         n = len(step)
-        memory = rounded(np.einsum("eij,ej->ei", self.solve, self.total[:, n + 1 :, 0] - self.total[:, n + 1 :, 1 : n + 1] @ step))
+        missing = self.total[:, n + 1 :, 0] - self.total[:, n + 1 :, 1 : n + 1] @ step
+        memory = rounded(np.einsum("eij,ej->ei", self.solve, missing))
         others = np.concatenate([np.repeat(step[None], len(memory), axis=0), memory], axis=1)[self.episode]
-        windows = rounded(np.einsum("wij,wj->wi", self.inverse, self.cross[:, :, 0] - np.einsum("wij,wj->wi", self.cross[:, :, 1:], others)))
+        missing = self.cross[:, :, 0] - np.einsum("wij,wj->wi", self.cross[:, :, 1:], others)
+        windows = rounded(np.einsum("wij,wj->wi", self.inverse, missing))
         return {key: (windows[self.episode == e], memory[e]) for e, key in enumerate(episodes)}
 
 
@@ -219,12 +256,44 @@ def _eliminate(g, episode, size, damping, inverse, cross, total):  # type: ignor
 
 
 @njit(cache=True, nogil=True)
-def _summed(out, observed, weight, window_of, inverse, lanes, against, rows, into):  # type: ignore[no-untyped-def]
+def _expected(phi, t_s, period_s, i, last):  # type: ignore[no-untyped-def]
+    """How much of its noise a sample has from the last one, `last`, -1 where there is none."""
+    if phi == 0.0 or last < 0:
+        return 0.0
+    steps = (t_s[i] - t_s[last]) / period_s
+    return phi if abs(steps - 1.0) < EVEN else phi**steps
+
+
+@njit(cache=True, nogil=True)
+def _costs(out, observed, weight, window_of, t_s, period_s, correlation, lanes, into):  # type: ignore[no-untyped-def]
+    """Sums of squared errors of some lanes."""
+    for c in range(observed.shape[1]):
+        before, last = np.zeros(len(lanes)), -1
+        for i in range(len(observed)):
+            if window_of[i, c] < 0 or weight[i, c] == 0.0:
+                continue
+            if last >= 0 and window_of[last, c] != window_of[i, c]:
+                last = -1
+            part = _expected(correlation[c], t_s, period_s, i, last)
+            over = 1.0 / np.sqrt(1.0 - part * part)
+            for b in range(len(lanes)):
+                missed = (observed[i, c] - out[i, c, lanes[b]]) * weight[i, c]
+                new = (missed - part * before[b]) * over
+                before[b] = missed
+                into[b] += new * new
+            last = i
+
+
+@njit(cache=True, nogil=True)
+def _summed(  # type: ignore[no-untyped-def]
+    out, observed, weight, window_of, t_s, period_s, correlation, inverse, lanes, against, rows, into
+):
     """Outer products of (kept derivatives, error, fresh derivatives) summed over each window; those of the kept ones are there."""
-    kept, size = rows.shape[2], into.shape[1]
-    row = np.zeros(size)
+    kept, size, channels = rows.shape[2], into.shape[1], observed.shape[1]
+    row, new = np.zeros(size), np.zeros(size)
+    before, last = np.zeros((channels, size)), np.full(channels, -1)
     for i in range(len(observed)):
-        for c in range(observed.shape[1]):
+        for c in range(channels):
             w = window_of[i, c]
             if w < 0 or weight[i, c] == 0.0:
                 continue
@@ -234,9 +303,22 @@ def _summed(out, observed, weight, window_of, inverse, lanes, against, rows, int
             row[kept] = (observed[i, c] - base) * weight[i, c]
             for b in range(len(lanes)):
                 row[kept + 1 + b] = (out[i, c, lanes[b]] - out[i, c, against[b]]) * inverse[lanes[b]] * weight[i, c]
+            if correlation[c] == 0.0:
+                for a in range(kept, size):
+                    for b in range(a + 1):
+                        into[w, a, b] += row[a] * row[b]
+                continue
+            if last[c] >= 0 and window_of[last[c], c] != w:
+                last[c] = -1
+            part = _expected(correlation[c], t_s, period_s, i, last[c])
+            over = 1.0 / np.sqrt(1.0 - part * part)
+            for b in range(size):
+                new[b] = (row[b] - part * before[c, b]) * over
+                before[c, b] = row[b]
+            last[c] = i
             for a in range(kept, size):
                 for b in range(a + 1):
-                    into[w, a, b] += row[a] * row[b]
+                    into[w, a, b] += new[a] * new[b]
     for w in range(len(into)):
         for a in range(kept, size):
             for b in range(a):

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.fit.normal_equations import RAN_AWAY, Gram, Kept, kept, renewed, summed
+from trueup.fit.normal_equations import RAN_AWAY, Errors, Gram, Kept
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.compose import cores
 from trueup.model.dynamics import CompiledFamily, Form
@@ -128,7 +128,8 @@ class RolloutFit:
 
     `values` is the block's parameter vector, `free` its free rows, `starts` where rollouts start, by episode digest. `cost` is the sum
     of squared normalised errors over `samples` numbers, `costs` the same of each window; `information` `(free, free)` the reduced
-    normal matrix.
+    normal matrix and `scores` `(windows, free)` what each window adds to the gradient. `off` is how far the minimum is, in half-widths of
+    an interval, where that was looked into.
     """
 
     hypothesis: Hypothesis
@@ -140,6 +141,8 @@ class RolloutFit:
     samples: int
     information: Array
     converged: bool
+    scores: Array
+    off: float | None = None
 
     @property
     def by_episode(self) -> dict[str, float]:
@@ -183,7 +186,7 @@ class Fitter:
     windows start as observed, as a prediction's do: what no law explains must not hide in their starts.
     """
 
-    def __init__(self, form: Form, directions: Directions, scales: Sequence[Scales], sigma: Array, *, held: bool = False) -> None:
+    def __init__(self, form: Form, directions: Directions, scales: Sequence[Scales], sigma: Array, correlation: Array | None = None, *, held: bool = False) -> None:
         self.form = form
         self.block = form.block
         self.joints = form.block.joints
@@ -191,6 +194,7 @@ class Fitter:
         self.scales = tuple(scales)
         self.sigma = np.where(np.isfinite(sigma), sigma, np.inf)
         self.held = held
+        self.correlation = np.zeros(len(sigma)) if correlation is None else correlation
         self.start_steps = 1e-3 * np.array([s.position for s in scales] + [s.velocity for s in scales])
 
     def unit(self, of: str, scale: Scale) -> float:
@@ -265,8 +269,8 @@ class Fitter:
         """
         task = self._task(data, hypothesis, self.free(hypothesis, fixed))
         values = task.free.moved(values, np.zeros(len(task.free.rows)))
-        samples, now = self._samples(data), self._from(starts, data, hypothesis)
-        weight, centre = self._expected(task.free)
+        samples, now = self._samples(data), self.begun(starts, data, hypothesis)
+        weight, centre = self.expected(task.free)
         stale = linear is not None and task.keeps > 0
         best, linear = self._evaluate(task, values, now, linear if stale else None)
         damping, converged, astray = 1e-3, False, False
@@ -284,7 +288,7 @@ class Fitter:
                 converged = True
                 break
             tried = task.free.moved(values, step)
-            there = {key: _moved(now[key], *move, task.states) for key, move in moves.items()}
+            there = {key: moved(now[key], *move, task.states) for key, move in moves.items()}
             found, after = self._evaluate(task, tried, there, linear)
             gained = best.cost - found.cost + float(worth @ ((at - centre) ** 2 - (task.free.at(tried) - centre) ** 2))
             if gained > 0.0:
@@ -309,23 +313,30 @@ class Fitter:
         n = len(task.free.rows)
         information = best.reduced()[0] if np.isfinite(best.cost) else np.zeros((n, n))
         costs = np.concatenate([g[:, 0, 0] for g in best.parts.values()])
-        return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, samples, information, converged)
+        scores = best.scores() if np.isfinite(best.cost) else np.zeros((len(costs), n))
+        return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, samples, information, converged, scores)
 
     def started(
-        self, data: Sequence[Series], hypothesis: Hypothesis, values: Array, starts: Mapping[str, Start] | None = None, iterations: int = 12
+        self,
+        data: Sequence[Series],
+        hypothesis: Hypothesis,
+        values: Array,
+        starts: Mapping[str, Start] | None = None,
+        iterations: int = 12,
+        tolerance: float = STARTED,
     ) -> RolloutFit:
         """What the windows start from, estimated alone: Levenberg-Marquardt with a damping of each window's own, for but through what
         hidden states remember they know nothing of each other.
         """
         task = self._task(data, hypothesis, self.free(hypothesis).none())
-        now, converged = self._from(starts, data, hypothesis), False
+        now, converged = self.begun(starts, data, hypothesis), False
         best, _ = self._evaluate(task, values, now)
         damping = {key: np.full(len(g), 1e-3) for key, g in best.parts.items()}
         for _ in range(iterations):
             moves = best.moves(damping)
-            tried = {key: _moved(now[key], *move, task.states) for key, move in moves.items()}
+            tried = {key: moved(now[key], *move, task.states) for key, move in moves.items()}
             found, _ = self._evaluate(task, values, tried)
-            better = {key: found.costs(key) <= best.costs(key) * (1.0 + STARTED) + NEGLIGIBLE for key in now}
+            better = {key: found.costs(key) <= best.costs(key) * (1.0 + tolerance) + NEGLIGIBLE for key in now}
             damping = {key: damping[key] * np.where(of, 0.1, 10.0) for key, of in better.items()}
             if not all(of.all() for of in better.values()):
                 for key, of in better.items():
@@ -334,14 +345,14 @@ class Fitter:
                 found, _ = self._evaluate(task, values, tried)
             before, gaining = best.cost, [key for key in now if found.cost_of(key) < best.cost_of(key)]
             now, best = {**now, **{key: tried[key] for key in gaining}}, best.mixed(found, gaining)
-            settled = np.isfinite(before) and not before - best.cost > STARTED * best.cost + NEGLIGIBLE
+            settled = np.isfinite(before) and not before - best.cost > tolerance * best.cost + NEGLIGIBLE
             converged = settled and all(of.all() for of in better.values())
             if converged or (not gaining and (settled or not np.isfinite(before))):
                 break
         costs = np.concatenate([best.costs(key) for key in now])
-        return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, self._samples(data), np.zeros((0, 0)), converged)
+        return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, self._samples(data), np.zeros((0, 0)), converged, np.zeros((len(costs), 0)))
 
-    def _from(self, starts: Mapping[str, Start] | None, data: Sequence[Series], hypothesis: Hypothesis) -> dict[str, Start]:
+    def begun(self, starts: Mapping[str, Start] | None, data: Sequence[Series], hypothesis: Hypothesis) -> dict[str, Start]:
         """Where rollouts start: as given, or as observed; where they are held, as observed whatever was given, and by positions alone a
         joint whose velocity the log hides.
         """
@@ -358,7 +369,7 @@ class Fitter:
         """Numbers that are compared."""
         return sum(int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum()) for s in data)
 
-    def _expected(self, free: Free) -> tuple[Array, Array]:
+    def expected(self, free: Free) -> tuple[Array, Array]:
         """Where a robot's numbers are expected, and the inverse squares of how far from there, 0 where nothing is known, `(free,)` each."""
         own = np.array([owner == "" for owner, _ in free.names], np.bool_) & self.directions.combined
         nominal = np.zeros(len(self.block.nulls))
@@ -397,7 +408,7 @@ class Fitter:
         for lane, begin in zip(lanes.of[len(lanes.of) - k :], begins, strict=True):
             lanes.p[:, lane] = self.with_effect(parent.values, effect, begin)
             lanes.inverse[lane] = 1.0
-        parts, _ = self._sums(task, lanes, parent.starts, {}, linear if task.keeps else None)
+        parts, *_ = self._sums(task, lanes, parent.starts, {}, linear if task.keeps else None)
         parts = {key: np.where(np.abs(g) < RAN_AWAY, g, 0.0) for key, g in parts.items()}
         normal, gradient = Gram(parts, {key: np.zeros(0) for key in parts}, np.zeros(0), n + k).reduced(1e-9)
         found = np.array([[parent.cost] * k, [0.0] * k, [np.inf] * k])
@@ -426,14 +437,38 @@ class Fitter:
 
     def _evaluate(self, task: _Task, values: Array, starts: Mapping[str, Start], old: Linear | None = None) -> tuple[Gram, Linear | None]:
         """The normal equations at a place, and what may be kept of them; with old derivatives, those are kept."""
-        n, m = len(task.free.rows), len(task.states)
-        lanes = self._lanes(task, values, task.keeps if old else 0, m)
+        lanes = self._lanes(task, values, task.keeps if old else 0, len(task.states))
+        return self._equations(task, lanes, starts, old)[:2]
+
+    def _equations(
+        self, task: _Task, lanes: _Lanes, starts: Mapping[str, Start], old: Linear | None = None
+    ) -> tuple[Gram, Linear | None, Array]:
+        """The same from lanes laid out, and what each lane costs by itself where differences are central, `(lanes,)`."""
         scales = np.array([self.unit(t, kind(t).memory[kind(t).states.index(state)]) for t, state in task.states])
-        at = lanes.of[len(lanes.of) - m :]
+        at = lanes.of[len(lanes.of) - len(task.states) :]
         pasts = {key: (lane, MEMORY_STEP * scale) for lane, key, scale in zip(at, task.states, scales, strict=True)}
-        parts, linear = self._sums(task, lanes, starts, pasts, old)
+        parts, linear, costs = self._sums(task, lanes, starts, pasts, old)
         began = {s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in task.states]) for s in task.data}
-        return Gram(parts, began, scales, n), linear
+        return Gram(parts, began, scales, len(task.free.rows)), linear, costs
+
+    def around(self, data: Sequence[Series], hypothesis: Hypothesis, values: Array, starts: Mapping[str, Start], free: Free) -> Around:
+        """The normal equations at a place by differences on both sides, with the gradient of the cost itself.
+
+        That gradient compares the costs on either side of each number: it does not see kinks that are finer than the numbers' steps.
+        """
+        task = replace(self._task(data, hypothesis, replace(free, central=True)), keeps=0)
+        lanes = self._lanes(task, values, 0, len(task.states))
+        gram, _, costs = self._equations(task, lanes, starts)
+        n = len(free.rows)
+        sums = np.sum([g[:, : n + 1, : n + 1].sum(axis=0) for g in gram.parts.values()], axis=0)
+        up, down, per, sides = costs[lanes.of[:n]], costs[lanes.against[:n]], lanes.inverse[lanes.of[:n]], lanes.against[:n] > 0
+        return Around(
+            gram,
+            task.states,
+            np.where(sides, 0.5 * (down - up) * per, sums[0, 1:]),
+            np.where(sides, 2.0 * (up + down - 2.0 * sums[0, 0]) * per**2, np.nan),
+            np.diag(sums)[1:],
+        )
 
     def _lanes(self, task: _Task, values: Array, kept: int, more: int) -> _Lanes:
         """One lane for each free number but the first that are kept, and `more`; without any kept those of the start too, before them."""
@@ -466,24 +501,25 @@ class Fitter:
         starts: Mapping[str, Start],
         pasts: Mapping[tuple[str, str], tuple[int, float]],
         old: Linear | None,
-    ) -> tuple[dict[str, Array], Linear | None]:
-        """Sums of outer products by episode, and what may be kept of them.
+    ) -> tuple[dict[str, Array], Linear | None, Array]:
+        """Sums of outer products by episode, what may be kept of them, and what each lane costs.
 
         `pasts` are the lanes and steps of hidden states' derivatives: inwards, for beyond its end a play has none.
         """
         several = lanes.p.shape[1] > BLOCK and len(task.data) > 1
         found = list((in_parallel if several else map)(lambda s: self._sum(task, lanes, s, starts[s.digest], pasts, old), task.data))
-        linear = {s.digest: part for s, (_, part) in zip(task.data, found, strict=True) if part is not None}
-        return {s.digest: sums for s, (sums, _) in zip(task.data, found, strict=True)}, linear or None
+        linear = {s.digest: part for s, (_, part, _) in zip(task.data, found, strict=True) if part is not None}
+        costs = np.sum([cost for *_, cost in found], axis=0)
+        return {s.digest: sums for s, (sums, *_) in zip(task.data, found, strict=True)}, linear or None, costs
 
     def _sum(
         self, task: _Task, lanes: _Lanes, s: Series, start: Start, pasts: Mapping[tuple[str, str], tuple[int, float]], old: Linear | None
-    ) -> tuple[Array, Kept | None]:
+    ) -> tuple[Array, Kept | None, Array]:
         """Those of one episode."""
         on, inverse = switches(task.hypothesis, self.joints), lanes.inverse.copy()
         block = lanes.p.copy()
         window_of, weight = seen_by(s, self._late_s(task.hypothesis, block[:, 0]))
-        weight *= s.usable / self.sigma
+        errors = Errors(s.observed, weight * s.usable / self.sigma, window_of, s.t_s, s.period_s, self.correlation)
         for key, value in start.memory.items():
             block[self.block.memories[key]] += value
         for key, (lane, size) in pasts.items():
@@ -493,13 +529,14 @@ class Fitter:
         init = np.repeat(start.windows[:, :, None], block.shape[1], axis=2)
         if old is not None:
             out = roll(s, self.form, block, on, init)
-            return renewed(out, s.observed, weight, window_of, inverse, lanes.of, old[s.digest]), old[s.digest]
+            return errors.renewed(out, inverse, lanes.of, old[s.digest]), old[s.digest], np.zeros(0)
         for state in range(lanes.starts):
             init[:, state, 1 + state] += self.start_steps[state]
         out = roll(s, self.form, block, on, init, starts=lanes.starts)
         columns = np.concatenate([lanes.of, 1 + np.arange(lanes.starts)])
-        sums = summed(out, s.observed, weight, window_of, inverse, columns, lanes.against, len(init))
-        return sums, kept(out, weight, inverse, columns, sums, task.keeps, len(lanes.of) + 1) if task.keeps else None
+        sums = errors.summed(out, inverse, columns, lanes.against, len(init))
+        kept = errors.kept(out, inverse, columns, sums, task.keeps, len(lanes.of) + 1) if task.keeps else None
+        return sums, kept, errors.costs(out, np.arange(out.shape[2])) if task.free.central else np.zeros(0)
 
     def _late_s(self, hypothesis: Hypothesis, values: Array) -> Array:
         """How late each joint is seen [s], `(joints,)`; a log of one joint does not show that apart from a late drive, and is shifted."""
@@ -508,6 +545,21 @@ class Fitter:
             if self.form.family < 0 and kind(t).port is Port.OBSERVATION and kind(t).delays():
                 late_s[joint(t)] += values[self.block.rows(t)[0]]
         return late_s
+
+
+@dataclass(frozen=True, slots=True)
+class Around:
+    """The normal equations at a place; `states` are the hidden ones whose past is among them.
+
+    `gradient` `(free,)` is minus half that of the cost, what windows start from at rest, `bend` half its second difference, nan at a bound,
+    and `alone` the normal equations' own diagonal before starts are eliminated.
+    """
+
+    gram: Gram
+    states: tuple[tuple[str, str], ...]
+    gradient: Array
+    bend: Array
+    alone: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -536,7 +588,7 @@ class _Lanes:
     against: NDArray[np.int64]
 
 
-def _moved(start: Start, windows: Array, memory: Array, states: tuple[tuple[str, str], ...]) -> Start:
+def moved(start: Start, windows: Array, memory: Array, states: tuple[tuple[str, str], ...]) -> Start:
     past = dict(start.memory)
     for key, by in zip(states, memory, strict=True):
         past[key] = past.get(key, 0.0) + float(by)

@@ -1,0 +1,175 @@
+"""Convergence: a fit taken to the minimum of its cost, the proof that it is there, and the other minima that the data allow.
+
+At a minimum that counts, half an interval to either side costs the same. So the gradient is a difference of costs as far apart as the data can
+tell, not at one part in ten thousand, where each joint that sticks or slips makes a kink of its own. With the curvature of the normal
+equations it gives the step to the minimum; the fit is there when that step would move no estimate by more than PROVEN of its half-width.
+
+Descents begin where the search ended, and far to either side along the direction that the data determine least. Minima that cost no more
+than a likelihood-ratio test tells from the best are all kept.
+Source: W. Q. Meeker, L. A. Escobar, The American Statistician 49 (1995), on intervals by likelihood ratios.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.fit.rollout_fit import PRIOR, Around, Fitter, Free, RolloutFit, Start, moved
+from trueup.model.rounding import rounded
+from trueup.model.series import Series
+
+Array = NDArray[np.float64]
+PROVEN = 0.01  # of a half-width: no estimate moves further
+SWING = 0.5  # of a half-width with all else at rest, to either side
+WIDEST_SWING = 0.25  # of a number's range
+TWO_SIDED = 1.96  # standard errors of a 95 % interval
+MOST = 30  # steps
+FURTHEST = 3.0  # half-widths in one step
+SLACK = 1.0  # times what is left of a sample: a cost that rises by less has not risen
+TURNED = 0.6  # of the trust in a step that turns back
+HALVED = 6  # times
+STARTS, SETTLED = 6, 1e-7  # iterations for what windows start from, and the part of the cost that ends them
+SOFTER, STIFFER = 0.25, 4.0  # times the curvature of the normal equations: what they neglect is no more
+RIDGE = 1e-12  # of a determined direction's curvature
+DISPLACED = 4.0  # half-widths along the direction that is determined least
+DESCENT = 8  # iterations from there
+TOLD_APART = TWO_SIDED**2  # times what is left of a sample: a minimum that costs more is told from the best
+ELSEWHERE = 0.1  # of a half-width: minima that are nearer are one
+
+Fixed = Iterable[tuple[str, str]]
+
+
+def minima(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = ()) -> list[RolloutFit]:
+    """The minima that the data do not tell from the best, the best first, from a fit and from far to both of its sides."""
+    fixed = list(fixed)
+    found = [converge(fitter, data, fit, fixed)]
+    for values in _displaced(found[0]):
+        descended = fitter.fit(data, fit.hypothesis, values, found[0].starts, iterations=DESCENT, fixed=fixed)
+        if descended.cost < found[0].cost + FURTHEST * TOLD_APART * _left(found[0]):
+            found.append(converge(fitter, data, descended, fixed))
+    found.sort(key=lambda f: f.cost)
+    alike = [f for f in found if f.cost <= found[0].cost + TOLD_APART * _left(found[0])]
+    return [f for i, f in enumerate(alike) if not any(_near(f, other) for other in alike[:i])]
+
+
+def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = ()) -> RolloutFit:
+    """A fit's minimum, from where it ended. Numbers that are `fixed` stay."""
+    free = fitter.free(fit.hypothesis, fixed)
+    values, starts = fit.values, _rested(fitter, data, fit, fit.values, [fit.starts])
+    best = _looked(fitter, data, fit, values, starts, free)
+    best = _looked(fitter, data, fit, values, starts, best.free)  # now as far apart as the data tell
+    last, trust = np.zeros(len(free.rows)), 1.0
+    for _ in range(MOST):
+        if best.off <= PROVEN or not np.isfinite(best.cost):
+            break
+        trust *= TURNED if float(best.step @ best.normal @ last) < 0.0 else 1.0
+        part = min(trust, FURTHEST / best.off)
+        for _ in range(HALVED):
+            step = rounded(part * best.step)
+            tried = free.moved(values, step)
+            led = {key: moved(starts[key], *by, best.around.states) for key, by in best.around.gram.moves_with(step).items()}
+            there = _rested(fitter, data, fit, tried, [led, starts])
+            after = _looked(fitter, data, fit, tried, there, best.free)
+            if after.cost <= best.cost + SLACK * best.cost / fit.samples:
+                break
+            part *= 0.5
+        else:
+            break
+        values, starts, best, last = tried, there, after, best.step
+    gram = best.around.gram
+    return replace(
+        fit,
+        values=values,
+        free=free,
+        starts=starts,
+        cost=gram.cost,
+        costs=np.concatenate([g[:, 0, 0] for g in gram.parts.values()]),
+        information=best.normal,
+        scores=gram.scores() if np.isfinite(gram.cost) else np.zeros((len(fit.costs), len(free.rows))),
+        converged=best.off <= PROVEN,
+        off=best.off,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """A place with the step from it to the minimum, `(free,)`, and how far that is in half-widths; `free` has the next differences' steps."""
+
+    around: Around
+    cost: float
+    normal: Array
+    step: Array
+    off: float
+    free: Free
+
+
+def _looked(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Array, starts: Mapping[str, Start], free: Free) -> _Place:
+    """What a look to both sides of each number shows."""
+    around, n = fitter.around(data, fit.hypothesis, values, starts, free), len(free.rows)
+    cost = around.gram.cost
+    if not np.isfinite(cost) or not n:
+        return _Place(around, cost, np.zeros((n, n)), np.zeros(n), np.inf if n else 0.0, free)
+    misfit, at = max(cost / fit.samples, 1.0), free.at(values)
+    ratio = np.where(np.isfinite(around.bend), around.bend, around.alone) / np.maximum(around.alone, 1e-300)
+    stiff = np.sqrt(np.clip(ratio, SOFTER, STIFFER))
+    weight, centre = fitter.expected(free)
+    worth = PRIOR * misfit * weight
+    normal = around.gram.reduced()[0] * stiff[:, None] * stiff
+    step, error = _to_minimum(normal + np.diag(worth), around.gradient + worth * (centre - at), at <= free.low, at >= free.high)
+    swing = SWING * TWO_SIDED * np.sqrt(misfit / np.maximum(around.alone + worth, 1e-300))
+    reach = np.where(np.isfinite(free.high - free.low), WIDEST_SWING * (free.high - free.low), np.inf)
+    wide = replace(free, step=np.asarray(rounded(np.minimum(swing, reach))))
+    return _Place(around, cost, normal, step, float(np.max(np.abs(step) / (TWO_SIDED * np.sqrt(misfit) * error))), wide)
+
+
+def _to_minimum(normal: Array, gradient: Array, lowest: NDArray[np.bool_], highest: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The step to where a quadratic cost is least, no further than to bounds where numbers are, and each one's standard error for a misfit
+    of 1, `(free,)` each.
+    """
+    free = np.diag(normal) > 0.0
+    while True:
+        step, error = np.zeros(len(normal)), np.full(len(normal), np.inf)
+        if free.any():
+            part = normal[np.ix_(free, free)]
+            size = np.sqrt(np.diag(part))
+            inverse = np.linalg.inv(part / size[:, None] / size + RIDGE * np.eye(len(size))) / size[:, None] / size
+            step[free], error[free] = inverse @ gradient[free], np.sqrt(np.abs(np.diag(inverse)))
+        outwards = free & ((lowest & (step < 0.0)) | (highest & (step > 0.0)))
+        if not outwards.any():
+            return step, error
+        free &= ~outwards
+
+
+def _rested(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Array, begins: Sequence[Mapping[str, Start]]) -> dict[str, Start]:
+    """Of each episode what its windows start from at rest, from whichever beginning that costs least."""
+    tried = [fitter.started(data, fit.hypothesis, values, begin, STARTS, SETTLED) for begin in begins]
+    costs = [f.by_episode for f in tried]
+    return {s.digest: min(zip(costs, tried, strict=True), key=lambda pair: pair[0][s.digest])[1].starts[s.digest] for s in data}
+
+
+def _displaced(fit: RolloutFit) -> list[Array]:
+    """Values far to both sides along the direction that the data determine least, measured by each number's own curvature."""
+    shown = np.diag(fit.information) > 0.0
+    if not shown.any():
+        return []
+    size = np.sqrt(np.diag(fit.information)[shown])
+    powers, ways = np.linalg.eigh(fit.information[np.ix_(shown, shown)] / size[:, None] / size)
+    way = ways[:, 0] * np.sign(ways[np.abs(rounded(ways[:, 0])).argmax(), 0])  # an eigenvector's sign is nobody's
+    by = np.zeros(len(shown))
+    by[shown] = DISPLACED * TWO_SIDED * np.sqrt(_left(fit) / max(float(powers[0]), RIDGE)) * way / size
+    return [fit.free.moved(fit.values, rounded(side * by)) for side in (1.0, -1.0)]
+
+
+def _left(fit: RolloutFit) -> float:
+    """What is left of a sample, noise at least."""
+    return max(fit.misfit, 1.0)
+
+
+def _near(one: RolloutFit, other: RolloutFit) -> bool:
+    """Whether two minima are one."""
+    error = np.sqrt(_left(one) / np.maximum(np.diag(one.information), 1e-300))
+    apart = np.abs(one.free.at(one.values) - other.free.at(other.values))
+    return bool((apart < ELSEWHERE * TWO_SIDED * error).all())
