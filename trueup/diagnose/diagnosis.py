@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from trueup.canonical import Json
 from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import Choice, decide, yardstick
+from trueup.diagnose.decide import Choice, Yardstick, decide, yardstick
 from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore, polished
 from trueup.diagnose.filtering import corrected
@@ -20,7 +20,7 @@ from trueup.diagnose.search import Search
 from trueup.diagnose.task import Solve, in_threads
 from trueup.episode.episode import Episode
 from trueup.errors import NotIdentifiable
-from trueup.fit.rollout_fit import RolloutFit
+from trueup.fit.rollout_fit import RolloutFit, in_parallel
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.mjcf_patch import Patch, patch
@@ -28,6 +28,7 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
 
 Progress = Callable[[str, float], None]
+ROUNDS = 4  # at most, until what a choice names is what was fitted to the end
 TWICE = 2  # a twin that turns out better shows its own twin a better place
 
 
@@ -48,6 +49,20 @@ class Diagnosis:
     experiment: Experiment | None
     search: Search
     nominal: RolloutFit
+
+
+def _settled(search: Search, choice: Choice, nominal: RolloutFit, by: Yardstick) -> Choice:
+    """The choice once the fits of all that it names stand at their minima: a better fit of one may unseat another."""
+    done: set[Hypothesis] = set()
+    for _ in range(ROUNDS):
+        wanted = [c for c in (search.found[Hypothesis()], choice.winner, *choice.rivals) if c.hypothesis not in done]
+        if not wanted:
+            break
+        for converged in in_parallel(lambda c: search.problem.converged(c.fit), list({c.hypothesis: c for c in wanted}.values())):
+            done.add(converged.hypothesis)
+            search.adopt(converged)
+        choice = decide(list(search), nominal, by)
+    return choice
 
 
 def diagnose(
@@ -74,6 +89,7 @@ def diagnose(
     for _ in range(TWICE):
         search.mirror(choice.winner)
         choice = decide(list(search), nominal, yardstick(episodes))
+    choice = _settled(search, choice, nominal, yardstick(episodes))
     progress("measuring on held-out episodes", 0.0)
     base = search.found[Hypothesis()]
     best, scheme = polished(plant, problem, choice.winner, adaptation, validation)
@@ -91,10 +107,10 @@ def diagnose(
         choice=choice,
         nominal=nominal,
         gap=gap,
-        effects=estimates(best.fit, choice.winner.fit, problem.fitter, plant, shares(search, choice, nominal)),
+        effects=estimates(best.minima, choice.winner.fit, problem.fitter, plant, shares(search, choice, nominal)),
         alternatives=[alternative(plant, search, rival) for rival in choice.rivals],
         patch=changes,
-        parameters=parameter_table(plant, problem.fitter.directions, best.fit, choice.winner.fit),
+        parameters=parameter_table(plant, problem.fitter.directions, best.minima, choice.winner.fit),
         excluded=excluded,
         unexcited=unexcited,
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),

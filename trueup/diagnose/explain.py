@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
-from trueup.diagnose.problem import RESOLUTION, Candidate
+from trueup.diagnose.intervals import TWO_SIDED, covariance, intervals
+from trueup.diagnose.problem import Candidate
 from trueup.diagnose.search import Search, has_already
 from trueup.episode.layout import Field
 from trueup.fit.rollout_fit import Directions, Fitter, RolloutFit, Screening, in_parallel
@@ -23,11 +24,8 @@ from trueup.model.plant import Plant
 from trueup.model.tree import SLIDE
 
 Array = NDArray[np.float64]
-TWO_SIDED = 1.96  # standard errors of a 95 % interval
 BOUNDING = 3.0  # standard errors of a bound: what the linear model neglects is among them
 LINEAR = 1.5  # times a start: up to there what was computed at the start is believed
-RIDGE = 1e-12  # of a determined direction's information
-WIDEST = 1e7  # steps of a finite difference: an interval so wide says that nothing is known
 HELD = 0.005  # of the frames: fewer make no gap worth a name
 RULED_OUT = 0.5  # of a limit's whole effect
 FORCES = (Scale.ACCELERATION, Scale.DRAG, Scale.CUBIC, Scale.STIFFNESS, Scale.DAMPING)
@@ -84,40 +82,17 @@ def in_units(scale: Scale, plant: Plant, joint: int) -> float:
     return float(plant.form.sizes[joint]) if scale in FORCES else 1.0
 
 
-def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], float]:
-    """Half of each 95 % interval, by (effect or "", parameter); scaled by what the fit leaves unexplained.
-
-    How far an estimate moves between coarse and fine steps of integration is added in quadrature, for a machine has no step. A number
-    between whose corners the error is flat has the width of the grid on which it was found, and the others what gives way to that.
-    """
-    if not len(fit.free.rows):
-        return {}
-    rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
-    information = fit.information[np.ix_(rest, rest)]
-    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse = np.linalg.inv(information / size[:, None] / size + RIDGE * np.eye(len(size))) / size[:, None]
-    at = fit.free.at(fit.values)
-    grid = np.where(rest, 0.0, RESOLUTION * at)
-    grid[rest] = inverse @ (fit.information[np.ix_(rest, ~rest)] @ grid[~rest] / size)
-    variance = np.zeros(len(rest))
-    with np.errstate(over="ignore"):  # what is not determined is wide
-        variance[rest] = np.abs(np.diag(inverse)) / size
-    moved = at - fit.free.at(coarse.values)
-    width = np.sqrt(TWO_SIDED**2 * variance * max(fit.misfit, 1.0) + moved**2 + grid**2)
-    return {name: float(w) for name, w in zip(fit.free.names, np.minimum(width, WIDEST * fit.free.step), strict=True)}
-
-
-def estimates(fit: RolloutFit, coarse: RolloutFit, fitter: Fitter, plant: Plant, share: Mapping[str, float]) -> list[Json]:
-    """A fit's effects with estimates, units, intervals and shares; `coarse` is the same on the search's steps."""
-    widths = half_widths(fit, coarse)
+def estimates(minima: Sequence[RolloutFit], coarse: RolloutFit, fitter: Fitter, plant: Plant, share: Mapping[str, float]) -> list[Json]:
+    """Effects with estimates, units, intervals and shares, of the best of some minima; `coarse` is the same on the search's steps."""
+    fit, spans = minima[0], intervals(minima, coarse)
     found: list[Json] = []
     for term in fit.hypothesis.effects:
         values: dict[str, Json] = {}
         for number in kind(term).params:
-            if (term, number.name) not in widths:
+            if (term, number.name) not in spans:
                 continue  # the log did not ask for it
             value, factor = fit.parameters(term)[number.name], in_units(number.scale, plant, joint(term))
-            low, high = _inside(value, widths[term, number.name], number, fitter.unit(term, number.scale))
+            low, high = _inside(spans[term, number.name], number, fitter.unit(term, number.scale))
             measure = unit(number.scale, plant, joint(term))
             values[number.name] = {"value": factor * value, "unit": measure, "ci95": [factor * low, factor * high]}
         found.append(_entry(kind(term), values, share.get(term, 0.0), plant, joint(term)))
@@ -150,28 +125,35 @@ def _entry(effect: type[Effect], values: dict[str, Json], share: float, plant: P
     return {**entry, "estimate": values, "share": share}
 
 
-def _inside(value: float, width: float, number: Number, scale: float) -> tuple[float, float]:
-    return max(value - width, number.low * scale), min(value + width, number.high * scale)
+def _inside(span: tuple[float, float], number: Number, scale: float) -> tuple[float, float]:
+    return max(span[0], number.low * scale), min(span[1], number.high * scale)
 
 
-def parameter_table(plant: Plant, directions: Directions, fit: RolloutFit, coarse: RolloutFit) -> dict[str, Json]:
+def parameter_table(plant: Plant, directions: Directions, minima: Sequence[RolloutFit], coarse: RolloutFit) -> dict[str, Json]:
     """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine one by one."""
-    widths = half_widths(fit, coarse)
-    wide = np.array([widths["", name] for name in directions.names])
+    fit = minima[0]
     if not directions.combined:
-        width, named = wide, np.ones(len(wide), np.bool_)
+        spans = intervals(minima, coarse)
+        limits = [spans["", name] for name in directions.names]
+        named = np.ones(len(limits), np.bool_)
     else:
-        count = len(directions.names)
-        spread = np.linalg.pinv(fit.information)[:count, :count] * max(fit.misfit, 1.0)
-        numbers = len(plant.parameters)
-        moved = fit.values[:numbers] - coarse.values[:numbers]
-        width = np.sqrt(np.maximum(np.einsum("ai,ab,bi->i", directions.along, spread, directions.along), 0.0) * TWO_SIDED**2 + moved**2)
+        widths = np.array([_tree_widths(plant, directions, f, coarse) for f in minima])
+        values = np.array([f.values[: len(plant.parameters)] for f in minima])
+        limits = list(zip((values - widths).min(axis=0), (values + widths).max(axis=0), strict=True))
         named = directions.determined
     return {
-        name: {"nominal": nominal, "value": float(value), "ci95": [float(value - w), float(value + w)]}
-        for (name, nominal), value, w, determined in zip(plant.nominal.items(), fit.values, width, named, strict=False)
+        name: {"nominal": nominal, "value": float(value), "ci95": [float(low), float(high)]}
+        for (name, nominal), value, (low, high), determined in zip(plant.nominal.items(), fit.values, limits, named, strict=False)
         if determined
     }
+
+
+def _tree_widths(plant: Plant, directions: Directions, fit: RolloutFit, coarse: RolloutFit) -> Array:
+    """Half of each interval of a tree's numbers, which move in combinations, `(numbers,)`."""
+    count, numbers = len(directions.names), len(plant.parameters)
+    spread = covariance(fit)[:count, :count]
+    moved = fit.values[:numbers] - coarse.values[:numbers]
+    return np.asarray(np.sqrt(np.maximum(np.einsum("ai,ab,bi->i", directions.along, spread, directions.along), 0.0) * TWO_SIDED**2 + moved**2))
 
 
 def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, float]:
@@ -188,12 +170,13 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 
 def alternative(plant: Plant, search: Search, rival: Candidate) -> Json:
     """A composition that cannot be told from the answer as it was fitted: its model, its estimates, and the nominal form's numbers."""
-    model = Corrected(plant, rival.hypothesis, tuple(float(x) for x in rival.fit.values), search.problem.scheme)
+    found = rival.minima
+    model = Corrected(plant, rival.hypothesis, tuple(float(x) for x in found[0].values), search.problem.scheme)
     described = model.description()
     return {
         "model": {name: described[name] for name in ("parameters", "effects", "scheme")},
-        "effects": estimates(rival.fit, rival.fit, search.problem.fitter, plant, {}),
-        "parameters": parameter_table(plant, search.problem.fitter.directions, rival.fit, rival.fit),
+        "effects": estimates(found, rival.fit, search.problem.fitter, plant, {}),
+        "parameters": parameter_table(plant, search.problem.fitter.directions, found, rival.fit),
     }
 
 

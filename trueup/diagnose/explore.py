@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-
-import numpy as np
 
 from trueup.diagnose.admission import NUMERICAL, Admission
 from trueup.diagnose.decide import PHYSICAL, Yardstick, enough, total, yardstick
@@ -19,8 +17,7 @@ from trueup.fit.rollout_fit import Start, in_parallel
 from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
-from trueup.model.series import DECLARED, Scheme, Series, refined, series
-from trueup.model.state import smoothed_states
+from trueup.model.series import DECLARED, Scheme, refined, series
 
 Progress = Callable[[str, float], None]
 SPREAD = 2  # of the best compositions are looked for at every joint, where they do not explain the gap at one
@@ -190,7 +187,9 @@ def polished(
         tolerance=1e-7 if problem.exact else 1e-4,
         fixed=problem.still(best.fit),
     )
-    done = last.candidate(fit if physical else last.pruned(fit))
+    if not np.isfinite(fit.cost):
+        return best, scheme
+    done = last.converged(fit if physical else last.pruned(fit))
     return (done, finer) if done.misfit < WORSE * best.misfit else (best, scheme)
 
 

@@ -7,11 +7,12 @@ episodes alone; compositions are compared on validation episodes, where nothing 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
+from trueup.fit.convergence import minima
 from trueup.fit.rollout_fit import Fitter, Linear, RolloutFit, Start
 from trueup.model.block import BLOCK, Memory, kind
 from trueup.model.hypothesis import Hypothesis, switches
@@ -36,11 +37,20 @@ CHECK = 10  # iterations for the starts of validation windows
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A fitted composition, and how it does on validation episodes; not `resolved` is one with an effect as small as integration's own."""
+    """A fitted composition, and how it does on validation episodes; not `resolved` is one with an effect as small as integration's own.
+
+    `others` are minima that the data do not tell from the fit's, where it was taken to one.
+    """
 
     fit: RolloutFit
     check: RolloutFit
     resolved: bool = True
+    others: tuple[RolloutFit, ...] = ()
+
+    @property
+    def minima(self) -> tuple[RolloutFit, ...]:
+        """Every minimum, its own the first."""
+        return self.fit, *self.others
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -162,6 +172,14 @@ class Problem:
             for parameter in kind(name).threshold[: int(self.exact)]:
                 fit = self._zoomed(fit, name, parameter)
         return self.candidate(self.pruned(min(fit, candidate.fit, key=lambda f: f.cost)))
+
+    def converged(self, fit: RolloutFit) -> Candidate:
+        """A fit taken to its minimum, and every other that the data do not tell from it; numbers stay that its log does not ask for, or that a
+        grid has found.
+        """
+        grids = [(t, kind(t).zoomed) for t in fit.hypothesis.effects if kind(t).zoomed]
+        best, *others = minima(self.fitter, self.adaptation, fit, [*self.still(fit), *grids])
+        return replace(self.candidate(best), others=tuple(others))
 
     def candidate(self, fit: RolloutFit, starts: Mapping[str, Start] | None = None) -> Candidate:
         """A fit as a candidate, with the starts of validation windows estimated, from given ones too."""

@@ -27,6 +27,7 @@ SWING = 0.5  # of a half-width with all else at rest, to either side
 WIDEST_SWING = 0.25  # of a number's range
 TWO_SIDED = 1.96  # standard errors of a 95 % interval
 MOST = 30  # steps
+PATIENCE = 6  # steps that come no nearer
 FURTHEST = 3.0  # half-widths in one step
 SLACK = 1.0  # times what is left of a sample: a cost that rises by less has not risen
 TURNED = 0.6  # of the trust in a step that turns back
@@ -58,12 +59,13 @@ def minima(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed
 def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = ()) -> RolloutFit:
     """A fit's minimum, from where it ended. Numbers that are `fixed` stay."""
     free = fitter.free(fit.hypothesis, fixed)
-    values, starts = fit.values, _rested(fitter, data, fit, fit.values, [fit.starts])
+    values, starts = fit.values, dict(fitter.started(data, fit.hypothesis, fit.values, fit.starts, STARTS, SETTLED).starts)
     best = _looked(fitter, data, fit, values, starts, free)
     best = _looked(fitter, data, fit, values, starts, best.free)  # now as far apart as the data tell
-    last, trust = np.zeros(len(free.rows)), 1.0
+    last, trust, offs = np.zeros(len(free.rows)), 1.0, [best.off]
     for _ in range(MOST):
-        if best.off <= PROVEN or not np.isfinite(best.cost):
+        nearer = len(offs) <= PATIENCE or min(offs[-PATIENCE:]) < min(offs[:-PATIENCE])
+        if best.off <= PROVEN or not nearer or not np.isfinite(best.cost):
             break
         trust *= TURNED if float(best.step @ best.normal @ last) < 0.0 else 1.0
         part = min(trust, FURTHEST / best.off)
@@ -71,7 +73,7 @@ def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fix
             step = rounded(part * best.step)
             tried = free.moved(values, step)
             led = {key: moved(starts[key], *by, best.around.states) for key, by in best.around.gram.moves_with(step).items()}
-            there = _rested(fitter, data, fit, tried, [led, starts])
+            there = _rested(fitter, data, fit, tried, led, starts, best.cost)
             after = _looked(fitter, data, fit, tried, there, best.free)
             if after.cost <= best.cost + SLACK * best.cost / fit.samples:
                 break
@@ -79,7 +81,10 @@ def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fix
         else:
             break
         values, starts, best, last = tried, there, after, best.step
+        offs.append(best.off)
     gram = best.around.gram
+    if not np.isfinite(gram.cost):
+        return replace(fit, converged=False, off=np.inf)
     return replace(
         fit,
         values=values,
@@ -88,7 +93,7 @@ def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fix
         cost=gram.cost,
         costs=np.concatenate([g[:, 0, 0] for g in gram.parts.values()]),
         information=best.normal,
-        scores=gram.scores() if np.isfinite(gram.cost) else np.zeros((len(fit.costs), len(free.rows))),
+        scores=gram.scores(),
         converged=best.off <= PROVEN,
         off=best.off,
     )
@@ -143,11 +148,16 @@ def _to_minimum(normal: Array, gradient: Array, lowest: NDArray[np.bool_], highe
         free &= ~outwards
 
 
-def _rested(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Array, begins: Sequence[Mapping[str, Start]]) -> dict[str, Start]:
-    """Of each episode what its windows start from at rest, from whichever beginning that costs least."""
-    tried = [fitter.started(data, fit.hypothesis, values, begin, STARTS, SETTLED) for begin in begins]
-    costs = [f.by_episode for f in tried]
-    return {s.digest: min(zip(costs, tried, strict=True), key=lambda pair: pair[0][s.digest])[1].starts[s.digest] for s in data}
+def _rested(
+    fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Array, led: Mapping[str, Start], before: Mapping[str, Start], cost: float
+) -> dict[str, Start]:
+    """Of each episode what its windows start from at rest: from where a step led them, or from before it where that cost more."""
+    one = fitter.started(data, fit.hypothesis, values, led, STARTS, SETTLED)
+    if one.cost <= cost:
+        return dict(one.starts)
+    other = fitter.started(data, fit.hypothesis, values, before, STARTS, SETTLED)
+    ours, its = one.by_episode, other.by_episode
+    return {key: (one if ours[key] <= its[key] else other).starts[key] for key in one.starts}
 
 
 def _displaced(fit: RolloutFit) -> list[Array]:

@@ -460,6 +460,8 @@ class Fitter:
         lanes = self._lanes(task, values, 0, len(task.states))
         gram, _, costs = self._equations(task, lanes, starts)
         n = len(free.rows)
+        if not np.isfinite(gram.cost):
+            return Around(gram, task.states, np.zeros(n), np.zeros(n), np.zeros(n))
         sums = np.sum([g[:, : n + 1, : n + 1].sum(axis=0) for g in gram.parts.values()], axis=0)
         up, down, per, sides = costs[lanes.of[:n]], costs[lanes.against[:n]], lanes.inverse[lanes.of[:n]], lanes.against[:n] > 0
         return Around(
