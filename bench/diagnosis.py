@@ -114,7 +114,7 @@ def house(machine: Hidden) -> dict[str, Given]:
     given = {"trueup": Given(Answer(dict(found.document), None, took), positions(found.predictor, machine.tests), took)}
     began = time.monotonic()
     admission = admit(plant, adaptation)
-    search = explore(plant, admission, adaptation, validation, lambda *_: None)
+    search, admission = explore(plant, admission, adaptation, validation, lambda *_: None)
     took = time.monotonic() - began
     candidates = [c for c in search if np.isfinite(total(c))]
     spread = max(min(map(total, candidates)), 0.5)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.diagnose.noise import noise_of
 from trueup.episode.episode import Episode
 from trueup.errors import NotIdentifiable
 from trueup.model.hypothesis import Scales
@@ -17,10 +18,7 @@ from trueup.model.sizes import sizes
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
-DIFFERENCE = 4  # order: it takes away what is smooth over five samples
-GAIN = np.sqrt(70.0)  # of a fourth difference for white noise
-TRIMMED = 0.8  # of the smallest differences count; a kink or a lost frame is among the others
-NORMAL = 0.66161  # rms of the smallest 80 % of absolute standard normals
+DIFFERENCE = 4  # order, of what tells the noise
 NUMERICAL = 3e-4  # of a channel's standard deviation: below this lies what integration, not the machine, does
 LATTICE = 0.02  # of a step: how far a value may lie off it
 LATTICE_VALUES = 0.5  # of the samples: a lattice is coarse enough to count when no more values than that are distinct
@@ -33,13 +31,14 @@ class Admission:
     """Sizes of one set of episodes.
 
     `noise`, `sigma` and `motion` `(2 x joints,)`: standard deviation of the noise, of what fits count as noise, and of the motion, of
-    positions and velocities, nan where not observed.
+    positions and velocities, nan where not observed; `correlation` that of the noise with itself one sample before.
     `lattice` `(2 x joints,)`: steps on which their values lie, 0 where on none. `held` `(joints,)` is the fraction of repeated frames,
     `scales` the joints' own sizes.
     """
 
     noise: Array
     sigma: Array
+    correlation: Array
     motion: Array
     lattice: Array
     held: Array
@@ -71,7 +70,7 @@ def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
         raise NotIdentifiable("there is no adaptation episode to fit", hint="Give episodes the role adaptation, and others validation.")
     joints = len(plant.joints)
     noise, sigma, motion = (np.full(2 * joints, np.nan) for _ in range(3))
-    lattice = np.zeros(2 * joints)
+    lattice, correlation = np.zeros(2 * joints), np.zeros(2 * joints)
     repeats = [held_frames(positions_and_velocities(plant, e)) for e in episodes]
     for channel, column in enumerate(plant.state_columns):
         tracks = [e.observations[:, channel][~r[:, column]] for e, r in zip(episodes, repeats, strict=True)]
@@ -80,26 +79,15 @@ def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
             lattice[column] = _lattice(np.concatenate(tracks))
             motion[column] = float(np.std(np.concatenate([x - x.mean() for x in tracks])))
             whole = [(e.observations[:, channel], r[:, column]) for e, r in zip(episodes, repeats, strict=True)]
-            noise[column] = max(_noise(whole), lattice[column] / ROUNDING)
+            found = noise_of(whole)
+            noise[column] = max(found.sigma, lattice[column] / ROUNDING)
             sigma[column] = max(noise[column], NUMERICAL * motion[column])
+            if not lattice[column] and noise[column] >= NUMERICAL * motion[column]:  # else it is the sensor's step, or the integration's
+                correlation[column] = found.correlation
     states = np.concatenate([smoothed_states(plant, e) for e in episodes])
     issued = np.concatenate([plant.applied(e.commands) for e in episodes])
     held = np.mean(np.concatenate(repeats)[:, :joints], axis=0)
-    return Admission(noise, sigma, motion, lattice, held, tuple(sizes(plant, j, states, issued) for j in range(joints)))
-
-
-def _noise(tracks: Sequence[tuple[Array, NDArray[np.bool_]]]) -> float:
-    """Standard deviation of white noise on smooth tracks, from the smaller ones of their fourth differences without held frames."""
-    parts = []
-    for x, repeated in tracks:
-        fourth = np.abs(np.diff(x, DIFFERENCE))
-        touched = np.convolve(repeated | ~np.isfinite(x), np.ones(DIFFERENCE + 1), "valid") > 0.0
-        parts.append(fourth[~touched])
-    fourth = np.sort(np.concatenate(parts))
-    if not len(fourth):
-        return 0.0
-    kept = fourth[: max(1, int(TRIMMED * len(fourth)))]
-    return float(np.sqrt(np.mean(kept**2)) / GAIN / NORMAL)
+    return Admission(noise, sigma, correlation, motion, lattice, held, tuple(sizes(plant, j, states, issued) for j in range(joints)))
 
 
 def _lattice(values: Array) -> float:

@@ -82,7 +82,7 @@ def diagnose(
         raise NotIdentifiable("there is no validation episode to compare on", hint="Give at least one episode the role validation.")
     progress("looking at the episodes", 0.0)
     admission = admit(plant, adaptation)
-    search = explore(plant, admission, adaptation, validation, progress, solve)
+    search, admission = explore(plant, admission, adaptation, validation, progress, solve)
     problem = search.problem
     nominal = problem.nominal(plant.parameters)
     choice = decide(list(search), nominal, yardstick(episodes))

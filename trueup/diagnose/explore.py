@@ -6,10 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+
 from trueup.diagnose.admission import NUMERICAL, Admission
 from trueup.diagnose.decide import PHYSICAL, Yardstick, enough, total, yardstick
 from trueup.diagnose.laying_out import SHORTER, in_pieces, lay_out, sought
 from trueup.diagnose.problem import SETTLE, Candidate, Problem
+from trueup.diagnose.remainder import looked_again
 from trueup.diagnose.search import Search
 from trueup.diagnose.task import Solve, in_threads
 from trueup.episode.episode import Episode
@@ -24,6 +27,7 @@ SPREAD = 2  # of the best compositions are looked for at every joint, where they
 HOPELESS = 0.25  # of the gap left by the best of a size: no effect more makes an explanation of that
 HOPELESS_PAIR = 0.5  # the same of two effects of a robot: none in the place of one of them does
 HOPELESS_ON_MACHINE = 0.6  # the same of one effect in a robot's real recording
+LOOKS = 3  # at the noise, and searches, at most
 FINER = 4  # steps for one of the search
 PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
@@ -67,8 +71,25 @@ def explore(
     validation: Sequence[Episode],
     progress: Progress,
     solve: Solve = in_threads,
-) -> Search:
-    """The search under the scheme of integration that explains the episodes best."""
+) -> tuple[Search, Admission]:
+    """The search under the scheme of integration that explains the episodes best, and what the episodes are like, noise looked at again."""
+    for _ in range(LOOKS):
+        search, again = _explored(plant, admission, adaptation, validation, progress, solve)
+        if again is None:
+            break
+        admission = again
+    return search, admission
+
+
+def _explored(
+    plant: Plant,
+    admission: Admission,
+    adaptation: Sequence[Episode],
+    validation: Sequence[Episode],
+    progress: Progress,
+    solve: Solve,
+) -> tuple[Search, Admission | None]:
+    """One search; and where its noise turns out to be another, what the episodes are like with that."""
 
     def laid_out(scheme: Scheme, parts: int) -> Search:
         problem, base = lay_out(plant, admission, adaptation, validation, scheme, parts)
@@ -87,6 +108,9 @@ def explore(
         if best is not None and len(plant.joints) > 1 and not _promises(search, best):
             break
         generation = _first(plant, search, progress)
+        again = looked_again(admission, search.problem, min(search, key=total)) if best is None else None
+        if again is not None:
+            return search, again
         if best is None and _astray(search):
             parts = SHORTER
             search = laid_out(scheme, parts)
@@ -97,7 +121,7 @@ def explore(
         if any(enough(c, search.found[Hypothesis()], yardstick(adaptation)) for c in search):
             break
     assert best is not None
-    return best
+    return best, looked_again(admission, best.problem, min(best, key=total))
 
 
 def _promises(search: Search, best: Search) -> bool:

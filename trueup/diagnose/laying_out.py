@@ -87,7 +87,14 @@ def _in_windows(
 ) -> Problem:
     """What is fitted to windows of a length [s]."""
     return Problem(
-        Fitter(plant.form, directions(plant, adaptation), admission.scales, admission.sigma, held=yardstick(adaptation) is PHYSICAL),
+        Fitter(
+            plant.form,
+            directions(plant, adaptation),
+            admission.scales,
+            admission.sigma,
+            admission.correlation,
+            held=yardstick(adaptation) is PHYSICAL,
+        ),
         [series(plant, e, scheme, length_s) for e in adaptation],
         [series(plant, e, scheme, length_s) for e in validation],
         [series(plant, e, scheme, min(SHORT_S, length_s)) for e in adaptation],

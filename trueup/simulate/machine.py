@@ -15,6 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from trueup.simulate.noise import WHITE, Noise
+
 Array = NDArray[np.float64]
 
 INERTIA, OSCILLATOR, PENDULUM = 0, 1, 2
@@ -119,7 +121,7 @@ class Feedback:
 
 def run(
     machine: Machine, planned: Array, timestep_s: float, parts: int, sigma: tuple[float, float], rng: np.random.Generator,
-    start: tuple[float, float] = (0.0, 0.0), warm_up: int = 0, feedback: Feedback | None = None,
+    start: tuple[float, float] = (0.0, 0.0), warm_up: int = 0, feedback: Feedback | None = None, law: Noise = WHITE,
 ) -> Run:  # fmt: skip
     """Run a machine on planned commands, or references with feedback, `(warm_up + n,)`; the log begins after the warm-up.
 
@@ -127,7 +129,7 @@ def run(
     """
     numbers, present = machine.vector()
     total = len(planned)
-    noise = rng.normal(size=(total, 2)) * np.array(sigma)
+    noise = law.drawn(rng, total, 2) * np.array(sigma)
     lost = rng.random(total)
     low, high = machine.bounds or (-machine.limit, machine.limit)
     gains = (feedback.kp, feedback.kd) if feedback else (0.0, 0.0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import BEYOND, SLOTS, Feedback, Machine, Run, run
 from trueup.simulate.magnitude import as_large_as, shape_of
+from trueup.simulate.noise import WHITE, Noise
 from trueup.simulate.robot import RobotMachine
 
 Array = NDArray[np.float64]
@@ -47,6 +48,7 @@ class Bench:
     recorded: Sequence[Plan] = ()
     bounds: tuple[float, float] | None = None  # of the command, where they are not +-limit
     sigma: tuple[float, float] | None = None  # of position and velocity, instead of `noise`
+    law: Noise = WHITE  # of that noise
 
     @property
     def warm_up(self) -> int:
@@ -119,8 +121,9 @@ def draw(
     sigma = bench.sigma or (bench.noise * size["position"], bench.noise * 1.5 * size["velocity"])
     if "sensor_quantization" in names:
         sigma = (sigma[0] * 0.3, sigma[1] * 0.3)
+    rates = bench.timestep_s, bench.parts
     runs = [
-        (p.role, run(machine, bench.led_in(p.series), bench.timestep_s, bench.parts, sigma, rng, p.start, bench.warm_up, bench.feedback))
+        (p.role, run(machine, bench.led_in(p.series), *rates, sigma, rng, p.start, bench.warm_up, bench.feedback, bench.law))
         for p in _plans(bench, size, rng)
     ]
     return Trial(machine, shifted, min(gaps_made, default=0.0), np.array(sigma), runs)

@@ -1,0 +1,108 @@
+"""Noise of a channel: how large it is, and how much of it each sample has from the one before, from the samples alone.
+
+Fourth differences take away what is smooth over five samples. Over samples further apart, white noise leaves as much, coloured noise more and
+more, and a smooth motion or a kink much more. So their sizes over 1, 2, 3 and 4 samples tell the noise's correlation beside what the motion
+leaves. A channel is white unless the differences plainly say otherwise. Those of what a model leaves, which has no motion, tell the size anew:
+outliers are among those.
+Source: J. von Neumann, Annals of Mathematical Statistics 12 (1941), on successive differences; P. Hall, J. W. Kay, D. M. Titterington,
+Biometrika 77 (1990), on differences of higher order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+Array = NDArray[np.float64]
+Track = tuple[Array, NDArray[np.bool_]]
+WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # of a fourth difference
+GAIN = 70.0  # of its power for white noise: the sum of the weights' squares
+TRIMMED = 0.8  # of the smallest differences count; a kink or a lost frame is among the others
+ALMOST_ALL = 0.995  # the same of what a model leaves, which has few kinks: outliers count
+MEDIAN = 0.67449  # median of absolute standard normals
+STRIDES = (1, 2, 3, 4)  # samples apart, in a motion
+FAR_STRIDES = (1, 2, 4, 8, 16)  # the same in what a model leaves, which has little motion
+CORRELATIONS = (0.0, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.88, 0.9, 0.92, 0.94, 0.96)
+MOTION = (2, 8)  # powers of the stride with which differences of a kink in the velocity, and of a smooth motion, grow
+COLOURED = 1.5  # times the power over one sample has that over two: noise with a third of the one before has 1.5
+PLAINLY = 4.0  # times better do differences fit coloured noise
+FEWEST = 200  # differences that tell a correlation
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelNoise:
+    """Standard deviation of a channel's noise, in its unit, and its correlation from one sample to the next."""
+
+    sigma: float
+    correlation: float
+
+
+def gain(correlation: float, stride: int = 1) -> float:
+    """Power of fourth differences of noise of power 1, over so many samples."""
+    lags = correlation ** (stride * np.abs(np.subtract.outer(np.arange(5), np.arange(5))))
+    return float(WEIGHTS @ lags @ WEIGHTS)
+
+
+def noise_of(tracks: Sequence[Track], smallest: float = TRIMMED, strides: Sequence[int] = STRIDES) -> ChannelNoise:
+    """The noise of tracks, each with the samples that do not count, from the smallest part of their differences over some strides."""
+    near = differences(tracks, 1)
+    if not len(near):
+        return ChannelNoise(0.0, 0.0)
+    kept = np.sort(near)[: max(1, int(smallest * len(near)))]
+    power = float(np.mean(kept**2)) / GAIN / _power_of_smallest(smallest)
+    correlation, part = _correlation(strides, [differences(tracks, stride) for stride in strides])
+    return ChannelNoise(float(np.sqrt(part * power * GAIN / gain(correlation))), correlation)
+
+
+def _power_of_smallest(part: float) -> float:
+    """Mean square of the smallest part of absolute standard normals."""
+    end = float(ndtri((1.0 + part) / 2.0))
+    return 1.0 - 2.0 * end * float(np.exp(-0.5 * end**2)) / np.sqrt(2.0 * np.pi) / part
+
+
+def differences(tracks: Sequence[Track], stride: int) -> Array:
+    """Absolute fourth differences over so many samples of all tracks, those left out that a sample touches which does not count."""
+    parts = [np.zeros(0)]
+    for x, out in tracks:
+        count = len(x) - 4 * stride
+        if count > 0:
+            shifted = [slice(k * stride, k * stride + count) for k in range(5)]
+            fourth = sum(w * x[at] for w, at in zip(WEIGHTS, shifted, strict=True))
+            touched = np.any([out[at] | ~np.isfinite(x[at]) for at in shifted], axis=0)
+            parts.append(np.abs(np.asarray(fourth)[~touched]))
+    return np.concatenate(parts)
+
+
+def _correlation(strides: Sequence[int], over: Sequence[Array]) -> tuple[float, float]:
+    """The correlation that fits differences over the strides, and which part of those over one sample is noise."""
+    powers = np.array([(float(np.median(d)) / MEDIAN) ** 2 if len(d) > FEWEST else np.nan for d in over])
+    if not (np.isfinite(powers).all() and powers[0] > 0.0 and powers[1] > COLOURED * powers[0]):
+        return 0.0, 1.0
+    fits = {c: _fitted(c, strides, powers) for c in CORRELATIONS}
+    best = min(fits, key=lambda c: fits[c][0])
+    return (best, fits[best][1]) if best and PLAINLY * fits[best][0] < fits[0.0][0] else (0.0, 1.0)
+
+
+def _fitted(correlation: float, strides: Sequence[int], powers: Array) -> tuple[float, float]:
+    """How far powers over the strides are from noise of a correlation and one kind of motion beside, and the noise's part of the first."""
+    noise = np.array([gain(correlation, stride) for stride in strides]) / gain(correlation)
+    found = []
+    for growth in MOTION:
+        motion = np.array(strides, np.float64) ** growth
+        design = np.stack([noise, motion], axis=1) / powers[:, None]
+        sizes = np.maximum(_two(design), 0.0)
+        if not sizes.all():  # one of them alone
+            sizes = np.array([float(design[:, 0].sum() / (design[:, 0] ** 2).sum()), 0.0])
+        found.append((float(np.sum((design @ sizes - 1.0) ** 2)), float(np.clip(sizes[0] / powers[0], 0.0, 1.0))))
+    return min(found)
+
+
+def _two(design: Array) -> Array:
+    """Least squares of ones on two columns."""
+    (a, b), (_, c) = design.T @ design
+    right = design.sum(axis=0)
+    return np.array([c * right[0] - b * right[1], a * right[1] - b * right[0]]) / max(a * c - b * b, 1e-300)
