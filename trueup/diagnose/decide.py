@@ -18,6 +18,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from trueup.diagnose.measure import Gap
 from trueup.diagnose.problem import Candidate
 from trueup.diagnose.twins import are_twins
 from trueup.episode.episode import Episode, is_physical
@@ -122,6 +123,17 @@ def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick =
     moved = nominal.misfit - base.misfit > NOISE_POWER * max(base.misfit, FLOOR)
     better = moved and _certain(np.nan_to_num(nominal.costs - base.check.costs, nan=0.0), base.misfit)
     return Choice(Verdict.PARAMETERS_ONLY if better else Verdict.NO_GAP, winner, (), left)
+
+
+def agreeing(choice: Choice, gap: Gap) -> Choice:
+    """The choice where held-out predictions do not gainsay it: where they are at the floor of the noise, no gap is left unexplained, and
+    where those of the nominal model were, there was none.
+    """
+    if gap.was_at_the_floor:
+        return replace(choice, verdict=Verdict.NO_GAP, rivals=())
+    if choice.verdict is Verdict.UNKNOWN and gap.at_the_floor:
+        return replace(choice, verdict=Verdict.EFFECT if choice.winner.hypothesis.effects else Verdict.PARAMETERS_ONLY)
+    return choice
 
 
 def complexity(c: Candidate) -> float:

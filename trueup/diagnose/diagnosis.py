@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from trueup.canonical import Json
 from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import Choice, Yardstick, decide, yardstick
+from trueup.diagnose.decide import Choice, Yardstick, agreeing, decide, yardstick
 from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore, polished
 from trueup.diagnose.filtering import corrected
 from trueup.diagnose.laying_out import by_role
 from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
+from trueup.diagnose.noise import Noise
 from trueup.diagnose.probe import Experiment, next_experiment
 from trueup.diagnose.report import report
 from trueup.diagnose.search import Search
@@ -52,7 +53,12 @@ class Diagnosis:
 
 
 def _settled(search: Search, choice: Choice, nominal: RolloutFit, by: Yardstick) -> Choice:
-    """The choice once the fits of all that it names stand at their minima: a better fit of one may unseat another."""
+    """The choice once the fits of all that it names stand at their minima: a better fit of one may unseat another.
+
+    Of a robot the alternatives' alone, for the answer is fitted once more anyway, on finer steps.
+    """
+    if len(search.problem.declared):
+        return replace(choice, rivals=tuple(search.adopt(search.problem.converged(c.fit)) for c in choice.rivals))
     done: set[Hypothesis] = set()
     for _ in range(ROUNDS):
         wanted = [c for c in (search.found[Hypothesis()], choice.winner, *choice.rivals) if c.hypothesis not in done]
@@ -95,7 +101,8 @@ def diagnose(
     best, scheme = polished(plant, problem, choice.winner, adaptation, validation)
     predictor = corrected(plant, admission, best.fit, scheme, adaptation)
     refitted = corrected(plant, admission, base.fit, problem.scheme, adaptation)
-    gap = measure(Nominal(plant), refitted, predictor, validation, admission.noise, seed)
+    gap = measure(Nominal(plant), refitted, predictor, validation, Noise(admission.noise, admission.correlation), seed)
+    choice = agreeing(choice, gap)
     progress("what the data speak against", 0.0)
     excluded, unexcited = bounds(search, choice.winner, plant)
     experiment = next_experiment(plant, admission, search, choice)

@@ -153,7 +153,9 @@ def _tree_widths(plant: Plant, directions: Directions, fit: RolloutFit, coarse: 
     count, numbers = len(directions.names), len(plant.parameters)
     spread = covariance(fit)[:count, :count]
     moved = fit.values[:numbers] - coarse.values[:numbers]
-    return np.asarray(np.sqrt(np.maximum(np.einsum("ai,ab,bi->i", directions.along, spread, directions.along), 0.0) * TWO_SIDED**2 + moved**2))
+    return np.asarray(
+        np.sqrt(np.maximum(np.einsum("ai,ab,bi->i", directions.along, spread, directions.along), 0.0) * TWO_SIDED**2 + moved**2)
+    )
 
 
 def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, float]:

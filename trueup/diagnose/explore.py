@@ -196,6 +196,7 @@ def polished(
         [series(plant, e, finer, problem.length_s) for e in adaptation],
         [series(plant, e, finer, problem.length_s) for e in validation],
         problem.short,
+        declared=problem.declared,
         pieces=in_pieces(plant, [*adaptation, *validation], finer, problem.length_s) if several else {},
     )
     if several:

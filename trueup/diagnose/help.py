@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from trueup.canonical import digest_of_bytes
 from trueup.diagnose.admission import admit
@@ -29,10 +32,12 @@ class Helper:
         return pack_answers(in_threads(self._problem(outline), tasks, lambda _: None))
 
     def _problem(self, outline: Outline) -> Problem:
-        name = digest_of_bytes(repr((outline.scheme, outline.length_s, outline.base.cost)).encode() + outline.base.values.tobytes())
+        numbers = outline.base.values, outline.sigma, outline.correlation
+        told = repr((outline.scheme, outline.length_s, outline.base.cost)).encode()
+        name = digest_of_bytes(told + b"".join(x.tobytes() for x in numbers))
         if self._known is None or self._known[0] != name:
-            problem = laid_out(
-                self._plant, self._admission, self._adaptation, self._validation, outline.scheme, outline.length_s, outline.base
-            )
+            sigma = np.where(np.isfinite(outline.sigma), outline.sigma, np.nan)
+            admission = replace(self._admission, sigma=sigma, correlation=outline.correlation)
+            problem = laid_out(self._plant, admission, self._adaptation, self._validation, outline.scheme, outline.length_s, outline.base)
             self._known = name, problem
         return self._known[1]

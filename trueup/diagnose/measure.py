@@ -4,8 +4,8 @@ error    root mean square over samples and channels of (predicted - observed) / 
          episodes; rollouts start at each multiple of the horizon, and the starting samples do not count; where no velocity is observed
          an episode's first rollout starts in ignorance of it, which is not the model's gap, and does not count either, and so where the
          corrected model remembers what was before the log: a drive's lag, a play, heat
-floor    what the measured noise does to the compared sample, and to the prediction through the state from which a window starts:
-         the latter is how far predictions move when the episodes are given the same noise once more
+floor    what the noise does to the compared sample, and to the prediction through the state from which a window starts: the latter is how
+         far predictions move when the episodes are given noise of the same size and colour once more
 closed   1 - (after^2 - floor^2) / (before^2 - floor^2)
 """
 
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
+from trueup.diagnose.noise import Noise
 from trueup.episode.episode import Episode
 from trueup.model.block import kind
 from trueup.model.corrected import Corrected
@@ -46,6 +47,16 @@ class Gap:
     by_channel: dict[str, tuple[float, float]]
     beginnings: bool = True  # whether the windows that start with the logs are counted
 
+    @property
+    def at_the_floor(self) -> bool:
+        """Whether what is left is no more than what noise does."""
+        return self.after**2 <= AT_THE_FLOOR * self.floor**2
+
+    @property
+    def was_at_the_floor(self) -> bool:
+        """Whether the nominal model predicts as well as noise allows."""
+        return self.before <= self.floor
+
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
         return {
@@ -73,19 +84,20 @@ def knows_beginnings(model: Predictor) -> bool:
 
 
 def _floor(
-    corrected: Predictor, episode: Episode, horizon_s: float, motion: Array, sigma: Array, rng: np.random.Generator, beginnings: bool
+    corrected: Predictor, episode: Episode, horizon_s: float, motion: Array, noise: Noise, rng: np.random.Generator, beginnings: bool
 ) -> Array:
     """The noise's own part of each window's squared error, `(windows, channels)`."""
     plant = corrected.plant
     seen = plant.state_columns
-    noise = rng.normal(size=episode.observations.shape) * np.nan_to_num(sigma[seen])
-    again = replace(episode, observations=episode.observations + noise, digest=episode.digest + "/again")
+    sigma = np.nan_to_num(noise.sigma[seen])
+    more = noise.drawn(rng, len(episode.t_s), seen)
+    again = replace(episode, observations=episode.observations + more, digest=episode.digest + "/again")
     paths = []
     for e in (episode, again):
         (windows,) = windows_of(plant, [e], horizon_s, beginnings=beginnings)
         paths.append(plant.observe(corrected.rollout(windows)))
     moved = np.where(windows.inside[:, :, None], (paths[1] - paths[0]) / motion[seen], 0.0) ** 2
-    return np.asarray(moved.sum(axis=1) / windows.inside.sum(axis=1)[:, None] + (np.nan_to_num(sigma[seen]) / motion[seen]) ** 2)
+    return np.asarray(moved.sum(axis=1) / windows.inside.sum(axis=1)[:, None] + (sigma / motion[seen]) ** 2)
 
 
 def windows_of(plant: Plant, episodes: Sequence[Episode], horizon_s: float, *, beginnings: bool) -> list[Windows]:
@@ -114,8 +126,8 @@ def _of_episode(predictor: Predictor, windows: Windows, motion: Array) -> Array:
         return np.asarray(squares.sum(axis=1) / np.maximum(counted.sum(axis=1), 1)[:, None])
 
 
-def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episodes: Sequence[Episode], sigma: Array, seed: int) -> Gap:
-    """The gap on held-out episodes whose positions and velocities have noise of `sigma` `(2 x joints,)`."""
+def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episodes: Sequence[Episode], noise: Noise, seed: int) -> Gap:
+    """The gap on held-out episodes."""
     plant: Plant = corrected.plant
     rng = np.random.default_rng(seed)
     motion = _motion(plant, episodes)
@@ -124,7 +136,7 @@ def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episo
     windows = windows_of(plant, episodes, horizon, beginnings=begun)
     tables = [_by_channel(p, windows, motion) for p in (nominal, refitted, corrected)]
     before, parameters, after = (t.mean(axis=1) for t in tables)
-    floor = np.concatenate([_floor(corrected, e, horizon, motion, sigma, rng, begun) for e in episodes])
+    floor = np.concatenate([_floor(corrected, e, horizon, motion, noise, rng, begun) for e in episodes])
     least = np.nan_to_num(floor.mean(axis=1))
     drawn = rng.integers(0, len(before), (RESAMPLES, len(before)))
     closed, interval = None, None

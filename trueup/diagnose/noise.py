@@ -1,9 +1,9 @@
 """Noise of a channel: how large it is, and how much of it each sample has from the one before, from the samples alone.
 
-Fourth differences take away what is smooth over five samples. Over samples further apart, white noise leaves as much, coloured noise more and
-more, and a smooth motion or a kink much more. So their sizes over 1, 2, 3 and 4 samples tell the noise's correlation beside what the motion
-leaves. A channel is white unless the differences plainly say otherwise. Those of what a model leaves, which has no motion, tell the size anew:
-outliers are among those.
+Fourth differences take away what is smooth over five samples. Over samples further apart, white noise leaves as much, coloured noise
+more and more, and a smooth motion or a kink much more. So their sizes over several strides tell the noise's correlation beside what the
+motion leaves. A channel is white unless the differences plainly say otherwise. What a fitted model leaves has hardly any motion in it:
+there larger strides tell more, and outliers count.
 Source: J. von Neumann, Annals of Mathematical Statistics 12 (1941), on successive differences; P. Hall, J. W. Kay, D. M. Titterington,
 Biometrika 77 (1990), on differences of higher order.
 """
@@ -41,6 +41,24 @@ class ChannelNoise:
     correlation: float
 
 
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """The noise of positions and velocities, `(2 x joints,)` each: `sigma` in their units, nan where not observed, and `correlation`."""
+
+    sigma: Array
+    correlation: Array
+
+    def drawn(self, rng: np.random.Generator, samples: int, columns: NDArray[np.int64]) -> Array:
+        """Normal noise of that size and colour, `(samples, columns)`."""
+        noise = rng.normal(size=(samples, len(columns)))
+        kept = self.correlation[columns]
+        if kept.any():
+            fresh = np.sqrt(1.0 - kept**2)
+            for k in range(1, samples):
+                noise[k] = kept * noise[k - 1] + fresh * noise[k]
+        return noise * np.nan_to_num(self.sigma[columns])
+
+
 def gain(correlation: float, stride: int = 1) -> float:
     """Power of fourth differences of noise of power 1, over so many samples."""
     lags = correlation ** (stride * np.abs(np.subtract.outer(np.arange(5), np.arange(5))))
@@ -61,7 +79,7 @@ def noise_of(tracks: Sequence[Track], smallest: float = TRIMMED, strides: Sequen
 def _power_of_smallest(part: float) -> float:
     """Mean square of the smallest part of absolute standard normals."""
     end = float(ndtri((1.0 + part) / 2.0))
-    return 1.0 - 2.0 * end * float(np.exp(-0.5 * end**2)) / np.sqrt(2.0 * np.pi) / part
+    return float(1.0 - 2.0 * end * np.exp(-0.5 * end**2) / np.sqrt(2.0 * np.pi) / part)
 
 
 def differences(tracks: Sequence[Track], stride: int) -> Array:
@@ -105,4 +123,4 @@ def _two(design: Array) -> Array:
     """Least squares of ones on two columns."""
     (a, b), (_, c) = design.T @ design
     right = design.sum(axis=0)
-    return np.array([c * right[0] - b * right[1], a * right[1] - b * right[0]]) / max(a * c - b * b, 1e-300)
+    return np.asarray(np.array([c * right[0] - b * right[1], a * right[1] - b * right[0]]) / max(a * c - b * b, 1e-300))

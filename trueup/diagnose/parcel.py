@@ -29,10 +29,14 @@ FAST = 1  # the level: a parcel is read once
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """From what others lay out the same problem: the scheme, the windows' length [s], and the nominal form refitted."""
+    """From what others lay out the same problem: the scheme, the windows' length [s], what counts as noise and its correlation
+    `(2 x joints,)`, and the nominal form refitted.
+    """
 
     scheme: Scheme
     length_s: float
+    sigma: Array
+    correlation: Array
     base: RolloutFit
 
 
@@ -44,6 +48,7 @@ def pack_tasks(problem: Problem, tasks: Sequence[Task]) -> str:
         "alpha": problem.scheme.alpha,
         "parts": problem.scheme.parts,
         "length_s": problem.length_s,
+        "noise": [packing.array(problem.fitter.sigma), packing.array(problem.fitter.correlation)],
         "base": packing.fit(problem.base),
     }
     return packing.text({"outline": outline, "tasks": [_task(packing, task) for task in tasks]})
@@ -53,7 +58,8 @@ def unpack_tasks(text: str) -> tuple[Outline, list[Task]]:
     """The same again. Raises ValueError, KeyError, TypeError or zlib.error where the text is none of ours."""
     found, unpacking = _Unpacking.of(text)
     given = found["outline"]
-    outline = Outline(Scheme(given["alpha"], given["parts"]), given["length_s"], unpacking.fit(given["base"]))
+    sigma, correlation = (unpacking.array(at) for at in given["noise"])
+    outline = Outline(Scheme(given["alpha"], given["parts"]), given["length_s"], sigma, correlation, unpacking.fit(given["base"]))
     return outline, [_task_of(unpacking, task) for task in found["tasks"]]
 
 

@@ -105,7 +105,9 @@ def _ground(plant: Plant, search: Search) -> Series:
     steps = recorded.steps[kept].copy()
     steps[-1] = 0
     s = unobserved(recorded.scheme, recorded.t_s[kept], recorded.issued[kept], recorded.u_scale, recorded.period_s)
-    return replace(s, h_s=recorded.h_s[kept].copy(), steps=steps, begin=recorded.begin[:1], begin_by_positions=recorded.begin_by_positions[:1])
+    return replace(
+        s, h_s=recorded.h_s[kept].copy(), steps=steps, begin=recorded.begin[:1], begin_by_positions=recorded.begin_by_positions[:1]
+    )
 
 
 def _reach(plant: Plant, admission: Admission, at: int) -> float:

@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from trueup.fit.convergence import minima
+from trueup.fit.convergence import converge, minima
 from trueup.fit.rollout_fit import Fitter, Linear, RolloutFit, Start
 from trueup.model.block import BLOCK, Memory, kind
 from trueup.model.hypothesis import Hypothesis, switches
@@ -32,6 +32,7 @@ ZOOM_POINTS = (-1.0, -0.66, -0.33, 0.33, 0.66, 1.0)
 RESOLUTION = 2.0 * ZOOMS[-1]  # of a value that was zoomed in on: between corners that far apart the error is flat
 ASKED_FOR = 18.0  # squared standard errors that a number must be worth
 PASTS = (0.0, *(sign * x for x in (0.03, 0.07, 0.12, 0.18, 0.25, 0.35, 0.5) for sign in (1.0, -1.0)))  # of a memory's scale
+ROBOT_STEPS = 6  # towards a minimum, of a robot's fit
 CHECK = 10  # iterations for the starts of validation windows
 
 
@@ -174,11 +175,19 @@ class Problem:
         return self.candidate(self.pruned(min(fit, candidate.fit, key=lambda f: f.cost)))
 
     def converged(self, fit: RolloutFit) -> Candidate:
-        """A fit taken to its minimum, and every other that the data do not tell from it; numbers stay that its log does not ask for, or that a
-        grid has found.
+        """A fit taken to its minimum, and every other that the data do not tell from it; of a robot, whose fits take long, its own alone.
+
+        Numbers stay that its log does not ask for, or that a grid has found.
         """
-        grids = [(t, kind(t).zoomed) for t in fit.hypothesis.effects if kind(t).zoomed]
-        best, *others = minima(self.fitter, self.adaptation, fit, [*self.still(fit), *grids])
+        still, grids = self.still(fit), [(t, kind(t).zoomed) for t in fit.hypothesis.effects if kind(t).zoomed]
+        if len(self.declared):
+            found = [converge(self.fitter, self.adaptation, fit, [*still, *grids], ROBOT_STEPS)]
+        else:
+            found = minima(self.fitter, self.adaptation, fit, [*still, *grids])
+        if grids:  # what a grid has found is among the estimates, too
+            again = partial(self.fitter.fit, self.adaptation, fit.hypothesis, iterations=0, fixed=still)
+            found = [replace(again(f.values, f.starts), off=f.off, converged=f.converged) for f in found]
+        best, *others = found
         return replace(self.candidate(best), others=tuple(others))
 
     def candidate(self, fit: RolloutFit, starts: Mapping[str, Start] | None = None) -> Candidate:

@@ -19,7 +19,7 @@ from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.series import Series
 
 Array = NDArray[np.float64]
-LARGER, SMALLER = 1.1, 0.8  # times: a standard deviation of noise that is another; a quarter more power is no noise any more
+LARGER = 1.1  # times: a standard deviation of noise that is another; a quarter more power would be no noise any more
 OTHERWISE = 0.15  # a correlation that is another by so much
 NOISY = 4.0  # times the noise's power at most: of more than that, noise is no good part
 
@@ -35,7 +35,9 @@ def noise_left(problem: Problem, candidate: Candidate) -> list[ChannelNoise | No
 
 
 def looked_again(admission: Admission, problem: Problem, candidate: Candidate) -> Admission | None:
-    """What the episodes are like with the noise of what a candidate leaves; None where that is as it seemed, or too little of what is left."""
+    """What the episodes are like with the noise of what a candidate leaves; None where that is as it seemed, or too little of what is
+    left.
+    """
     noise, correlation = admission.noise.copy(), admission.correlation.copy()
     left = noise_left(problem, candidate)
     for column, found in enumerate(left):
@@ -44,7 +46,7 @@ def looked_again(admission: Admission, problem: Problem, candidate: Candidate) -
             noise[column], correlation[column] = found.sigma, found.correlation
     seen = np.isfinite(noise)
     ratio = noise[seen] / np.maximum(admission.noise[seen], 1e-300)
-    other = (ratio > LARGER) | (ratio < SMALLER) | (np.abs(correlation - admission.correlation)[seen] > OTHERWISE)
+    other = (ratio > LARGER) | (np.abs(correlation - admission.correlation)[seen] > OTHERWISE)
     if not other.any() or _over(problem, candidate, noise) > NOISY:
         return None
     return replace(admission, noise=noise, sigma=np.maximum(noise, NUMERICAL * admission.motion), correlation=correlation)

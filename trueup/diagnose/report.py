@@ -77,6 +77,10 @@ def report(
             "hypotheses": _hypotheses(plant, search, choice, nominal),
             "alternatives": list(alternatives),
             "noise": {c.name: float(admission.noise[i]) for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)},
+            "noise_correlation": {
+                c.name: float(admission.correlation[i]) for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
+            },
+            "convergence": _convergence(choice),
             "uses_of_validation": len(search.found),
             "misfit": _finite(choice.winner.misfit),
             "unexplained": choice.left,
@@ -85,6 +89,16 @@ def report(
             "version": trueup.__version__,
         },
     }
+
+
+def _convergence(choice: Choice) -> Json:
+    """How far the answer's fit and its alternatives' stand from their minima, in half-widths of an interval, and how many minima the data
+    leave each.
+    """
+    return [
+        {"effects": list(c.hypothesis.effects), "off": _finite(c.fit.off) if c.fit.off is not None else None, "minima": len(c.minima)}
+        for c in (choice.winner, *choice.rivals)
+    ]
 
 
 def _left_out(plant: Plant) -> Json:

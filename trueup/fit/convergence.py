@@ -1,8 +1,9 @@
 """Convergence: a fit taken to the minimum of its cost, the proof that it is there, and the other minima that the data allow.
 
-At a minimum that counts, half an interval to either side costs the same. So the gradient is a difference of costs as far apart as the data can
-tell, not at one part in ten thousand, where each joint that sticks or slips makes a kink of its own. With the curvature of the normal
-equations it gives the step to the minimum; the fit is there when that step would move no estimate by more than PROVEN of its half-width.
+At a minimum that counts, half an interval to either side costs the same. So the gradient is a difference of costs as far apart as the
+data can tell, not at one part in ten thousand, where each joint that sticks or slips makes a kink of its own. With the curvature of the
+normal equations it gives the step to the minimum; the fit is there when that step would move no estimate by more than PROVEN of its
+half-width.
 
 Descents begin where the search ended, and far to either side along the direction that the data determine least. Minima that cost no more
 than a likelihood-ratio test tells from the best are all kept.
@@ -56,14 +57,14 @@ def minima(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed
     return [f for i, f in enumerate(alike) if not any(_near(f, other) for other in alike[:i])]
 
 
-def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = ()) -> RolloutFit:
-    """A fit's minimum, from where it ended. Numbers that are `fixed` stay."""
+def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = (), most: int = MOST) -> RolloutFit:
+    """A fit's minimum, from where it ended, by so many steps at most. Numbers that are `fixed` stay."""
     free = fitter.free(fit.hypothesis, fixed)
     values, starts = fit.values, dict(fitter.started(data, fit.hypothesis, fit.values, fit.starts, STARTS, SETTLED).starts)
     best = _looked(fitter, data, fit, values, starts, free)
     best = _looked(fitter, data, fit, values, starts, best.free)  # now as far apart as the data tell
     last, trust, offs = np.zeros(len(free.rows)), 1.0, [best.off]
-    for _ in range(MOST):
+    for _ in range(most):
         nearer = len(offs) <= PATIENCE or min(offs[-PATIENCE:]) < min(offs[:-PATIENCE])
         if best.off <= PROVEN or not nearer or not np.isfinite(best.cost):
             break
@@ -101,7 +102,9 @@ def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fix
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """A place with the step from it to the minimum, `(free,)`, and how far that is in half-widths; `free` has the next differences' steps."""
+    """A place with the step from it to the minimum, `(free,)`, and how far that is in half-widths; `free` has the steps of the differences
+    to be taken next.
+    """
 
     around: Around
     cost: float
@@ -149,7 +152,13 @@ def _to_minimum(normal: Array, gradient: Array, lowest: NDArray[np.bool_], highe
 
 
 def _rested(
-    fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Array, led: Mapping[str, Start], before: Mapping[str, Start], cost: float
+    fitter: Fitter,
+    data: Sequence[Series],
+    fit: RolloutFit,
+    values: Array,
+    led: Mapping[str, Start],
+    before: Mapping[str, Start],
+    cost: float,
 ) -> dict[str, Start]:
     """Of each episode what its windows start from at rest: from where a step led them, or from before it where that cost more."""
     one = fitter.started(data, fit.hypothesis, values, led, STARTS, SETTLED)

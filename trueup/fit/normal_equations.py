@@ -40,10 +40,10 @@ class Errors:
     """What a rollout is compared with, and what an error counts.
 
     `observed` and `weight` `(samples, 2 x joints)`, the inverse standard deviation of the noise, 0 where nothing was seen; `window_of` the
-    window that a sample is an error of; `t_s` `(samples,)` [s]. `correlation` `(2 x joints,)` is that of the noise with itself one `period_s`
-    before: errors are taken less what the noise of the last one leads to expect.
-    Source: D. Cochrane, G. H. Orcutt, Journal of the American Statistical Association 44 (1949); the first error of a window counts as it is,
-    S. J. Prais, C. B. Winsten, Cowles Commission Discussion Paper 383 (1954).
+    window that a sample is an error of; `t_s` `(samples,)` [s]. `correlation` `(2 x joints,)` is that of the noise with itself one
+    `period_s` before: errors are taken less what the noise of the last one leads to expect. The first error of a window counts as it is.
+    Source: D. Cochrane, G. H. Orcutt, Journal of the American Statistical Association 44 (1949); for the first error S. J. Prais,
+    C. B. Winsten, Cowles Commission Discussion Paper 383 (1954).
     """
 
     observed: Array

@@ -182,11 +182,21 @@ def warm(family: str = "oscillator") -> int:
 class Fitter:
     """Fits hypotheses on one nominal form to a set of series. Holds no state but what it was built with.
 
-    `scales` are the joints' own sizes, `sigma` `(2 x joints,)` what counts as noise of each position and velocity. Where starts are `held`,
-    windows start as observed, as a prediction's do: what no law explains must not hide in their starts.
+    `scales` are the joints' own sizes, `sigma` `(2 x joints,)` what counts as noise of each position and velocity, `correlation` that of
+    the noise with itself one sample before, 0 where not given. Where starts are `held`, windows start as observed, as a prediction's do:
+    what no law explains must not hide in their starts.
     """
 
-    def __init__(self, form: Form, directions: Directions, scales: Sequence[Scales], sigma: Array, correlation: Array | None = None, *, held: bool = False) -> None:
+    def __init__(
+        self,
+        form: Form,
+        directions: Directions,
+        scales: Sequence[Scales],
+        sigma: Array,
+        correlation: Array | None = None,
+        *,
+        held: bool = False,
+    ) -> None:
         self.form = form
         self.block = form.block
         self.joints = form.block.joints
@@ -350,7 +360,8 @@ class Fitter:
             if converged or (not gaining and (settled or not np.isfinite(before))):
                 break
         costs = np.concatenate([best.costs(key) for key in now])
-        return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, self._samples(data), np.zeros((0, 0)), converged, np.zeros((len(costs), 0)))
+        nothing, none = np.zeros((0, 0)), np.zeros((len(costs), 0))
+        return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, self._samples(data), nothing, converged, none)
 
     def begun(self, starts: Mapping[str, Start] | None, data: Sequence[Series], hypothesis: Hypothesis) -> dict[str, Start]:
         """Where rollouts start: as given, or as observed; where they are held, as observed whatever was given, and by positions alone a
@@ -591,6 +602,7 @@ class _Lanes:
 
 
 def moved(start: Start, windows: Array, memory: Array, states: tuple[tuple[str, str], ...]) -> Start:
+    """A start with windows and what hidden states began with moved."""
     past = dict(start.memory)
     for key, by in zip(states, memory, strict=True):
         past[key] = past.get(key, 0.0) + float(by)

@@ -64,6 +64,8 @@ def test_a_parcel_comes_out_as_it_went_in(posed):
         3,
         np.zeros((0, 0)),
         False,
+        np.zeros((len(base.fit.costs), 0)),
+        np.inf,
     )
     tasks = [Race(odd, "backlash", np.array([1.0, np.inf])), Settle(np.inf, "backlash", [odd, base.fit]), Refine(base)]
     text = pack_tasks(problem, tasks)
