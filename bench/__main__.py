@@ -24,6 +24,8 @@ ALL = (
     "drift",
     "excitation",
     "splitting",
+    "processors",
+    "noises",
     "continual",
 )
 

@@ -13,6 +13,7 @@ MISLEADS = 1.05  # times the nominal model's error: new numbers that do worse ar
 PLAINLY = 2.0  # times the floor: an error above that is no noise
 WORTH_NAMING = 0.05  # of the gap: less of it is not named in the sentence
 MOST = 0.5  # of the gap: more than that is most of it
+STRAY = 0.1  # half-widths: a fit that ends so far from its minimum is worth a word
 DIGITS = 2  # of an uncertainty that are worth writing
 MOSTLY = "New numbers in the nominal form explain most of the gap; no effect of the catalogue takes a material part of what remains"
 WORDS = {
@@ -103,19 +104,26 @@ def composition(effects: Sequence[Any], nothing: str = "no effect") -> str:
 
 
 def warnings(document: Mapping[str, Any]) -> list[str]:
-    """What a reader of the answer should know first, a sentence each: of pushes, of the clock, of new numbers that mislead."""
+    """What a reader of the answer should know first, a sentence each: of pushes, the clock, new numbers that mislead, noise, the fit."""
     push = "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
     found = [push.format(when) for when in _pushed(document)]
     evidence, gap = document["evidence"], document["gap"]
     episodes = evidence["episodes"] if "timestep_s" in evidence else []  # a report of before does not tell its clock
-    off = [told for e in episodes if (told := off_step(e["period_s"], evidence["timestep_s"]))]
-    if off:
-        found.append(f"{len(off)} of {len(episodes)} episodes are off the declared step, the first {off[0]}.")
+    late = [told for e in episodes if (told := off_step(e["period_s"], evidence["timestep_s"]))]
+    if late:
+        found.append(f"{len(late)} of {len(episodes)} episodes are off the declared step, the first {late[0]}.")
     if gap["before"] > PLAINLY * gap["floor"] and gap["parameters_only"] > MISLEADS * gap["before"]:
         found.append(
             f"New numbers alone are worse held out than the nominal model ({short(gap['parameters_only'])}, was {short(gap['before'])}): "
             "they bend to what the form lacks; do not use them without it."
         )
+    coloured = {channel: part for channel, part in evidence.get("noise_correlation", {}).items() if part}
+    if coloured:
+        told = ", ".join(f"{part:.2g} of it in {channel}" for channel, part in coloured.items())
+        found.append(f"Noise goes on from one sample to the next ({told}): weights, noise floor and intervals take that into account.")
+    off = next((c["off"] for c in evidence.get("convergence", [])), None)
+    if off is not None and off > STRAY:
+        found.append(f"The fit of the answer ended {short(off)} half-widths from its minimum: its cost is too rough there for a proof.")
     return found
 
 

@@ -1,0 +1,59 @@
+"""One log, one answer: a diagnosis, and a gate's decision, are the same under other processors' arithmetic.
+
+The kernels that a child process is given are other processors' own; `python -m bench processors` holds more of them against each other, on
+more cases.
+"""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.processors import VARIANTS, difference, start
+from tests.support.simulated import plant_of
+from trueup.blindtrial.recording import case_files
+from trueup.gate.recompute import differences
+from trueup.simulate.noise import Noise
+from trueup.simulate.trial import draw, draw_bench
+
+OTHERS = ("BLAS for Haswell", "BLAS for Nehalem", "C library without FMA")
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory):
+    """Reports and decisions of each processor; all judge the model that the first of them made."""
+    rng, folder = np.random.default_rng(11), tmp_path_factory.mktemp("cases")
+    bench = replace(draw_bench("B1", rng), law=Noise(0.7))
+    plant, trial = plant_of(bench), draw(bench, ["coulomb_friction"], True, rng)
+    case = folder / "cases" / "pendulum"
+    case.mkdir(parents=True)
+    for name, data in case_files(plant, trial, {"stage": "SIL"}).items():
+        (case / name).write_bytes(data)
+    first, *others = "as the machine is", *OTHERS
+    _done(start(VARIANTS[first], folder / "0.json", [case]))
+    model = folder / "0" / case.name
+    children = [start(VARIANTS[name], folder / f"{i}.json", [case, model]) for i, name in enumerate((first, *others), 1)]
+    for child in children:
+        _done(child)
+    return {name: json.loads((folder / f"{i}.json").read_text()) for i, name in enumerate((first, *others), 1)}
+
+
+def _done(child):
+    _, said = child.communicate(timeout=300)
+    assert child.returncode == 0, said
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_diagnosis_is_the_same_under_the_arithmetic_of(name, answers):
+    ours, theirs = (next(report for key, report in answers[of].items() if key != "decision") for of in ("as the machine is", name))
+    assert [e["effect"] for e in ours["effects"]] == ["coulomb_friction"]
+    found = difference(ours, theirs)
+    assert found.met, found
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_decision_is_recomputed_under_the_arithmetic_of(name, answers):
+    ours, theirs = answers["as the machine is"]["decision"], answers[name]["decision"]
+    assert ours["accepted"]
+    assert differences(ours, theirs) == []
