@@ -8,6 +8,7 @@ in a blind trial. `EVERY=3` takes one machine in three.
 from __future__ import annotations
 
 import os
+import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
@@ -54,7 +55,10 @@ def main() -> None:
     names = [*([n] for n in CATALOGUE if n not in COUNTED), *([] for _ in range(NONE))]
     wanted = [(law, i, n) for law in LAWS for i, n in enumerate(names) if i % EVERY == 0]
     with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-        rows = list(pool.map(_row, *zip(*wanted, strict=True)))
+        rows = []
+        for row in pool.map(_row, *zip(*wanted, strict=True)):
+            rows.append(row)
+            print(f"{len(rows)} of {len(wanted)}: {row.law}, {row.name}", end="\r", file=sys.stderr, flush=True)
     white = _share(rows, "white")
     figures = []
     for law in LAWS:

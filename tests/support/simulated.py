@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.plant import Plant
 from trueup.simulate.machine import Run
+from trueup.simulate.noise import WHITE, Noise
 from trueup.simulate.trial import Bench, Trial, draw, draw_bench
 
 
@@ -38,9 +41,11 @@ def episode_of(plant: Plant, run: Run, role: Role, digest: str) -> Episode:
     return Episode(run.t_s.copy(), run.issued[:, None].copy(), seen, plant.layout, role, {"stage": "SIL"}, 0, digest)
 
 
-def recorded(tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True) -> tuple[Plant, list[Episode], Trial]:
+def recorded(
+    tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True, law: Noise = WHITE
+) -> tuple[Plant, list[Episode], Trial]:
     rng = np.random.default_rng(seed)
-    bench = draw_bench(tier, rng)
+    bench = replace(draw_bench(tier, rng), law=law)
     trial = draw(bench, names, shifted, rng)
     plant = plant_of(bench, velocity=velocity)
     return plant, episodes_of(plant, trial), trial

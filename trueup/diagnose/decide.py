@@ -12,7 +12,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -96,8 +96,13 @@ class Choice:
     left: float
 
 
-def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick = SIMULATED) -> Choice:
-    """Choose among fitted candidates, the bare family among them. `nominal` is the nominal model on validation episodes."""
+def decide(
+    candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick = SIMULATED, level: Callable[[Candidate], float] = lambda _: 1.0
+) -> Choice:
+    """Choose among fitted candidates, the bare family among them. `nominal` is the nominal model on validation episodes.
+
+    `level` is the misfit that noise alone leaves a candidate on those: 1 but where they happen to hold outliers.
+    """
     sound = [c for c in candidates if np.isfinite(total(c))]
     spread = max(min(map(total, sound)), FLOOR)
     by_size: dict[float, list[Candidate]] = {}
@@ -116,7 +121,10 @@ def decide(candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick =
     numbers = len(winner.fit.free.rows) - len(base.fit.free.rows)
     bearable = min(by.unexplained, by.unexplained_by_more / numbers) if several else by.unexplained
     if winner.misfit > ADEQUATE and left > bearable:
-        return Choice(Verdict.UNKNOWN, winner, (), left)
+        noise = level(winner)
+        left *= max(winner.misfit - noise, 0.0) / (winner.misfit - 1.0)
+        if winner.misfit > ADEQUATE * noise and left > bearable:
+            return Choice(Verdict.UNKNOWN, winner, (), left)
     if size:
         rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner, base, by))
         return Choice(Verdict.EFFECT, winner, rivals, left)

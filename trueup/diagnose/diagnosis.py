@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from trueup.canonical import Json
 from trueup.diagnose.admission import admit
@@ -16,6 +17,7 @@ from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
 from trueup.diagnose.noise import Noise
 from trueup.diagnose.probe import Experiment, next_experiment
+from trueup.diagnose.remainder import noise_level
 from trueup.diagnose.report import report
 from trueup.diagnose.search import Search
 from trueup.diagnose.task import Solve, in_threads
@@ -52,6 +54,11 @@ class Diagnosis:
     nominal: RolloutFit
 
 
+def _decided(search: Search, nominal: RolloutFit, by: Yardstick) -> Choice:
+    """The choice among what was found."""
+    return decide(list(search), nominal, by, partial(noise_level, search.problem))
+
+
 def _settled(search: Search, choice: Choice, nominal: RolloutFit, by: Yardstick) -> Choice:
     """The choice once the fits of all that it names stand at their minima: a better fit of one may unseat another.
 
@@ -67,7 +74,7 @@ def _settled(search: Search, choice: Choice, nominal: RolloutFit, by: Yardstick)
         for converged in in_parallel(lambda c: search.problem.converged(c.fit), list({c.hypothesis: c for c in wanted}.values())):
             done.add(converged.hypothesis)
             search.adopt(converged)
-        choice = decide(list(search), nominal, by)
+        choice = _decided(search, nominal, by)
     return choice
 
 
@@ -91,10 +98,10 @@ def diagnose(
     search, admission = explore(plant, admission, adaptation, validation, progress, solve)
     problem = search.problem
     nominal = problem.nominal(plant.parameters)
-    choice = decide(list(search), nominal, yardstick(episodes))
+    choice = _decided(search, nominal, yardstick(episodes))
     for _ in range(TWICE):
         search.mirror(choice.winner)
-        choice = decide(list(search), nominal, yardstick(episodes))
+        choice = _decided(search, nominal, yardstick(episodes))
     choice = _settled(search, choice, nominal, yardstick(episodes))
     progress("measuring on held-out episodes", 0.0)
     base = search.found[Hypothesis()]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.diagnose.admission import NUMERICAL, Admission
-from trueup.diagnose.noise import ALMOST_ALL, FAR_STRIDES, ChannelNoise, Track, noise_of
+from trueup.diagnose.noise import ALMOST_ALL, FAR_STRIDES, ChannelNoise, Track, differences, gain, noise_of
 from trueup.diagnose.problem import Candidate, Problem, trajectory
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.series import Series
@@ -21,6 +21,7 @@ from trueup.model.series import Series
 Array = NDArray[np.float64]
 LARGER = 1.1  # times: a standard deviation of noise that is another; a quarter more power would be no noise any more
 OTHERWISE = 0.15  # a correlation that is another by so much
+MOST_OUTLIERS = 2.0  # times the power of the noise; what leaves more is no outlier of a sensor
 NOISY = 4.0  # times the noise's power at most: of more than that, noise is no good part
 
 
@@ -32,6 +33,18 @@ def noise_left(problem: Problem, candidate: Candidate) -> list[ChannelNoise | No
         noise_of([t for s, missed in left for t in _tracks(s, missed, column)], ALMOST_ALL, FAR_STRIDES) if np.isfinite(sigma) else None
         for column, sigma in enumerate(problem.fitter.sigma)
     ]
+
+
+def noise_level(problem: Problem, candidate: Candidate) -> float:
+    """The misfit that noise alone leaves a candidate on validation episodes, 1 but where those hold more outliers than the rest."""
+    power, count = 0.0, 0
+    left = [(s, _missed(problem, candidate.check, s)) for s in problem.validation]
+    for column, sigma in enumerate(problem.fitter.sigma):
+        if np.isfinite(sigma):
+            fourth = differences([t for s, missed in left for t in _tracks(s, missed, column)], 1)
+            power += float(np.sum(fourth**2)) / gain(float(problem.fitter.correlation[column])) / sigma**2
+            count += len(fourth)
+    return float(np.clip(power / max(count, 1), 1.0, MOST_OUTLIERS))
 
 
 def looked_again(admission: Admission, problem: Problem, candidate: Candidate) -> Admission | None:

@@ -1,0 +1,98 @@
+"""Convergence: a minimum is proven, the same from wherever a fit begins, and every minimum that the data allow is kept."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.simulated import recorded
+from trueup.diagnose.admission import admit
+from trueup.diagnose.intervals import half_widths, intervals
+from trueup.fit.convergence import PROVEN, converge, minima
+from trueup.fit.rollout_fit import Directions, Fitter
+from trueup.model.hypothesis import Hypothesis
+from trueup.model.rounding import STEP_BITS, rounded
+from trueup.model.series import refined, series
+from trueup.simulate.noise import Noise
+
+FRICTION = Hypothesis(("coulomb_friction",))
+
+
+@pytest.fixture(scope="module")
+def posed():
+    return _posed(recorded("B1", ["coulomb_friction"], 18))
+
+
+def _posed(of, correlation=None):
+    plant, episodes, trial = of
+    adaptation = [e for e in episodes if e.role == "adaptation"]
+    admission = admit(plant, adaptation)
+    fitter = Fitter(plant.form, Directions.of_family(plant.dynamics.parameter_names), admission.scales, trial.sigma, correlation)
+    data = [series(plant, e, refined(plant), 2.0) for e in adaptation]
+    values = fitter.with_effect(fitter.begin(plant.parameters), "coulomb_friction", (0.2,))
+    return fitter, data, fitter.fit(data, FRICTION, values), trial
+
+
+def test_a_minimum_is_proven_and_the_same_from_far_to_both_sides(posed):
+    fitter, data, fit, _ = posed
+    best = converge(fitter, data, fit)
+    assert best.converged
+    assert best.off <= PROVEN
+    widths = np.array(list(half_widths(best, best).values()))
+    for side in (-3.0, 3.0):
+        values = best.free.moved(best.values, side * widths)
+        other = converge(fitter, data, fitter.fit(data, FRICTION, values, best.starts, iterations=4))
+        assert other.converged
+        assert np.abs(other.free.at(other.values) - best.free.at(best.values)) == pytest.approx(0.0, abs=0.02 * widths.max())
+
+
+def test_a_proven_minimum_costs_no_more_than_its_neighbours(posed):
+    fitter, data, fit, _ = posed
+    best = converge(fitter, data, fit)
+    widths = np.array(list(half_widths(best, best).values()))
+    for which in range(len(widths)):
+        for side in (-0.5, 0.5):
+            values = best.free.moved(best.values, side * widths * (np.arange(len(widths)) == which))
+            assert fitter.started(data, FRICTION, values, best.starts).cost > best.cost
+
+
+def test_intervals_hold_the_truth_and_span_every_minimum(posed):
+    fitter, data, fit, trial = posed
+    found = minima(fitter, data, fit)
+    assert len(found) == 1
+    low, high = intervals(found, found[0])["coulomb_friction", "level"]
+    truth = trial.machine.imperfections["coulomb_friction"]["level"]
+    assert low < truth < high
+    elsewhere = replace(found[0], values=found[0].free.moved(found[0].values, np.array([0.0, 0.0, 0.0, high - low])))
+    lower, higher = intervals([found[0], elsewhere], found[0])["coulomb_friction", "level"]
+    assert lower <= low
+    assert higher > high
+
+
+def test_where_something_else_acts_intervals_are_as_wide_as_recordings_disagree():
+    fitter, data, fit, _ = _posed(recorded("B1", ["coulomb_friction", "cubic_stiffness"], 18))
+    best = converge(fitter, data, fit)
+    assert best.misfit > 2.0
+    alone = replace(best, scores=np.zeros_like(best.scores))
+    wide, narrow = (half_widths(f, f)["coulomb_friction", "level"] for f in (best, alone))
+    assert wide > 1.5 * narrow
+
+
+def test_errors_under_coloured_noise_are_taken_less_what_was_expected():
+    of = recorded("B1", ["coulomb_friction"], 18, law=Noise(0.9))
+    (fitter, data, fit, _), (plain, _, white, _) = _posed(of, np.full(2, 0.9)), _posed(of)
+    assert fit.misfit == pytest.approx(1.0, abs=0.15)
+    ratio = [half_widths(f, f)["", "k"] for f in (fit, white)]
+    assert ratio[0] > 1.5 * ratio[1]  # samples that repeat each other tell less
+    fresh = fitter.fit(data, FRICTION, fit.values, fit.starts, iterations=0)
+    assert fresh.cost == pytest.approx(fit.cost)
+    assert plain.correlation.tolist() == [0.0, 0.0]
+
+
+def test_what_a_last_bit_decides_is_cut_off():
+    x = np.random.default_rng(1).normal(size=1000) * 10.0 ** np.arange(-500, 500, 1).clip(-200, 200)
+    assert np.abs(rounded(x) - x).max() <= np.abs(x).max() * 2.0**-STEP_BITS
+    assert (np.abs(rounded(x) / x - 1.0) <= 2.0**-STEP_BITS).all()
+    assert (rounded(x * (1.0 + 1e-15)) == rounded(x)).mean() == 1.0
+    assert rounded(np.array([0.0, np.inf, -np.inf])).tolist() == [0.0, np.inf, -np.inf]
+    assert np.isnan(rounded(np.nan))
