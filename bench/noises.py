@@ -2,7 +2,7 @@
 
 Every effect of the catalogue once (but those that are counted in the samples), and machines with none, on linear joints, pendulums and
 axes in a loop. The machine, its commands and the noise's size are the same in each row; correlation and tails differ. An answer is right as
-in a blind trial. `EVERY=3` takes one machine in three.
+in a blind trial. `EVERY=2` takes one machine in two.
 """
 
 from __future__ import annotations
