@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.collect.ensemble import NUDGE, TWO_SIDED, Ensemble
+from trueup.model.rounding import rounded
 
 Array = NDArray[np.float64]
 SINGULAR = 1e-12  # of a scaled information matrix
@@ -107,7 +108,7 @@ class Identification(Goal):
     def value(self, t_s: Array, command: Array, above: float = -np.inf) -> float:
         """For the number that gains least, on the mean over members."""
         ratios = [widths(self._fisher(m, t_s, command) / len(t_s)) / by for m, by in zip(self.judged.T, self.random, strict=True)]
-        return -2.0 * float(np.mean(np.log(np.max(ratios, axis=1))))
+        return -2.0 * float(rounded(np.mean(np.log(np.max(ratios, axis=1)))))
 
     def told(self, t_s: Array, commands: Sequence[Array]) -> Information:
         return Information.of(self.ensemble, self._mean(self.ensemble.centre, t_s, commands))
@@ -186,7 +187,7 @@ class Splitting(Goal):
                 break
             power, pull = (columns / size).T @ (columns / size), (columns / size).T @ (seen - expected)
             for _ in range(TRIES):
-                by = np.linalg.solve(power + damping * np.eye(len(power)), pull) / size
+                by = rounded(np.linalg.solve(power + damping * np.eye(len(power)), pull) / size)
                 moved = ensemble.moved(member, by[: len(ensemble.rows)]), start + by[len(ensemble.rows) :] * self._unit()
                 now = float(np.linalg.norm(seen - self._seen(rival, moved[0][:, None], t_s, command, moved[1])[0]))
                 if now < left:
@@ -198,7 +199,7 @@ class Splitting(Goal):
             member, start = moved
             if gained < GAIN * left:
                 break
-        return left if np.isfinite(left) else 0.0
+        return float(rounded(left)) if np.isfinite(left) else 0.0  # a wave that is better in its last bit is no better
 
     def _tangent(self, which: int, member: Array, start: Array, t_s: Array, command: Array) -> tuple[Array, Array]:
         """What a member predicts `(samples x observations,)`, and how that moves with each number and state of its start."""

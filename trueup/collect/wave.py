@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import InPlay
+from trueup.model.rounding import rounded
 
 Array = NDArray[np.float64]
 LINES = 14  # of a multisine
@@ -140,7 +141,7 @@ class Maker:
         size = 1e-3 * np.linalg.norm(moves) + 1e-12
         penalised = np.vstack([moves, size * np.eye(len(columns))])
         for again in range(BRAKED):
-            by = np.linalg.lstsq(penalised, np.append(-ended, np.zeros(len(columns))), rcond=None)[0]
+            by = rounded(np.linalg.lstsq(penalised, np.append(-ended, np.zeros(len(columns))), rcond=None)[0])
             command = self._slowed(command + np.einsum("jk,kt->tj", by.reshape(joints, KNOTS) * reach[:, None], tents))
             if again + 1 < BRAKED:
                 ended = self._ends(some, t, command)
