@@ -13,7 +13,7 @@ clusters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,18 +21,16 @@ from scipy.special import stdtrit
 
 from trueup.diagnose.decide import ADEQUATE
 from trueup.diagnose.problem import RESOLUTION
+from trueup.fit.convergence import TWO_SIDED
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
 
 Array = NDArray[np.float64]
-TWO_SIDED = 1.96  # standard errors of a 95 % interval
-TAIL = 0.975
+TAIL = 0.975  # of a distribution below the end of a two-sided 95 % interval
 RIDGE = 1e-12  # of a determined direction's information
 WIDEST = 1e7  # steps of a finite difference: an interval so wide says that nothing is known
 NOTHING, UNKNOWN = 1e-100, 1e100  # information that is none, and the variance that goes with it
-LEAST_CLUSTERS = 2
-
-Intervals = Mapping[tuple[str, str], tuple[float, float]]
+LEAST_CLUSTERS = 2  # one has nobody to disagree with
 
 
 def intervals(minima: Sequence[RolloutFit], coarse: RolloutFit) -> dict[tuple[str, str], tuple[float, float]]:

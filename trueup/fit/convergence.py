@@ -94,7 +94,7 @@ def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fix
         cost=gram.cost,
         costs=np.concatenate([g[:, 0, 0] for g in gram.parts.values()]),
         information=best.normal,
-        scores=gram.scores(),
+        scores=gram.reduced_with_scores()[1],
         converged=best.off <= PROVEN,
         off=best.off,
     )

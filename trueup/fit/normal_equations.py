@@ -191,12 +191,14 @@ class Gram:
         """Steps of each episode's starts and memories beside a step of the parameters."""
         return self._condensed(self._alike(0.0)).moves(list(self.parts), step)
 
-    def scores(self) -> Array:
-        """Each window's part of the parameters' gradient, what its start takes up removed, `(windows, parameters)`."""
+    def reduced_with_scores(self) -> tuple[Array, Array]:
+        """Normal matrix of the parameters, and each window's part of their gradient `(windows, parameters)`, both without what starts take
+        up.
+        """
         c, n = self._condensed(self._alike(0.0)), self.free
         stacked = np.concatenate(list(self.parts.values()))
         taken = np.einsum("wi,wij,wjk->wk", c.cross[:, :, 0], c.inverse, c.cross[:, :, 1 : n + 1])
-        return np.asarray(stacked[:, 0, 1 : n + 1] - taken)
+        return c.reduced[1:, 1:], np.asarray(stacked[:, 0, 1 : n + 1] - taken)
 
     def _alike(self, damping: float) -> Array:
         return np.full(sum(map(len, self.parts.values())), damping)

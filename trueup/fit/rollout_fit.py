@@ -321,9 +321,8 @@ class Fitter:
                     break
                 best, linear, stale = fresh, derived, False
         n = len(task.free.rows)
-        information = best.reduced()[0] if np.isfinite(best.cost) else np.zeros((n, n))
         costs = np.concatenate([g[:, 0, 0] for g in best.parts.values()])
-        scores = best.scores() if np.isfinite(best.cost) else np.zeros((len(costs), n))
+        information, scores = best.reduced_with_scores() if np.isfinite(best.cost) else (np.zeros((n, n)), np.zeros((len(costs), n)))
         return RolloutFit(hypothesis, values, task.free, now, best.cost, costs, samples, information, converged, scores)
 
     def started(
