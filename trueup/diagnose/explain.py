@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
-from trueup.diagnose.intervals import TWO_SIDED, covariance, intervals
+from trueup.diagnose.intervals import covariance, intervals
 from trueup.diagnose.problem import Candidate
 from trueup.diagnose.search import Search, has_already
 from trueup.episode.layout import Field
+from trueup.fit.convergence import TWO_SIDED
 from trueup.fit.rollout_fit import Directions, Fitter, RolloutFit, Screening, in_parallel
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
