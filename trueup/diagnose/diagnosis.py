@@ -119,6 +119,7 @@ def diagnose(
         admission=admission,
         search=search,
         choice=choice,
+        answer=best,
         nominal=nominal,
         gap=gap,
         effects=estimates(best.minima, choice.winner.fit, problem.fitter, plant, shares(search, choice, nominal)),

@@ -32,6 +32,7 @@ FINER = 4  # steps for one of the search
 PAIR = 2
 SWAPPED = 5  # effects that each effect of the best may give way to
 FAR_BEHIND = 4.0  # times the best misfit
+SHORTENED = (1.0, 0.5, 0.25, 0.125)  # of the length of windows: a cost that is too rough on whole ones
 HALF = 0.5  # of a robot's misfit: less is gained by no other integration, nor by an effect at every joint, that is worth following
 WORSE = 2.0  # times the misfit on validation episodes: a last fit that does that went astray
 MANY_JOINTS = 4
@@ -185,19 +186,42 @@ def _left(search: Search, base: Candidate) -> float:
 def polished(
     plant: Plant, problem: Problem, best: Candidate, adaptation: Sequence[Episode], validation: Sequence[Episode]
 ) -> tuple[Candidate, Scheme]:
-    """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates."""
+    """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates.
+
+    Where its cost on whole windows is so rough that no minimum can be proven, on shorter ones: errors grow less in them.
+    """
     scheme, physical = problem.scheme, yardstick(adaptation) is PHYSICAL
     if scheme.alpha == 0.0 and not physical:
         return best, scheme
     finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha and problem.exact else scheme
+    done: Candidate | None = None
+    for part in SHORTENED if len(plant.joints) == 1 and not physical else SHORTENED[:1]:
+        tried = _finished(plant, problem, best, [*adaptation], [*validation], finer, problem.length_s * part)
+        if tried is not None and tried.misfit < WORSE * best.misfit and (done is None or tried.fit.converged):
+            done = tried
+        if done is not None and done.fit.converged:
+            break
+    return (best, scheme) if done is None else (done, finer)
+
+
+def _finished(
+    plant: Plant,
+    problem: Problem,
+    best: Candidate,
+    adaptation: Sequence[Episode],
+    validation: Sequence[Episode],
+    scheme: Scheme,
+    length_s: float,
+) -> Candidate | None:
+    """The answer taken to its minimum on windows of a length [s] under a scheme; None where it runs away there."""
     several = len(plant.joints) > 1 and problem.exact
     last = Problem(
         problem.fitter,
-        [series(plant, e, finer, problem.length_s) for e in adaptation],
-        [series(plant, e, finer, problem.length_s) for e in validation],
+        [series(plant, e, scheme, length_s) for e in adaptation],
+        [series(plant, e, scheme, length_s) for e in validation],
         problem.short,
         declared=problem.declared,
-        pieces=in_pieces(plant, [*adaptation, *validation], finer, problem.length_s) if several else {},
+        pieces=in_pieces(plant, [*adaptation, *validation], scheme, length_s) if several else {},
     )
     if several:
         starts = last.placed(last.adaptation, best.fit)
@@ -213,9 +237,8 @@ def polished(
         fixed=problem.still(best.fit),
     )
     if not np.isfinite(fit.cost):
-        return best, scheme
-    done = last.converged(fit if physical else last.pruned(fit))
-    return (done, finer) if done.misfit < WORSE * best.misfit else (best, scheme)
+        return None
+    return last.converged(fit if yardstick(adaptation) is PHYSICAL else last.pruned(fit))
 
 
 def _refined(search: Search, generation: Sequence[Candidate], most: int) -> list[Candidate]:

@@ -35,6 +35,7 @@ def report(
     admission: Admission,
     search: Search,
     choice: Choice,
+    answer: Candidate,
     nominal: RolloutFit,
     gap: Gap,
     effects: list[Json],
@@ -48,7 +49,10 @@ def report(
     episodes: Sequence[Episode],
     seed: int,
 ) -> dict[str, Json]:
-    """The report. What was counted in the samples is named beside what was fitted, whatever the verdict on the rest."""
+    """The report; `answer` is the choice's winner as it was fitted last, where the search's steps and windows left no mark.
+
+    What was counted in the samples is named beside what was fitted, whatever the verdict on the rest.
+    """
     samples = sum(len(e.t_s) for e in episodes)
     seen = counted(admission, plant, samples)
     verdict = choice.verdict
@@ -80,7 +84,7 @@ def report(
             "noise_correlation": {
                 c.name: float(admission.correlation[i]) for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
             },
-            "convergence": _convergence(choice),
+            "convergence": _convergence(answer, *choice.rivals),
             "uses_of_validation": len(search.found),
             "misfit": _finite(choice.winner.misfit),
             "unexplained": choice.left,
@@ -91,13 +95,13 @@ def report(
     }
 
 
-def _convergence(choice: Choice) -> Json:
+def _convergence(*fitted: Candidate) -> Json:
     """How far the answer's fit and its alternatives' stand from their minima, in half-widths of an interval, and how many minima the data
     leave each.
     """
     return [
         {"effects": list(c.hypothesis.effects), "off": _finite(c.fit.off) if c.fit.off is not None else None, "minima": len(c.minima)}
-        for c in (choice.winner, *choice.rivals)
+        for c in fitted
     ]
 
 

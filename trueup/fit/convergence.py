@@ -18,21 +18,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.fit.rollout_fit import PRIOR, Around, Fitter, Free, RolloutFit, Start, moved
+from trueup.fit.rollout_fit import PRIOR, SWING, TWO_SIDED, Around, Fitter, Free, RolloutFit, Start, moved
 from trueup.model.rounding import rounded
 from trueup.model.series import Series
 
 Array = NDArray[np.float64]
 PROVEN = 0.01  # of a half-width: no estimate moves further
-SWING = 0.5  # of a half-width with all else at rest, to either side
 WIDEST_SWING = 0.25  # of a number's range
-TWO_SIDED = 1.96  # standard errors of a 95 % interval
-MOST = 30  # steps
+NEAR = 1.0  # half-widths: from there on each look is as wide as the last
+MOST = 30  # looks at a step
 PATIENCE = 6  # steps that come no nearer
 FURTHEST = 3.0  # half-widths in one step
 SLACK = 1.0  # times what is left of a sample: a cost that rises by less has not risen
 TURNED = 0.6  # of the trust in a step that turns back
-HALVED = 6  # times
+SHORTEST = 0.02  # of a step
 STARTS, SETTLED = 6, 1e-7  # iterations for what windows start from, and the part of the cost that ends them
 SOFTER, STIFFER = 0.25, 4.0  # times the curvature of the normal equations: what they neglect is no more
 RIDGE = 1e-12  # of a determined direction's curvature
@@ -45,10 +44,13 @@ Fixed = Iterable[tuple[str, str]]
 
 
 def minima(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = ()) -> list[RolloutFit]:
-    """The minima that the data do not tell from the best, the best first, from a fit and from far to both of its sides."""
+    """The minima that the data do not tell from the best, the best first, from a fit and from far to both of its sides.
+
+    Where no minimum can be proven near the fit, the cost is too rough for any, and it is all that is looked for.
+    """
     fixed = list(fixed)
     found = [converge(fitter, data, fit, fixed)]
-    for values in _displaced(found[0]):
+    for values in _displaced(found[0]) if found[0].converged else ():
         descended = fitter.fit(data, fit.hypothesis, values, found[0].starts, iterations=DESCENT, fixed=fixed)
         if descended.cost < found[0].cost + FURTHEST * TOLD_APART * _left(found[0]):
             found.append(converge(fitter, data, descended, fixed))
@@ -58,30 +60,26 @@ def minima(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed
 
 
 def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = (), most: int = MOST) -> RolloutFit:
-    """A fit's minimum, from where it ended, by so many steps at most. Numbers that are `fixed` stay."""
+    """A fit's minimum, from where it ended, by so many looks at most. Numbers that are `fixed` stay."""
     free = fitter.free(fit.hypothesis, fixed)
-    values, starts = fit.values, dict(fitter.started(data, fit.hypothesis, fit.values, fit.starts, STARTS, SETTLED).starts)
+    values, starts = fit.values, dict(fitter.started(data, fit.hypothesis, fit.values, fit.starts, STARTS, SETTLED, fine=True).starts)
     best = _looked(fitter, data, fit, values, starts, free)
     best = _looked(fitter, data, fit, values, starts, best.free)  # now as far apart as the data tell
-    last, trust, offs = np.zeros(len(free.rows)), 1.0, [best.off]
+    trust, part, offs = 1.0, 1.0, [best.off]
     for _ in range(most):
         nearer = len(offs) <= PATIENCE or min(offs[-PATIENCE:]) < min(offs[:-PATIENCE])
-        if best.off <= PROVEN or not nearer or not np.isfinite(best.cost):
+        if best.off <= PROVEN or not nearer or part < SHORTEST or not np.isfinite(best.cost):
             break
-        trust *= TURNED if float(best.step @ best.normal @ last) < 0.0 else 1.0
-        part = min(trust, FURTHEST / best.off)
-        for _ in range(HALVED):
-            step = rounded(part * best.step)
-            tried = free.moved(values, step)
-            led = {key: moved(starts[key], *by, best.around.states) for key, by in best.around.gram.moves_with(step).items()}
-            there = _rested(fitter, data, fit, tried, led, starts, best.cost)
-            after = _looked(fitter, data, fit, tried, there, best.free)
-            if after.cost <= best.cost + SLACK * best.cost / fit.samples:
-                break
+        step = rounded(part * min(trust, FURTHEST / best.off) * best.step)
+        tried = free.moved(values, step)
+        led = {key: moved(starts[key], *by, best.around.states) for key, by in best.around.gram.moves_with(step).items()}
+        there = _rested(fitter, data, fit, tried, led, starts, best.cost)
+        after = _looked(fitter, data, fit, tried, there, best.free)
+        if after.cost > best.cost + SLACK * best.cost / fit.samples:
             part *= 0.5
-        else:
-            break
-        values, starts, best, last = tried, there, after, best.step
+            continue
+        trust *= TURNED if float(after.step @ after.normal @ best.step) < 0.0 else 1.0
+        values, starts, best, part = tried, there, after, 1.0
         offs.append(best.off)
     gram = best.around.gram
     if not np.isfinite(gram.cost):
@@ -129,8 +127,10 @@ def _looked(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Arr
     step, error = _to_minimum(normal + np.diag(worth), around.gradient + worth * (centre - at), at <= free.low, at >= free.high)
     swing = SWING * TWO_SIDED * np.sqrt(misfit / np.maximum(around.alone + worth, 1e-300))
     reach = np.where(np.isfinite(free.high - free.low), WIDEST_SWING * (free.high - free.low), np.inf)
-    wide = replace(free, step=np.asarray(rounded(np.minimum(swing, reach))))
-    return _Place(around, cost, normal, step, float(np.max(np.abs(step) / (TWO_SIDED * np.sqrt(misfit) * error))), wide)
+    off = float(np.max(np.abs(step) / (TWO_SIDED * np.sqrt(misfit) * error)))
+    if not (free.central and off < NEAR):
+        free = replace(free, step=np.asarray(rounded(np.minimum(swing, reach))), central=True)
+    return _Place(around, cost, normal, step, off, free)
 
 
 def _to_minimum(normal: Array, gradient: Array, lowest: NDArray[np.bool_], highest: NDArray[np.bool_]) -> tuple[Array, Array]:
@@ -161,10 +161,10 @@ def _rested(
     cost: float,
 ) -> dict[str, Start]:
     """Of each episode what its windows start from at rest: from where a step led them, or from before it where that cost more."""
-    one = fitter.started(data, fit.hypothesis, values, led, STARTS, SETTLED)
+    one = fitter.started(data, fit.hypothesis, values, led, STARTS, SETTLED, fine=True)
     if one.cost <= cost:
         return dict(one.starts)
-    other = fitter.started(data, fit.hypothesis, values, before, STARTS, SETTLED)
+    other = fitter.started(data, fit.hypothesis, values, before, STARTS, SETTLED, fine=True)
     ours, its = one.by_episode, other.by_episode
     return {key: (one if ours[key] <= its[key] else other).starts[key] for key in one.starts}
 

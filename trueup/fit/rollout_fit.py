@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.fit.normal_equations import RAN_AWAY, Errors, Gram, Kept
+from trueup.fit.normal_equations import NOTHING, RAN_AWAY, Errors, Gram, Kept
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.compose import cores
 from trueup.model.dynamics import CompiledFamily, Form
@@ -38,6 +38,10 @@ ASTRAY = 100.0  # times the cost: a step that leads there was far too long
 PRIOR = 50.0  # times what is left of a sample: the cost of a robot's number that is off by its size, for neighbours err alike
 NEGLIGIBLE = 0.02  # of a squared standard error: a decrease not worth an iteration
 MEMORY_STEP = 1e-3  # of its scale
+TWO_SIDED = 1.96  # standard errors of a 95 % interval
+SWING = 0.5  # of a half-width with all else at rest, to either side: what the data can tell
+START_STEP = 1e-3  # of a scale: where a window starts
+FINEST = 1e-3  # of that, where what a start does grows a thousandfold before its window ends
 
 Linear = Mapping[str, Kept]  # derivatives that are kept, by episode digest
 
@@ -116,10 +120,14 @@ class Free:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Where an episode's rollouts start: each window's positions and velocities `(windows, 2 x joints)`, and the hidden states' offsets."""
+    """Where an episode's rollouts start: each window's positions and velocities `(windows, 2 x joints)`, and the hidden states' offsets.
+
+    `steps` `(windows, 2 x joints)` are for differences by the former, the fitter's own where None.
+    """
 
     windows: Array
     memory: Mapping[tuple[str, str], float]
+    steps: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +213,7 @@ class Fitter:
         self.sigma = np.where(np.isfinite(sigma), sigma, np.inf)
         self.held = held
         self.correlation = np.zeros(len(sigma)) if correlation is None else correlation
-        self.start_steps = 1e-3 * np.array([s.position for s in scales] + [s.velocity for s in scales])
+        self.start_steps = START_STEP * np.array([s.position for s in scales] + [s.velocity for s in scales])
 
     def unit(self, of: str, scale: Scale) -> float:
         """The value of one unit of a scale at a term's joint."""
@@ -333,9 +341,11 @@ class Fitter:
         starts: Mapping[str, Start] | None = None,
         iterations: int = 12,
         tolerance: float = STARTED,
+        *,
+        fine: bool = False,
     ) -> RolloutFit:
         """What the windows start from, estimated alone: Levenberg-Marquardt with a damping of each window's own, for but through what
-        hidden states remember they know nothing of each other.
+        hidden states remember they know nothing of each other. Where `fine`, differences are as wide as the log can tell.
         """
         task = self._task(data, hypothesis, self.free(hypothesis).none())
         now, converged = self.begun(starts, data, hypothesis), False
@@ -343,6 +353,7 @@ class Fitter:
         damping = {key: np.full(len(g), 1e-3) for key, g in best.parts.items()}
         for _ in range(iterations):
             moves = best.moves(damping)
+            now = self._told(now, best, self._samples(data)) if fine else now
             tried = {key: moved(now[key], *move, task.states) for key, move in moves.items()}
             found, _ = self._evaluate(task, values, tried)
             better = {key: found.costs(key) <= best.costs(key) * (1.0 + tolerance) + NEGLIGIBLE for key in now}
@@ -350,7 +361,7 @@ class Fitter:
             if not all(of.all() for of in better.values()):
                 for key, of in better.items():
                     past = tried[key].memory if found.cost_of(key) < best.cost_of(key) else now[key].memory
-                    tried[key] = Start(np.where(of[:, None], tried[key].windows, now[key].windows), past)
+                    tried[key] = replace(tried[key], windows=np.where(of[:, None], tried[key].windows, now[key].windows), memory=past)
                 found, _ = self._evaluate(task, values, tried)
             before, gaining = best.cost, [key for key in now if found.cost_of(key) < best.cost_of(key)]
             now, best = {**now, **{key: tried[key] for key in gaining}}, best.mixed(found, gaining)
@@ -373,7 +384,19 @@ class Fitter:
         hidden[[self.joints + joint(t) for t in hypothesis.effects if kind(t).hides_velocity]] = True
         seen = np.isfinite(self.sigma)
         begun = {s.digest: np.where(hidden, s.begin_by_positions, s.begin) for s in data}
-        return {key: Start(np.where(seen, begun[key], start.windows), start.memory) for key, start in given.items()}
+        return {key: replace(start, windows=np.where(seen, begun[key], start.windows)) for key, start in given.items()}
+
+    def _told(self, starts: Mapping[str, Start], gram: Gram, samples: int) -> dict[str, Start]:
+        """Starts with steps that are half a half-width of each by itself, no longer than the fitter's own."""
+        if not np.isfinite(gram.cost):
+            return dict(starts)
+        half = SWING * TWO_SIDED * np.sqrt(max(gram.cost / samples, 1.0))
+        told = {}
+        for key, start in starts.items():
+            power = np.diagonal(gram.parts[key], axis1=1, axis2=2)[:, -2 * self.joints :]
+            steps = np.clip(half / np.sqrt(np.maximum(power, NOTHING)), FINEST * self.start_steps, self.start_steps)
+            told[key] = replace(start, steps=np.asarray(rounded(steps)))
+        return told
 
     def _samples(self, data: Sequence[Series]) -> int:
         """Numbers that are compared."""
@@ -542,11 +565,15 @@ class Fitter:
         if old is not None:
             out = roll(s, self.form, block, on, init)
             return errors.renewed(out, inverse, lanes.of, old[s.digest]), old[s.digest], np.zeros(0)
+        steps = np.broadcast_to(self.start_steps, start.windows.shape) if start.steps is None or task.keeps else start.steps
         for state in range(lanes.starts):
-            init[:, state, 1 + state] += self.start_steps[state]
+            init[:, state, 1 + state] += steps[:, state]
         out = roll(s, self.form, block, on, init, starts=lanes.starts)
         columns = np.concatenate([lanes.of, 1 + np.arange(lanes.starts)])
         sums = errors.summed(out, inverse, columns, lanes.against, len(init))
+        if steps is start.steps:
+            per = np.concatenate([np.ones((len(steps), 1 + len(lanes.of))), self.start_steps / steps], axis=1)
+            sums *= per[:, :, None] * per[:, None, :]
         kept = errors.kept(out, inverse, columns, sums, task.keeps, len(lanes.of) + 1) if task.keeps else None
         return sums, kept, errors.costs(out, np.arange(out.shape[2])) if task.free.central else np.zeros(0)
 
@@ -605,7 +632,7 @@ def moved(start: Start, windows: Array, memory: Array, states: tuple[tuple[str, 
     past = dict(start.memory)
     for key, by in zip(states, memory, strict=True):
         past[key] = past.get(key, 0.0) + float(by)
-    return Start(start.windows + windows, past)
+    return replace(start, windows=start.windows + windows, memory=past)
 
 
 def in_parallel(work: Callable[[Any], Any], items: Sequence[Any]) -> Iterator[Any]:
