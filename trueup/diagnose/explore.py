@@ -188,20 +188,22 @@ def polished(
 ) -> tuple[Candidate, Scheme]:
     """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates.
 
-    Where its cost on whole windows is so rough that no minimum can be proven, on shorter ones: errors grow less in them.
+    Where its cost on whole windows is so rough that no minimum can be proven, on shorter ones, in which errors grow less; a machine's
+    windows are those of its predictions, and there the search's own steps do where a minimum is proven on those.
     """
     scheme, physical = problem.scheme, yardstick(adaptation) is PHYSICAL
     if scheme.alpha == 0.0 and not physical:
         return best, scheme
     finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha and problem.exact else scheme
-    done: Candidate | None = None
+    found: list[tuple[Candidate, Scheme]] = []
     for part in SHORTENED if len(plant.joints) == 1 and not physical else SHORTENED[:1]:
-        tried = _finished(plant, problem, best, [*adaptation], [*validation], finer, problem.length_s * part)
-        if tried is not None and tried.misfit < WORSE * best.misfit and (done is None or tried.fit.converged):
-            done = tried
-        if done is not None and done.fit.converged:
+        done = _finished(plant, problem, best, adaptation, validation, finer, problem.length_s * part)
+        if done is not None and done.misfit < WORSE * best.misfit:
+            found.append((done, finer))
+        if found and found[-1][0].fit.proven:
             break
-    return (best, scheme) if done is None else (done, finer)
+    found.append((best, scheme))
+    return next((f for f in found if f[0].fit.proven), found[0])
 
 
 def _finished(

@@ -18,19 +18,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.fit.rollout_fit import PRIOR, SWING, TWO_SIDED, Around, Fitter, Free, RolloutFit, Start, moved
+from trueup.fit.rollout_fit import PRIOR, PROVEN, SWING, TWO_SIDED, Around, Fitter, Free, RolloutFit, Start, moved
 from trueup.model.rounding import rounded
 from trueup.model.series import Series
 
 Array = NDArray[np.float64]
-PROVEN = 0.01  # of a half-width: no estimate moves further
 WIDEST_SWING = 0.25  # of a number's range
 NEAR = 1.0  # half-widths: from there on each look is as wide as the last
 MOST = 30  # looks at a step
 PATIENCE = 6  # steps that come no nearer
 FURTHEST = 3.0  # half-widths in one step
 SLACK = 1.0  # times what is left of a sample: a cost that rises by less has not risen
-TURNED = 0.6  # of the trust in a step that turns back
+REMEMBERED = 3  # steps that tell what the normal equations neglect
+ALIKE = 1e-2  # of the largest: what tells less of a step is left out
 SHORTEST = 0.02  # of a step
 STARTS, SETTLED = 6, 1e-7  # iterations for what windows start from, and the part of the cost that ends them
 SOFTER, STIFFER = 0.25, 4.0  # times the curvature of the normal equations: what they neglect is no more
@@ -50,7 +50,7 @@ def minima(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed
     """
     fixed = list(fixed)
     found = [converge(fitter, data, fit, fixed)]
-    for values in _displaced(found[0]) if found[0].converged else ():
+    for values in _displaced(found[0]) if found[0].proven else ():
         descended = fitter.fit(data, fit.hypothesis, values, found[0].starts, iterations=DESCENT, fixed=fixed)
         if descended.cost < found[0].cost + FURTHEST * TOLD_APART * _left(found[0]):
             found.append(converge(fitter, data, descended, fixed))
@@ -62,24 +62,25 @@ def minima(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed
 def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = (), most: int = MOST) -> RolloutFit:
     """A fit's minimum, from where it ended, by so many looks at most. Numbers that are `fixed` stay."""
     free = fitter.free(fit.hypothesis, fixed)
-    values, starts = fit.values, dict(fitter.started(data, fit.hypothesis, fit.values, fit.starts, STARTS, SETTLED, fine=True).starts)
+    values, starts = fit.values, _rested(fitter, data, fit, fit.values, np.inf, fit.starts)
     best = _looked(fitter, data, fit, values, starts, free)
     best = _looked(fitter, data, fit, values, starts, best.free)  # now as far apart as the data tell
-    trust, part, offs = 1.0, 1.0, [best.off]
+    part, offs, path = 1.0, [best.off], [(free.at(values), best.step)]
     for _ in range(most):
         nearer = len(offs) <= PATIENCE or min(offs[-PATIENCE:]) < min(offs[:-PATIENCE])
         if best.off <= PROVEN or not nearer or part < SHORTEST or not np.isfinite(best.cost):
             break
-        step = rounded(part * min(trust, FURTHEST / best.off) * best.step)
+        step = rounded(_led_on(path, best) if part == 1.0 else part * min(1.0, FURTHEST / best.off) * best.step)
         tried = free.moved(values, step)
         led = {key: moved(starts[key], *by, best.around.states) for key, by in best.around.gram.moves_with(step).items()}
-        there = _rested(fitter, data, fit, tried, led, starts, best.cost)
+        there = _rested(fitter, data, fit, tried, best.cost, led, starts)
         after = _looked(fitter, data, fit, tried, there, best.free)
         if after.cost > best.cost + SLACK * best.cost / fit.samples:
             part *= 0.5
             continue
-        trust *= TURNED if float(after.step @ after.normal @ best.step) < 0.0 else 1.0
+        known = path[-REMEMBERED:] if best.off < FURTHEST else []
         values, starts, best, part = tried, there, after, 1.0
+        path = [*known, (free.at(values), best.step)]
         offs.append(best.off)
     gram = best.around.gram
     if not np.isfinite(gram.cost):
@@ -133,6 +134,22 @@ def _looked(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Arr
     return _Place(around, cost, normal, step, off, free)
 
 
+def _led_on(path: Sequence[tuple[Array, Array]], best: _Place) -> Array:
+    """A step to where steps vanish, by what the last places and their steps tell, `(free,)`; no longer than FURTHEST.
+
+    Source: D. G. Anderson, Journal of the ACM 12 (1965); H. F. Walker, P. Ni, SIAM Journal on Numerical Analysis 49 (2011).
+    """
+    step = best.step
+    if len(path) > 1:
+        at, steps = (np.array(x).T for x in zip(*path, strict=True))
+        size = np.sqrt(np.diag(best.normal))[:, None]
+        over, turned = np.diff(at), np.diff(steps)
+        part = np.linalg.lstsq(size * turned, size[:, 0] * step, rcond=ALIKE)[0]
+        step = step - (over + turned) @ part
+    length = best.off * np.sqrt(float(step @ best.normal @ step) / max(float(best.step @ best.normal @ best.step), 1e-300))
+    return np.asarray(min(1.0, FURTHEST / length) * step)
+
+
 def _to_minimum(normal: Array, gradient: Array, lowest: NDArray[np.bool_], highest: NDArray[np.bool_]) -> tuple[Array, Array]:
     """The step to where a quadratic cost is least, no further than to bounds where numbers are, and each one's standard error for a misfit
     of 1, `(free,)` each.
@@ -152,21 +169,29 @@ def _to_minimum(normal: Array, gradient: Array, lowest: NDArray[np.bool_], highe
 
 
 def _rested(
-    fitter: Fitter,
-    data: Sequence[Series],
-    fit: RolloutFit,
-    values: Array,
-    led: Mapping[str, Start],
-    before: Mapping[str, Start],
-    cost: float,
+    fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Array, cost: float, *beginnings: Mapping[str, Start]
 ) -> dict[str, Start]:
-    """Of each episode what its windows start from at rest: from where a step led them, or from before it where that cost more."""
-    one = fitter.started(data, fit.hypothesis, values, led, STARTS, SETTLED, fine=True)
-    if one.cost <= cost:
-        return dict(one.starts)
-    other = fitter.started(data, fit.hypothesis, values, before, STARTS, SETTLED, fine=True)
+    """Of each episode what its windows start from at rest: from the first of some beginnings, from the next where that cost more than
+    before, and from what lies around the best.
+    """
+    best: RolloutFit | None = None
+    for starts in beginnings:
+        if best is None or best.cost > cost:
+            best = _better(best, fitter.started(data, fit.hypothesis, values, starts, STARTS, SETTLED, fine=True))
+    assert best is not None
+    around = fitter.scattered(data, fit.hypothesis, values, best.starts)
+    if any((around[key].windows != best.starts[key].windows).any() for key in around):
+        best = _better(best, fitter.started(data, fit.hypothesis, values, around, STARTS, SETTLED, fine=True))
+    return dict(best.starts)
+
+
+def _better(one: RolloutFit | None, other: RolloutFit) -> RolloutFit:
+    """Of each episode the starts that cost less."""
+    if one is None:
+        return other
     ours, its = one.by_episode, other.by_episode
-    return {key: (one if ours[key] <= its[key] else other).starts[key] for key in one.starts}
+    starts = {key: (one if ours[key] <= its[key] else other).starts[key] for key in one.starts}
+    return replace(one, starts=starts, cost=sum(min(ours[key], its[key]) for key in starts))
 
 
 def _displaced(fit: RolloutFit) -> list[Array]:

@@ -87,10 +87,10 @@ class Errors:
         into[:, at[:, None], at] = found
         return into
 
-    def costs(self, out: Array, lanes: Lanes) -> Array:
-        """Sums of squared errors of some lanes of a rollout, `(lanes,)`."""
-        found = np.zeros(len(lanes))
-        _costs(out, *self._arguments(), lanes, found)
+    def costs(self, out: Array, windows: int) -> Array:
+        """Sums of squared errors of each window and lane of a rollout, `(windows, lanes)`."""
+        found = np.zeros((windows, out.shape[2]))
+        _costs(out, *self._arguments(), found)
         return found
 
 
@@ -267,22 +267,23 @@ def _expected(phi, t_s, period_s, i, last):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _costs(out, observed, weight, window_of, t_s, period_s, correlation, lanes, into):  # type: ignore[no-untyped-def]
-    """Sums of squared errors of some lanes."""
+def _costs(out, observed, weight, window_of, t_s, period_s, correlation, into):  # type: ignore[no-untyped-def]
+    """Sums of squared errors by window and lane."""
     for c in range(observed.shape[1]):
-        before, last = np.zeros(len(lanes)), -1
+        before, last = np.zeros(out.shape[2]), -1
         for i in range(len(observed)):
-            if window_of[i, c] < 0 or weight[i, c] == 0.0:
+            w = window_of[i, c]
+            if w < 0 or weight[i, c] == 0.0:
                 continue
-            if last >= 0 and window_of[last, c] != window_of[i, c]:
+            if last >= 0 and window_of[last, c] != w:
                 last = -1
             part = _expected(correlation[c], t_s, period_s, i, last)
             over = 1.0 / np.sqrt(1.0 - part * part)
-            for b in range(len(lanes)):
-                missed = (observed[i, c] - out[i, c, lanes[b]]) * weight[i, c]
+            for b in range(out.shape[2]):
+                missed = (observed[i, c] - out[i, c, b]) * weight[i, c]
                 new = (missed - part * before[b]) * over
                 before[b] = missed
-                into[b] += new * new
+                into[w, b] += new * new
             last = i
 
 

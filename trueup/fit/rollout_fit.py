@@ -38,6 +38,9 @@ ASTRAY = 100.0  # times the cost: a step that leads there was far too long
 PRIOR = 50.0  # times what is left of a sample: the cost of a robot's number that is off by its size, for neighbours err alike
 NEGLIGIBLE = 0.02  # of a squared standard error: a decrease not worth an iteration
 MEMORY_STEP = 1e-3  # of its scale
+SCATTERED, UNSEEN_SCATTERED = 3.0, 0.3  # standard deviations of noise, of a scale: how far other starts are looked for
+CLOSER = 0.4  # times, from one of those to the next
+PROVEN = 0.01  # of a half-width: no estimate would move further
 TWO_SIDED = 1.96  # standard errors of a 95 % interval
 SWING = 0.5  # of a half-width with all else at rest, to either side: what the data can tell
 START_STEP = 1e-3  # of a scale: where a window starts
@@ -151,6 +154,11 @@ class RolloutFit:
     converged: bool
     scores: Array
     off: float | None = None
+
+    @property
+    def proven(self) -> bool:
+        """Whether it was shown to be at a minimum."""
+        return self.off is not None and self.off <= PROVEN
 
     @property
     def by_episode(self) -> dict[str, float]:
@@ -386,6 +394,37 @@ class Fitter:
         begun = {s.digest: np.where(hidden, s.begin_by_positions, s.begin) for s in data}
         return {key: replace(start, windows=np.where(seen, begun[key], start.windows)) for key, start in given.items()}
 
+    def scattered(self, data: Sequence[Series], hypothesis: Hypothesis, values: Array, starts: Mapping[str, Start]) -> dict[str, Start]:
+        """Of each window of one joint the best of starts around its own, one in each lane: descent of a start ends in the nearest valley.
+
+        Those of a state go as far as SCATTERED standard deviations of its noise, of one that was not observed as its scale.
+        """
+        observed = np.isfinite(self.sigma)
+        free = np.flatnonzero(~observed if self.held else np.ones(2 * self.joints, np.bool_))
+        sizes = (BLOCK - 1) // 2 // max(len(free), 1)
+        if self.joints > 1 or not sizes:
+            return dict(starts)
+        reach = np.where(observed, SCATTERED * self.sigma, UNSEEN_SCATTERED / START_STEP * self.start_steps)
+        lanes = np.zeros((BLOCK, 2 * self.joints))
+        for i, state in enumerate(free):
+            ladder = reach[state] * CLOSER ** np.arange(sizes)
+            lanes[1 + 2 * sizes * i : 1 + 2 * sizes * (i + 1), state] = np.concatenate([ladder, -ladder])
+        found = {}
+        for s in data:
+            start = starts[s.digest]
+            p = np.repeat(values[:, None], BLOCK, axis=1)
+            for key, value in start.memory.items():
+                p[self.block.memories[key]] += value
+            init = start.windows[:, :, None] + lanes.T
+            out = roll(s, self.form, p, switches(hypothesis, self.joints), init, starts=BLOCK - 1)
+            with np.errstate(over="ignore", invalid="ignore"):
+                costs = np.nan_to_num(self._errors(s, hypothesis, p[:, 0]).costs(out, len(init)), nan=RAN_AWAY, posinf=RAN_AWAY)
+            best = np.argmin(rounded(costs), axis=1)
+            better = costs[:, 0] - costs.min(axis=1) > max(1.0, costs[:, 0].sum() / max(self._samples([s]), 1))
+            by = np.where(better[:, None], lanes[best], 0.0)
+            found[s.digest] = replace(start, windows=start.windows + by)
+        return found
+
     def _told(self, starts: Mapping[str, Start], gram: Gram, samples: int) -> dict[str, Start]:
         """Starts with steps that are half a half-width of each by itself, no longer than the fitter's own."""
         if not np.isfinite(gram.cost):
@@ -553,8 +592,7 @@ class Fitter:
         """Those of one episode."""
         on, inverse = switches(task.hypothesis, self.joints), lanes.inverse.copy()
         block = lanes.p.copy()
-        window_of, weight = seen_by(s, self._late_s(task.hypothesis, block[:, 0]))
-        errors = Errors(s.observed, weight * s.usable / self.sigma, window_of, s.t_s, s.period_s, self.correlation)
+        errors = self._errors(s, task.hypothesis, block[:, 0])
         for key, value in start.memory.items():
             block[self.block.memories[key]] += value
         for key, (lane, size) in pasts.items():
@@ -575,7 +613,12 @@ class Fitter:
             per = np.concatenate([np.ones((len(steps), 1 + len(lanes.of))), self.start_steps / steps], axis=1)
             sums *= per[:, :, None] * per[:, None, :]
         kept = errors.kept(out, inverse, columns, sums, task.keeps, len(lanes.of) + 1) if task.keeps else None
-        return sums, kept, errors.costs(out, np.arange(out.shape[2])) if task.free.central else np.zeros(0)
+        return sums, kept, errors.costs(out, len(init)).sum(axis=0) if task.free.central else np.zeros(0)
+
+    def _errors(self, s: Series, hypothesis: Hypothesis, values: Array) -> Errors:
+        """What a rollout of an episode is compared with."""
+        window_of, weight = seen_by(s, self._late_s(hypothesis, values))
+        return Errors(s.observed, weight * s.usable / self.sigma, window_of, s.t_s, s.period_s, self.correlation)
 
     def _late_s(self, hypothesis: Hypothesis, values: Array) -> Array:
         """How late each joint is seen [s], `(joints,)`; a log of one joint does not show that apart from a late drive, and is shifted."""
