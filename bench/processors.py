@@ -12,7 +12,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from bench.report import Figure, show
+from bench.report import Figure, publish, show
 from tests.support.processors import ERROR, MOVED, VARIANTS, WIDTH, Difference, difference, processor, start
 
 CASES = [Path(c).resolve() for c in os.environ.get("CASES", "examples/emps examples/so101").split()]
@@ -34,7 +34,7 @@ def main() -> None:
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
             found = dict(zip(variants, pool.map(reports, variants), strict=True))
     first, *others = found
-    figures = [Figure(f"cases diagnosed on {processor()}", str(len(found[first])))]
+    figures, table = [Figure(f"cases diagnosed on {processor()}", str(len(found[first])))], []
     for name in others:
         differences = {case: difference(found[first][case], found[name][case]) for case in found[first]}
         missed = {case: d for case, d in differences.items() if not d.met}
@@ -42,13 +42,15 @@ def main() -> None:
         figures.append(
             Figure(f"{name}: cases that answer alike", f"{len(differences) - len(missed)} of {len(differences)}", target, not missed)
         )
-        figures.append(Figure("  largest: moved, width, error", _largest(differences)))
+        figures.append(Figure("  largest: moved, width, error", " ".join(largest := _largest(differences))))
+        table.append([name, f"{len(differences) - len(missed)} of {len(differences)}", *largest])
         figures += [
             Figure(f"  {case}", f"{'' if d.alike else 'another answer '}{d.moved:.3g} {d.width:.3g} {d.error:.3g}")
             for case, d in missed.items()
         ]
     show("processors: one log, one answer", figures)
+    publish("processors", ["arithmetic of", "alike", "estimate", "width", "held-out error"], table)
 
 
-def _largest(of: dict[str, Difference]) -> str:
-    return " ".join(f"{max(getattr(d, what) for d in of.values()):.2g}" for what in ("moved", "width", "error"))
+def _largest(of: dict[str, Difference]) -> list[str]:
+    return [f"{max(getattr(d, what) for d in of.values()):.2g}" for what in ("moved", "width", "error")]

@@ -1,12 +1,14 @@
-"""One line for each figure: what, how much, and what it should be."""
+"""One line for each figure: what, how much, and what it should be; and tables that the pages show."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
+MEASURED = Path(__file__).parent.parent / "docs" / "measured"
 
 
 @dataclass(frozen=True)
@@ -27,3 +29,9 @@ def show(title: str, figures: list[Figure]) -> None:
         print(f"  {mark}  {f.what:<62} {f.value:>22}   {f.target}", flush=True)
     RESULTS.mkdir(exist_ok=True)
     (RESULTS / f"{title.split(maxsplit=1)[0].lower()}.json").write_text(json.dumps([asdict(f) for f in figures], indent=1))
+
+
+def publish(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Keep a table for the pages, into which `make docs` writes it."""
+    MEASURED.mkdir(exist_ok=True)
+    (MEASURED / f"{name}.json").write_text(json.dumps({"head": head, "rows": rows}, indent=1, ensure_ascii=False) + "\n")

@@ -9,7 +9,7 @@ from tests.support.simulated import recorded
 from trueup.diagnose.admission import admit
 from trueup.diagnose.intervals import half_widths, intervals
 from trueup.fit.convergence import PROVEN, converge, minima
-from trueup.fit.rollout_fit import Directions, Fitter
+from trueup.fit.rollout_fit import Directions, Fitter, Start
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.rounding import STEP_BITS, rounded
 from trueup.model.series import refined, series
@@ -54,6 +54,33 @@ def test_a_proven_minimum_costs_no_more_than_its_neighbours(posed):
         for side in (-0.5, 0.5):
             values = best.free.moved(best.values, side * widths * (np.arange(len(widths)) == which))
             assert fitter.started(data, FRICTION, values, best.starts).cost > best.cost
+
+
+def test_where_errors_grow_within_a_window_its_start_is_found_by_steps_as_short_as_the_log_tells():
+    plant, episodes, trial = recorded("B1", ["cogging"], 1)
+    fitter, data, _, _ = _posed((plant, episodes, trial))
+    cogging, machine = Hypothesis(("cogging",)), trial.machine
+    law = machine.imperfections["cogging"]
+    values = fitter.begin([{"k": machine.k, "c": machine.c, "b": machine.b}[n] for n in plant.dynamics.parameter_names])
+    rows = fitter.block.rows_of("cogging")
+    values[rows["sine"]] = law["amplitude"] * np.cos(law["phase"])
+    values[rows["cosine"]] = law["amplitude"] * np.sin(law["phase"])
+    values[rows["pitch"]] = law["pitch"]
+    coarse, fine = (fitter.started(data, cogging, values, iterations=25, fine=fine) for fine in (False, True))
+    assert fine.misfit < coarse.misfit - 0.02
+    assert fine.misfit < 1.05
+
+
+def test_a_start_in_another_valley_is_found_around(posed):
+    fitter, data, fit, _ = posed
+    astray = {}
+    for s in data:
+        windows = fit.starts[s.digest].windows.copy()
+        windows[0, 1] += 2.5 * fitter.sigma[1]
+        astray[s.digest] = Start(windows, {})
+    found = fitter.scattered(data, FRICTION, fit.values, astray)
+    costs = [fitter.started(data, FRICTION, fit.values, starts, iterations=0).cost for starts in (astray, found)]
+    assert costs[1] < 0.9 * costs[0]
 
 
 def test_intervals_hold_the_truth_and_span_every_minimum(posed):
