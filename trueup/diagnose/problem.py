@@ -32,7 +32,7 @@ ZOOM_POINTS = (-1.0, -0.66, -0.33, 0.33, 0.66, 1.0)
 RESOLUTION = 2.0 * ZOOMS[-1]  # of a value that was zoomed in on: between corners that far apart the error is flat
 ASKED_FOR = 18.0  # squared standard errors that a number must be worth
 PASTS = (0.0, *(sign * x for x in (0.03, 0.07, 0.12, 0.18, 0.25, 0.35, 0.5) for sign in (1.0, -1.0)))  # of a memory's scale
-ROBOT_STEPS = 6  # towards a minimum, of a robot's fit
+ROBOT_STEPS = 8  # towards a minimum, of a robot's fit
 CHECK = 10  # iterations for the starts of validation windows
 
 

@@ -70,6 +70,7 @@ def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fix
     best = _looked(fitter, data, fit, values, starts, free)
     best = _looked(fitter, data, fit, values, starts, best.free)  # now as far apart as the data tell
     part, offs, path = 1.0, [best.off], [(free.at(values), best.step)]
+    nearest = best, values, starts
     for _ in range(most):
         nearer = len(offs) <= PATIENCE or min(offs[-PATIENCE:]) < min(offs[:-PATIENCE])
         if best.off <= PROVEN or not nearer or part < SHORTEST or not np.isfinite(best.cost):
@@ -86,6 +87,9 @@ def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fix
         values, starts, best, part = tried, there, after, 1.0
         path = [*known, (free.at(values), best.step)]
         offs.append(best.off)
+        if best.off < nearest[0].off or best.cost < nearest[0].cost - SLACK * best.cost / fit.samples:
+            nearest = best, values, starts
+    best, values, starts = nearest
     gram = best.around.gram
     if not np.isfinite(gram.cost):
         return replace(fit, converged=False, off=np.inf)
