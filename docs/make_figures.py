@@ -9,9 +9,9 @@ PAGE = HERE / "figures.md"
 PLACE = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 
 
-def written(page: str) -> str:
+def page() -> str:
     """The page with each table as it was measured last."""
-    return PLACE.sub(lambda found: f"{found[1]}{_table(found[2])}{found[3]}", page)
+    return PLACE.sub(lambda found: f"{found[1]}{_table(found[2])}{found[3]}", PAGE.read_text())
 
 
 def _table(name: str) -> str:
@@ -21,4 +21,4 @@ def _table(name: str) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(written(PAGE.read_text()))
+    PAGE.write_text(page())

@@ -124,7 +124,7 @@ def test_every_setting_is_documented():
     assert all(setting.description for setting in Settings.model_fields.values())
 
 
-@pytest.mark.parametrize("page", ["commands", "settings", "effects", "access", "api", "gates"])
+@pytest.mark.parametrize("page", ["commands", "settings", "effects", "access", "api", "gates", "figures"])
 def test_pages_made_from_the_code_are_up_to_date(page):
     written = subprocess.run(
         [sys.executable, "-c", f"import make_{page}; print(make_{page}.page(), end='')"],

@@ -15,8 +15,7 @@ from trueup.diagnose.intervals import covariance, intervals
 from trueup.diagnose.problem import Candidate
 from trueup.diagnose.search import Search, has_already
 from trueup.episode.layout import Field
-from trueup.fit.convergence import TWO_SIDED
-from trueup.fit.rollout_fit import Directions, Fitter, RolloutFit, Screening, in_parallel
+from trueup.fit.rollout_fit import TWO_SIDED, Directions, Fitter, RolloutFit, Screening, in_parallel
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledTree

@@ -21,8 +21,7 @@ from scipy.special import stdtrit
 
 from trueup.diagnose.decide import ADEQUATE
 from trueup.diagnose.problem import RESOLUTION
-from trueup.fit.convergence import TWO_SIDED
-from trueup.fit.rollout_fit import RolloutFit
+from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import kind
 
 Array = NDArray[np.float64]
