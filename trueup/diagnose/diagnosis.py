@@ -105,7 +105,7 @@ def diagnose(
     choice = _settled(search, choice, nominal, yardstick(episodes))
     progress("measuring on held-out episodes", 0.0)
     base = search.found[Hypothesis()]
-    best, scheme = polished(plant, problem, choice.winner, adaptation, validation)
+    best, scheme, other = polished(plant, problem, choice.winner, adaptation, validation)
     predictor = corrected(plant, admission, best.fit, scheme, adaptation)
     refitted = corrected(plant, admission, base.fit, problem.scheme, adaptation)
     gap = measure(Nominal(plant), refitted, predictor, validation, Noise(admission.noise, admission.correlation), seed)
@@ -122,10 +122,10 @@ def diagnose(
         answer=best,
         nominal=nominal,
         gap=gap,
-        effects=estimates(best.minima, choice.winner.fit, problem.fitter, plant, shares(search, choice, nominal)),
+        effects=estimates(best.minima, other, problem.fitter, plant, shares(search, choice, nominal)),
         alternatives=[alternative(plant, search, rival) for rival in choice.rivals],
         patch=changes,
-        parameters=parameter_table(plant, problem.fitter.directions, best.minima, choice.winner.fit),
+        parameters=parameter_table(plant, problem.fitter.directions, best.minima, other),
         excluded=excluded,
         unexcited=unexcited,
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),

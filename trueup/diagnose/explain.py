@@ -82,9 +82,9 @@ def in_units(scale: Scale, plant: Plant, joint: int) -> float:
     return float(plant.form.sizes[joint]) if scale in FORCES else 1.0
 
 
-def estimates(minima: Sequence[RolloutFit], coarse: RolloutFit, fitter: Fitter, plant: Plant, share: Mapping[str, float]) -> list[Json]:
-    """Effects with estimates, units, intervals and shares, of the best of some minima; `coarse` is the same on the search's steps."""
-    fit, spans = minima[0], intervals(minima, coarse)
+def estimates(minima: Sequence[RolloutFit], other: RolloutFit, fitter: Fitter, plant: Plant, share: Mapping[str, float]) -> list[Json]:
+    """Effects with estimates, units, intervals and shares, of the best of some minima; `other` is the same on other steps."""
+    fit, spans = minima[0], intervals(minima, other)
     found: list[Json] = []
     for term in fit.hypothesis.effects:
         values: dict[str, Json] = {}
@@ -129,15 +129,15 @@ def _inside(span: tuple[float, float], number: Number, scale: float) -> tuple[fl
     return max(span[0], number.low * scale), min(span[1], number.high * scale)
 
 
-def parameter_table(plant: Plant, directions: Directions, minima: Sequence[RolloutFit], coarse: RolloutFit) -> dict[str, Json]:
+def parameter_table(plant: Plant, directions: Directions, minima: Sequence[RolloutFit], other: RolloutFit) -> dict[str, Json]:
     """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine one by one."""
     fit = minima[0]
     if not directions.combined:
-        spans = intervals(minima, coarse)
+        spans = intervals(minima, other)
         limits = [spans["", name] for name in directions.names]
         named = np.ones(len(limits), np.bool_)
     else:
-        widths = np.array([_tree_widths(plant, directions, f, coarse) for f in minima])
+        widths = np.array([_tree_widths(plant, directions, f, other) for f in minima])
         values = np.array([f.values[: len(plant.parameters)] for f in minima])
         limits = list(zip((values - widths).min(axis=0), (values + widths).max(axis=0), strict=True))
         named = directions.determined
@@ -148,11 +148,11 @@ def parameter_table(plant: Plant, directions: Directions, minima: Sequence[Rollo
     }
 
 
-def _tree_widths(plant: Plant, directions: Directions, fit: RolloutFit, coarse: RolloutFit) -> Array:
+def _tree_widths(plant: Plant, directions: Directions, fit: RolloutFit, other: RolloutFit) -> Array:
     """Half of each interval of a tree's numbers, which move in combinations, `(numbers,)`."""
     count, numbers = len(directions.names), len(plant.parameters)
     spread = covariance(fit)[:count, :count]
-    moved = fit.values[:numbers] - coarse.values[:numbers]
+    moved = fit.values[:numbers] - other.values[:numbers]
     return np.asarray(
         np.sqrt(np.maximum(np.einsum("ai,ab,bi->i", directions.along, spread, directions.along), 0.0) * TWO_SIDED**2 + moved**2)
     )

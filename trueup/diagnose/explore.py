@@ -16,7 +16,7 @@ from trueup.diagnose.remainder import looked_again
 from trueup.diagnose.search import Search
 from trueup.diagnose.task import Solve, in_threads
 from trueup.episode.episode import Episode
-from trueup.fit.rollout_fit import Start, in_parallel
+from trueup.fit.rollout_fit import RolloutFit, Start, in_parallel
 from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
@@ -185,47 +185,53 @@ def _left(search: Search, base: Candidate) -> float:
 
 def polished(
     plant: Plant, problem: Problem, best: Candidate, adaptation: Sequence[Episode], validation: Sequence[Episode]
-) -> tuple[Candidate, Scheme]:
-    """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates.
+) -> tuple[Candidate, Scheme, RolloutFit]:
+    """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates; its scheme, and
+    the same fitted on other steps.
 
-    Where its cost on whole windows is so rough that no minimum can be proven, on shorter ones, in which errors grow less; a machine's
-    windows are those of its predictions, and there the search's own steps do where a minimum is proven on those.
+    Where its cost on whole windows is so rough that no minimum can be proven, on shorter ones, in which errors grow less. A machine's
+    windows are those of its predictions: there the search's own fit does, where it is proven, or where it predicts better.
     """
     scheme, physical = problem.scheme, yardstick(adaptation) is PHYSICAL
     if scheme.alpha == 0.0 and not physical:
-        return best, scheme
+        return best, scheme, best.fit
     finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha and problem.exact else scheme
-    found: list[tuple[Candidate, Scheme]] = []
+    found: list[Candidate] = []
     for part in SHORTENED if len(plant.joints) == 1 and not physical else SHORTENED[:1]:
-        done = _finished(plant, problem, best, adaptation, validation, finer, problem.length_s * part)
-        if done is not None and done.misfit < WORSE * best.misfit:
-            found.append((done, finer))
-        if found and found[-1][0].fit.proven:
+        last = _last(plant, problem, adaptation, validation, finer, problem.length_s * part)
+        done = _finished(last, problem, best, physical)
+        before = last.candidate(best.fit).misfit if physical else best.misfit  # from where the log says, or from where fits best
+        if done is not None and done.misfit < WORSE * before:
+            found.append(done)
+        if found and found[-1].fit.proven:
             break
-    found.append((best, scheme))
-    return next((f for f in found if f[0].fit.proven), found[0])
+    proven = [c for c in (*found, best) if c.fit.proven]
+    fair = [c for c in found if not physical or c.misfit < before]
+    answer = next(iter([*proven, *fair, best]))
+    return answer, scheme if answer is best else finer, found[0].fit if found and answer is best else best.fit
 
 
-def _finished(
-    plant: Plant,
-    problem: Problem,
-    best: Candidate,
-    adaptation: Sequence[Episode],
-    validation: Sequence[Episode],
-    scheme: Scheme,
-    length_s: float,
-) -> Candidate | None:
-    """The answer taken to its minimum on windows of a length [s] under a scheme; None where it runs away there."""
+def _last(
+    plant: Plant, problem: Problem, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme, length_s: float
+) -> Problem:
+    """A problem of every sample in windows of a length [s] under a scheme.
+
+    On a machine the windows start where the log says: what no law explains must not hide in their starts.
+    """
     several = len(plant.joints) > 1 and problem.exact
-    last = Problem(
-        problem.fitter,
+    return Problem(
+        problem.fitter.holding() if yardstick(adaptation) is PHYSICAL else problem.fitter,
         [series(plant, e, scheme, length_s) for e in adaptation],
         [series(plant, e, scheme, length_s) for e in validation],
         problem.short,
         declared=problem.declared,
         pieces=in_pieces(plant, [*adaptation, *validation], scheme, length_s) if several else {},
     )
-    if several:
+
+
+def _finished(last: Problem, problem: Problem, best: Candidate, physical: bool) -> Candidate | None:
+    """The answer of a problem taken to its minimum on the last one; None where it runs away there."""
+    if last.pieces:
         starts = last.placed(last.adaptation, best.fit)
     else:
         starts = {s.digest: Start(s.begin, best.fit.starts[s.digest].memory) for s in last.adaptation}
@@ -240,7 +246,7 @@ def _finished(
     )
     if not np.isfinite(fit.cost):
         return None
-    return last.converged(fit if yardstick(adaptation) is PHYSICAL else last.pruned(fit))
+    return last.converged(fit if physical else last.pruned(fit))
 
 
 def _refined(search: Search, generation: Sequence[Candidate], most: int) -> list[Candidate]:

@@ -32,14 +32,14 @@ NOTHING, UNKNOWN = 1e-100, 1e100  # information that is none, and the variance t
 LEAST_CLUSTERS = 2  # one has nobody to disagree with
 
 
-def intervals(minima: Sequence[RolloutFit], coarse: RolloutFit) -> dict[tuple[str, str], tuple[float, float]]:
+def intervals(minima: Sequence[RolloutFit], other: RolloutFit) -> dict[tuple[str, str], tuple[float, float]]:
     """Each number's 95 % interval, by (effect or "", parameter), from the minima that the data do not tell apart, the best first.
 
-    `coarse` is the same fit on the search's steps.
+    `other` is the same fitted on other steps of integration.
     """
     spans: dict[tuple[str, str], tuple[float, float]] = {}
     for fit in minima:
-        at, width = fit.free.at(fit.values), half_widths(fit, coarse)
+        at, width = fit.free.at(fit.values), half_widths(fit, other)
         for name, x in zip(fit.free.names, at, strict=True):
             low, high = float(x) - width[name], float(x) + width[name]
             known = spans.get(name, (low, high))
@@ -47,7 +47,7 @@ def intervals(minima: Sequence[RolloutFit], coarse: RolloutFit) -> dict[tuple[st
     return spans
 
 
-def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], float]:
+def half_widths(fit: RolloutFit, other: RolloutFit) -> dict[tuple[str, str], float]:
     """Half of each 95 % interval of one minimum, by (effect or "", parameter)."""
     if not len(fit.free.rows):
         return {}
@@ -59,7 +59,7 @@ def half_widths(fit: RolloutFit, coarse: RolloutFit) -> dict[tuple[str, str], fl
     variance = np.zeros(len(rest))
     variance[rest] = np.diag(covariance(fit)[np.ix_(rest, rest)])
     width = TWO_SIDED * np.sqrt(variance)
-    moved = at - fit.free.at(coarse.values)
+    moved = at - fit.free.at(other.values)
     whole = np.sqrt(width**2 * (1.0 + min(fit.off or 0.0, 1.0) ** 2) + moved**2 + grid**2)
     return {name: float(w) for name, w in zip(fit.free.names, np.minimum(whole, WIDEST * fit.free.step), strict=True)}
 

@@ -93,7 +93,7 @@ def _in_windows(
             admission.scales,
             admission.sigma,
             admission.correlation,
-            held=yardstick(adaptation) is PHYSICAL,
+            held=len(plant.joints) == 1 and yardstick(adaptation) is PHYSICAL,
         ),
         [series(plant, e, scheme, length_s) for e in adaptation],
         [series(plant, e, scheme, length_s) for e in validation],
@@ -122,7 +122,7 @@ def _furnished(
         problem,
         short=[series(plant, e, scheme, short_s) for e in _telling(base, adaptation, len(plant.joints))],
         declared=plant.parameters,
-        pieces={} if problem.fitter.held else in_pieces(plant, [*adaptation, *validation], scheme, problem.length_s),
+        pieces=in_pieces(plant, [*adaptation, *validation], scheme, problem.length_s),
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -222,6 +223,12 @@ class Fitter:
         self.held = held
         self.correlation = np.zeros(len(sigma)) if correlation is None else correlation
         self.start_steps = START_STEP * np.array([s.position for s in scales] + [s.velocity for s in scales])
+
+    def holding(self) -> Fitter:
+        """The same with starts held as observed."""
+        same = copy(self)
+        same.held = True
+        return same
 
     def unit(self, of: str, scale: Scale) -> float:
         """The value of one unit of a scale at a term's joint."""
