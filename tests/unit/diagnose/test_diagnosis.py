@@ -14,7 +14,7 @@ from trueup.diagnose.search import Search
 from trueup.diagnose.words import sentence
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
-from trueup.fit.rollout_fit import Directions, Fitter
+from trueup.fit.rollout_fit import PROVEN, Directions, Fitter
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.known import Known, known
 from trueup.model.series import DECLARED, refined, series
@@ -268,3 +268,14 @@ def test_a_first_velocity_is_known_from_like_moments():
 def test_moments_that_are_none_are_refused(moments):
     with pytest.raises(ValueError, match="position, command and velocity"):
         Known(moments, 1)
+
+
+def test_where_impacts_make_whole_windows_too_rough_for_a_proof_shorter_ones_prove_the_answer():
+    plant, episodes, trial = recorded("B1", ["hard_stop"], 7)
+    found = diagnose(plant, episodes)
+    (effect,), (fit,) = found.document["effects"], found.document["evidence"]["convergence"]
+    assert effect["effect"] == "hard_stop"
+    assert fit["off"] <= PROVEN
+    assert not found.choice.winner.fit.proven  # nothing on whole windows would have been
+    low, high = effect["estimate"]["limit"]["ci95"]
+    assert low < trial.machine.imperfections["hard_stop"]["limit"] < high
