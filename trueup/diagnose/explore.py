@@ -199,7 +199,7 @@ def polished(
     found: list[Candidate] = []
     for part in SHORTENED if len(plant.joints) == 1 and not physical else SHORTENED[:1]:
         last = _last(plant, problem, adaptation, validation, finer, problem.length_s * part)
-        done = _finished(last, problem, best, physical)
+        done = _finished(last, problem, best)
         before = last.candidate(best.fit).misfit if physical else best.misfit  # from where the log says, or from where fits best
         if done is not None and done.misfit < WORSE * before:
             found.append(done)
@@ -207,7 +207,7 @@ def polished(
             break
     proven = [c for c in (*found, best) if c.fit.proven]
     fair = [c for c in found if not physical or c.misfit < before]
-    answer = next(iter([*proven, *fair, best]))
+    answer = [*proven, *fair, best][0]
     return answer, scheme if answer is best else finer, found[0].fit if found and answer is best else best.fit
 
 
@@ -229,7 +229,7 @@ def _last(
     )
 
 
-def _finished(last: Problem, problem: Problem, best: Candidate, physical: bool) -> Candidate | None:
+def _finished(last: Problem, problem: Problem, best: Candidate) -> Candidate | None:
     """The answer of a problem taken to its minimum on the last one; None where it runs away there."""
     if last.pieces:
         starts = last.placed(last.adaptation, best.fit)
@@ -246,7 +246,7 @@ def _finished(last: Problem, problem: Problem, best: Candidate, physical: bool) 
     )
     if not np.isfinite(fit.cost):
         return None
-    return last.converged(fit if physical else last.pruned(fit))
+    return last.converged(fit if last.fitter.held else last.pruned(fit))
 
 
 def _refined(search: Search, generation: Sequence[Candidate], most: int) -> list[Candidate]:

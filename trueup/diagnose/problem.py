@@ -300,9 +300,7 @@ class Problem:
         effect, memories = kind(key[0]), self.fitter.block.memories
         scale = self.fitter.unit(key[0], effect.memory[effect.states.index(key[1])])
         offsets = np.array([start.memory.get(key, 0.0), *(past * scale for past in PASTS)])
-        p = np.repeat(fit.values[:, None], BLOCK, axis=1)
-        for other in start.memory.keys() - {key}:
-            p[memories[other]] += start.memory[other]
+        p = self.fitter.repeated(fit.values, replace(start, memory={k: x for k, x in start.memory.items() if k != key}))
         p[memories[key], : len(offsets)] += offsets
         out = roll(s, self.fitter.form, p, switches(fit.hypothesis, self.fitter.joints), np.repeat(s.begin[:, :, None], BLOCK, axis=2))
         counted = s.usable & (s.window_of >= 0)[:, None]
@@ -337,9 +335,7 @@ class Problem:
 
 def trajectory(fitter: Fitter, fit: RolloutFit, s: Series) -> np.ndarray:
     """What a fit says was observed, `(samples, 2 x joints)`, from the starts that were estimated for it."""
-    p = np.repeat(fit.values[:, None], BLOCK, axis=1)
-    for key, value in fit.starts[s.digest].memory.items():
-        p[fitter.block.memories[key]] += value
+    p = fitter.repeated(fit.values, fit.starts[s.digest])
     init = np.repeat(fit.starts[s.digest].windows[:, :, None], BLOCK, axis=2)
     return np.asarray(roll(s, fitter.form, p, switches(fit.hypothesis, fitter.joints), init)[:, :, 0])
 

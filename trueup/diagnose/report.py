@@ -16,7 +16,7 @@ from trueup.diagnose.probe import Experiment
 from trueup.diagnose.problem import Candidate
 from trueup.diagnose.search import Search
 from trueup.episode.episode import Episode
-from trueup.fit.rollout_fit import RolloutFit
+from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import joint, kind
 from trueup.model.block import term as term_at
 from trueup.model.effect import effects
@@ -26,7 +26,6 @@ from trueup.model.plant import Plant
 SCHEMA = "trueup.diagnosis/1"
 LISTED = 25  # hypotheses in the evidence
 COMMAND_FILE = "next_experiment.csv"
-NORMAL_95 = 1.96  # standard errors
 
 
 def report(
@@ -149,7 +148,7 @@ def _hypotheses(plant: Plant, search: Search, choice: Choice, nominal: RolloutFi
 def _row(plant: Plant, c: Candidate, winner: Candidate, *, in_set: bool) -> Json:
     """One composition; `worse_ci95` is by how much its misfit on validation episodes exceeds the answer's, from window to window."""
     worse = c.check.costs - winner.check.costs
-    half = NORMAL_95 * float(np.sqrt(len(worse) * np.var(worse))) / c.check.samples
+    half = TWO_SIDED * float(np.sqrt(len(worse) * np.var(worse))) / c.check.samples
     return {
         "effects": [told(plant, t) for t in c.hypothesis.effects],
         "parameters": "fitted",

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,21 +183,18 @@ def _rested(
     """Of each episode what its windows start from at rest: from the first of some beginnings, from the next where that cost more than
     before, and from what lies around the best.
     """
-    best: RolloutFit | None = None
-    for starts in beginnings:
-        if best is None or best.cost > cost:
-            best = _better(best, fitter.started(data, fit.hypothesis, values, starts, STARTS, SETTLED, fine=True))
-    assert best is not None
+    at_rest = partial(fitter.started, data, fit.hypothesis, values, iterations=STARTS, tolerance=SETTLED, fine=True)
+    best = at_rest(starts=beginnings[0])
+    for starts in beginnings[1:]:
+        best = _better(best, at_rest(starts=starts)) if best.cost > cost else best
     around = fitter.scattered(data, fit.hypothesis, values, best.starts)
     if any((around[key].windows != best.starts[key].windows).any() for key in around):
-        best = _better(best, fitter.started(data, fit.hypothesis, values, around, STARTS, SETTLED, fine=True))
+        best = _better(best, at_rest(starts=around))
     return dict(best.starts)
 
 
-def _better(one: RolloutFit | None, other: RolloutFit) -> RolloutFit:
+def _better(one: RolloutFit, other: RolloutFit) -> RolloutFit:
     """Of each episode the starts that cost less."""
-    if one is None:
-        return other
     ours, its = one.by_episode, other.by_episode
     starts = {key: (one if ours[key] <= its[key] else other).starts[key] for key in one.starts}
     return replace(one, starts=starts, cost=sum(min(ours[key], its[key]) for key in starts))

@@ -401,6 +401,13 @@ class Fitter:
         begun = {s.digest: np.where(hidden, s.begin_by_positions, s.begin) for s in data}
         return {key: replace(start, windows=np.where(seen, begun[key], start.windows)) for key, start in given.items()}
 
+    def repeated(self, values: Array, start: Start) -> Array:
+        """A block of lanes `(rows, BLOCK)` that all hold the same numbers and what hidden states began with."""
+        p = np.repeat(values[:, None], BLOCK, axis=1)
+        for key, value in start.memory.items():
+            p[self.block.memories[key]] += value
+        return p
+
     def scattered(self, data: Sequence[Series], hypothesis: Hypothesis, values: Array, starts: Mapping[str, Start]) -> dict[str, Start]:
         """Of each window of one joint the best of starts around its own, one in each lane: descent of a start ends in the nearest valley.
 
@@ -419,9 +426,7 @@ class Fitter:
         found = {}
         for s in data:
             start = starts[s.digest]
-            p = np.repeat(values[:, None], BLOCK, axis=1)
-            for key, value in start.memory.items():
-                p[self.block.memories[key]] += value
+            p = self.repeated(values, start)
             init = start.windows[:, :, None] + lanes.T
             out = roll(s, self.form, p, switches(hypothesis, self.joints), init, starts=BLOCK - 1)
             with np.errstate(over="ignore", invalid="ignore"):
