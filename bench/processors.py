@@ -1,8 +1,8 @@
 """The same recordings diagnosed as ten kinds of processor would: kernels of linear algebra, threads, vector instructions, compiled code.
 
 Each kind is a child process with an environment of its own, two at a time; the first is this machine as it is, and the others' reports are
-held against its. `CASES` names case folders, `examples/emps` and `examples/so101` without; `VARIANTS` a part of the kinds, by numbers; `PUBLISH=1`
-keeps the table for the pages.
+held against its. `CASES` names case folders, `examples/emps` and `examples/so101` without; `VARIANTS` a part of the kinds, by numbers;
+`PUBLISH=1` keeps the table for the pages.
 """
 
 from __future__ import annotations
