@@ -19,6 +19,7 @@ from bench.report import Figure, publish, show
 from tests.support.simulated import episodes_of, plant_of
 from trueup.blindtrial.tally import Answer, judge
 from trueup.diagnose.diagnosis import diagnose
+from trueup.fit.rollout_fit import warm
 from trueup.simulate.noise import Noise
 from trueup.simulate.trial import CATALOGUE, draw, draw_bench
 
@@ -54,7 +55,7 @@ class Row:
 def main() -> None:
     names = [*([n] for n in CATALOGUE if n not in COUNTED), *([] for _ in range(NONE))]
     wanted = [(law, i, n) for law in LAWS for i, n in enumerate(names) if i % EVERY == 0]
-    with ProcessPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ProcessPoolExecutor(len(os.sched_getaffinity(0)), initializer=warm) as pool:  # compiling is no row's
         rows = []
         for row in pool.map(_row, *zip(*wanted, strict=True)):
             rows.append(row)
