@@ -95,17 +95,21 @@ def verify(
     as_json_: Json = False,
 ) -> None:
     """Hold the service against its log: every entry, every row, every byte, every decision; exit 4 with a list if anything differs."""
+    from trueup.ledger.gate_lines import GateLines
     from trueup.ledger.verification import verify as hold
 
     client, witness = seen(url)
     with progress("verifying") as bar:
-        found = hold(_Service(client, witness), lambda share, stage: bar(0.5 * share if replays else share, stage), _Labels())
+        labels, lines = _Labels(), GateLines()
+        looks = lambda entry: [*labels(entry), *lines(entry)]  # noqa: E731
+        found = hold(_Service(client, witness), lambda share, stage: bar(0.5 * share if replays else share, stage), looks)
         wrong = [(f.where, f.what) for f in found.findings]
         for count, decision in enumerate(found.decisions if replays and not wrong else [], 1):
             bar(0.5 + 0.5 * count / len(found.decisions), f"replaying decision {decision[:12]}")
             wrong += [(f"decisions/{decision}", difference) for difference in _replayed(client, decision)]
     if as_json_:
-        as_json({"entries": found.size, "root": found.root.hex(), "rows": found.rows, "bytes": found.bytes, "findings": wrong})
+        whole = {"entries": found.size, "root": found.root.hex(), "rows": found.rows, "bytes": found.bytes}
+        as_json({**whole, "findings": wrong, "notes": lines.notes})
     elif wrong:
         table("", ["where", "what does not agree"], wrong)
     else:
@@ -115,6 +119,10 @@ def verify(
             f"{found.bytes / 1e6:.1f} MB of episodes and artifacts{replayed}",
             soft_wrap=True,
         )
+    if lines.notes and not as_json_:
+        out.print("[bold]to be known[/]: what was decided knowing what")
+        for note in lines.notes:
+            out.print(f"  {escape(note)}", soft_wrap=True)
     if wrong:
         _disagree(f"{len(wrong)} things are not as the log says")
 
@@ -258,6 +266,8 @@ def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path
 
 
 def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: list[str]) -> None:
+    from trueup.gate.line import disclosure
+
     pairs = zip(recorded["verdicts"], recomputed["verdicts"], strict=True)
     table(
         "",
@@ -266,4 +276,7 @@ def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: lis
     )
     out.print(
         "[bold green]agrees[/]: every figure and the verdict" if not differences else "[bold red]disagrees[/]\n" + "\n".join(differences)
+    )
+    out.print(
+        escape(disclosure(recorded) or "It does not tell what was known when its gate was declared: trueup audit verify works it out.")
     )

@@ -162,7 +162,7 @@ def _promote_and_predict(client: Client, case: Case, decision: Decision) -> None
     _say(6, "A gate must be able to reject: judge the weaker candidate against the new incumbent")
     weaker = client.version(case.name, 2)["digest"]
     judged = run_job(client, case.name, {"kind": "gate", "candidate": weaker, "gate": decision["gate"]}, "judge")
-    show_decision(client.decision(case.name, result_of(judged)["decision"]), client.gate(case.name, decision["gate"]))
+    show_decision(client.decision(case.name, result_of(judged)["decision"]), client.gate_in_line(case.name, decision["gate"]))
 
 
 def _held_out(client: Client, case: Case, predictor: Predictor) -> list[Episode]:

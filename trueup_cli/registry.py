@@ -11,12 +11,13 @@ from cyclopts import Parameter
 from rich.markup import escape
 
 from trueup.errors import BadGate, NotAnEpisode
+from trueup.gate.line import budget_of
 from trueup_cli.digests import whole
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Seed, Url, connect, read_json
 from trueup_cli.show import Bar, answer, as_json, moment, out, progress, table
 from trueup_client import Client
 from trueup_client.problem import Problem
-from trueup_client.records import Decision, Gate, JobWithReads
+from trueup_client.records import Decision, GateInLine, JobWithReads
 
 SENDING = 0.9  # share of the bar for sending; the rest is the service's inspection
 
@@ -103,14 +104,22 @@ def gate(
     plant: PlantName,
     candidate: str,
     *,
-    rules: Annotated[Path | None, Parameter(help="Gate as JSON; the default gate if none is given")] = None,
+    rules: Annotated[
+        Path | None, Parameter(help="Gate as JSON; the plant's gate in force if none is given, or where there is none the default")
+    ] = None,
+    because: Annotated[str | None, Parameter(help="Why these rules take the place of the gate in force")] = None,
+    vacuous: Annotated[bool, Parameter(negative=(), help="Declare it though it cannot reject; takes --because")] = False,
+    scales: Annotated[
+        bool, Parameter(negative=(), help="Also say how the verdict moves when each channel's reporting scale is halved and doubled")
+    ] = False,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
     """Declare a gate, then judge a candidate by it against what serves.
 
     The default gate asks for rollouts below 0.98 of the incumbent's error and for one step no worse, over every window of the plant's
-    horizon in every held-out episode.
+    horizon in every held-out episode. Once a candidate has been judged, other rules take --because, and every decision by them tells what
+    was known.
 
     Parameters
     ----------
@@ -118,10 +127,66 @@ def gate(
         digest of the artifact, or its first digits
     """
     client = connect(url)
-    declared = client.declare_gate(plant, read_json(rules, BadGate) if rules else None)
-    request = {"kind": "gate", "candidate": whole_artifact(client, plant, candidate), "gate": declared["digest"]}
-    decision = client.decision(plant, result_of(run_job(client, plant, request, "judge"))["decision"])
-    as_json(decision) if as_json_ else show_decision(decision, declared)
+    document = None if rules is None else read_json(rules, BadGate)
+    declared = client.declare_gate(plant, None if document is None else _in_line(client, plant, document, because, vacuous=vacuous))
+    request = {
+        "kind": "gate",
+        "candidate": whole_artifact(client, plant, candidate),
+        "gate": declared["digest"],
+        **({"scales": True} if scales else {}),
+    }
+    result = result_of(run_job(client, plant, request, "judge"))
+    decision = client.decision(plant, result["decision"])
+    if as_json_:
+        as_json({**decision, "scales": result["scales"]} if scales else decision)
+        return
+    show_decision(decision, client.gate_in_line(plant, declared["digest"]))
+    if scales:
+        _show_scales(decision, result["scales"])
+
+
+def _in_line(client: Client, plant: str, document: Any, because: str | None, *, vacuous: bool) -> Any:
+    """A gate as it is declared: what is in force already stays, other rules follow it with their reason."""
+    if not isinstance(document, dict):
+        return document
+    given = {**document, **({"vacuous": True} if vacuous else {})}
+    try:
+        in_force: GateInLine | None = client.gate_in_force(plant)
+    except Problem as problem:
+        if problem.code != "not-found":
+            raise
+        in_force = None
+    if in_force is not None and _rules_of(in_force["document"]) == _rules_of(given):
+        return in_force["document"]
+    if because is None:
+        return given
+    follows = {"follows": in_force["digest"]} if in_force is not None else {}
+    return {**follows, **given, "because": because}
+
+
+def _rules_of(document: dict[str, Any]) -> dict[str, Any]:
+    """A gate without its place in the line."""
+    return {name: value for name, value in document.items() if name not in ("follows", "because")}
+
+
+def _show_scales(decision: Decision, found: list[dict[str, Any]]) -> None:
+    """Print how the verdict hangs on each channel's reporting scale."""
+    moved = [f["channel"] for f in found if f["accepted"] != decision["accepted"]]
+    table(
+        "With each reporting scale halved and doubled",
+        ["channel", "scale", "accepted", *(v["rule"] for v in decision["document"]["verdicts"])],
+        [(f["channel"], f"× {f['factor']:g}", f["accepted"], *(_ratio(v) for v in f["verdicts"])) for f in found],
+    )
+    word = f"the verdict hangs on the scale of {' and '.join(dict.fromkeys(moved))}" if moved else "no scale moves the verdict"
+    out.print(escape(word), soft_wrap=True)
+
+
+def _ratio(verdict: dict[str, Any]) -> str:
+    """A candidate's error over the incumbent's, with its interval."""
+    if verdict.get("ratio") is None:
+        return ""
+    interval = verdict["ci95"]
+    return f"{verdict['ratio']:.3g}" if interval is None else f"{verdict['ratio']:.3g} [{interval[0]:.3g}, {interval[1]:.3g}]"
 
 
 def versions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -167,8 +232,8 @@ def result_of(job: JobWithReads) -> dict[str, Any]:
     return job["result"] or {}
 
 
-def show_decision(decision: Decision, gate: Gate) -> None:
-    """Print a decision with every verdict, and what it was judged on."""
+def show_decision(decision: Decision, gate: GateInLine) -> None:
+    """Print a decision with every verdict, what it was judged on, and what was known when its gate was declared."""
     word = "[bold green]accepted[/]" if decision["accepted"] else "[bold red]rejected[/]"
     out.print(f"{word}: decision [bold]{decision['digest']}[/] at generation {decision['generation']}", soft_wrap=True)
     scoring, episodes = gate["document"]["scoring"], len(decision["document"]["episodes"])
@@ -180,6 +245,23 @@ def show_decision(decision: Decision, gate: Gate) -> None:
     )
     table(
         "",
-        ["rule", "passed", "value", "threshold"],
-        [(v["rule"], v["passed"], v["value"], v["threshold"]) for v in decision["document"]["verdicts"]],
+        ["rule", "passed", "value", "threshold", "ratio [95 %]"],
+        [(v["rule"], v["passed"], v["value"], v["threshold"], _ratio(v)) for v in decision["document"]["verdicts"]],
     )
+    uses = decision["document"].get("uses")
+    if uses:
+        out.print(f"[dim]held-out episodes used {_span(uses)} of {budget_of(gate['document'])} times[/]", soft_wrap=True)
+    if decision["disclosure"]:
+        out.print(escape(decision["disclosure"]), soft_wrap=True)
+    if gate["looser"]:
+        because = gate["document"].get("because")
+        out.print(
+            escape(
+                f"It is looser than the gate before it{'' if because is None else f', because “{because}”'}: {'; '.join(gate['looser'])}."
+            ),
+            soft_wrap=True,
+        )
+
+
+def _span(uses: list[int]) -> str:
+    return f"{min(uses)}" if min(uses) == max(uses) else f"{min(uses)} to {max(uses)}"

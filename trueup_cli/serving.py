@@ -78,8 +78,15 @@ def _decision(client: Client, plant: str, given: str) -> str:
     return whole(given, known, "decision", f"trueup decisions {plant}")
 
 
-def approve(plant: PlantName, decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Approve a decision for promotion by somebody else, where the plant's policy takes two people.
+def approve(
+    plant: PlantName,
+    decision: str,
+    *,
+    because: Annotated[str | None, Parameter(help="Why; a candidate that was rejected before takes a reason")] = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
+    """Approve a decision for promotion by somebody else, where it takes two people.
 
     Parameters
     ----------
@@ -87,11 +94,11 @@ def approve(plant: PlantName, decision: str, *, url: Url = DEFAULT_URL, as_json_
         digest of the decision, or its first digits
     """
     client = witnessed(url)
-    found = client.approve(plant, _decision(client, plant, decision))
+    found = client.approve(plant, _decision(client, plant, decision), because)
     if as_json_:
         as_json(found)
     else:
-        out.print(f"approved by {found['actor']}; another token may promote it", markup=False)
+        out.print(f"approved by {found['actor']}; somebody else may promote it", markup=False)
 
 
 def rollback(plant: PlantName, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:

@@ -31,6 +31,7 @@ from trueup_client.records import (
     EpisodeContext,
     Evidence,
     Gate,
+    GateInLine,
     Identity,
     IssuedToken,
     Job,
@@ -125,8 +126,23 @@ class AsyncClient:
         return await self._pool.run(Client.fetch, plant, digest, folder)
 
     async def declare_gate(self, plant: str, document: Document | None = None) -> Gate:
-        """Declare a gate before anything is scored by it; the default one without a document."""
+        """Declare a gate before anything is scored by it; without a document the one in force, or where there is none the default.
+
+        Once a candidate was judged, another gate names the one in force in `follows` and says why in `because`.
+        """
         return await self._pool.run(Client.declare_gate, plant, document)
+
+    async def gate_in_force(self, plant: str) -> GateInLine:
+        """The gate that judges, and what is looser in it than in the one before."""
+        return await self._pool.run(Client.gate_in_force, plant)
+
+    async def gate_in_line(self, plant: str, digest: str) -> GateInLine:
+        """A gate, whether it is in force, and what is looser in it than in the one before."""
+        return await self._pool.run(Client.gate_in_line, plant, digest)
+
+    def gates(self, plant: str) -> AsyncIterator[Gate]:
+        """Every gate of a plant, by digest."""
+        return self._pool.each(Client.gates, plant)
 
     async def gate(self, plant: str, digest: str) -> Gate:
         return await self._pool.run(Client.gate, plant, digest)
@@ -158,9 +174,9 @@ class AsyncClient:
     async def decision(self, plant: str, digest: str) -> Decision:
         return await self._pool.run(Client.decision, plant, digest)
 
-    async def approve(self, plant: str, decision: str) -> Approval:
-        """Approve a decision, where a promotion takes two people: this client's token, and that of whoever promotes."""
-        return await self._pool.run(Client.approve, plant, decision)
+    async def approve(self, plant: str, decision: str, because: str | None = None) -> Approval:
+        """Approve a decision, where a promotion takes two people; of a candidate that was rejected before it takes a reason."""
+        return await self._pool.run(Client.approve, plant, decision, because)
 
     async def find_decision(self, digest: str) -> Decision:
         """A decision of whichever plant."""

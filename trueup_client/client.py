@@ -30,6 +30,7 @@ from trueup_client.records import (
     EpisodeContext,
     Evidence,
     Gate,
+    GateInLine,
     Identity,
     IssuedToken,
     Job,
@@ -184,8 +185,23 @@ class Client:
         return to
 
     def declare_gate(self, plant: str, document: Document | None = None) -> Gate:
-        """Declare a gate before anything is scored by it; the default one without a document."""
+        """Declare a gate before anything is scored by it; without a document the one in force, or where there is none the default.
+
+        Once a candidate was judged, another gate names the one in force in `follows` and says why in `because`.
+        """
         return self._post(f"/v1/plants/{_name(plant)}/gates", document)
+
+    def gate_in_force(self, plant: str) -> GateInLine:
+        """The gate that judges, and what is looser in it than in the one before."""
+        return self._get(f"/v1/plants/{_name(plant)}/gate")
+
+    def gate_in_line(self, plant: str, digest: str) -> GateInLine:
+        """A gate, whether it is in force, and what is looser in it than in the one before."""
+        return self._get(f"/v1/plants/{_name(plant)}/gates/{_name(digest)}/line")
+
+    def gates(self, plant: str) -> Iterator[Gate]:
+        """Every gate of a plant, by digest."""
+        return self._pages(f"/v1/plants/{_name(plant)}/gates", "after")
 
     def gate(self, plant: str, digest: str) -> Gate:
         return self._get(f"/v1/plants/{_name(plant)}/gates/{_name(digest)}")
@@ -230,9 +246,10 @@ class Client:
     def decision(self, plant: str, digest: str) -> Decision:
         return self._get(f"/v1/plants/{_name(plant)}/decisions/{_name(digest)}")
 
-    def approve(self, plant: str, decision: str) -> Approval:
-        """Approve a decision, where a promotion takes two people: this client's token, and that of whoever promotes."""
-        return self._post(f"/v1/plants/{_name(plant)}/decisions/{_name(decision)}/approvals", None)
+    def approve(self, plant: str, decision: str, because: str | None = None) -> Approval:
+        """Approve a decision, where a promotion takes two people; of a candidate that was rejected before it takes a reason."""
+        given = None if because is None else {"because": because}
+        return self._post(f"/v1/plants/{_name(plant)}/decisions/{_name(decision)}/approvals", given)
 
     def find_decision(self, digest: str) -> Decision:
         """A decision of whichever plant."""

@@ -73,13 +73,26 @@ class Artifact(TypedDict):
 
 
 class Gate(TypedDict):
-    """Gate, as the service keeps it."""
+    """A gate. A plant's last one judges; its document names the one that it follows, and why."""
 
     plant: str
     digest: str
     document: Document
     created_at: str
     created_by: str
+
+
+class GateInLine(TypedDict):
+    """A gate in its plant's line, in force or not, and what is looser in it than in the one before, in words."""
+
+    plant: str
+    digest: str
+    document: Document
+    created_at: str
+    created_by: str
+    in_force: bool
+    follows: str | None
+    looser: list[str]
 
 
 class Output(TypedDict):
@@ -143,6 +156,7 @@ class Decision(TypedDict):
     job: str | None
     created_at: str
     created_by: str
+    disclosure: str | None
 
 
 class Approval(TypedDict):
@@ -153,6 +167,7 @@ class Approval(TypedDict):
     token: str
     at: str
     actor: str
+    because: str | None
 
 
 class Evidence(TypedDict):

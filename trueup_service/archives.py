@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import orjson
 from sqlalchemy import Table
 
 from trueup.canonical import Json
@@ -38,7 +39,7 @@ from trueup_service.errors import Conflict, NotEmpty, NotWhole
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ImportRecord
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.store import Reader, Writer, writing
 from trueup_service.signed_log import SignedLog
 from trueup_service.wiring import Parts
 
@@ -162,10 +163,17 @@ def import_plant(parts: Parts, archive: Archive, project: str | None, stamp: Sta
             for row in archive.rows(table.name):
                 if must_be_named(table.name, row):
                     writer.add_row(table, {**row, "project": project} if table is t.plants else row)
+                    _note_uses(writer, table, row)
         writer.add_import(ImportRecord(plant, archive.digest, note.split("\n", 1)[0], note, entries, stamp.now, stamp.actor))
         facts: dict[str, Json] = {"archive": archive.digest, "checkpoint": note, "key": str(archive.config["key"]), "entries": entries}
         writer.append_audit(at=stamp.now, kind="plant:imported", actor=stamp.actor, plant=plant, subject=archive.digest, facts=facts)
     return plant
+
+
+def _note_uses(writer: Writer, table: Table, row: Mapping[str, Any]) -> None:
+    """What a gate has judged on elsewhere counts here, too."""
+    if table is t.jobs and row["kind"] == "gate":
+        writer.add_reads(str(row["id"]), orjson.loads(row["request"])["episodes"], "gate")
 
 
 def _take_blobs(parts: Parts, archive: Archive, told: Told) -> None:

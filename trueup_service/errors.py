@@ -54,6 +54,33 @@ class HeldOutSpent(TrueupError):
     hint = "Record a fresh episode with the role validation: whoever chooses by the same one again and again fits to it."
 
 
+class GateFollows(TrueupError):
+    """Candidates of this plant have been scored already: another gate names the one that it follows, and says why."""
+
+    code = "gate-follows"
+    hint = (
+        "Judge by the gate that is in force, or declare this one with its digest in `follows` and a reason in `because` "
+        "(the command: --because REASON). Every decision by it will tell what was known."
+    )
+
+
+class GateSuperseded(TrueupError):
+    """Another gate has been declared since: the last one of a plant judges."""
+
+    code = "gate-superseded"
+    hint = "Judge by the gate in force (GET /v1/plants/PLANT/gate), or declare these rules again as what follows it."
+
+
+class RejectedBefore(TrueupError):
+    """The candidate was rejected before, and nothing fresh speaks for it."""
+
+    code = "rejected-before"
+    hint = (
+        "Record held-out episodes after the gate was declared and after the rejection, and judge on those alone; "
+        "or let somebody else approve the decision with a reason: `trueup approve PLANT DECISION --because REASON`."
+    )
+
+
 class EvidenceMissing(TrueupError):
     """The channel requires evidence that the artifact has not."""
 
@@ -131,7 +158,7 @@ class ApprovalMissing(TrueupError):
     """The plant's policy takes more people for a promotion."""
 
     code = "approval-missing"
-    hint = "Somebody with another token must approve it first: `trueup approve PLANT DECISION`."
+    hint = "Somebody else must approve it first, with a token of their own name: `trueup approve PLANT DECISION`."
 
 
 class Unauthenticated(TrueupError):

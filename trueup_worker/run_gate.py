@@ -11,11 +11,12 @@ from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.gate.decision import Gate
 from trueup.gate.evidence import Evidence
-from trueup.gate.judge import judge, run_trial
+from trueup.gate.judge import judge, run_trial, sensitivity
 from trueup.gate.rule import rules
 from trueup.model.predictor import Predictor
 from trueup_service.actions import find
 from trueup_service.actions.add_evidence import add_evidence
+from trueup_service.actions.gate_line import known_at
 from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.actions.switchback import rehearse
@@ -32,14 +33,21 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     request: dict[str, Any] = job.request
     plant = read_plant(parts, job)
     with parts.database.read() as connection:
-        gate = Gate.from_document(find.gate(Reader(connection), job.plant, request["gate"]).document)
-    candidate, incumbent = (read_predictor(parts, job, request[which]) for which in ("candidate", "incumbent"))
+        declared = find.gate(Reader(connection), job.plant, request["gate"])
+        known = request.get("known") or known_at(Reader(connection), job.plant, declared, request["candidate"], request["episodes"])
+    gate = Gate.from_document(declared.document)
+    candidate, incumbent, copy = (read_predictor(parts, job, request[which]) for which in ("candidate", "incumbent", "incumbent"))
     episodes = read_episodes(parts, job, plant, HELD_OUT, progress.stage("reading episodes", 0.0, 0.4))
-    trial = run_trial(gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0))
-    decision = judge(
-        gate, trial, plant=plant.digest, candidate=request["candidate"], incumbent=request["incumbent"], generation=request["generation"]
-    )
-    return {"decision": decision.document(), "rehearsed": _rehearsed(parts, job, episodes, gate, candidate) if decision.accepted else {}}
+    run = run_trial(gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0), copy)
+    named = {name: request[name] for name in ("candidate", "incumbent", "generation")}
+    decision = judge(gate, run.trial, plant=plant.digest, controls=run.controls, known=known, uses=request.get("uses", ()), **named)
+    outcome: dict[str, Json] = {
+        "decision": decision.document(),
+        "rehearsed": _rehearsed(parts, job, episodes, gate, candidate) if decision.accepted else {},
+    }
+    if not request.get("scales"):
+        return outcome
+    return {**outcome, "scales": sensitivity(gate, run, plant.scales, [c.name for c in plant.layout.observations])}
 
 
 def _rehearsed(parts: Parts, job: JobRecord, episodes: Sequence[Episode], gate: Gate, candidate: Predictor) -> dict[str, Json]:
@@ -76,4 +84,5 @@ def _evidence(decision: dict[str, Any], driven: dict[str, Any]) -> dict[str, Any
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
     """What the job answers with."""
-    return {"decision": digest_of(outcome["decision"]), "accepted": outcome["decision"]["accepted"]}
+    scales = {"scales": outcome["scales"]} if "scales" in outcome else {}
+    return {"decision": digest_of(outcome["decision"]), "accepted": outcome["decision"]["accepted"], **scales}

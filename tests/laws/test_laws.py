@@ -223,7 +223,32 @@ class _Stubborn(Rule):
         return Verdict(self.name, False, 0.0, 0.0, "1", "")
 
 
-@pytest.mark.parametrize(("law", "rule"), list(zip(rule_laws.LAWS, (_Moody, _Credulous, _Perverse, _Stubborn), strict=True)))
+@dataclass
+class _Inverted(Rule):
+    slack: float = 1.0
+    require: str = "mean"
+    name = "inverted"
+
+    def __call__(self, trial):
+        return Verdict(
+            self.name, bool(self.slack * np.mean(trial.candidate.rollout) <= np.mean(trial.incumbent.rollout)), 0.0, 0.0, "1", ""
+        )
+
+
+@dataclass
+class _Bluffing(Rule):
+    slack: float = 1.0
+    require: str = "mean"
+    name = "bluffing"
+
+    def __call__(self, trial):
+        return Verdict(self.name, self.require == "bound", 0.0, 0.0, "1", "")
+
+
+FAULTY_RULES = (_Moody, _Credulous, _Perverse, _Stubborn, _Inverted, _Bluffing)
+
+
+@pytest.mark.parametrize(("law", "rule"), list(zip(rule_laws.LAWS, FAULTY_RULES, strict=True)))
 def test_a_planted_fault_in_a_rule_is_caught(law, rule):
     with pytest.raises(LawBroken):
         law(rule())

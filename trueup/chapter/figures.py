@@ -206,7 +206,7 @@ def _gate(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
     nominal = predictors["nominal"]
     rows: dict[str, dict[str, Value]] = {}
     for name, candidate in (("A", predictors["residual"]), ("B", fit_residual(PLANT, [data.mismatched])[0])):
-        trial = run_trial(gate, candidate, nominal, [data.validation])
+        trial = run_trial(gate, candidate, nominal, [data.validation]).trial
         decision = judge(gate, trial, plant=PLANT.digest, candidate=name, incumbent="nominal", generation=0)
         rows["nominal"] = {
             "one-step": float(trial.incumbent.one_step[0]),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields, replace
 
 import numpy as np
 
 from trueup.checks.law import require
 from trueup.control.closed_loop import Tracking
 from trueup.fit.score import Score
-from trueup.gate.rule import Rule, Trial
+from trueup.gate.rule import BOUND, Rule, Trial
 
 EPISODES, TRIALS = 4, 60
 
@@ -64,9 +65,29 @@ def it_can_refuse_and_it_can_pass(rule: Rule) -> None:
     require(not rule(_trial(far, trial.incumbent, trial.episodes)).passed, "it can refuse", rule.name)
 
 
+def a_larger_bound_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
+    """What is looser is known by its number: bounds are compared when one gate follows another."""
+    bound = next(f.name for f in fields(rule))  # type: ignore[arg-type]
+    larger = replace(rule, **{bound: 1.5 * getattr(rule, bound)})  # type: ignore[type-var]
+    for trial in _trials():
+        kept = not rule(trial).passed or larger(trial).passed
+        require(kept, "a larger bound never turns a pass into a refusal", rule.name)
+
+
+def requiring_the_bound_is_stricter(rule: Rule) -> None:
+    """What passes at the bound of its interval passes at the mean, and says what its interval was."""
+    strict = replace(rule, require=BOUND)  # type: ignore[type-var]
+    for trial in _trials():
+        at_bound = strict(trial)
+        require(not at_bound.passed or rule(trial).passed, "requiring the bound is stricter", rule.name)
+        require(not at_bound.passed or at_bound.ci95 is not None, "requiring the bound is stricter", rule.name)
+
+
 LAWS = (
     the_same_trial_gives_the_same_verdict,
     what_is_no_number_never_passes,
     a_smaller_error_never_turns_a_pass_into_a_refusal,
     it_can_refuse_and_it_can_pass,
+    a_larger_bound_never_turns_a_pass_into_a_refusal,
+    requiring_the_bound_is_stricter,
 )

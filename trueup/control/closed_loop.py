@@ -77,14 +77,18 @@ class Tracking:
     breaches: tuple[float, float]
     amplitude: tuple[float, ...]
 
-    def document(self) -> dict[str, Json]:
-        """Both means, the paired difference with a bootstrap interval, relative to the incumbent's, breaches, and what this can show."""
+    def change_ci95(self) -> tuple[float, float] | None:
+        """The bootstrap interval of the paired difference over runs, relative to the incumbent's mean; None where runs ran away."""
         rng = np.random.default_rng(0)
         drawn = rng.integers(0, len(self.candidate), (RESAMPLES, len(self.candidate)))
-        base = max(float(self.incumbent.mean()), 1e-300)
-        with np.errstate(invalid="ignore"):  # runs that ran away
-            change = (self.candidate - self.incumbent)[drawn].mean(axis=1) / base
+        with np.errstate(invalid="ignore"):
+            change = (self.candidate - self.incumbent)[drawn].mean(axis=1) / max(float(self.incumbent.mean()), 1e-300)
             low, high = (float(np.quantile(change, q)) for q in (0.025, 0.975))
+        return (low, high) if isfinite(low) and isfinite(high) else None
+
+    def document(self) -> dict[str, Json]:
+        """Both means, the paired difference with a bootstrap interval, relative to the incumbent's, breaches, and what this can show."""
+        base = max(float(self.incumbent.mean()), 1e-300)
         numbers = {
             "candidate": float(self.candidate.mean()),
             "incumbent": float(self.incumbent.mean()),
@@ -96,7 +100,7 @@ class Tracking:
             "runs": len(self.candidate),
             "amplitude": self.amplitude[0] if len(self.amplitude) == 1 else list(self.amplitude),
             **told,
-            "change_ci95": [low, high] if isfinite(low) and isfinite(high) else None,
+            "change_ci95": None if (change := self.change_ci95()) is None else list(change),
             "breaches": {"candidate": self.breaches[0], "incumbent": self.breaches[1]},
             "shows": "what either model does to the fixed planner on the machine as it was diagnosed",
             "cannot_show": CANNOT,

@@ -33,32 +33,75 @@ class Scoring:
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
-    """Errors of one predictor: per episode the mean over a rollout, and the error of its first step, `(episodes,)` each."""
+class Windowed:
+    """Errors of one episode by window: the mean over a rollout and the error of its first step, and how many samples were predicted,
+    `(windows,)` each.
+    """
 
     rollout: Array
     one_step: Array
+    samples: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Errors of one predictor: per episode the mean over a rollout, and the error of its first step, `(episodes,)` each.
+
+    `windows` are the same by window, where they are known.
+    """
+
+    rollout: Array
+    one_step: Array
+    windows: tuple[Windowed, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Missed:
+    """What was predicted minus what was observed, `(windows, samples, channels)` in the channels' own units; where `inside` the window."""
+
+    by: Array
+    inside: NDArray[np.bool_]
 
 
 def score(predictor: Predictor, episodes: Sequence[Episode], scoring: Scoring) -> Score:
     """Dimensionless errors: at each predicted sample the norm over channels of (predicted - observed) / declared scale."""
-    pairs = [_score_one(predictor, e, scoring) for e in episodes]
-    return Score(np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs]))
+    return score_of([missed(predictor, e, scoring) for e in episodes], predictor.plant.scales)
 
 
-def _score_one(predictor: Predictor, episode: Episode, scoring: Scoring) -> tuple[float, float]:
-    errors, inside = rollout_errors(predictor, episode, scoring)
-    return float(errors[:, 1:][inside[:, 1:]].mean()), float(errors[:, 1][inside[:, 1]].mean())
+def score_of(missed: Sequence[Missed], scales: Array) -> Score:
+    """The score of what was missed in each episode, with these reporting scales `(channels,)`."""
+    pairs = [_score_one(m, scales) for m in missed]
+    return Score(np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs]), tuple(p[2] for p in pairs))
+
+
+def _score_one(missed: Missed, scales: Array) -> tuple[float, float, Windowed]:
+    errors, inside = _norms(missed, scales), missed.inside
+    counts = inside[:, 1:].sum(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        means = np.where(inside[:, 1:], errors[:, 1:], 0.0).sum(axis=1) / counts
+    windowed = Windowed(means, errors[:, 1], counts.astype(np.float64))
+    return float(errors[:, 1:][inside[:, 1:]].mean()), float(errors[:, 1][inside[:, 1]].mean()), windowed
 
 
 def rollout_errors(predictor: Predictor, episode: Episode, scoring: Scoring) -> tuple[Array, NDArray[np.bool_]]:
     """The error at each sample of each window, `(windows, samples)`, and which of them count."""
+    found = missed(predictor, episode, scoring)
+    return _norms(found, predictor.plant.scales), found.inside
+
+
+def missed(predictor: Predictor, episode: Episode, scoring: Scoring) -> Missed:
+    """What a predictor missed in an episode, of the channels that are observed in it; others count as 0."""
     plant = predictor.plant
     windows = cut(plant, episode, *_starts(plant, episode, scoring))
-    missed = (predict_observations(predictor, windows) - episode.observations[windows.rows]) / plant.scales
-    known = np.isfinite(episode.observations).any(axis=0)
+    by = predict_observations(predictor, windows) - episode.observations[windows.rows]
+    by[:, :, ~np.isfinite(episode.observations).any(axis=0)] = 0.0
+    return Missed(by, windows.inside)
+
+
+def _norms(missed: Missed, scales: Array) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):  # a predictor that runs away scores inf or nan, and no gate passes that
-        return np.linalg.norm(missed[:, :, known], axis=2), windows.inside
+        found: Array = np.linalg.norm(missed.by / scales, axis=2)
+    return found
 
 
 def _starts(plant: Plant, episode: Episode, scoring: Scoring) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -1,23 +1,26 @@
-"""Gate and Decision: a rule frozen before any score, and what it decided."""
+"""Gate and Decision: rules frozen by their digest, and what they decided."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from trueup.canonical import Json, digest_of
+from trueup.canonical import Json, digest_of, is_digest
 from trueup.errors import BadGate
 from trueup.fit.score import EVERY, FIRST, Score, Scoring
-from trueup.gate.rule import Rule, Verdict, rules
+from trueup.gate.line import HELD_OUT_USES
+from trueup.gate.rule import BOUND, MEAN, Rule, Verdict, rules
 
 SCHEMA = "trueup.gate/1"
 NEEDED = {"schema", "rules", "scoring"}
+OPTIONAL = {"conditions", "held_out_uses", "follows", "because", "vacuous"}
 HOLDS = f"A gate holds schema ({SCHEMA}), rules, and scoring (horizon_s, windows)."
 DECISION_SCHEMA = "trueup.decision/1"
+LONGEST_REASON = 2000  # characters
 
 
 @dataclass(frozen=True)
@@ -25,13 +28,17 @@ class Gate:
     """Rules, all of which must pass, and the scoring they judge. Its digest freezes them. Raises BadGate without rules.
 
     `conditions` are those whose values make the cells of retained conditions. After `held_out_uses` trials an episode is spent: whoever
-    chooses among candidates by it again and again fits to it.
+    chooses among candidates by it again and again fits to it. `follows` names the gate of the plant that this one takes the place of, and
+    `because` says why; a gate that is known to accept anything says that it is `vacuous`, and why.
     """
 
     rules: tuple[Rule, ...]
     scoring: Scoring
     conditions: tuple[str, ...] = ()
     held_out_uses: int | None = None
+    follows: str | None = None
+    because: str | None = None
+    vacuous: bool = False
 
     def __post_init__(self) -> None:
         if not self.rules:
@@ -40,6 +47,17 @@ class Gate:
             raise BadGate("a gate scores over a positive horizon, from the `first` window or from `every` one")
         if self.held_out_uses is not None and self.held_out_uses < 1:
             raise BadGate("a held-out episode must be good for one use at least")
+        if self.follows is not None and not is_digest(self.follows):
+            raise BadGate("follows must be the digest of the gate that this one takes the place of", field="follows")
+        if self.because is not None and not 0 < len(self.because.strip()) <= LONGEST_REASON:
+            raise BadGate(f"because must say why, in {LONGEST_REASON} characters at most", field="because")
+        if (self.follows is not None or self.vacuous) and self.because is None:
+            raise BadGate("a gate that follows another, or is vacuous, says why in `because`", field="because")
+
+    @property
+    def budget(self) -> int:
+        """How many trials each held-out episode is good for."""
+        return HELD_OUT_USES if self.held_out_uses is None else self.held_out_uses
 
     @cached_property
     def digest(self) -> str:
@@ -50,23 +68,34 @@ class Gate:
         """The gate as JSON."""
         return {
             "schema": SCHEMA,
-            "rules": [{"rule": r.name, **asdict(r)} for r in self.rules],  # type: ignore[call-overload]
+            "rules": [r.document() for r in self.rules],
             "scoring": self.scoring.document(),
             **({"conditions": list(self.conditions)} if self.conditions else {}),
             **({"held_out_uses": self.held_out_uses} if self.held_out_uses is not None else {}),
+            **({"follows": self.follows} if self.follows is not None else {}),
+            **({"because": self.because} if self.because is not None else {}),
+            **({"vacuous": True} if self.vacuous else {}),
         }
 
     @staticmethod
     def from_document(document: Mapping[str, Json]) -> Gate:
         """Read a gate. Raises BadGate."""
         try:
-            if document["schema"] != SCHEMA or not NEEDED <= set(document) <= NEEDED | {"conditions", "held_out_uses"}:
-                raise BadGate(f"a gate holds schema ({SCHEMA}), rules, scoring, and if it likes conditions and held_out_uses, nothing else")
+            if document["schema"] != SCHEMA or not NEEDED <= set(document) <= NEEDED | OPTIONAL:
+                more = ", ".join(sorted(OPTIONAL))
+                raise BadGate(f"a gate holds schema ({SCHEMA}), rules, scoring, and if it likes {more}, nothing else", hint=HOLDS)
             given: Any = document
             scoring = Scoring(float(given["scoring"]["horizon_s"]), str(given["scoring"]["windows"]))
-            uses = given.get("held_out_uses")
-            conditions = tuple(str(c) for c in given.get("conditions", ()))
-            return Gate(tuple(_rule(r) for r in given["rules"]), scoring, conditions, None if uses is None else int(uses))
+            uses, follows, because = (given.get(name) for name in ("held_out_uses", "follows", "because"))
+            return Gate(
+                tuple(_rule(r) for r in given["rules"]),
+                scoring,
+                tuple(str(c) for c in given.get("conditions", ())),
+                None if uses is None else int(uses),
+                None if follows is None else str(follows),
+                None if because is None else str(because),
+                given.get("vacuous", False) is True,
+            )
         except KeyError as error:
             raise BadGate(f"a gate needs {error.args[0]!r}", hint=HOLDS) from error
         except (TypeError, ValueError, OverflowError) as error:
@@ -81,10 +110,13 @@ def _rule(document: Mapping[str, Json]) -> Rule:
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
     if set(given) - known:
         raise BadGate(f"the rule {kind.name} has no {', '.join(sorted(set(given) - known))}", hint=f"It has {', '.join(sorted(known))}.")
+    require = given.pop("require", MEAN)
+    if require not in (MEAN, BOUND):
+        raise BadGate(f"the rule {kind.name} requires the {MEAN} or the {BOUND}", field="require")
     bounds = {key: float(value) for key, value in given.items()}  # type: ignore[arg-type]
     if not all(np.isfinite(v) and v > 0.0 for v in bounds.values()):
         raise BadGate(f"the bounds of {kind.name} must be positive numbers")
-    return kind(**bounds)
+    return kind(**bounds, require=require)  # type: ignore[call-arg]
 
 
 def default_gate(horizon_s: float) -> Gate:
@@ -96,7 +128,8 @@ def default_gate(horizon_s: float) -> Gate:
 class Decision:
     """What a gate decided of a candidate against the incumbent that served at `generation`.
 
-    It holds every figure, so that it can be recomputed, and the generation, so that it cannot be replayed after a move.
+    It holds every figure, so that it can be recomputed, and the generation, so that it cannot be replayed after a move. `known` is what
+    was known when the gate was declared (`trueup.gate.line`), `uses` how often each episode has been judged on, this time included.
     """
 
     plant: str
@@ -107,6 +140,8 @@ class Decision:
     episodes: tuple[str, ...]
     verdicts: tuple[Verdict, ...]
     figures: Mapping[str, Json]
+    known: Mapping[str, Json]
+    uses: tuple[int, ...]
 
     @property
     def accepted(self) -> bool:
@@ -131,6 +166,8 @@ class Decision:
             "accepted": self.accepted,
             "verdicts": [v.document() for v in self.verdicts],
             "figures": self.figures,
+            "known": self.known,
+            "uses": list(self.uses),
         }
 
 

@@ -2,37 +2,87 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.control.closed_loop import Tracking, Travelled, compare
 from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.errors import BadGate
-from trueup.fit.score import score
+from trueup.fit.score import Missed, missed, score, score_of
 from trueup.gate.cells import cells_of, matrix
+from trueup.gate.controls import controls, judged
 from trueup.gate.decision import Decision, Gate, figures
-from trueup.gate.rule import Trial
+from trueup.gate.rule import Trial, Verdict
 from trueup.model.corrected import Corrected
 from trueup.model.predictor import Predictor
 
+Array = NDArray[np.float64]
+SCALED = (0.5, 2.0)  # times a channel's declared reporting scale
+NOTHING_KNOWN: Mapping[str, Json] = MappingProxyType({"candidate": [], "episodes": [], "compared": []})
+
+
+@dataclass(frozen=True)
+class Run:
+    """A trial that was run: its scores, what each model missed in each episode, and the negative controls beside it."""
+
+    trial: Trial
+    candidate: tuple[Missed, ...]
+    incumbent: tuple[Missed, ...]
+    controls: Mapping[str, Json]
+
 
 def run_trial(
-    gate: Gate, candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episode], progress: Callable[[float], None] = lambda _: None
-) -> Trial:
-    """Score both predictors on held-out episodes. Raises RoleRefused for any other role, BadGate without episodes."""
+    gate: Gate,
+    candidate: Predictor,
+    incumbent: Predictor,
+    episodes: Sequence[Episode],
+    progress: Callable[[float], None] = lambda _: None,
+    copy: Predictor | None = None,
+) -> Run:
+    """Score both predictors on held-out episodes; `copy` is the incumbent, loaded once more. The controls are judged before the candidate.
+
+    Raises RoleRefused for any other role, BadGate without episodes, VacuousGate where the gate accepts a control.
+    """
     if not episodes:
         raise BadGate("there is no held-out episode to judge on")
     for episode in episodes:
         episode.require(*HELD_OUT)
-    scores = []
     driven = any(rule.closed_loop for rule in gate.rules)
-    for done, predictor in enumerate((candidate, incumbent), 1):
-        scores.append(score(predictor, episodes, gate.scoring))
-        progress(done / (4.0 if driven else 2.0))
-    tracking = _driven(candidate, incumbent, episodes, lambda share: progress(0.5 + 0.5 * share)) if driven else None
-    named = tuple(e.digest for e in episodes)
-    return Trial(scores[0], scores[1], named, cells_of(episodes, gate.conditions), gate.conditions, tracking)
+    share = 0.5 if driven else 1.0
+    named, cells = tuple(e.digest for e in episodes), cells_of(episodes, gate.conditions)
+    scales = candidate.plant.scales
+    against = tuple(missed(incumbent, e, gate.scoring) for e in episodes)
+    progress(share / 3.0)
+    serving = score_of(against, scales)
+    copied = serving if copy is None else score(copy, episodes, gate.scoring)
+    progress(share * 2.0 / 3.0)
+    spreads = np.nanstd(np.concatenate([e.observations for e in episodes]), axis=0)
+    shown = controls(gate, Trial(serving, serving, named, cells, gate.conditions, _still(driven)), against, copied, scales, spreads)
+    by = tuple(missed(candidate, e, gate.scoring) for e in episodes)
+    progress(share)
+    tracking = _driven(candidate, incumbent, episodes, lambda done: progress(share + share * done)) if driven else None
+    return Run(Trial(score_of(by, scales), serving, named, cells, gate.conditions, tracking), by, against, shown)
+
+
+def _still(driven: bool) -> Tracking | None:
+    """In closed loop a control does as the incumbent does, whatever that is."""
+    return Tracking(np.ones(1), np.ones(1), (0.0, 0.0), (1.0,)) if driven else None
+
+
+def rescaled(run: Run, scales: Array, channels: Sequence[str]) -> Iterator[tuple[str, float, Trial]]:
+    """The same trial with each channel's reporting scale halved and doubled, `scales` `(channels,)` being those declared."""
+    for column, channel in enumerate(channels):
+        for factor in SCALED:
+            other = scales.copy()
+            other[column] *= factor
+            scores = (score_of(m, other) for m in (run.candidate, run.incumbent))
+            yield channel, factor, replace(run.trial, candidate=next(scores), incumbent=next(scores))
 
 
 def _driven(candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episode], progress: Callable[[float], None]) -> Tracking:
@@ -47,12 +97,39 @@ def _driven(candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episo
     return compare(machine, candidate, incumbent, Travelled.of(machine.plant, episodes), progress)
 
 
-def judge(gate: Gate, trial: Trial, *, plant: str, candidate: str, incumbent: str, generation: int) -> Decision:
-    """Every rule's verdict on the trial; `candidate` and `incumbent` are artifact digests, `plant` the plant's."""
-    verdicts = tuple(rule(trial) for rule in gate.rules)
-    found: dict[str, Json] = {"candidate": figures(trial.candidate), "incumbent": figures(trial.incumbent)}
+def judge(
+    gate: Gate,
+    trial: Trial,
+    *,
+    plant: str,
+    candidate: str,
+    incumbent: str,
+    generation: int,
+    controls: Mapping[str, Json] = MappingProxyType({}),
+    known: Mapping[str, Json] = NOTHING_KNOWN,
+    uses: Sequence[int] = (),
+) -> Decision:
+    """Every rule's verdict on the trial; `candidate` and `incumbent` are artifact digests, `plant` the plant's.
+
+    `controls` are the verdicts on those, `known` is what was known when the gate was declared, `uses` how often each episode has been
+    judged on, this time included.
+    """
+    verdicts: tuple[Verdict, ...] = judged(gate, trial)
+    found: dict[str, Json] = {"candidate": figures(trial.candidate), "incumbent": figures(trial.incumbent), "controls": dict(controls)}
     if trial.tracking is not None:
         found["closed_loop"] = trial.tracking.document()
     if gate.conditions:
         found["cells"] = matrix(trial.cells, gate.conditions, trial.candidate.rollout, trial.incumbent.rollout)
-    return Decision(plant, gate.digest, candidate, incumbent, generation, trial.episodes, verdicts, found)
+    return Decision(plant, gate.digest, candidate, incumbent, generation, trial.episodes, verdicts, found, dict(known), tuple(uses))
+
+
+def sensitivity(gate: Gate, run: Run, scales: Array, channels: Sequence[str]) -> list[Json]:
+    """How the verdict moves when each channel's reporting scale is halved and doubled: it should not hang on a unit of reporting."""
+    found: list[Json] = []
+    for channel, factor, trial in rescaled(run, scales, channels):
+        verdicts = judged(gate, trial)
+        rules: list[Json] = [
+            {name: v.document()[name] for name in ("rule", "passed", "value", "threshold", "ratio", "ci95")} for v in verdicts
+        ]
+        found.append({"channel": channel, "factor": factor, "accepted": all(v.passed for v in verdicts), "verdicts": rules})
+    return found

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trueup.canonical import is_digest
+from trueup.canonical import Json, is_digest
 from trueup.errors import TrueupError
 from trueup.gate.frozen import Frozen
 
 SCHEMA = "trueup.policy/1"
 ASK = "ask"
+APPROVAL, FORBID = "approval", "forbid"
 MOST_APPROVALS = 5
 LONGEST_H = 1e5  # eleven years
-CHOICES = {"on_alarm": (ASK, "diagnose"), "on_diagnosis": (ASK, "judge"), "on_acceptance": (ASK, "promote")}
+CHOICES = {
+    "on_alarm": (ASK, "diagnose"),
+    "on_diagnosis": (ASK, "judge"),
+    "on_acceptance": (ASK, "promote"),
+    "on_rejected": (APPROVAL, FORBID),
+}
 
 
 class BadPolicy(TrueupError):
@@ -27,7 +33,8 @@ class UpdatePolicy(Frozen):
     """The three steps that may go on by themselves, the gate that judges, and what a new model's monitor promises.
 
     `on_alarm` ask or diagnose, `on_diagnosis` ask or judge, `on_acceptance` ask or promote. With `approvals` above one, a promotion takes
-    that many people, and nothing is promoted without one. Raises BadPolicy.
+    that many people, and nothing is promoted without one. A candidate that was rejected before, and that no fresh episode speaks for, takes
+    somebody else's `approval` with a reason, or `on_rejected` says forbid. Raises BadPolicy.
     """
 
     gate: str
@@ -38,8 +45,14 @@ class UpdatePolicy(Frozen):
     reference_episodes: int = 20  # healthy ones, recorded since the change, before a new model's monitor is calibrated
     validate_every_h: float | None = None
     approvals: int = 1  # people that a promotion takes
+    on_rejected: str = APPROVAL
 
     schema, refused, noun = SCHEMA, BadPolicy, "a policy"
+
+    def document(self) -> dict[str, Json]:
+        """The same as JSON. What goes without saying in `on_rejected` is not said, so that older policies keep their digests."""
+        said = super().document()
+        return {name: value for name, value in said.items() if (name, value) != ("on_rejected", APPROVAL)}
 
     def __post_init__(self) -> None:
         for step, allowed in CHOICES.items():

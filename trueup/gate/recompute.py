@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from trueup.canonical import Json
@@ -30,9 +31,25 @@ def recompute(
     declared = Gate.from_document(gate)
     if declared.digest != recorded["gate"]:
         raise BadGate("the gate is not the one that the decision names", expected=recorded["gate"], found=declared.digest)
-    trial = run_trial(declared, predictors["candidate"], predictors["incumbent"], episodes, progress)
-    named = {name: recorded[name] for name in ("candidate", "incumbent", "generation")}
-    return judge(declared, trial, plant=plant, **named).document()
+    told = "known" in recorded
+    run = run_trial(declared if told else _believed(declared), predictors["candidate"], predictors["incumbent"], episodes, progress)
+    named = {name: recorded[name] for name in ("candidate", "incumbent", "generation", *(("known", "uses") if told else ()))}
+    made = judge(declared, run.trial, plant=plant, controls=run.controls, **named).document()
+    return made if told else _only(made, recorded)
+
+
+def _believed(gate: Gate) -> Gate:
+    """A gate that nobody asked whether it can reject when it was declared."""
+    return replace(gate, vacuous=True, because=gate.because or "declared before controls were")
+
+
+def _only(made: Any, recorded: Any) -> Any:
+    """What an older decision tells, which has no intervals, no controls and nothing of what was known."""
+    if isinstance(made, Mapping) and isinstance(recorded, Mapping):
+        return {key: _only(value, recorded[key]) for key, value in made.items() if key in recorded}
+    if isinstance(made, list) and isinstance(recorded, list) and len(made) == len(recorded):
+        return [_only(*pair) for pair in zip(made, recorded, strict=True)]
+    return made
 
 
 def differences(recorded: Any, recomputed: Any, path: str = "") -> list[str]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,25 @@ from trueup.control.closed_loop import Tracking
 from trueup.errors import BadGate
 from trueup.fit.score import Score
 from trueup.gate.cells import Cell
+from trueup.gate.interval import Pairs, ratio_interval
 
 Array = NDArray[np.float64]
+MEAN, BOUND = "mean", "bound"
+ROLLOUT, ONE_STEP = "rollout", "one_step"
+
+
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """Mean errors of both models, and the 95 % interval of the candidate's over the incumbent's; None where there is none."""
+
+    candidate: float
+    incumbent: float
+    ci95: tuple[float, float] | None
+
+    @property
+    def ratio(self) -> float:
+        """The candidate's over the incumbent's; nan where that is 0 or no number."""
+        return self.candidate / self.incumbent if self.incumbent > 0.0 else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +60,29 @@ class Trial:
         if not self.episodes or shapes != {(len(self.episodes),)} or len(self.cells) != len(self.episodes):
             raise BadGate("a trial needs scores of both predictors on one held-out episode at least")
 
+    def compared(self, error: str, of: Sequence[int] | None = None) -> Compared:
+        """Mean `rollout` or `one_step` errors over the episodes of these numbers, or over all."""
+        chosen = list(range(len(self.episodes)) if of is None else of)
+        candidate, incumbent = (float(np.mean(getattr(s, error)[chosen])) for s in (self.candidate, self.incumbent))
+        return Compared(candidate, incumbent, ratio_interval([self._pairs(error, i) for i in chosen]))
+
+    def _pairs(self, error: str, episode: int) -> Pairs:
+        """Both models' errors by window; an episode whose windows are not known counts as one."""
+        if not (self.candidate.windows and self.incumbent.windows):
+            only = slice(episode, episode + 1)
+            return Pairs(getattr(self.candidate, error)[only], getattr(self.incumbent, error)[only], np.ones(1))
+        ours, theirs = self.candidate.windows[episode], self.incumbent.windows[episode]
+        weights = theirs.samples if error == ROLLOUT else np.ones_like(theirs.samples)  # every window has one first step
+        return Pairs(getattr(ours, error), getattr(theirs, error), weights)
+
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A rule's answer: the figure, the threshold it was held against, in `unit`, and the reason in words."""
+    """A rule's answer: the figure, the threshold it was held against, in `unit`, and the reason in words.
+
+    `ratio` is the candidate's error over the incumbent's, `ci95` its interval. With `require` bound it is not the mean but the upper end
+    of the interval that had to stay below the rule's bound.
+    """
 
     rule: str
     passed: bool
@@ -53,10 +90,13 @@ class Verdict:
     threshold: float
     unit: str
     because: str
+    ratio: float = float("nan")
+    ci95: tuple[float, float] | None = None
+    require: str = MEAN
 
     def document(self) -> dict[str, Json]:
         """The same as JSON; a figure that is no number stands as null."""
-        value, threshold = (x if np.isfinite(x) else None for x in (self.value, self.threshold))
+        value, threshold, ratio = (x if np.isfinite(x) else None for x in (self.value, self.threshold, self.ratio))
         return {
             "rule": self.rule,
             "passed": self.passed,
@@ -64,18 +104,54 @@ class Verdict:
             "threshold": threshold,
             "unit": self.unit,
             "because": self.because,
+            "ratio": ratio,
+            "ci95": None if self.ci95 is None else list(self.ci95),
+            "require": self.require,
         }
 
 
 class Rule(ABC):
-    """A frozen dataclass whose one field bounds one figure. It answers; it never raises."""
+    """A frozen dataclass whose first field bounds one figure: a larger bound is a looser rule. It answers; it never raises.
+
+    `require` says what must stay within the bound: the `mean`, or the `bound` of its 95 % interval.
+    """
 
     name: ClassVar[str]
     closed_loop: ClassVar[bool] = False  # whether it judges runs in closed loop
+    require: str
 
     @abstractmethod
     def __call__(self, trial: Trial) -> Verdict:
         """The verdict on a trial; a figure that is not a number never passes."""
+
+    def within(self, found: Compared, bound: float) -> bool:
+        """Whether what the rule requires is at most `bound` times the incumbent's; what is no number is not."""
+        if self.require == MEAN:
+            return found.candidate <= bound * found.incumbent
+        return found.ci95 is not None and found.ci95[1] <= bound
+
+    def nearest(self, each: Sequence[Compared], bound: float) -> int:
+        """The number of the pair that is nearest to the bound or furthest beyond; the first that is no number."""
+        over = [self._over(found, bound) for found in each]
+        return int(np.argmax(over))  # argmax stops at a nan; Python's max would pass over it
+
+    def _over(self, found: Compared, bound: float) -> float:
+        if self.require == MEAN:
+            return found.candidate - bound * found.incumbent  # a difference: an incumbent's error may be 0
+        return float("nan") if found.ci95 is None else found.ci95[1] - bound
+
+    def verdict(self, passed: bool, found: Compared, bound: float, because: str) -> Verdict:
+        """The verdict in the figures' own units."""
+        if self.require == BOUND and found.ci95 is None:
+            because = f"there is no interval: it takes two windows with an error, {because}"
+        return Verdict(
+            self.name, bool(passed), found.candidate, bound * found.incumbent, "1", because, found.ratio, found.ci95, self.require
+        )
+
+    def document(self) -> dict[str, Json]:
+        """The rule as JSON; that it requires the mean goes without saying."""
+        given: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        return {"rule": self.name, **{name: value for name, value in given.items() if (name, value) != ("require", MEAN)}}
 
 
 @cache

@@ -18,7 +18,7 @@ class NotAccepted(LedgerError):
     """The decision rejected its candidate."""
 
     code = "decision-rejected"
-    hint = "Read the decision's verdicts; fit again, or declare another gate before you score."
+    hint = "Read the decision's verdicts, then fit again or diagnose: what is missing is in the model or in the data, not in the gate."
 
 
 class NothingToRollBackTo(LedgerError):

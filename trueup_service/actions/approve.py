@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from trueup.canonical import Json
+from trueup.gate.policy import FORBID
 from trueup.ledger.operation import Operation
 from trueup.ledger.pointer import NotAccepted
 from trueup_service.actions import find
 from trueup_service.actions.declare_policy import policy_of
+from trueup_service.actions.gate_line import rejections, stale
+from trueup_service.actions.people import person_of
 from trueup_service.actions.stamp import Stamp
-from trueup_service.errors import ApprovalMissing
-from trueup_service.registry.records import Approval
-from trueup_service.registry.store import Writer
+from trueup_service.errors import ApprovalMissing, RejectedBefore
+from trueup_service.registry.records import Approval, DecisionRecord
+from trueup_service.registry.store import Reader, Writer
 
 
-def approve(writer: Writer, plant: str, decision: str, stamp: Stamp) -> tuple[Approval, bool]:
+def approve(writer: Writer, plant: str, decision: str, because: str | None, stamp: Stamp) -> tuple[Approval, bool]:
     """The approval, and whether it is new: once for each token. Raises NotFound, NotAccepted."""
     writer.lock_plant(plant)
     made = find.decision(writer, plant, decision)
@@ -22,19 +27,64 @@ def approve(writer: Writer, plant: str, decision: str, stamp: Stamp) -> tuple[Ap
     known = next((a for a in writer.approvals(plant, decision) if a.token == stamp.token), None)
     if known is not None:
         return known, False
-    record = Approval(plant, decision, stamp.token, stamp.now, stamp.actor)
+    record = Approval(plant, decision, stamp.token, stamp.now, stamp.actor, because)
     writer.add_approval(record)
-    facts: dict[str, Json] = {"operation": Operation.CORRECTION, "token": stamp.token}
+    facts: dict[str, Json] = {"operation": Operation.CORRECTION, "token": stamp.token, **({} if because is None else {"because": because})}
     writer.append_audit(at=stamp.now, kind="decision:approved", actor=stamp.actor, plant=plant, subject=decision, facts=facts)
     return record, True
 
 
-def require_approvals(writer: Writer, plant: str, decision: str, stamp: Stamp) -> list[Json]:
+def approved_by_others(reader: Reader, plant: str, decision: str, stamp: Stamp) -> list[Approval]:
+    """One approval of each person besides whoever promotes it now, the one with a reason before others; of revoked tokens none."""
+    promoting = person_of(reader, stamp.token)
+    people: dict[str, Approval] = {}
+    for approval in sorted(reader.approvals(plant, decision), key=lambda a: (a.because is None, a.at, a.token)):
+        person = person_of(reader, approval.token)
+        if person is not None and person != promoting:
+            people.setdefault(person, approval)
+    return [people[person] for person in sorted(people)]
+
+
+def require_approvals(reader: Reader, plant: str, decision: str, stamp: Stamp) -> list[Json]:
     """Who approved a decision, besides whoever promotes it now. Raises ApprovalMissing where the policy takes more people."""
-    policy = policy_of(writer, plant)
-    others = {a.token: a.actor for a in writer.approvals(plant, decision) if a.token != stamp.token}
+    policy = policy_of(reader, plant)
+    others = [a.actor for a in approved_by_others(reader, plant, decision, stamp)]
     needed = 1 if policy is None else policy.approvals
     if 1 + len(others) < needed:
         missing = needed - 1 - len(others)
-        raise ApprovalMissing(f"{missing} more must approve this decision", needed=needed, approved_by=sorted(others.values()))
-    return [others[token] for token in sorted(others)]
+        people = "person" if missing == 1 else "people"
+        raise ApprovalMissing(f"{missing} more {people} must approve this decision", needed=needed, approved_by=others)
+    return list(others)
+
+
+def require_not_rejected(reader: Reader, plant: str, made: DecisionRecord, stamp: Stamp) -> dict[str, Json]:
+    """What a promotion tells of a candidate that was rejected before: nothing, where none was.
+
+    It takes episodes that came in after the gate and after the rejection, or somebody else's approval with a reason, unless the policy
+    forbids it. Raises RejectedBefore.
+    """
+    rejected = rejections(reader, made)
+    old = stale(reader, made, rejected) if rejected else []
+    if not rejected:
+        return {}
+    digests: list[Json] = [other.digest for other in rejected]
+    if not old:
+        return {"rejected_before": digests, "fresh_episodes": True}
+    policy = policy_of(reader, plant)
+    reasons: list[Json] = [
+        {"actor": a.actor, "because": a.because} for a in approved_by_others(reader, plant, made.digest, stamp) if a.because is not None
+    ]
+    forbidden = policy is not None and policy.on_rejected == FORBID
+    if reasons and not forbidden:
+        return {"rejected_before": digests, "approved_because": reasons}
+    told = f"candidate {made.candidate[:12]} was rejected by decision {rejected[0].digest[:12]}, and {len(old)} of the {_count(made)}"
+    said = f"{told} that it is to be promoted on came in before that, or before the gate"
+    facts: dict[str, Any] = {"rejected_by": [other.digest for other in rejected][:10], "stale": old[:10]}
+    if forbidden:
+        raise RejectedBefore(said, hint="The plant's policy forbids it: record fresh held-out episodes and judge on those alone.", **facts)
+    raise RejectedBefore(said, **facts)
+
+
+def _count(made: DecisionRecord) -> str:
+    episodes = made.document["episodes"]
+    return f"{len(episodes)} episodes"  # type: ignore[arg-type]

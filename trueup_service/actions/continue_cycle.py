@@ -18,6 +18,7 @@ from typing import Any
 from trueup.canonical import Json
 from trueup.episode.role import HEALTHY, HELD_OUT, Role
 from trueup.errors import TrueupError
+from trueup.gate.line import budget_of
 from trueup.gate.policy import ASK, UpdatePolicy
 from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm, follow_alarm
@@ -61,7 +62,7 @@ class Cycle:
         episodes: list[Json] = list(self._held_out(job, alarm, policy))
         request: dict[str, Json] = {"candidate": candidate, "gate": policy.gate, "episodes": episodes}
         trial = self.new()
-        if self._submitted(job.plant, lambda: submit_gate(self.writer, self.queue, trial, job.plant, request, self.stamp)):
+        if self._tried(job.plant, lambda: submit_gate(self.writer, self.queue, trial, job.plant, request, self.stamp)):
             follow_alarm(self.writer, alarm, self.stamp, trial=trial)
 
     def judged(self, job: JobRecord, decision: DecisionRecord, rehearsed: dict[str, Json]) -> None:
@@ -73,7 +74,9 @@ class Cycle:
             return
         if not decision.accepted or decision.gate != policy.gate or find.serving(self.writer, plant).generation != decision.generation:
             return
-        self.moved(promote_decision(self.writer, plant, decision.digest, decision.generation, rehearsed, self.stamp))
+        self._tried(
+            plant, lambda: self.moved(promote_decision(self.writer, plant, decision.digest, decision.generation, rehearsed, self.stamp))
+        )
 
     def moved(self, move: Move) -> None:
         """Another model serves: the alarm was about the one before it."""
@@ -100,7 +103,7 @@ class Cycle:
         tried: Any = [] if last is None or last.request.get("artifact") != now.artifact else last.request["episodes"]
         if len(healthy) >= max(policy.reference_episodes, AGAIN * len(tried)):
             request: dict[str, Json] = {"promise_h": policy.promise_h, "seed": 0, "episodes": list(healthy)}
-            self._submitted(plant, lambda: submit_calibration(self.writer, self.queue, self.new(), plant, request, self.stamp))
+            self._tried(plant, lambda: submit_calibration(self.writer, self.queue, self.new(), plant, request, self.stamp))
 
     def _diagnose(self, alarm: AlarmRecord, policy: UpdatePolicy | None) -> None:
         """Diagnose what was recorded since the change began: at once, or again when there is twice as much."""
@@ -133,7 +136,7 @@ class Cycle:
         gate: Any = find.gate(self.writer, alarm.plant, policy.gate).document
         cells: dict[tuple[str, ...], list[EpisodeRecord]] = {}
         for episode in self.writer.episodes_of_role(alarm.plant, HELD_OUT):
-            if gate.get("held_out_uses") is not None and self.writer.uses(episode.digest, "gate") >= gate["held_out_uses"]:
+            if self.writer.uses(episode.digest, "gate") >= budget_of(gate):
                 continue
             declared: Any = episode.summary["conditions"]
             cells.setdefault(tuple(declared.get(name, "") for name in gate.get("conditions", [])), []).append(episode)
@@ -144,10 +147,10 @@ class Cycle:
             chosen += [e.digest for e in unseen or new]
         return chosen
 
-    def _submitted(self, plant: str, submit: Callable[[], object]) -> bool:
-        """Ask for a job; where it cannot be, the log says why, and the cycle waits for a person or for more data."""
+    def _tried(self, plant: str, act: Callable[[], object]) -> bool:
+        """Take a step; where it cannot be, the log says why, and the cycle waits for a person or for more data."""
         try:
-            submit()
+            act()
         except TrueupError as error:
             self.writer.append_audit(
                 at=self.stamp.now,

@@ -1,29 +1,65 @@
-"""Declare a gate, before anything is scored by it."""
+"""Declare a gate: the first of a plant, or one that takes the place of the gate in force."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from trueup.canonical import Json
+from trueup.errors import BadGate
+from trueup.gate.controls import require_can_reject
 from trueup.gate.decision import Gate, default_gate
+from trueup.gate.line import looser
 from trueup.model.plant import Plant
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
+from trueup_service.errors import GateFollows
 from trueup_service.registry.records import GateRecord
 from trueup_service.registry.store import Writer
 
+TOLD = 10  # decisions that a refusal names
+END_OF_TIME = "9999"
+
 
 def declare_gate(writer: Writer, plant: str, document: Mapping[str, Json] | None, stamp: Stamp) -> tuple[GateRecord, bool]:
-    """The gate, and whether it is new; the default one if no document is given. Raises BadGate."""
+    """The gate, and whether it is new. Without a document the one in force, or where there is none the default.
+
+    Once a candidate of the plant has been judged, another gate names the one in force and says why. Raises BadGate, VacuousGate,
+    GateFollows, NotFound.
+    """
     registered = find.plant(writer, plant)
-    gate = default_gate(Plant.from_document(registered.document).horizon_s) if document is None else Gate.from_document(document)
+    given = None if document is None else Gate.from_document(document)
     writer.lock_plant(plant)
-    known = writer.gate(plant, gate.digest)
+    line = writer.gate_line(plant)
+    if given is None and line:
+        return line[-1], False
+    gate = default_gate(Plant.from_document(registered.document).horizon_s) if given is None else given
+    known = next((g for g in line if g.digest == gate.digest), None)
     if known is not None:
         return known, False
+    require_can_reject(gate)
+    _require_follows(writer, plant, gate, line)
     record = GateRecord(plant, gate.digest, gate.document(), stamp.now, stamp.actor)
     writer.add_gate(record)
-    writer.append_audit(
-        at=stamp.now, kind="gate:declared", actor=stamp.actor, plant=plant, subject=gate.digest, facts={"gate": gate.document()}
-    )
+    facts: dict[str, Json] = {"gate": gate.document()}
+    if line:
+        facts |= {"in_place_of": line[-1].digest, "looser": list(looser(line[-1].document, gate.document()))}
+    writer.append_audit(at=stamp.now, kind="gate:declared", actor=stamp.actor, plant=plant, subject=gate.digest, facts=facts)
     return record, True
+
+
+def _require_follows(writer: Writer, plant: str, gate: Gate, line: Sequence[GateRecord]) -> None:
+    """Raises GateFollows where the gate does not say that it follows the one in force and must, BadGate where it follows another."""
+    last = line[-1] if line else None
+    if gate.follows is not None and (last is None or gate.follows != last.digest):
+        in_force = "none is in force" if last is None else f"{last.digest[:12]} is in force"
+        raise BadGate(f"it follows {gate.follows[:12]}, and {in_force}", field="follows", in_force=None if last is None else last.digest)
+    scored: list[Any] = writer.decisions(plant, END_OF_TIME, TOLD)
+    if last is None or gate.follows is not None or not scored:
+        return
+    facts: dict[str, Any] = {
+        "in_force": last.digest,
+        "looser": looser(last.document, gate.document()),
+        "decisions": [d.digest for d in scored],
+    }
+    raise GateFollows(f"gate {last.digest[:12]} is in force, and candidates have been scored by this plant's gates", **facts)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from trueup.gate.policy import UpdatePolicy
+from trueup.gate.policy import FORBID, UpdatePolicy
 from trueup_service.actions import find
+from trueup_service.actions.gate_line import require_in_force
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import Forbidden
 from trueup_service.registry.records import PolicyRecord
@@ -18,17 +19,21 @@ def declare_policy(
 ) -> tuple[PolicyRecord, bool]:
     """The policy, and whether it is another than held before.
 
-    Raises BadPolicy, NotFound for a gate that is not declared, Forbidden where somebody but an admin lets promotions take fewer people.
+    Raises BadPolicy, NotFound for a gate that is not declared, GateSuperseded for one that is not in force, Forbidden where somebody but an
+    admin makes promotions easier.
     """
     policy = UpdatePolicy.from_document(document)
-    find.gate(writer, plant, policy.gate)
+    gate = find.gate(writer, plant, policy.gate)
     writer.lock_plant(plant)
     held = writer.policy(plant)
     if held is not None and held.digest == policy.digest:
         return held, False
+    require_in_force(writer, plant, gate)
     before = policy_of(writer, plant)
     if before is not None and policy.approvals < before.approvals and not by_admin:
         raise Forbidden(f"the policy that holds takes {before.approvals} people", hint="An admin may declare one that takes fewer.")
+    if before is not None and before.on_rejected == FORBID != policy.on_rejected and not by_admin:
+        raise Forbidden("the policy that holds forbids to promote what was rejected", hint="An admin may declare one that does not.")
     record = PolicyRecord(plant, held.sequence + 1 if held else 1, policy.digest, policy.document(), stamp.now, stamp.actor)
     writer.add_policy(record)
     writer.append_audit(

@@ -11,6 +11,7 @@ from trueup.errors import BrokenChain
 from trueup.ledger.operation import Operation
 from trueup.ledger.pointer import Judged, NothingToRollBackTo, ServingPointer, promote, require_generation, roll_back
 from trueup_service.actions import find
+from trueup_service.actions.approve import require_not_rejected
 from trueup_service.actions.stamp import Stamp
 from trueup_service.registry.records import ArtifactRecord, DecisionRecord, Move, MoveKind
 from trueup_service.registry.store import Reader, Writer
@@ -27,13 +28,14 @@ def promote_decision(
 ) -> Move:
     """The new position, at the decision's candidate; `rehearsed` is the record of the way back, tried before, `approved` says by whom.
 
-    Raises PointerMoved, NotAccepted, NotFound.
+    Raises PointerMoved, NotAccepted, RejectedBefore, NotFound.
     """
     writer.lock_plant(plant)
     now = find.serving(writer, plant)
     made = find.decision(writer, plant, decision)
     judged = _judged(made)
     pointer = promote(_pointer(now), judged, expected_generation, _later(now, stamp))
+    rejected = require_not_rejected(writer, plant, made, stamp)
     artifact = find.artifact(writer, plant, pointer.artifact)
     move = Move(
         plant,
@@ -46,7 +48,7 @@ def promote_decision(
         pointer.since,
         stamp.actor,
     )
-    return _move(writer, now, move, stamp, {"gate": made.gate, "rehearsed": rehearsed, **approved})
+    return _move(writer, now, move, stamp, {"gate": made.gate, "rehearsed": rehearsed, **approved, **rejected})
 
 
 def _judged(made: DecisionRecord) -> Judged:

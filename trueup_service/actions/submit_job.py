@@ -8,7 +8,9 @@ from typing import Any
 from trueup.canonical import Json
 from trueup.episode.role import HEALTHY, HELD_OUT, WATCHED, Role
 from trueup.errors import BadGate, NotIdentifiable, RoleRefused
+from trueup.gate.line import budget_of
 from trueup_service.actions import find
+from trueup_service.actions.gate_line import known_at, require_in_force
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import HeldOutSpent
 from trueup_service.jobs import JobQueue
@@ -29,28 +31,39 @@ def submit_fit(writer: Writer, queue: JobQueue, job: str, plant: str, request: d
 
 
 def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
-    """A trial of a candidate against what serves now, under a gate declared before. Raises RoleRefused, BadGate."""
+    """A trial of a candidate against what serves now, under the plant's gate in force.
+
+    Raises GateSuperseded, HeldOutSpent, RoleRefused, BadGate.
+    """
     candidate = find.artifact(writer, plant, str(request["candidate"]))
     gate = find.gate(writer, plant, str(request["gate"]))
+    writer.lock_plant(plant)
+    writer.lock_name("uses of held-out episodes")  # which are counted over all plants
+    require_in_force(writer, plant, gate)
     held_out = _episodes(writer, plant, request.get("episodes"), HELD_OUT)
     if not held_out:
         raise BadGate("there is no held-out episode to judge on", hint="Upload one whose metadata says role = validation.")
-    uses: Any = gate.document.get("held_out_uses")
-    spent = [e.digest for e in held_out if uses is not None and writer.uses(e.digest, "gate") >= uses]
+    budget = budget_of(gate.document)
+    uses = {e.digest: writer.uses(e.digest, "gate") for e in held_out}
+    spent = [digest for digest, used in uses.items() if used >= budget]
     episodes = [e for e in held_out if e.digest not in spent]
     if not episodes or (spent and request.get("episodes") is not None):
-        raise HeldOutSpent(f"{len(spent)} held-out episodes were used {uses} times, as often as the gate allows", spent=spent[:10])
+        raise HeldOutSpent(f"{len(spent)} held-out episodes were used {budget} times, as often as the gate allows", spent=spent[:10])
+    digests = _digests(episodes)
     now = find.serving(writer, plant)
     frozen: dict[str, Json] = {
         "candidate": candidate.digest,
         "gate": gate.digest,
-        "episodes": _digests(episodes),
+        "episodes": digests,
+        "uses": [uses[digest] + 1 for digest in digests],
+        "known": known_at(writer, plant, gate, candidate.digest, digests),
+        **({"scales": True} if request.get("scales") else {}),
         **({"spent": list(spent)} if spent else {}),
         "incumbent": now.artifact,
         "generation": now.generation,
     }
     record = _submit(writer, queue, job, plant, "gate", frozen, stamp)
-    writer.add_reads(job, _digests(episodes), "gate")  # used from now on, so that many at once do not spend more than there is
+    writer.add_reads(job, digests, "gate")  # used from now on, so that many at once do not spend more than there is
     return record
 
 

@@ -72,6 +72,8 @@ ACCESS: Mapping[tuple[str, str], Rule] = {
     ("POST", f"{PLANT}/gates"): ENGINEERS,
     ("GET", f"{PLANT}/gates"): READERS,
     ("GET", f"{PLANT}/gates/{{digest}}"): READERS,
+    ("GET", f"{PLANT}/gates/{{digest}}/line"): READERS,
+    ("GET", f"{PLANT}/gate"): READERS,
     ("POST", f"{PLANT}/jobs"): ENGINEERS,
     ("GET", f"{PLANT}/jobs"): READERS,
     ("GET", "/v1/jobs/{job}"): READERS,

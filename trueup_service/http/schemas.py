@@ -7,6 +7,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, computed_field
 
+from trueup.gate.line import disclosure
 from trueup.ledger.operation import Operation, of_job
 from trueup_service.registry.records import Role
 
@@ -153,11 +154,21 @@ class Artifact(Answer):
 
 
 class Gate(Answer):
+    """A gate. A plant's last one judges; its document names the one that it follows, and why."""
+
     plant: str
     digest: Digest
     document: dict[str, Any]
     created_at: Time
     created_by: str
+
+
+class GateInLine(Gate):
+    """A gate in its plant's line, in force or not, and what is looser in it than in the one before, in words."""
+
+    in_force: bool
+    follows: Digest | None = Field(description="The gate that was in force before; null for the first")
+    looser: list[str]
 
 
 class Job(Answer):
@@ -332,6 +343,12 @@ class Decision(Answer):
     created_at: Time
     created_by: str
 
+    @computed_field(description="What was known when the gate was declared, in words; null of a decision that does not tell")  # type: ignore[prop-decorator]
+    @property
+    def disclosure(self) -> str | None:
+        """What was known when the gate was declared."""
+        return disclosure(self.document)
+
 
 class Approval(Answer):
     plant: str
@@ -339,6 +356,14 @@ class Approval(Answer):
     token: str = Field(description="The approving token's public prefix")
     at: Time
     actor: str
+    because: str | None = Field(None, description="Why, where it takes a reason")
+
+
+class ApprovalRequest(BaseModel):
+    """Why a decision is approved: a candidate that was rejected before takes a reason."""
+
+    model_config = ConfigDict(extra="forbid")
+    because: str | None = Field(None, min_length=1, max_length=2000)
 
 
 class Serving(BaseModel):
@@ -412,13 +437,14 @@ class FitRequest(BaseModel):
 
 
 class GateRequest(BaseModel):
-    """Judge `candidate` against what serves now, under a declared gate; `episodes` are held-out ones, null for all there are."""
+    """Judge `candidate` against what serves now, under the gate in force; `episodes` are held-out ones, null for all there are."""
 
     model_config = ConfigDict(extra="forbid")
     kind: Literal["gate"]
     candidate: Digest
     gate: Digest
     episodes: list[Digest] | None = None
+    scales: bool = Field(False, description="Also judge with each channel's reporting scale halved and doubled")
 
 
 class DiagnosisRequest(BaseModel):

@@ -69,13 +69,14 @@ class TokenRecord:
 
 @dataclass(frozen=True, slots=True)
 class Approval:
-    """That somebody wants a decision promoted."""
+    """That somebody wants a decision promoted, and why, where it takes a reason."""
 
     plant: str
     decision: str
     token: str
     at: str
     actor: str
+    because: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

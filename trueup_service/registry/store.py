@@ -67,6 +67,9 @@ from trueup_service.registry.rows import plain, stored
 R = TypeVar("R")
 _JSON = {"document", "summary", "request", "result", "facts", "kept", "seen", "requires", "evidence", "rows", "roles"}
 
+AT_ONCE = 500  # digests that one statement names
+NOTHING_CAME = (JobState.FAILED, JobState.CANCELLED)
+
 # Statements of the busiest paths, built once: building one costs about as much as running it.
 _BY_PLANT: BindParameter[str] = bindparam("plant")
 _PLANT = select(t.plants).where(t.plants.c.name == _BY_PLANT)
@@ -186,6 +189,25 @@ class Reader:
             GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest > after).order_by(t.gates.c.digest).limit(limit)
         )
 
+    def gate_line(self, plant: str) -> list[GateRecord]:
+        """Every gate of a plant in the order in which the log tells of them; those that came from elsewhere first, by their time."""
+        found = self._all(GateRecord, select(t.gates).where(t.gates.c.plant == plant))
+        at = self.log_positions(plant, "gate:declared", [g.digest for g in found])
+        return sorted(found, key=lambda g: (at.get(g.digest, 0), g.created_at, g.digest))
+
+    def log_positions(self, plant: str, kind: str, subjects: Sequence[str]) -> dict[str, int]:
+        """The first entry of a kind on each of these subjects of a plant; none on what came from elsewhere."""
+        query = (
+            select(t.audit.c.subject, func.min(t.audit.c.sequence))
+            .where(t.audit.c.plant == plant, t.audit.c.kind == kind, t.audit.c.subject.in_(bindparam("subjects", expanding=True)))
+            .group_by(t.audit.c.subject)
+        )
+        found: dict[str, int] = {}
+        for begin in range(0, len(subjects), AT_ONCE):
+            rows = self.connection.execute(query, {"subjects": list(subjects[begin : begin + AT_ONCE])})
+            found |= {subject: int(sequence) for subject, sequence in rows}
+        return found
+
     def job(self, job: str) -> JobRecord | None:
         return self._one(JobRecord, select(t.jobs).where(t.jobs.c.id == job))
 
@@ -218,10 +240,25 @@ class Reader:
         return self._one(OutputRecord, select(t.outputs).where(t.outputs.c.job == job, t.outputs.c.name == name))
 
     def uses(self, digest: str, purpose: str) -> int:
-        """How many jobs have read these bytes for this purpose."""
-        return int(
-            self.connection.scalar(select(func.count()).where(t.job_reads.c.digest == digest, t.job_reads.c.purpose == purpose)) or 0
+        """How many jobs have read these bytes for this purpose, of whichever plant; those that came to nothing do not count."""
+        query = (
+            select(func.count())
+            .select_from(t.job_reads.join(t.jobs, t.jobs.c.id == t.job_reads.c.job))
+            .where(t.job_reads.c.digest == digest, t.job_reads.c.purpose == purpose, t.jobs.c.state.not_in(NOTHING_CAME))
         )
+        return int(self.connection.scalar(query) or 0)
+
+    def jobs_reading(self, digests: Sequence[str], purpose: str) -> list[JobRecord]:
+        """Every job that read any of these bytes for a purpose, in the order in which they were asked for."""
+        reads = select(t.job_reads.c.job).where(
+            t.job_reads.c.purpose == purpose, t.job_reads.c.digest.in_(bindparam("digests", expanding=True))
+        )
+        query = select(t.jobs).where(t.jobs.c.id.in_(reads)).order_by(t.jobs.c.created_at, t.jobs.c.id)
+        found: dict[str, JobRecord] = {}
+        for begin in range(0, len(digests), AT_ONCE):
+            rows = self.connection.execute(query, {"digests": list(digests[begin : begin + AT_ONCE])}).mappings()
+            found |= {row["id"]: record_of(JobRecord, row) for row in rows}
+        return list(found.values())
 
     def decision(self, digest: str) -> DecisionRecord | None:
         return self._one(DecisionRecord, _DECISION, digest=digest)
@@ -230,6 +267,20 @@ class Reader:
         """Decisions, the newest first, made before a time."""
         query = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.created_at < before)
         return self._all(DecisionRecord, query.order_by(t.decisions.c.created_at.desc(), t.decisions.c.digest).limit(limit))
+
+    def decisions_on(self, plant: str, candidate: str, episodes: Sequence[str]) -> list[DecisionRecord]:
+        """Decisions on a candidate, and those of the plant's whole project on any of these episodes, in the order of their making."""
+        project = self.connection.scalar(select(t.plants.c.project).where(t.plants.c.name == plant))
+        near = select(t.plants.c.name).where(t.plants.c.project.is_(None) if project is None else t.plants.c.project == project)
+        reads = select(t.job_reads.c.job).where(
+            t.job_reads.c.purpose == "gate", t.job_reads.c.digest.in_(bindparam("digests", expanding=True))
+        )
+        on_them = select(t.decisions).where(t.decisions.c.job.in_(reads), t.decisions.c.plant.in_(near))
+        found = self._all(DecisionRecord, select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.candidate == candidate))
+        for begin in range(0, len(episodes), AT_ONCE):
+            rows = self.connection.execute(on_them, {"digests": list(episodes[begin : begin + AT_ONCE])}).mappings()
+            found += [record_of(DecisionRecord, row) for row in rows]
+        return sorted({d.digest: d for d in found}.values(), key=lambda d: (d.created_at, d.digest))
 
     def decisions_naming(self, plant: str, digest: str) -> list[str]:
         """Decisions that name an artifact as candidate or incumbent."""

@@ -203,6 +203,7 @@ approvals = Table(
     Column("token", String(16), primary_key=True),
     Column("at", AT, nullable=False),
     Column("actor", Text, nullable=False),
+    Column("because", Text),
 )
 
 imports = Table(

@@ -7,16 +7,20 @@ from tests.support.made import episode_bytes, plant_document
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.errors import BadGate, RoleRefused
-from trueup.fit.score import Score, Scoring
+from trueup.fit.score import EVERY, Score, Scoring, Windowed
 from trueup.gate.cells import cell_of, matrix
+from trueup.gate.controls import VacuousGate, require_can_reject
 from trueup.gate.decision import Gate, default_gate
-from trueup.gate.judge import judge, run_trial
+from trueup.gate.interval import Pairs, ratio_interval
+from trueup.gate.judge import judge, run_trial, sensitivity
+from trueup.gate.recompute import differences, recompute
 from trueup.gate.rule import Trial, rules
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
 
 PLANT = Plant.from_document(plant_document())
 GATE = default_gate(2.0)
+NEAR = (1.2, 0.6, 0.8)
 
 
 def trial(candidate, incumbent=(1.0, 1.0)):
@@ -94,7 +98,7 @@ def test_a_trial_reads_held_out_episodes_alone(role):
 
 def test_a_model_is_no_better_than_itself():
     held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
-    assert not decide(run_trial(GATE, Nominal(PLANT), Nominal(PLANT), held_out)).accepted
+    assert not decide(run_trial(GATE, Nominal(PLANT), Nominal(PLANT), held_out).trial).accepted
 
 
 def test_one_worse_episode_is_found():
@@ -106,7 +110,7 @@ def test_one_worse_episode_is_found():
 
 def test_a_true_model_is_accepted():
     held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
-    assert decide(run_trial(GATE, Identified(PLANT, (1.25, 0.62, 0.82)), Nominal(PLANT), held_out)).accepted
+    assert decide(run_trial(GATE, Identified(PLANT, (1.25, 0.62, 0.82)), Nominal(PLANT), held_out).trial).accepted
 
 
 def test_a_gate_with_conditions_and_a_budget_is_another_gate_and_says_so():
@@ -149,3 +153,146 @@ def test_an_incumbent_that_runs_away_is_beaten_and_the_decision_can_be_written_d
     assert found.accepted
     assert [v["threshold"] for v in found.document()["verdicts"]] == [None, None]
     assert len(found.digest) == 64
+
+
+def windowed(rollout, one_step=None):
+    """A score of one episode by its windows."""
+    rollout = np.asarray(rollout, np.float64)
+    one_step = rollout if one_step is None else np.asarray(one_step, np.float64)
+    return Score(rollout.mean(keepdims=True), one_step.mean(keepdims=True), (Windowed(rollout, one_step, np.ones(len(rollout))),))
+
+
+def test_every_verdict_carries_the_interval_of_its_ratio():
+    rng = np.random.default_rng(1)
+    incumbent = rng.lognormal(sigma=0.3, size=60)
+    found = Trial(windowed(incumbent * rng.lognormal(-0.2, 0.1, 60)), windowed(incumbent), ("a" * 64,))
+    for kind in rules().values():
+        if not kind.closed_loop:
+            verdict = kind()(found)
+            assert verdict.ci95[0] < verdict.ratio < verdict.ci95[1] < 1.0
+            assert verdict.document()["ci95"] == list(verdict.ci95)
+
+
+def test_a_rule_can_require_the_bound_instead_of_the_mean():
+    incumbent, swing = np.ones(40), np.tile([0.2, 1.6], 20)  # 0.9 of the error on average, and nobody knows whether it is less than 1
+    found = Trial(windowed(swing), windowed(incumbent), ("a" * 64,))
+    rng_swing = Trial(windowed(np.random.default_rng(0).permutation(swing)), windowed(incumbent), ("a" * 64,))
+    assert rules()["rollout_improves"](0.98)(found).passed
+    verdict = rules()["rollout_improves"](0.98, "bound")(rng_swing)
+    assert not verdict.passed
+    assert verdict.ci95[1] > 0.98
+    assert rules()["rollout_improves"](0.98, "bound")(Trial(windowed(0.5 * swing), windowed(incumbent), ("a" * 64,))).passed
+
+
+def test_the_interval_of_windows_that_hang_together_is_wider_than_that_of_independent_ones():
+    rng = np.random.default_rng(2)
+    steps = rng.normal(size=400)
+    errors = np.array([0.0] * 400)
+    for i in range(1, 400):
+        errors[i] = 0.9 * errors[i - 1] + steps[i]
+    together = np.exp(0.2 * errors)
+    apart = rng.permutation(together)
+    widths = []
+    for candidate in (together, apart):
+        low, high = ratio_interval([Pairs(candidate, np.ones(400), np.ones(400))])
+        widths.append(high - low)
+    assert widths[0] > 1.5 * widths[1]
+
+
+def test_the_interval_covers_what_it_should():
+    """Windows of a moving average, whose ratio is known: 95 % of intervals hold it, less the little that a short log costs."""
+    rng, held, tries = np.random.default_rng(3), 0, 300
+    for _ in range(tries):
+        noise = rng.normal(size=(2, 121))
+        candidate, incumbent = 1.0 + 0.1 * (noise[:, 1:] + noise[:, :-1])
+        low, high = ratio_interval([Pairs(candidate, incumbent, np.ones(120))])
+        held += low <= 1.0 <= high
+    assert 0.88 <= held / tries <= 0.98
+
+
+def test_one_window_has_no_interval_and_does_not_pass_where_the_bound_is_required():
+    one = Trial(windowed([0.1]), windowed([1.0]), ("a" * 64,))
+    verdict = rules()["rollout_improves"](0.98, "bound")(one)
+    assert (verdict.passed, verdict.ci95) == (False, None)
+    assert "no interval" in verdict.because
+    assert rules()["rollout_improves"](0.98)(one).passed
+
+
+GATE_1 = {"schema": "trueup.gate/1", "scoring": {"horizon_s": 1.0, "windows": "every"}}
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        [{"rule": "rollout_improves", "ratio": 1e9}],
+        [{"rule": "rollout_improves"}, {"rule": "one_step_no_worse", "slack": 1e9}],
+        [{"rule": "one_step_no_worse"}],
+        [{"rule": "no_worse_anywhere"}, {"rule": "retained_conditions"}, {"rule": "tracking_no_worse"}],
+        [{"rule": "rollout_improves", "ratio": 1.01}],
+    ],
+)
+def test_a_gate_that_cannot_reject_is_refused_unless_it_says_so(given):
+    with pytest.raises(VacuousGate):
+        require_can_reject(Gate.from_document({**GATE_1, "rules": given}))
+    require_can_reject(Gate.from_document({**GATE_1, "rules": given, "vacuous": True, "because": "the first model of this machine"}))
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        [{"rule": "rollout_improves"}, {"rule": "one_step_no_worse"}],
+        [{"rule": "rollout_improves", "ratio": 1.0}, {"rule": "tracking_no_worse"}, {"rule": "retained_conditions", "slack": 9.0}],
+        [{"rule": "rollout_improves", "require": "bound"}],
+    ],
+)
+def test_a_gate_that_can_reject_is_not(given):
+    require_can_reject(Gate.from_document({**GATE_1, "rules": given}))
+
+
+def test_the_controls_are_judged_and_told():
+    held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
+    run = run_trial(default_gate(0.5), Identified(PLANT, NEAR), Nominal(PLANT), held_out)
+    assert {name: found["accepted"] for name, found in run.controls.items()} == {"incumbent": False, "copy": False, "noise": False}
+    assert run.controls["noise"]["failed"] == ["rollout_improves", "one_step_no_worse"]
+    assert run.controls["copy"]["failed"] == ["rollout_improves"]
+
+
+def test_a_gate_that_accepts_a_control_judges_nobody():
+    held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
+    lenient = Gate((rules()["one_step_no_worse"](),), Scoring(0.5, EVERY))  # as it may have been declared before this was asked
+    with pytest.raises(VacuousGate, match="the incumbent itself"):
+        run_trial(lenient, Identified(PLANT, NEAR), Nominal(PLANT), held_out)
+    meant = Gate(lenient.rules, lenient.scoring, vacuous=True, because="a first model")
+    assert run_trial(meant, Identified(PLANT, NEAR), Nominal(PLANT), held_out).controls["copy"] == {"accepted": True, "failed": []}
+
+
+def test_how_the_verdict_hangs_on_the_reporting_scales():
+    held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
+    gate = default_gate(0.5)
+    run = run_trial(gate, Identified(PLANT, NEAR), Nominal(PLANT), held_out)
+    found = sensitivity(gate, run, PLANT.scales, [c.name for c in PLANT.layout.observations])
+    assert [(row["channel"], row["factor"]) for row in found] == [("q", 0.5), ("q", 2.0), ("v", 0.5), ("v", 2.0)]
+    finer = Plant.from_document(
+        {**plant_document(), "observations": [{"name": "q", "unit": "m", "scale": 0.5}, plant_document()["observations"][1]]}
+    )
+    anew = decide(run_trial(gate, Identified(finer, NEAR), Nominal(finer), held_out).trial, gate)
+    assert found[0]["verdicts"][0]["value"] == pytest.approx(anew.verdicts[0].value)
+    assert found[0]["verdicts"][0]["value"] != found[1]["verdicts"][0]["value"]
+
+
+def test_a_decision_of_before_intervals_is_recomputed_as_far_as_it_tells():
+    held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
+    lenient = Gate((rules()["one_step_no_worse"](),), Scoring(0.5, EVERY))
+    names = {"candidate": "c" * 64, "incumbent": "i" * 64, "generation": 1}
+    both = {"candidate": Identified(PLANT, NEAR), "incumbent": Nominal(PLANT)}
+    meant = Gate(lenient.rules, lenient.scoring, vacuous=True, because="as then")
+    old = judge(lenient, run_trial(meant, *both.values(), held_out).trial, plant="p", **names).document()
+    for key in ("known", "uses"):
+        del old[key]
+    del old["figures"]["controls"]
+    for verdict in old["verdicts"]:
+        for key in ("ratio", "ci95", "require"):
+            del verdict[key]
+    assert differences(old, recompute(old, lenient.document(), both, held_out, "p")) == []
+    old["verdicts"][0]["value"] *= 1.001
+    assert len(differences(old, recompute(old, lenient.document(), both, held_out, "p"))) == 1

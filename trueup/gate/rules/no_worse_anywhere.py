@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from trueup.gate.rule import Rule, Trial, Verdict
+from trueup.gate.rule import MEAN, ROLLOUT, Rule, Trial, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,17 +10,11 @@ class NoWorseAnywhere(Rule):
     """The rollout error on each held-out episode stays within `slack` times the incumbent's."""
 
     slack: float = 1.0
+    require: str = MEAN
     name = "no_worse_anywhere"
 
     def __call__(self, trial: Trial) -> Verdict:
-        over = trial.candidate.rollout - self.slack * trial.incumbent.rollout  # a difference: an incumbent's error may be 0
-        at = int(np.argmax(over))  # argmax stops at a nan; Python's max would pass over it
-        candidate, bound = float(trial.candidate.rollout[at]), self.slack * float(trial.incumbent.rollout[at])
-        return Verdict(
-            self.name,
-            bool((over <= 0.0).all()),
-            candidate,
-            bound,
-            "1",
-            f"episode {trial.episodes[at][:12]} is the nearest to its bound or beyond",
-        )
+        each = [trial.compared(ROLLOUT, [i]) for i in range(len(trial.episodes))]
+        at = self.nearest(each, self.slack)
+        because = f"episode {trial.episodes[at][:12]} is the nearest to its bound or beyond"
+        return self.verdict(all(self.within(found, self.slack) for found in each), each[at], self.slack, because)

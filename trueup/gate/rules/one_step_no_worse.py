@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from trueup.gate.rule import Rule, Trial, Verdict
+from trueup.gate.rule import MEAN, ONE_STEP, Rule, Trial, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,11 +10,10 @@ class OneStepNoWorse(Rule):
     """The mean error of the first predicted step is at most `slack` times the incumbent's."""
 
     slack: float = 1.0
+    require: str = MEAN
     name = "one_step_no_worse"
 
     def __call__(self, trial: Trial) -> Verdict:
-        candidate, incumbent = float(np.mean(trial.candidate.one_step)), float(np.mean(trial.incumbent.one_step))
-        passed = candidate <= self.slack * incumbent  # False if either is nan
-        return Verdict(
-            self.name, passed, candidate, self.slack * incumbent, "1", f"one-step error {candidate:.5g}, the incumbent's is {incumbent:.5g}"
-        )
+        found = trial.compared(ONE_STEP)
+        because = f"one-step error {found.candidate:.5g}, the incumbent's is {found.incumbent:.5g}"
+        return self.verdict(self.within(found, self.slack), found, self.slack, because)

@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from trueup.gate.cells import told
-from trueup.gate.rule import Rule, Trial, Verdict
+from trueup.gate.rule import MEAN, ROLLOUT, Rule, Trial, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,14 +14,13 @@ class RetainedConditions(Rule):
     """
 
     slack: float = 1.05
+    require: str = MEAN
     name = "retained_conditions"
 
     def __call__(self, trial: Trial) -> Verdict:
         cells = list(dict.fromkeys(trial.cells))
-        inside = np.array([[c == cell for c in trial.cells] for cell in cells], np.float64)
-        candidate, incumbent = ((inside @ s.rollout) / inside.sum(axis=1) for s in (trial.candidate, trial.incumbent))
-        over = candidate - self.slack * incumbent
-        at = int(np.argmax(over))  # argmax stops at a nan
-        worse = [told(c, trial.conditions) for c, x in zip(cells, over, strict=True) if not x <= 0.0]
+        each = [trial.compared(ROLLOUT, [i for i, c in enumerate(trial.cells) if c == cell]) for cell in cells]
+        at = self.nearest(each, self.slack)
+        worse = [told(c, trial.conditions) for c, found in zip(cells, each, strict=True) if not self.within(found, self.slack)]
         because = f"worse in: {'; '.join(worse)}" if worse else f"nearest to its bound in: {told(cells[at], trial.conditions)}"
-        return Verdict(self.name, not worse, float(candidate[at]), self.slack * float(incumbent[at]), "1", because)
+        return self.verdict(not worse, each[at], self.slack, because)

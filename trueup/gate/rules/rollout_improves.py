@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from trueup.gate.rule import Rule, Trial, Verdict
+from trueup.gate.rule import MEAN, ROLLOUT, Rule, Trial, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,11 +10,11 @@ class RolloutImproves(Rule):
     """The mean rollout error over the held-out episodes is below `ratio` times the incumbent's."""
 
     ratio: float = 0.98
+    require: str = MEAN
     name = "rollout_improves"
 
     def __call__(self, trial: Trial) -> Verdict:
-        candidate, incumbent = float(np.mean(trial.candidate.rollout)), float(np.mean(trial.incumbent.rollout))
-        passed = candidate < self.ratio * incumbent  # False if either is nan
-        return Verdict(
-            self.name, passed, candidate, self.ratio * incumbent, "1", f"rollout error {candidate:.5g}, the incumbent's is {incumbent:.5g}"
-        )
+        found = trial.compared(ROLLOUT)
+        at_bound = self.require == MEAN and found.candidate == self.ratio * found.incumbent  # it must be below
+        because = f"rollout error {found.candidate:.5g}, the incumbent's is {found.incumbent:.5g}"
+        return self.verdict(self.within(found, self.ratio) and not at_bound, found, self.ratio, because)

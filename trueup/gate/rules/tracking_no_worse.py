@@ -2,26 +2,28 @@
 
 from dataclasses import dataclass
 
-from trueup.gate.rule import Rule, Trial, Verdict
+from trueup.gate.rule import MEAN, Compared, Rule, Trial, Verdict
 
 
 @dataclass(frozen=True, slots=True)
 class TrackingNoWorse(Rule):
     """In closed loop the mean squared tracking error stays within `slack` times the incumbent's, and the envelope is not breached more.
 
-    A better prediction need not track better; what a robot feels is the tracking.
+    A better prediction need not track better; what a robot feels is the tracking. The interval is over paired runs.
     """
 
     slack: float = 1.05
+    require: str = MEAN
     name = "tracking_no_worse"
     closed_loop = True
 
     def __call__(self, trial: Trial) -> Verdict:
-        found = trial.tracking
-        if found is None:
-            return Verdict(self.name, False, float("nan"), self.slack, "1", "there are no runs in closed loop")
-        candidate, incumbent = float(found.candidate.mean()), float(found.incumbent.mean())
-        calm = found.breaches[0] <= found.breaches[1]
-        because = f"breaches {found.breaches[0]:.4f} of the time, the incumbent {found.breaches[1]:.4f}; {len(found.candidate)} paired runs"
-        passed = calm and candidate <= self.slack * incumbent  # False if either is nan
-        return Verdict(self.name, passed, candidate, self.slack * incumbent, "1", because)
+        runs = trial.tracking
+        if runs is None:
+            return Verdict(self.name, False, float("nan"), self.slack, "1", "there are no runs in closed loop", require=self.require)
+        change = runs.change_ci95()
+        ci95 = None if change is None else (1.0 + change[0], 1.0 + change[1])
+        found = Compared(float(runs.candidate.mean()), float(runs.incumbent.mean()), ci95)
+        calm = runs.breaches[0] <= runs.breaches[1]
+        because = f"breaches {runs.breaches[0]:.4f} of the time, the incumbent {runs.breaches[1]:.4f}; {len(runs.candidate)} paired runs"
+        return self.verdict(calm and self.within(found, self.slack), found, self.slack, because)

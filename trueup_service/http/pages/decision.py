@@ -8,15 +8,17 @@ from typing import Any
 from fastapi import Request, Response
 
 from trueup.canonical import digest_of
+from trueup.gate.line import budget_of, looser, told
 from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import inclusion, leaf_hash, prove
 from trueup_service.actions import find
+from trueup_service.actions.gate_line import known_at
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.context import By, DigestPath, PlantName, With
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import go, show
 from trueup_service.registry.overview import entry_on, newest_job
-from trueup_service.registry.records import FINAL
+from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
 from trueup_service.registry.store import Reader, writing
 
 router = guarded("", ["pages"])
@@ -43,6 +45,7 @@ def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath
             "gate": gate,
             "artifacts": both,
             "approvals": reader.approvals(plant, digest),
+            **_known(reader, gate, made),
             "entry": entry,
             "leaf": None if entry is None else leaf_hash(entry_bytes(entry)).hex(),
             "proof": proof,
@@ -52,6 +55,22 @@ def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath
             "waiting": anew is not None and anew.state not in FINAL,
         }
     return show(request, "decision.html", **values)
+
+
+def _known(reader: Reader, gate: GateRecord, made: DecisionRecord) -> dict[str, Any]:
+    """What was known when the gate was declared, told by the decision or worked out, and what is looser in the gate."""
+    document: dict[str, Any] = made.document
+    known = document.get("known") or known_at(reader, made.plant, gate, made.candidate, document["episodes"])
+    line = reader.gate_line(made.plant)
+    at = next((i for i, g in enumerate(line) if g.digest == gate.digest), 0)
+    before = line[at - 1] if at else None
+    return {
+        "known": known,
+        "disclosure": told(made.candidate, known),
+        "gate_before": None if before is None else before.digest,
+        "looser": [] if before is None else looser(before.document, gate.document),
+        "budget": budget_of(gate.document),
+    }
 
 
 @router.post("/plants/{plant}/decisions/{digest}/recompute")

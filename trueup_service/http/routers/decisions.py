@@ -12,7 +12,7 @@ from trueup_service.actions.approve import approve
 from trueup_service.http.context import END_OF_TIME, Before, By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.guard import Asking, guarded, require_seen
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Approval, Decision, Envelope, Page, page
+from trueup_service.http.schemas import Approval, ApprovalRequest, Decision, Envelope, Page, page
 from trueup_service.registry.store import Reader
 
 router = guarded("/v1", ["decisions"])
@@ -51,9 +51,15 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
     summary="Approve a decision for promotion",
     responses=there(Approval),
 )
-def add_approval(parts: With, stamp: By, plant: PlantName, digest: DigestPath, key: IdempotencyKey = None) -> Response:
-    """Once for each token. Where the plant's policy takes two people for a promotion, one approves and the other promotes."""
-    return create(parts, stamp, f"approvals/{plant}", key, {"decision": digest}, lambda w: approve(w, plant, digest, stamp), Approval)
+def add_approval(
+    parts: With, stamp: By, plant: PlantName, digest: DigestPath, given: ApprovalRequest | None = None, key: IdempotencyKey = None
+) -> Response:
+    """Once for each token. Where the plant's policy takes two people for a promotion, one approves and the other promotes: two names, for
+    tokens of one name are one person. Of a candidate that was rejected before, it takes a reason.
+    """
+    because = None if given is None else given.because
+    request: dict[str, Json] = {"decision": digest, "because": because}
+    return create(parts, stamp, f"approvals/{plant}", key, request, lambda w: approve(w, plant, digest, because, stamp), Approval)
 
 
 @router.get("/plants/{plant}/decisions/{digest}/approvals", summary="List who approved a decision")

@@ -6,17 +6,20 @@ from typing import Annotated, Any
 
 from fastapi import Body, Query, Response
 
+from trueup.gate.line import looser
 from trueup_service.actions import find
+from trueup_service.errors import NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Gate, Page, page
+from trueup_service.http.schemas import Gate, GateInLine, Page, page
+from trueup_service.registry.records import GateRecord
 from trueup_service.registry.store import Reader
 
-router = guarded("/v1/plants/{plant}/gates", ["gates"])
+router = guarded("/v1/plants/{plant}", ["gates"])
 
 
-@router.post("", status_code=201, response_model=Gate, summary="Declare a gate", responses=there(Gate))
+@router.post("/gates", status_code=201, response_model=Gate, summary="Declare a gate", responses=there(Gate))
 def declare(
     parts: With,
     stamp: By,
@@ -24,13 +27,16 @@ def declare(
     document: Annotated[dict[str, Any] | None, Body()] = None,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Without a body the default: rollouts below 0.98 of the incumbent's error, one step no worse, over every window of the horizon."""
+    """Without a body the gate in force, or where there is none the default: rollouts below 0.98 of the incumbent's error, one step no
+    worse, over every window of the horizon. Once a candidate was judged, another gate names the one in force in `follows` and says why in
+    `because`. A gate that cannot reject is refused, unless it says that it is `vacuous`, and why.
+    """
     from trueup_service.actions.declare_gate import declare_gate  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     return create(parts, stamp, f"gates/{plant}", key, document, lambda w: declare_gate(w, plant, document, stamp), Gate)
 
 
-@router.get("", summary="List gates")
+@router.get("/gates", summary="List gates")
 def list_gates(parts: With, plant: PlantName, after: Annotated[str, Query(max_length=64)] = "", limit: Limit = 100) -> Page[Gate]:
     with parts.database.read() as connection:
         reader = Reader(connection)
@@ -39,7 +45,40 @@ def list_gates(parts: With, plant: PlantName, after: Annotated[str, Query(max_le
     return page(Gate, found, limit, "digest")
 
 
-@router.get("/{digest}", summary="Get a gate")
+@router.get("/gates/{digest}", summary="Get a gate")
 def get_gate(parts: With, plant: PlantName, digest: DigestPath) -> Gate:
     with parts.database.read() as connection:
         return Gate.model_validate(find.gate(Reader(connection), plant, digest))
+
+
+@router.get("/gate", summary="Get the gate in force")
+def get_gate_in_force(parts: With, plant: PlantName) -> GateInLine:
+    """The last one that was declared: it judges."""
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.plant_digest(reader, plant)
+        line = reader.gate_line(plant)
+    if not line:
+        raise NotFound(f"plant {plant!r} has no gate", noun="gate", name=plant, hint="Declare one before anything is scored.")
+    return _in_line(line, len(line) - 1)
+
+
+@router.get("/gates/{digest}/line", summary="Get a gate with its place in the plant's line")
+def get_gate_in_line(parts: With, plant: PlantName, digest: DigestPath) -> GateInLine:
+    """Whether it is in force, which one was before it, and what is looser in it."""
+    with parts.database.read() as connection:
+        reader = Reader(connection)
+        find.gate(reader, plant, digest)
+        line = reader.gate_line(plant)
+    return _in_line(line, next(i for i, gate in enumerate(line) if gate.digest == digest))
+
+
+def _in_line(line: list[GateRecord], at: int) -> GateInLine:
+    """A gate of a line by its number."""
+    before = line[at - 1] if at else None
+    return GateInLine(
+        **Gate.model_validate(line[at]).model_dump(),
+        in_force=at == len(line) - 1,
+        follows=None if before is None else before.digest,
+        looser=[] if before is None else looser(before.document, line[at].document),
+    )

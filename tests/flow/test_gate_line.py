@@ -1,0 +1,271 @@
+"""A gate cannot be shopped for in silence: every way to a rule that passes is refused, or told with what was known, over REST."""
+
+import http.client
+import json
+import os
+import zlib
+from contextlib import closing
+
+import pytest
+
+from tests.support.made import TRUE, episode_bytes, plant_document, save
+from tests.support.service import command
+from trueup.artifact.artifact import pack
+from trueup.episode.role import Role
+from trueup.gate.line import HELD_OUT_USES
+from trueup.model.plant import Plant
+from trueup.model.predictor import Identified
+from trueup_client import Client, Problem
+
+SCORING = {"horizon_s": 0.5, "windows": "every"}
+IMPROVES, ONE_STEP = {"rule": "rollout_improves", "ratio": 0.98}, {"rule": "one_step_no_worse", "slack": 0.1}
+STRICT = {"schema": "trueup.gate/1", "rules": [IMPROVES, ONE_STEP], "scoring": SCORING}
+B = (1.1, 0.5, 0.9)  # nearer to the machine than what was declared, and not by a factor of ten
+
+
+class Bench:
+    """A plant whose candidate B the strict gate has rejected, and who tries what follows: an engineer who may promote, and a colleague."""
+
+    def __init__(self, admin: Client, url: str, name: str, folder) -> None:
+        self.admin, self.url, self.name, self.folder = admin, url, name, folder
+        self.me, self.colleague = (self.person(who) for who in ("shopper", "colleague"))
+        self.me.register_plant(plant_document(name))
+        self.seed = zlib.crc32(name.encode()) % 300_000  # uses are counted over all plants: each has recordings of its own
+        self.episodes = [self.held_out()]
+        self.b = self.me.add_artifact(name, packed(name, B).manifest)["digest"]
+        self.strict = self.me.declare_gate(name, STRICT)["digest"]
+        self.rejected = self.judge(self.strict)
+        assert not self.rejected["accepted"]
+
+    def person(self, name: str) -> Client:
+        return Client(self.url, token=self.admin.issue_token(name, ["engineer", "operator", "auditor"])["token"])
+
+    def held_out(self) -> str:
+        self.seed += 1
+        path = save(self.folder, f"{self.name}-{self.seed}.mcap", episode_bytes(self.seed, role=Role.VALIDATION, parameters=TRUE))
+        return self.me.upload_episode(self.name, path)["digest"]
+
+    def judge(self, gate: str, candidate: str | None = None, episodes: list[str] | None = None):
+        request = {"kind": "gate", "candidate": candidate or self.b, "gate": gate, "episodes": episodes or self.episodes}
+        return self.me.decision(self.name, self.me.wait(self.me.submit(self.name, request)["id"])["result"]["decision"])
+
+    def declare(self, **changed):
+        return self.me.declare_gate(self.name, {**STRICT, **changed})
+
+    def follow(self, because: str, **changed) -> str:
+        return self.declare(follows=self.me.gate_in_force(self.name)["digest"], because=because, **changed)["digest"]
+
+    def promote(self, decision, by: Client | None = None):
+        return (by or self.me).promote(self.name, decision["digest"], self.me.serving(self.name).generation)
+
+
+def packed(name: str, numbers):
+    return pack(Identified(Plant.from_document(plant_document(name)), numbers), {"origin": "test"})
+
+
+@pytest.fixture(scope="module")
+def bench(service, tmp_path_factory):
+    with closing(Client(service.url)) as admin:
+        made = {}
+
+        def of(name: str) -> Bench:
+            if name not in made:
+                made[name] = Bench(admin, service.url, name, tmp_path_factory.mktemp(name))
+            return made[name]
+
+        yield of
+        for one in made.values():
+            one.me.close()
+            one.colleague.close()
+
+
+def refused(act) -> Problem:
+    with pytest.raises(Problem) as found:
+        act()
+    return found.value
+
+
+def test_dropping_the_rule_that_failed_is_told_everywhere_and_promotes_nobody(bench, service):
+    shop = bench("dropper")
+    silent = refused(lambda: shop.declare(rules=[IMPROVES]))
+    assert (silent.status, silent.code) == (409, "gate-follows")
+    assert silent.facts["looser"] == ["it drops the rule one_step_no_worse"]
+    assert silent.facts["in_force"] == shop.strict
+
+    second = shop.follow("one step does not matter to us", rules=[IMPROVES])
+    line = shop.me.gate_in_line(shop.name, second)
+    assert (line["in_force"], line["follows"], line["looser"]) == (True, shop.strict, ["it drops the rule one_step_no_worse"])
+    accepted = shop.judge(second)
+    assert accepted["accepted"]
+    sentence = accepted["disclosure"]
+    assert sentence == (
+        f"This rule was declared after candidate {shop.b[:12]} had failed one_step_no_worse on episode {shop.episodes[0][:12]} "
+        f"by gate {shop.strict[:12]}."
+    )
+    assert accepted["document"]["known"]["candidate"][0]["decision"] == shop.rejected["digest"]
+    assert accepted["document"]["uses"] == [2]
+
+    held = refused(lambda: shop.promote(accepted))
+    assert (held.status, held.code) == (409, "rejected-before")
+    assert held.facts["rejected_by"] == [shop.rejected["digest"]]
+
+    replayed = command(service, "replay", accepted["digest"])
+    assert sentence in replayed.stdout
+    assert sentence in page(shop, f"/plants/{shop.name}/decisions/{accepted['digest']}")
+    told = command(service, "audit", "verify", "--no-replay").stdout
+    assert sentence in told
+    assert "it drops the rule one_step_no_worse" in told
+
+
+def test_loosening_a_number_takes_a_fresh_test_to_promote(bench):
+    shop = bench("loosener")
+    loose = {"rule": "one_step_no_worse", "slack": 1.0}
+    assert refused(lambda: shop.declare(rules=[IMPROVES, loose])).facts["looser"] == ["slack of one_step_no_worse is 1, was 0.1"]
+    second = shop.follow("0.1 was a slip of the pen", rules=[IMPROVES, loose])
+    old = shop.judge(second)
+    assert old["accepted"]
+    assert refused(lambda: shop.promote(old)).code == "rejected-before"
+    fresh = shop.held_out()
+    mixed = shop.judge(second, episodes=[shop.episodes[0], fresh])
+    assert refused(lambda: shop.promote(mixed)).facts["stale"] == [shop.episodes[0]]
+    anew = shop.judge(second, episodes=[fresh])
+    assert "had failed one_step_no_worse on other episodes" in anew["disclosure"]
+    assert shop.promote(anew).generation == 2
+    moved = next(e for e in shop.me.audit(shop.name) if e["kind"] == "pointer:moved")
+    assert (moved["facts"]["rejected_before"], moved["facts"]["fresh_episodes"]) == ([shop.rejected["digest"]], True)
+
+
+def test_episodes_that_are_merely_others_are_no_fresh_test(bench):
+    """Of many episodes that were there one may pass: what counts came in after the rejection."""
+    shop = bench("picker")
+    second = shop.follow("learned", rules=[IMPROVES, {"rule": "one_step_no_worse", "slack": 0.3}])
+    others = [shop.held_out() for _ in range(2)]
+    first = shop.judge(second, episodes=[others[0]])
+    if first["accepted"]:
+        assert shop.promote(first).generation == 2
+        return
+    second_try = shop.judge(shop.follow("once more", rules=[IMPROVES]), episodes=[others[1]])
+    assert second_try["accepted"]
+    assert refused(lambda: shop.promote(second_try)).facts["stale"] == [others[1]]
+
+
+def test_declaring_the_rules_again_in_another_form_is_declaring_another_gate(bench):
+    shop = bench("renamer")
+    assert refused(lambda: shop.declare(conditions=["payload"])).code == "gate-follows"
+    assert refused(lambda: shop.declare(rules=[ONE_STEP, IMPROVES])).code == "gate-follows"
+    assert refused(lambda: shop.declare(rules=[IMPROVES], follows="0" * 64, because="none")).code == "bad-gate"
+    assert shop.declare()["digest"] == shop.strict  # the very same is there already
+    second = shop.follow("to tell payloads apart", conditions=["payload"])
+    assert refused(lambda: shop.judge(shop.strict)).code == "gate-superseded"
+    assert shop.judge(second)["accepted"] is False
+
+
+def test_the_gate_of_another_plant_does_not_judge_here(bench):
+    shop, other = bench("taker"), bench("lender")
+    lent = other.follow("fewer rules", rules=[IMPROVES])
+    assert refused(lambda: shop.judge(lent)).code == "not-found"
+    taken = {k: v for k, v in other.me.gate(other.name, lent)["document"].items() if k not in ("follows", "because")}
+    assert refused(lambda: shop.me.declare_gate(shop.name, taken)).code == "gate-follows"
+    shop.me.declare_gate(shop.name, other.me.gate(other.name, lent)["document"])  # with its reason, for it follows the same strict one
+    assert f"after candidate {shop.b[:12]} had failed one_step_no_worse" in shop.judge(lent)["disclosure"]
+
+
+def test_registering_the_plant_anew_is_known_by_its_episodes_and_by_the_models_errors(bench):
+    shop = bench("founder")
+    name = "founder-again"
+    shop.me.register_plant(plant_document(name))
+    for path in sorted(shop.folder.glob("*.mcap")):
+        shop.me.upload_episode(name, path)
+    b = shop.me.add_artifact(name, packed(name, B).manifest)["digest"]
+    assert b != shop.b
+    gate = shop.me.declare_gate(name, {**STRICT, "rules": [IMPROVES]})["digest"]
+    request = {"kind": "gate", "candidate": b, "gate": gate}
+    made = shop.me.decision(name, shop.me.wait(shop.me.submit(name, request)["id"])["result"]["decision"])
+    assert made["accepted"]
+    assert made["document"]["uses"] == [2]
+    assert made["document"]["known"]["episodes"] == [
+        {"episode": shop.episodes[0], "plant": shop.name, "gate": shop.strict, "accepted": 0, "rejected": 1}
+    ]
+    assert "also for plant founder" in made["disclosure"]
+    held = refused(lambda: shop.me.promote(name, made["digest"], 1))
+    assert (held.code, held.facts["rejected_by"]) == ("rejected-before", [shop.rejected["digest"]])
+
+
+def test_it_takes_somebody_else_with_a_reason_and_two_tokens_are_not_two_people(bench, service):
+    shop = bench("approver")
+    accepted = shop.judge(shop.follow("one step does not matter", rules=[IMPROVES]))
+    with closing(shop.person("Shopper ")) as again:
+        again.approve(shop.name, accepted["digest"], "I am sure")
+        assert refused(lambda: shop.promote(accepted)).code == "rejected-before"
+    shop.colleague.approve(shop.name, accepted["digest"])
+    assert refused(lambda: shop.promote(accepted)).code == "rejected-before"  # without a reason
+    gone = shop.admin.issue_token("third", ["operator"])
+    with closing(Client(shop.url, token=gone["token"])) as third:
+        third.approve(shop.name, accepted["digest"], "on my way out")
+    shop.admin.revoke_token(gone["prefix"])
+    assert refused(lambda: shop.promote(accepted)).code == "rejected-before"
+    with closing(shop.person("fourth")) as fourth:
+        fourth.approve(shop.name, accepted["digest"], "the first step is within the sensor's noise")
+        assert shop.promote(accepted).generation == 2
+    moved = next(e for e in shop.me.audit(shop.name) if e["kind"] == "pointer:moved")
+    assert moved["facts"]["approved_because"] == [{"actor": "fourth", "because": "the first step is within the sensor's noise"}]
+    assert "with the approval of" in command(service, "audit", "verify", "--no-replay").stdout
+
+
+def test_a_policy_may_forbid_it_outright(bench):
+    shop = bench("forbidden")
+    second = shop.follow("one step does not matter", rules=[IMPROVES])
+    policy = {"schema": "trueup.policy/1", "gate": second, "on_rejected": "forbid", "on_diagnosis": "ask"}
+    shop.me.declare_policy(shop.name, policy)
+    accepted = shop.judge(second)
+    shop.colleague.approve(shop.name, accepted["digest"], "fine by me")
+    held = refused(lambda: shop.promote(accepted))
+    assert held.code == "rejected-before"
+    assert "forbids" in held.hint
+    assert refused(lambda: shop.me.declare_policy(shop.name, {**policy, "on_rejected": "approval"})).code == "forbidden"
+
+
+def test_a_rule_that_nothing_can_fail_is_refused(bench):
+    shop = bench("lax")
+    for rules in ([{"rule": "rollout_improves", "ratio": 1e9}], [{"rule": "one_step_no_worse", "slack": 1.0}]):
+        held = refused(lambda rules=rules: shop.declare(rules=rules, follows=shop.strict, because="why not"))
+        assert (held.status, held.code) == (422, "vacuous-gate")
+    meant = shop.follow(
+        "the first model of this machine is worse than none", rules=[{"rule": "one_step_no_worse", "slack": 1.0}], vacuous=True
+    )
+    made = shop.judge(meant)
+    assert made["document"]["figures"]["controls"]["incumbent"] == {"accepted": True, "failed": []}
+    assert "it may accept the incumbent itself" in shop.me.gate_in_line(shop.name, meant)["looser"]
+
+
+def test_uses_of_held_out_episodes_are_counted_from_the_first_and_end(bench):
+    shop = bench("counter")
+    for number in range(2, HELD_OUT_USES + 1):
+        made = shop.judge(shop.strict)
+        assert made["document"]["uses"] == [number]
+    assert refused(lambda: shop.judge(shop.strict)).code == "held-out-spent"
+
+
+def test_the_command_names_what_it_follows_and_shows_intervals_uses_and_scales(bench, service, tmp_path):
+    shop = bench("commander")
+    rules = save(tmp_path, "gate.json", json.dumps({**STRICT, "rules": [IMPROVES]}).encode())
+    done = command(service, "gate", shop.name, shop.b[:12], "--rules", str(rules), check=False)
+    assert done.returncode == 1
+    assert "gate-follows" in done.stderr
+    done = command(service, "gate", shop.name, shop.b[:12], "--rules", str(rules), "--because", "learned", "--scales")
+    for said in ("accepted", "had failed one_step_no_worse", "because “learned”", "it drops the rule one_step_no_worse", "used 2 of 20"):
+        assert said in done.stdout
+    assert "no scale moves the verdict" in done.stdout
+    again = command(service, "gate", shop.name, shop.b[:12], "--rules", str(rules))  # in force: it needs no reason again
+    assert "used 3 of 20" in again.stdout
+    assert len(list(shop.me.gates(shop.name))) == 2
+
+
+def page(shop: Bench, path: str) -> str:
+    """A page's text as a browser gets it."""
+    connection = http.client.HTTPConnection(shop.url.removeprefix("http://"))
+    with closing(connection):
+        connection.request("GET", path, headers={"Authorization": f"Bearer {os.environ['TRUEUP_TOKEN']}", "Accept": "text/html"})
+        answer = connection.getresponse()
+        assert answer.status == 200
+        return answer.read().decode()

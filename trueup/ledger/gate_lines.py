@@ -1,0 +1,204 @@
+"""Gate lines in the log: is what each decision tells of its gate true, and what should whoever reads it know?
+
+Entry by entry, from the log alone:
+
+- a gate that names one that it follows names the one that was in force;
+- what a decision says was known when its gate was declared, and how often its episodes had been used, is what the log tells;
+- a candidate that was rejected before was promoted only on episodes that came in after its gate and after the rejection, or with somebody
+  else's approval and a reason.
+
+Decisions of before this was written down tell nothing of it; what was known is told of them all the same. A plant that was imported brought
+the log of another site, which is verified there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from trueup.gate.line import Past, known, looser, past_of, told
+from trueup.ledger.audit import AuditEntry
+from trueup.ledger.verification import Finding
+
+NOTHING_CAME = ("failed", "cancelled")
+
+
+@dataclass(frozen=True, slots=True)
+class _Gate:
+    digest: str
+    at: int
+    document: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class _Comparison:
+    job: str
+    candidates: tuple[str, str]
+    episodes: tuple[str, ...]
+    at: int
+
+
+@dataclass
+class GateLines:
+    """Looks at every entry, in order: finds what is not so, and keeps in `notes` what a reader should know."""
+
+    notes: list[str] = field(default_factory=list)
+    _lines: dict[str, list[_Gate]] = field(default_factory=dict)
+    _projects: dict[str, str | None] = field(default_factory=dict)
+    _past: dict[str, tuple[int, Past]] = field(default_factory=dict)  # every decision with its entry, in order
+    _by_candidate: dict[tuple[str, str], list[str]] = field(default_factory=dict)
+    _by_episode: dict[str, list[str]] = field(default_factory=dict)
+    _came: dict[tuple[str, str], int] = field(default_factory=dict)  # the entry of each plant's episode
+    _asked: dict[str, Mapping[str, Any]] = field(default_factory=dict)  # what gate jobs and comparisons read
+    _used: dict[str, int] = field(default_factory=dict)
+    _expected: dict[str, list[int]] = field(default_factory=dict)  # uses, by job
+    _comparisons: list[_Comparison] = field(default_factory=list)
+    _approved: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # with a reason: by which token, of which actor
+    _imported: set[str] = field(default_factory=set)
+    _tells: set[str] = field(default_factory=set)  # decisions that say what was known
+
+    def __call__(self, entry: AuditEntry) -> list[Finding]:
+        """What an entry says that is not so."""
+        looks: Mapping[str, Callable[[AuditEntry, str, Any], list[str]]] = {
+            "plant:registered": self._registered,
+            "plant:imported": self._brought,
+            "episode:ingested": self._ingested,
+            "gate:declared": self._declared,
+            "job:submitted": self._submitted,
+            "job:finished": self._finished,
+            "job:cancelled": self._cancelled,
+            "decision:made": self._decided,
+            "decision:approved": self._approves,
+            "pointer:moved": self._moved,
+        }
+        if entry.plant is None or entry.kind not in looks:
+            return []
+        return [Finding(f"entry {entry.sequence}", what) for what in looks[entry.kind](entry, entry.plant, entry.facts)]
+
+    def _registered(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        self._projects[plant] = facts.get("project")
+        return []
+
+    def _brought(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        self._imported.add(plant)
+        return []
+
+    def _ingested(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        self._came.setdefault((plant, entry.subject), entry.sequence)
+        return []
+
+    def _declared(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        line, document = self._lines.setdefault(plant, []), facts["gate"]
+        before = line[-1] if line else None
+        line.append(_Gate(entry.subject, entry.sequence, document))
+        follows = document.get("follows")
+        if follows is not None and plant not in self._imported and (before is None or before.digest != follows):
+            return [f"gate {entry.subject[:12]} says that it follows {follows[:12]}, which was not in force"]
+        if before is not None and any(self._past[d][1].plant == plant for d in self._past):
+            why = f"because “{document['because']}”" if "because" in document else "without a reason"
+            said = looser(before.document, document)
+            is_looser = f"looser: {'; '.join(said)}" if said else "nothing in it is looser"
+            place = f"gate {entry.subject[:12]} of plant {plant} took the place of {before.digest[:12]}"
+            self.notes.append(f"{place} after candidates had been judged, {why}; {is_looser}")
+        return []
+
+    def _submitted(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        if facts["kind"] == "gate":
+            episodes = list(facts["request"]["episodes"])
+            for episode in episodes:
+                self._used[episode] = self._used.get(episode, 0) + 1
+            self._expected[entry.subject] = [self._used[e] for e in episodes]
+            self._asked[entry.subject] = facts["request"]
+        elif facts["kind"] == "compare":
+            self._asked[entry.subject] = facts["request"]
+        return []
+
+    def _finished(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        asked = self._asked.pop(entry.subject, None)
+        if asked is None:
+            return []
+        if facts["kind"] == "compare":
+            both = str(asked["first"]), str(asked["second"])
+            self._comparisons.append(_Comparison(entry.subject, both, tuple(asked["episodes"]), entry.sequence))
+        elif facts["state"] in NOTHING_CAME:
+            self._given_back(asked)
+        return []
+
+    def _cancelled(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        if facts.get("was") == "queued" and (asked := self._asked.pop(entry.subject, None)) is not None and "gate" in asked:
+            self._given_back(asked)
+        return []
+
+    def _given_back(self, asked: Mapping[str, Any]) -> None:
+        for episode in asked["episodes"]:
+            self._used[episode] -= 1
+
+    def _decided(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        document = facts["decision"]
+        gate = next((g for g in reversed(self._lines.get(plant, [])) if g.digest == document["gate"]), None)
+        found = [] if gate is None else self._hold(entry, plant, facts, gate)
+        past = past_of(entry.subject, plant, document)
+        self._past[entry.subject] = entry.sequence, past
+        self._by_candidate.setdefault((plant, past.candidate), []).append(entry.subject)
+        for episode in past.episodes:
+            self._by_episode.setdefault(episode, []).append(entry.subject)
+        return found
+
+    def _hold(self, entry: AuditEntry, plant: str, facts: Any, gate: _Gate) -> list[str]:
+        """Hold what a decision tells of its gate against the log."""
+        document = facts["decision"]
+        expected = self._known(plant, document, gate.at)
+        if expected["candidate"] or expected["compared"]:
+            self.notes.append(f"decision {entry.subject[:12]} of plant {plant}: {told(document['candidate'], expected)}")
+        if "known" not in document:
+            return []
+        self._tells.add(entry.subject)
+        if self._imported:
+            return []  # what came from elsewhere may be known, and is not in this log
+        found = []
+        if document["known"] != expected:
+            found.append(f"decision {entry.subject[:12]} does not tell what was known when its gate was declared")
+        uses = self._expected.get(str(facts.get("job")))
+        if uses is not None and list(document["uses"]) != uses:
+            found.append(f"decision {entry.subject[:12]} does not tell how often its episodes were used")
+        return found
+
+    def _known(self, plant: str, document: Mapping[str, Any], before: int) -> dict[str, Any]:
+        """What was known of a decision's candidate and episodes before an entry."""
+        candidate, episodes = document["candidate"], list(document["episodes"])
+        digests = {*self._by_candidate.get((plant, candidate), ()), *(d for e in episodes for d in self._by_episode.get(e, ()))}
+        project = self._projects.get(plant)
+        made = sorted((self._past[d] for d in digests), key=lambda p: p[0])
+        pasts = [p for at, p in made if at < before and self._projects.get(p.plant) == project]
+        compared = [c.job for c in self._comparisons if c.at < before and candidate in c.candidates and set(c.episodes) & set(episodes)]
+        return known(plant, candidate, episodes, pasts, compared)
+
+    def _approves(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        if "because" in facts:
+            self._approved.setdefault(entry.subject, []).append((facts["token"], entry.actor))
+        return []
+
+    def _moved(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        decision = facts.get("decision")
+        if facts.get("move") != "promoted" or decision not in self._past:
+            return []
+        _, past = self._past[decision]
+        rejected = [(at, p) for at, p in (self._past[d] for d in self._by_candidate[plant, past.candidate]) if not p.accepted]
+        if not rejected or self._fresh(plant, past, rejected):
+            return []
+        said = (
+            f"candidate {past.candidate[:12]} of plant {plant} was promoted after decision {rejected[0][1].decision[:12]} had rejected it"
+        )
+        others = [actor for _, actor in self._approved.get(decision, []) if actor != entry.actor]
+        if others:
+            self.notes.append(f"{said}, with the approval of {' and '.join(others)} and a reason")
+            return []
+        self.notes.append(f"{said}, with nobody else's approval")
+        return [f"{said}, on episodes that were there before, with nobody else's approval"] if decision in self._tells else []
+
+    def _fresh(self, plant: str, past: Past, rejected: list[tuple[int, Past]]) -> bool:
+        """Whether every episode of a decision came in after its gate was declared and after every rejection."""
+        since = max(*(at for at, _ in rejected), *(g.at for g in self._lines.get(plant, []) if g.digest == past.gate), 0)
+        seen = {e for _, p in rejected for e in p.episodes}
+        return all(e not in seen and self._came.get((plant, e), 0) > since for e in past.episodes)

@@ -1,0 +1,90 @@
+"""A plant's line of gates: which one is in force, and what was known when a gate was declared.
+
+What came before what is told by the log's own order, not by clocks, which may be wrong. What was imported came before everything here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from trueup.canonical import Json
+from trueup.gate.line import Past, known, past_of, same_model
+from trueup_service.actions import find
+from trueup_service.errors import GateSuperseded
+from trueup_service.registry.records import DecisionRecord, GateRecord
+from trueup_service.registry.store import Reader
+
+DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingested"
+
+
+def in_force(reader: Reader, plant: str) -> GateRecord | None:
+    """The last gate that was declared for a plant; None where there is none."""
+    line = reader.gate_line(plant)
+    return line[-1] if line else None
+
+
+def require_in_force(reader: Reader, plant: str, gate: GateRecord) -> None:
+    """Raises GateSuperseded."""
+    last = in_force(reader, plant)
+    if last is not None and last.digest != gate.digest:
+        raise GateSuperseded(
+            f"gate {gate.digest[:12]} was superseded: {last.digest[:12]} is in force since {last.created_at}", in_force=last.digest
+        )
+
+
+def known_at(reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]) -> dict[str, Json]:
+    """What was known of a candidate and its held-out episodes when a gate was declared."""
+    declared = reader.log_positions(plant, DECLARED, [gate.digest]).get(gate.digest, 0)
+    made = reader.decisions_on(plant, candidate, episodes)
+    return known(plant, candidate, episodes, _before(reader, made, gate, declared), _compared(reader, candidate, episodes, declared))
+
+
+def _before(reader: Reader, made: Sequence[DecisionRecord], gate: GateRecord, declared: int) -> list[Past]:
+    """Those of some decisions that were made before the gate was declared, in the order of the log."""
+    at: dict[str, int] = {}
+    for plant in {d.plant for d in made}:
+        at |= reader.log_positions(plant, DECIDED, [d.digest for d in made if d.plant == plant])
+    found = [d for d in made if at.get(d.digest, 0) < declared or (at.get(d.digest, 0) == declared == 0 and d.created_at < gate.created_at)]
+    return [past_of(d.digest, d.plant, d.document) for d in sorted(found, key=lambda d: (at.get(d.digest, 0), d.created_at, d.digest))]
+
+
+def _compared(reader: Reader, candidate: str, episodes: Sequence[str], declared: int) -> list[str]:
+    """Comparisons that had shown the candidate's errors on these episodes when the gate was declared."""
+    jobs = [j for j in reader.jobs_reading(episodes, "compare") if candidate in (j.request["first"], j.request["second"])]
+    ended: dict[str, int] = {}
+    for plant in {j.plant for j in jobs}:
+        ended |= reader.log_positions(plant, "job:finished", [j.id for j in jobs])
+    return [j.id for j in jobs if ended.get(j.id, declared) < declared]
+
+
+def rejections(reader: Reader, made: DecisionRecord) -> list[DecisionRecord]:
+    """Decisions, whenever they were made, that rejected the candidate of a decision: itself, or the same model under another digest."""
+    document: Any = made.document
+    scoring = find.gate(reader, made.plant, made.gate).document["scoring"]
+    found = []
+    for other in reader.decisions_on(made.plant, made.candidate, document["episodes"]):
+        if other.accepted:
+            continue
+        own = other.plant == made.plant and other.candidate == made.candidate
+        if own or (find.gate(reader, other.plant, other.gate).document["scoring"] == scoring and same_model(other.document, document)):
+            found.append(other)
+    return found
+
+
+def stale(reader: Reader, made: DecisionRecord, rejected: Sequence[DecisionRecord]) -> list[str]:
+    """The episodes of an accepted decision that did not come in after its gate was declared and after its candidate was rejected."""
+    document: Any = made.document
+    episodes: list[str] = document["episodes"]
+    since = reader.log_positions(made.plant, DECLARED, [made.gate]).get(made.gate, 0)
+    for other in rejected:
+        since = max(since, reader.log_positions(other.plant, DECIDED, [other.digest]).get(other.digest, 0))
+    came = reader.log_positions(made.plant, INGESTED, episodes)
+    before = {e for other in rejected for e in _episodes(other)}
+    return [e for e in episodes if e in before or came.get(e, 0) <= since]
+
+
+def _episodes(made: DecisionRecord) -> list[str]:
+    document: Any = made.document
+    found: list[str] = document["episodes"]
+    return found
