@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from sqlalchemy import Connection, Engine, make_url
 
 if TYPE_CHECKING:
-    from dbos import DBOSClient, EnqueueOptions
+    from trueup_service.engine import DBOSClient, EnqueueOptions
 
 QUEUE = "trueup"
 WATCHING = "trueup.watching"  # looks at new episodes take milliseconds, and must not wait for a diagnosis
@@ -113,7 +113,7 @@ class JobQueue:
 
     @cached_property
     def _client(self) -> DBOSClient:
-        from dbos import DBOSClient, DBOSPortableJSONSerializer  # noqa: PLC0415  (1.2 s of imports)
+        from trueup_service.engine import DBOSClient, DBOSPortableJSONSerializer  # noqa: PLC0415  (1.2 s of imports)
 
         migrate_engine(self._url)
         return DBOSClient(system_database_engine=self._engine, serializer=DBOSPortableJSONSerializer())
@@ -133,7 +133,7 @@ def migrate_engine(url: str) -> None:
     """Create or update the engine's tables."""
     import logging  # noqa: PLC0415
 
-    from dbos import DBOS  # noqa: PLC0415
+    from trueup_service.engine import DBOS  # noqa: PLC0415
 
     logging.getLogger("dbos").setLevel(logging.WARNING)
     DBOS.migrate(plain_url(url))

@@ -10,8 +10,7 @@ import sys
 import threading
 import uuid
 
-from dbos import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
-
+from trueup_service.engine import DBOS, DBOSConfig, DBOSPortableJSONSerializer, StepOptions
 from trueup_service.jobs import ENGINE_VERSION, HELP, QUEUE, WATCHING, WORKFLOW, plain_url
 from trueup_service.wiring import Parts
 from trueup_worker.fan_out import PREFIX

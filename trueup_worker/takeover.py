@@ -18,13 +18,13 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from dbos import DBOS, SetWorkflowID
 from sqlalchemy import Connection, text
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
 from trueup.canonical import Json
 from trueup_service.actions.finish_job import finish_job
 from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.engine import DBOS, SetWorkflowID
 from trueup_service.jobs import ENGINE_VERSION, QUEUE, alone_with, queue_of
 from trueup_service.locks import try_lock
 from trueup_service.registry.database import Database

@@ -276,7 +276,9 @@ def test_a_damaged_artifact_is_not_served_again(tmp_path):
         for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
             client.upload_episode("p", save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role)))
         rules = [{"rule": "one_step_no_worse", "slack": 1e9}]
-        gate = client.declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": {"horizon_s": 2.0, "windows": "first"}})
+        scoring = {"horizon_s": 2.0, "windows": "first"}
+        meant = {"vacuous": True, "because": "any candidate serves here"}
+        gate = client.declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": scoring, **meant})
         for method in ("residual", "identify"):
             candidate = client.wait(client.submit("p", {"kind": "fit", "method": method})["id"])["result"]["artifact"]
             decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate["digest"]})["id"])

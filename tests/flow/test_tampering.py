@@ -6,7 +6,7 @@ import sqlite3
 import pytest
 
 from tests.flow.test_failures import until
-from tests.support.made import episode_bytes, plant_document, save
+from tests.support.made import episode_bytes, identified, plant_document, save
 from tests.support.service import Service, command
 from tests.support.storage import embedded
 from trueup.episode.role import Role
@@ -15,7 +15,13 @@ from trueup_client import Client, Problem
 from trueup_service.kept import Kept
 
 RULES = [{"rule": "one_step_no_worse", "slack": 1e9}]
-LENIENT = {"schema": "trueup.gate/1", "rules": RULES, "scoring": {"horizon_s": 2.0, "windows": "first"}}
+LENIENT = {
+    "schema": "trueup.gate/1",
+    "rules": RULES,
+    "scoring": {"horizon_s": 2.0, "windows": "first"},
+    "vacuous": True,
+    "because": "any candidate serves here",
+}
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +35,13 @@ def told(tmp_path_factory):
         for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
             client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
         candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])["result"]["artifact"]
+        other = client.add_artifact("p", identified("p").manifest)["digest"]
         never = LENIENT | {"rules": [{"rule": "rollout_improves", "ratio": 1e-12}]}
-        gates = [client.declare_gate("p", gate)["digest"] for gate in (LENIENT, never)]
-        jobs = [client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate}) for gate in gates]
-        decisions = [client.wait(job["id"])["result"]["decision"] for job in jobs]
+        decisions = []
+        for judged, rules in ((candidate, LENIENT), (other, never)):
+            gate = client.declare_gate("p", rules | ({"follows": client.gate_in_force("p")["digest"]} if decisions else {}))["digest"]
+            job = client.submit("p", {"kind": "gate", "candidate": judged, "gate": gate})
+            decisions.append(client.wait(job["id"])["result"]["decision"])
         client.promote("p", decisions[0], 1)
         yield service, folder / "data", client, decisions
         client.close()
@@ -157,7 +166,8 @@ def test_damaged_bytes_end_a_replay_with_4_and_come_right_when_they_are_sent_aga
 def test_an_actors_name_is_printed_as_it_is(told):
     service, _, _, _ = told
     client = Client(service.url, actor="[/bold][black]x")
-    client.declare_gate("p", LENIENT | {"rules": [{"rule": "one_step_no_worse", "slack": 5.0}]})
+    follows = {"follows": client.gate_in_force("p")["digest"]}
+    client.declare_gate("p", LENIENT | {"rules": [{"rule": "one_step_no_worse", "slack": 5.0}]} | follows)
     client.close()
     assert "[/bold][black]x" in command(service, "audit").stdout
 

@@ -7,6 +7,7 @@ import pytest
 
 from tests.support.made import plant_document
 from trueup.episode.role import WATCHED
+from trueup.gate.decision import default_gate
 from trueup.gate.policy import BadPolicy, UpdatePolicy
 from trueup_service.actions.add_monitor import add_monitor
 from trueup_service.actions.alarms import close_alarm, raise_alarm
@@ -250,8 +251,10 @@ def test_a_monitor_that_watches_again_goes_on_counting_where_it_was(parts):
 def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policys_gate(parts):
     with parts.database.write() as connection:
         writer = Writer(connection)
-        strict, _ = declare_gate(writer, "p", None, at(1))
-        lax, _ = declare_gate(writer, "p", {**strict.document, "rules": [{"rule": "rollout_improves", "ratio": 1e9}]}, at(1))
+        strict_document = default_gate(2.0).document()
+        meant = {"rules": [{"rule": "rollout_improves", "ratio": 1e9}], "vacuous": True, "because": "any serves"}
+        lax, _ = declare_gate(writer, "p", {**strict_document, **meant}, at(1))
+        strict, _ = declare_gate(writer, "p", strict_document, at(1))
         declare_policy(writer, "p", UpdatePolicy(strict.digest, on_acceptance="promote").document(), at(2))
         raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(3))
     for i, role in enumerate(["adaptation", "validation", "validation"]):
@@ -265,7 +268,7 @@ def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policy
         cycle.diagnosed(writer.last_job("p", "diagnose"), candidate, "effect")
         trial = writer.job(writer.open_alarm("p").trial)
         assert (trial.kind, trial.request["gate"], trial.request["episodes"]) == ("gate", strict.digest, ["c" * 64, "d" * 64])
-        by_hand = submit_gate(writer, parts.queue, "9" * 32, "p", {"candidate": candidate, "gate": lax.digest}, at(10))
+        by_hand = submit_gate(writer, parts.queue, "9" * 32, "p", {"candidate": candidate, "gate": strict.digest}, at(10))
     for job, gate, promoted in ((by_hand, lax, 1), (by_hand, strict, 1), (trial, lax, 1), (trial, strict, 2)):
         with parts.database.write() as connection:
             writer = Writer(connection)

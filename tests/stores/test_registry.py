@@ -61,7 +61,7 @@ def decide(writer: Writer, plant: str, candidate: str) -> str:
     serving = writer.serving(plant)
     gate, _ = declare_gate(writer, plant, None, STAMP)
     against = {"incumbent": serving.artifact, "generation": serving.generation}
-    document = {"gate": gate.digest, "candidate": candidate, "accepted": True, **against}
+    document = {"gate": gate.digest, "candidate": candidate, "accepted": True, "episodes": [], **against}
     record_decision(writer, plant, document, None, STAMP)
     return digest_of(document)
 

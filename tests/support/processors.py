@@ -103,7 +103,7 @@ def judged(model: Path, case: Path) -> dict:
     plant, episodes = read_case(case)
     held_out = [e for e in episodes if e.role is Role.VALIDATION]
     gate = Gate((rules()["rollout_improves"](0.98), rules()["tracking_no_worse"](1.05)), Scoring(plant.horizon_s, EVERY))
-    trial = run_trial(gate, load(model).predictor, Nominal(plant), held_out)
+    trial = run_trial(gate, load(model).predictor, Nominal(plant), held_out).trial
     return judge(gate, trial, plant="plant", candidate="candidate", incumbent="incumbent", generation=1).document()
 
 

@@ -63,9 +63,7 @@ def rejections(reader: Reader, made: DecisionRecord) -> list[DecisionRecord]:
     document: Any = made.document
     scoring = find.gate(reader, made.plant, made.gate).document["scoring"]
     found = []
-    for other in reader.decisions_on(made.plant, made.candidate, document["episodes"]):
-        if other.accepted:
-            continue
+    for other in reader.decisions_on(made.plant, made.candidate, document["episodes"], rejecting=True):
         own = other.plant == made.plant and other.candidate == made.candidate
         if own or (find.gate(reader, other.plant, other.gate).document["scoring"] == scoring and same_model(other.document, document)):
             found.append(other)

@@ -268,15 +268,20 @@ class Reader:
         query = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.created_at < before)
         return self._all(DecisionRecord, query.order_by(t.decisions.c.created_at.desc(), t.decisions.c.digest).limit(limit))
 
-    def decisions_on(self, plant: str, candidate: str, episodes: Sequence[str]) -> list[DecisionRecord]:
-        """Decisions on a candidate, and those of the plant's whole project on any of these episodes, in the order of their making."""
+    def decisions_on(self, plant: str, candidate: str, episodes: Sequence[str], *, rejecting: bool = False) -> list[DecisionRecord]:
+        """Decisions on a candidate, and those of the plant's whole project on any of these episodes, in the order of their making.
+
+        All of them, or those `rejecting` alone.
+        """
+        which = [t.decisions.c.accepted.is_(False)] if rejecting else []
         project = self.connection.scalar(select(t.plants.c.project).where(t.plants.c.name == plant))
         near = select(t.plants.c.name).where(t.plants.c.project.is_(None) if project is None else t.plants.c.project == project)
         reads = select(t.job_reads.c.job).where(
             t.job_reads.c.purpose == "gate", t.job_reads.c.digest.in_(bindparam("digests", expanding=True))
         )
-        on_them = select(t.decisions).where(t.decisions.c.job.in_(reads), t.decisions.c.plant.in_(near))
-        found = self._all(DecisionRecord, select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.candidate == candidate))
+        on_them = select(t.decisions).where(t.decisions.c.job.in_(reads), t.decisions.c.plant.in_(near), *which)
+        own = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.candidate == candidate, *which)
+        found = self._all(DecisionRecord, own)
         for begin in range(0, len(episodes), AT_ONCE):
             rows = self.connection.execute(on_them, {"digests": list(episodes[begin : begin + AT_ONCE])}).mappings()
             found += [record_of(DecisionRecord, row) for row in rows]

@@ -80,7 +80,7 @@ def test_a_gate_can_refuse_a_better_prediction_that_tracks_worse():
     gate = Gate((rules()["rollout_improves"](), rules()["tracking_no_worse"]()), Scoring(2.0))
     episode = read_episode(episode_bytes(3, role=Role.VALIDATION), PLANT.layout)
     seen: list[float] = []
-    found = run_trial(gate, MACHINE, Nominal(PLANT), [episode], seen.append)
+    found = run_trial(gate, MACHINE, Nominal(PLANT), [episode], seen.append).trial
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(1.0)
     worse = replace(found, tracking=Tracking(found.tracking.incumbent * 1.2, found.tracking.incumbent, (0.0, 0.0), (0.5,)))
@@ -94,7 +94,7 @@ def test_a_gate_can_refuse_a_better_prediction_that_tracks_worse():
 
 
 def test_without_a_diagnosed_machine_nothing_is_run():
-    gate = Gate((rules()["tracking_no_worse"](),), Scoring(2.0))
+    gate = Gate((rules()["rollout_improves"](), rules()["tracking_no_worse"]()), Scoring(2.0))
     episode = read_episode(episode_bytes(3, role=Role.VALIDATION), PLANT.layout)
     with pytest.raises(BadGate, match="nobody has diagnosed"):
         run_trial(gate, Identified(PLANT, TRUE), Nominal(PLANT), [episode])
