@@ -105,9 +105,8 @@ def test_a_witness_sees_the_log_grow_and_refuses_one_that_was_rewritten(told, lo
     client, _ = log
     witness = Witness(tmp_path / "seen.json")
     first = client.witness(witness)
-    client.declare_gate(
-        "p", {"schema": "trueup.gate/1", "rules": [{"rule": "one_step_no_worse", "slack": 3.0}], "scoring": GATE_SCORING} | MEANT
-    )
+    rules = [{"rule": "one_step_no_worse", "slack": 3.0}]
+    client.declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": GATE_SCORING, **meant(client)})
     second = client.witness(Witness(tmp_path / "seen.json"))
     assert second.size == first.size + 1
     for size, root in ((second.size, bytes(32)), (second.size + 1, bytes(32))):  # whoever has the key tells another story
@@ -124,7 +123,11 @@ def signer(told):
 
 
 GATE_SCORING = {"horizon_s": 2.0, "windows": "first"}
-MEANT = {"vacuous": True, "because": "any candidate serves here"}
+
+
+def meant(client):
+    """What a gate says that takes the place of the one in force and lets anything pass."""
+    return {"vacuous": True, "because": "any candidate serves here", "follows": client.gate_in_force("p")["digest"]}
 
 
 def test_a_witness_refuses_a_log_whose_tail_was_cut(told, log, tmp_path):
@@ -398,10 +401,7 @@ def test_a_server_signs_no_log_shorter_than_the_one_it_published(tmp_path):
 
 def test_a_number_that_is_written_like_an_integer_stays_verifiable(told, kept):
     rules = [{"rule": "one_step_no_worse", "slack": 1e17}]
-    told[2].declare_gate(
-        "p",
-        {"schema": "trueup.gate/1", "rules": rules, "scoring": GATE_SCORING} | MEANT | {"follows": told[2].gate_in_force("p")["digest"]},
-    )
+    told[2].declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": GATE_SCORING, **meant(told[2])})
     assert found(kept) == []
 
 
