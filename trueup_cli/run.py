@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import subprocess
 import sys
 import threading
+from collections.abc import Mapping
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -65,7 +67,8 @@ class _Beside:
 
     def _keep(self) -> None:
         while not self._stopping.is_set():
-            self._child = subprocess.Popen([sys.executable, "-m", "trueup_cli.main", "work", "--with-parent"], stdin=subprocess.PIPE)
+            command = [sys.executable, "-m", "trueup_cli.main", "work", "--with-parent"]
+            self._child = subprocess.Popen(command, stdin=subprocess.PIPE, env=_without_secrets(os.environ))
             self._child.wait()
             self._stopping.wait(RESTART_PAUSE_S)
 
@@ -76,6 +79,14 @@ class _Beside:
         self._thread.join(timeout=10)
 
 
+SERVERS_ALONE = ("TRUEUP_SIGNING_KEY", "TRUEUP_SIGNING_KEY_BEFORE", "TRUEUP_ADMIN_TOKEN")
+
+
+def _without_secrets(environment: Mapping[str, str]) -> dict[str, str]:
+    """An environment without the log's key and an admin's token: a worker reads what others wrote, and needs neither."""
+    return {name: value for name, value in environment.items() if name not in SERVERS_ALONE}
+
+
 def work(*, with_parent: Annotated[bool, Parameter(help="End when standard input closes", negative=())] = False) -> None:
     """Run one worker: it takes jobs from the queue, and takes over those of workers that died."""
     from trueup_service.logs import configure_logs
@@ -83,8 +94,11 @@ def work(*, with_parent: Annotated[bool, Parameter(help="End when standard input
     from trueup_service.wiring import build
     from trueup_worker.main import work as run
 
+    held = [name for name in SERVERS_ALONE if os.environ.pop(name, None) is not None]
     settings = Settings()
     configure_logs(settings.log_level)
+    if held:
+        logging.getLogger("trueup.worker").warning("a worker needs no such secret: give it to servers alone", extra={"settings": held})
     run(build(settings), with_parent=with_parent)
 
 

@@ -13,8 +13,10 @@ from pathlib import Path
 import pytest
 from sqlalchemy import inspect, text
 
+from tests.flow.test_failures import until
 from tests.support.made import episode_bytes, plant_document, save
 from tests.support.service import Service
+from tests.support.storage import SIGNING_KEY, embedded
 from trueup.episode.role import Role
 from trueup_client import Client
 from trueup_service.engine import Pickled
@@ -120,3 +122,19 @@ def plant_rows(database: Database, ran: Path, victim: str) -> None:
                 values |= {**state, "recovery_attempts": 0, "priority": 0}
             names = ", ".join(f'"{name}"' for name in values)
             connection.execute(text(f"INSERT INTO {prefix}{table} ({names}) VALUES ({', '.join(':' + n for n in values)})"), values)
+
+
+def test_the_worker_beside_a_server_is_given_none_of_the_servers_secrets(tmp_path):
+    service = Service(embedded(tmp_path / "data"), signing_key=SIGNING_KEY)
+    server = service.start_server(kept=True)
+    try:
+        environments = until(lambda: [e for e in environments_below(server.pid) if b"TRUEUP_DATA_DIR" in e])
+        assert all(SIGNING_KEY.encode() not in e and b"TRUEUP_ADMIN_TOKEN" not in e for e in environments)
+    finally:
+        service.stop()
+
+
+def environments_below(pid: int) -> list[bytes]:
+    """The environments of a process's children."""
+    children = Path(f"/proc/{pid}/task").glob("*/children")
+    return [Path(f"/proc/{child}/environ").read_bytes() for path in children for child in path.read_text().split()]

@@ -69,6 +69,14 @@ def test_nothing_runs_as_root_and_probes_ask_what_there_is():
     assert "USER 10001" in (DEPLOY / "Dockerfile").read_text()
 
 
+def test_workers_hold_neither_the_logs_key_nor_an_admins_token():
+    secret = {"TRUEUP_SIGNING_KEY", "TRUEUP_ADMIN_TOKEN"}
+    held = {name: secret & set(service.get("environment", {})) for name, service in COMPOSE["services"].items()}
+    assert held == {name: secret if name == "server" else set() for name in COMPOSE["services"]}
+    named = {c["name"]: {source["secretRef"]["name"] for source in c["envFrom"] if "secretRef" in source} for c in containers()}
+    assert named == {"server": {"trueup", "trueup-server"}, "worker": {"trueup"}, "migrate": {"trueup"}}
+
+
 def test_the_image_copies_what_there_is():
     lines = (DEPLOY / "Dockerfile").read_text().splitlines()
     copied = [source for line in lines if line.startswith("COPY ") and "--from" not in line for source in line.split()[1:-1]]
