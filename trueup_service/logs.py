@@ -33,3 +33,5 @@ def configure_logs(level: str) -> None:
     logging.basicConfig(level=level, handlers=[handler], force=True)
     for quiet in ("alembic", "dbos"):
         logging.getLogger(quiet).setLevel(logging.WARNING)
+    engine = logging.getLogger("dbos")  # would print in a form of its own
+    engine.handlers, engine.propagate = [handler], False

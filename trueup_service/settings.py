@@ -28,6 +28,21 @@ class Settings(BaseSettings):
     public_url: str | None = Field(
         None, description="Address under which browsers reach the service, such as https://registry.example.com; unset: as they ask."
     )
+    connections: int | None = Field(
+        None,
+        ge=1,
+        description="Connections held at once; unset: what the limit on open files (`ulimit -n`) leaves room for, less a quarter and less "
+        "than what database, blobs and checkpoint need.",
+    )
+    header_limit_s: float = Field(20.0, gt=0, description="Time in which a request's head must arrive [s].")
+    keep_alive_s: float = Field(
+        75.0, gt=0, description="How long a connection is kept without a request [s]; a robot that asks twice a minute keeps its own."
+    )
+    silence_limit_s: float = Field(
+        60.0,
+        gt=0,
+        description="How long a body may be on its way, or an answer be left untaken, at less than 100 bytes a second [s].",
+    )
     upload_limit_bytes: int = Field(2 << 30, ge=1, description="Largest upload [bytes].")
     inspection_memory_bytes: int = Field(1 << 30, ge=256 << 20, description="Address space of the process that inspects an upload [bytes].")
     inspection_timeout_s: float = Field(120.0, gt=0, description="Time that the inspection of an upload may take [s].")
