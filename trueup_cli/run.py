@@ -35,13 +35,13 @@ def serve(
     from trueup_service.settings import Settings
     from trueup_service.wiring import build
 
-    settings = Settings()
+    settings = Settings() if host is None else Settings(host=host)
     configure_logs(settings.log_level)
     parts = build(settings)
     made = first_admin(settings, parts.database)
     if made is not None:
         say("An admin's token was made; it is in {}, which the command beside it reads.", made, to=err)
-    listening = listen(host or settings.host, settings.port if port is None else port)
+    listening = listen(settings.host, settings.port if port is None else port)
     address = listening.getsockname()
     logging.getLogger("trueup").info(
         "listening", extra={"url": f"http://{address[0]}:{address[1]}", "data_dir": str(settings.data_dir.absolute())}

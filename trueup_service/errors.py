@@ -134,6 +134,13 @@ class ApprovalMissing(TrueupError):
     hint = "Somebody with another token must approve it first: `trueup approve PLANT DECISION`."
 
 
+class UnknownHost(TrueupError):
+    """The service is not known by the host that the request names."""
+
+    code = "unknown-host"
+    hint = "Ask it by its address or its name; whoever runs it adds a name to TRUEUP_ALLOWED_HOSTS."
+
+
 class Unauthenticated(TrueupError):
     """Nobody is known by what was sent."""
 

@@ -43,6 +43,12 @@ class Settings(BaseSettings):
         gt=0,
         description="How long a body may be on its way, or an answer be left untaken, at less than 100 bytes a second [s].",
     )
+    allowed_hosts: str | None = Field(
+        None,
+        description="Names by which the service may be asked, beside addresses, localhost, the machine's own name, `host` and that of "
+        "`public_url`: comma-separated, `*.example.com` for every name below it, `*` for any. Others are refused, so that a page whose own "
+        "name leads to this address (DNS rebinding) cannot read its answers. /healthz and /readyz answer by any name.",
+    )
     upload_limit_bytes: int = Field(2 << 30, ge=1, description="Largest upload [bytes].")
     inspection_memory_bytes: int = Field(1 << 30, ge=256 << 20, description="Address space of the process that inspects an upload [bytes].")
     inspection_timeout_s: float = Field(120.0, gt=0, description="Time that the inspection of an upload may take [s].")

@@ -85,7 +85,7 @@ def test_a_head_that_does_not_come_whole_is_answered_408_and_a_connection_withou
     with (
         held(service, 1, HALF) as (half,),
         held(service, 1) as (silent,),
-        held(service, 1, b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n") as (asked,),
+        held(service, 1, b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n") as (asked,),
     ):
         said = answer(half)
         assert said.startswith(b"HTTP/1.1 408 ")
@@ -115,7 +115,7 @@ def test_a_head_without_an_end_is_refused_before_it_fills_the_memory(service):
 
 
 def put(token, length, path="/v1/blobs/" + "0" * 64):
-    return f"PUT {path} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {token}\r\nContent-Length: {length}\r\n\r\n".encode()
+    return f"PUT {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {token}\r\nContent-Length: {length}\r\n\r\n".encode()
 
 
 def dripped(raw, part, pause_s, limit_s):
@@ -168,7 +168,7 @@ def test_an_answer_that_nobody_takes_ends_and_one_that_is_taken_slowly_does_not(
     data = bytes(24 << 20)
     digest = hashlib.sha256(data).hexdigest()
     assert request(service, "PUT", f"/v1/blobs/{digest}", data)[0] == 201
-    get = f"GET /v1/blobs/{digest} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {ADMIN}\r\nConnection: close\r\n\r\n".encode()
+    get = f"GET /v1/blobs/{digest} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {ADMIN}\r\nConnection: close\r\n\r\n".encode()
     with held(service, 2, get) as (untaken, slow):
         taken = 0
         while part := slow.recv(1 << 20):
@@ -185,7 +185,8 @@ def test_where_every_connection_has_a_request_a_new_one_is_answered_503(tmp_path
         client = Client(service.url)
         client.register_plant(plant_document("polled"))
         client.close()
-        ask = f'GET /v1/plants/polled/serving?wait_s=4 HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {ADMIN}\r\nIf-None-Match: "1"\r\n\r\n'
+        line = "GET /v1/plants/polled/serving?wait_s=4 HTTP/1.1"
+        ask = f'{line}\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {ADMIN}\r\nIf-None-Match: "1"\r\n\r\n'
         with held(service, 3, ask.encode()) as waiting:
             time.sleep(1)
             status, headers, body = request(service, "GET", "/healthz")

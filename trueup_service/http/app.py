@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from trueup import __version__
 from trueup_service.http import openapi, problems
+from trueup_service.http.hosts import Hosts
 from trueup_service.http.limiting import Limiting
 from trueup_service.http.observing import Observing
 from trueup_service.http.pages import audit as audit_page
@@ -98,5 +99,6 @@ def create_app(parts: Parts) -> FastAPI:
     for page in PAGES:
         app.include_router(page.router, include_in_schema=False)
     app.add_middleware(Limiting)
+    app.add_middleware(Hosts, settings=parts.settings)
     app.add_middleware(Observing)
     return app
