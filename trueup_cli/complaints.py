@@ -29,6 +29,7 @@ HINTS = {  # what to do at the command, where the service's words are for progra
         "TRUEUP_DATA_DIR), where it finds the first admin's token."
     ),
 }
+NOT_AS_SAID = ("blob-damaged", "broken-chain")  # what the service finds wrong with what it keeps
 UNREACHABLE_HINT = "Start it with `trueup serve`, or name it with --url or TRUEUP_URL."
 
 
@@ -43,7 +44,8 @@ def complain(error: Exception) -> int | None:
     code = UNREACHABLE if isinstance(error, ClientError) else REFUSED
     facts: Mapping[str, object] = {}
     if isinstance(error, Problem):
-        noun, code, facts = str(error.facts.get("noun", "")), REFUSED, {k: x for k, x in error.facts.items() if k != "noun"}
+        code = DISAGREES if error.code in NOT_AS_SAID else REFUSED
+        noun, facts = str(error.facts.get("noun", "")), {k: x for k, x in error.facts.items() if k != "noun"}
         told = error.code, error.detail, HINTS.get((error.code, noun), error.hint)
     elif isinstance(error, Untrue):
         told, code = ("untrue", str(error), UNTRUE_HINT), DISAGREES

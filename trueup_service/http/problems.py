@@ -24,7 +24,7 @@ from trueup.ledger.note import BadKey
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
 from trueup_service import errors as service
 from trueup_service.http.pages.page import show, to_sign_in, wants_page
-from trueup_service.registry.blobs import BlobMissing, StoreAway
+from trueup_service.registry.blobs import BlobDamaged, BlobMissing, StoreAway
 
 log = logging.getLogger("trueup.http")
 
@@ -51,6 +51,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     NotCanonical: HTTPStatus.UNPROCESSABLE_ENTITY,
     NotAccepted: HTTPStatus.CONFLICT,
     NothingToRollBackTo: HTTPStatus.CONFLICT,
+    BlobDamaged: HTTPStatus.INTERNAL_SERVER_ERROR,
     BlobMissing: HTTPStatus.INTERNAL_SERVER_ERROR,
     StoreAway: HTTPStatus.SERVICE_UNAVAILABLE,
     service.NotFound: HTTPStatus.NOT_FOUND,
@@ -143,6 +144,8 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     def _plain(request: Request, error: HTTPException) -> Response:
+        if isinstance(error.__cause__, errors.TrueupError):  # it came up while the framework read a body, and says more
+            return answer(request, error.__cause__)
         code = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
         found = problem(request, error.status_code, code, str(error.detail), "Compare the request with /openapi.json.")
         found.headers.update(error.headers or {})

@@ -10,6 +10,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import accumulate
 from typing import Any, TypeVar
 
 from sqlalchemy import (
@@ -283,10 +284,29 @@ class Reader:
     def evidence(self, plant: str, digest: str) -> EvidenceRecord | None:
         return self._one(EvidenceRecord, select(t.evidence).where(t.evidence.c.plant == plant, t.evidence.c.digest == digest))
 
-    def evidence_of(self, plant: str, artifact: str) -> list[EvidenceRecord]:
-        """Everything that was found of an artifact, in order."""
-        query = select(t.evidence).where(t.evidence.c.plant == plant, t.evidence.c.artifact == artifact)
-        return self._all(EvidenceRecord, query.order_by(t.evidence.c.created_at, t.evidence.c.digest))
+    def last_evidence(self, plant: str, artifact: str) -> dict[str, tuple[str, bool]]:
+        """Of each stage that an artifact was at, the digest of what was found last, and whether it was passed."""
+        e = t.evidence.c
+        query = select(e.stage, e.digest, e.passed).where(e.plant == plant, e.artifact == artifact).order_by(e.created_at, e.digest)
+        return {row.stage: (row.digest, row.passed) for row in self.connection.execute(query)}
+
+    def evidence_of(
+        self, plant: str, artifact: str, after: tuple[str, str], limit: int, limit_bytes: int
+    ) -> tuple[list[EvidenceRecord], bool]:
+        """What was found of an artifact, in order of time and digest, from behind `after`, and whether there is more.
+
+        At most `limit` of them, and the first one and as many more as have `limit_bytes` of documents together.
+        """
+        key, of = tuple_(t.evidence.c.created_at, t.evidence.c.digest), (t.evidence.c.plant == plant, t.evidence.c.artifact == artifact)
+        sizes = select(t.evidence.c.created_at, t.evidence.c.digest, func.length(t.evidence.c.document)).where(*of, key > after)
+        found = self.connection.execute(sizes.order_by(*key.clauses).limit(limit + 1)).all()
+        together = accumulate(size for *_, size in found)
+        shown = found[: max(1, min(limit, sum(size <= limit_bytes for size in together)))]
+        if not shown:
+            return [], False
+        last = tuple(shown[-1][:2])
+        query = select(t.evidence).where(*of, key > after, key <= last).order_by(*key.clauses)
+        return self._all(EvidenceRecord, query), len(shown) < len(found)
 
     def channel(self, plant: str, name: str) -> ChannelRecord | None:
         return self._one(ChannelRecord, select(t.channels).where(t.channels.c.plant == plant, t.channels.c.name == name))
