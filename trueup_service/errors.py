@@ -127,6 +127,13 @@ class UploadElsewhere(TrueupError):
     hint = "Ask how far it came (GET the upload), and go on from `offset_bytes`."
 
 
+class UploadsFull(TrueupError):
+    """The plant has as many uploads in parts under way as it may."""
+
+    code = "uploads-full"
+    hint = "Finish those that are under way; one that nobody goes on with goes after TRUEUP_UPLOADS_KEPT_S."
+
+
 class ApprovalMissing(TrueupError):
     """The plant's policy takes more people for a promotion."""
 

@@ -50,6 +50,19 @@ class Settings(BaseSettings):
         "name leads to this address (DNS rebinding) cannot read its answers. /healthz and /readyz answer by any name.",
     )
     upload_limit_bytes: int = Field(2 << 30, ge=1, description="Largest upload [bytes].")
+    uploads_under_way: int = Field(64, ge=1, description="Uploads in parts that a plant may have under way at one server.")
+    uploads_under_way_bytes: int = Field(8 << 30, ge=1, description="Bytes of the uploads in parts that a plant has under way [bytes].")
+    uploads_kept_s: float = Field(
+        604_800.0, gt=0, description="How long an upload in parts that nobody goes on with is kept, since its last part [s]."
+    )
+    answers_kept_s: float = Field(
+        604_800.0,
+        gt=0,
+        description="How long the answer to an Idempotency-Key is kept [s]; a request that is repeated later is a new one.",
+    )
+    answers_kept: int = Field(
+        10_000, ge=1, description="Answers to Idempotency-Keys that are kept for one token: of more, the oldest go within a minute."
+    )
     inspection_memory_bytes: int = Field(1 << 30, ge=256 << 20, description="Address space of the process that inspects an upload [bytes].")
     inspection_timeout_s: float = Field(120.0, gt=0, description="Time that the inspection of an upload may take [s].")
     inspections: int = Field(2, ge=1, description="Inspections at once.")
@@ -90,7 +103,12 @@ class Settings(BaseSettings):
     @cached_property
     def sqlalchemy_url(self) -> str:
         """URL of the database."""
-        return self.database_url or f"sqlite:///{(self.data_dir / 'trueup.sqlite').absolute()}"
+        return self.database_url or f"sqlite:///{self.sqlite_file}"
+
+    @property
+    def sqlite_file(self) -> Path | None:
+        """The embedded database, if that is where things are kept."""
+        return (self.data_dir / "trueup.sqlite").absolute() if self.embedded else None
 
     @property
     def embedded(self) -> bool:

@@ -72,6 +72,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.NotWhole: HTTPStatus.UNPROCESSABLE_ENTITY,
     BadArchive: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.UploadElsewhere: HTTPStatus.CONFLICT,
+    service.UploadsFull: HTTPStatus.TOO_MANY_REQUESTS,
     service.ApprovalMissing: HTTPStatus.CONFLICT,
     service.UnknownHost: HTTPStatus.MISDIRECTED_REQUEST,
     service.Unauthenticated: HTTPStatus.UNAUTHORIZED,

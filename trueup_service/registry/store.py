@@ -7,6 +7,7 @@ only a job's progress, the generation that serves, where a monitor stands, and w
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -92,6 +93,9 @@ _SIZE = select(t.audit_head.c.size).where(t.audit_head.c.id == 1).scalar_subquer
 _LOCK_HEAD = _HEAD.with_for_update()
 _MOVE_HEAD = update(t.audit_head).values(size=bindparam("new_size"), frontier=bindparam("new_frontier"))
 _NODES = select(t.audit_tree).where(t.audit_tree.c.node.in_(bindparam("nodes", expanding=True)))
+_FORGET_ANSWER = delete(t.idempotency).where(
+    t.idempotency.c.scope == bindparam("of"), t.idempotency.c.key == bindparam("under"), t.idempotency.c.at == bindparam("since")
+)
 _INSERT = {name: insert(table) for name, table in t.metadata.tables.items()}
 
 
@@ -428,6 +432,19 @@ class Reader:
         ).first()
         return (row.request_digest, json.loads(row.response)) if row else None
 
+    def answers_beyond(self, before: str, kept: int) -> list[tuple[str, str, str]]:
+        """Answers under idempotency keys given before a time, and of each token all but the newest ones: scope, key and time."""
+        c, counted, found = t.idempotency.c, Counter[str](), []
+        answers = select(c.scope, c.key, c.at).order_by(c.at.desc(), c.scope, c.key)
+        if (self.connection.scalar(select(func.count()).select_from(t.idempotency)) or 0) <= kept:
+            answers = answers.where(c.at < before)  # no token can have more
+        for scope, key, at in self.connection.execute(answers):
+            token = scope.rpartition("@")[2]
+            counted[token] += 1
+            if at < before or counted[token] > kept:
+                found.append((scope, key, at))
+        return found
+
     def _one(self, kind: type[R], query: Select[Any], **values: Any) -> R | None:
         row = self.connection.execute(query, values).mappings().first()
         return None if row is None else record_of(kind, row)
@@ -590,6 +607,10 @@ class Writer(Reader):
     def remember(self, scope: str, key: str, request: str, response: dict[str, Json], now: str) -> None:
         """Keep the response to a request under its idempotency key."""
         self._add(t.idempotency, {"scope": scope, "key": key, "request_digest": request, "response": json.dumps(response), "at": now})
+
+    def forget_answers(self, answers: Sequence[tuple[str, str, str]]) -> None:
+        """Let go of answers under idempotency keys: scope, key and time of each."""
+        self.connection.execute(_FORGET_ANSWER, [{"of": scope, "under": key, "since": at} for scope, key, at in answers])
 
     def append_audit(self, *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]) -> AuditEntry:
         """Add the next entry of the log."""
