@@ -10,7 +10,7 @@ from cyclopts import App, Parameter
 
 from trueup_cli.exits import ASKS, told
 from trueup_cli.options import DEFAULT_URL, Json, Url, connect, login_file
-from trueup_cli.show import as_json, err, moment, out, table
+from trueup_cli.show import as_json, err, moment, say, table
 from trueup_client import Client
 from trueup_client.records import Token
 
@@ -41,9 +41,9 @@ def issue(
     if as_json_:
         as_json(made)
         return
-    print(made["token"])
+    say("{}", made["token"])
     until = f"until {moment(made['expires_at'])}" if made["expires_at"] else "without an end"
-    err.print(f"[dim]{name}: {', '.join(made['roles'])}, {until}; kept nowhere: give it to its owner now[/]")
+    say("[dim]{}: {}, {}; kept nowhere: give it to its owner now[/]", name, ", ".join(made["roles"]), until, to=err)
 
 
 @tokens.command(name="list")
@@ -73,7 +73,7 @@ def revoke(prefix: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> No
         its public part, the twelve digits behind trueup_
     """
     gone = connect(url).revoke_token(prefix)
-    as_json(gone) if as_json_ else out.print(f"{gone['name']} is revoked")
+    as_json(gone) if as_json_ else say("{} is revoked", gone["name"])
 
 
 @projects.command
@@ -86,7 +86,7 @@ def create(name: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None
         of the project
     """
     made = connect(url).create_project(name)
-    as_json(made) if as_json_ else out.print(f"project [bold]{made['name']}[/] is there")
+    as_json(made) if as_json_ else say("project [bold]{}[/] is there", made["name"])
 
 
 @projects.command(name="list")
@@ -111,7 +111,7 @@ def login(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     if as_json_:
         as_json({**who, "kept_in": str(path)})
         return
-    out.print(f"{url} knows you as [bold]{who['name']}[/] ({', '.join(who['roles'])}); the token is in {path}", soft_wrap=True)
+    say("{} knows you as [bold]{}[/] ({}); the token is in {}", url, who["name"], ", ".join(who["roles"]), path)
 
 
 def whoami(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -121,4 +121,4 @@ def whoami(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
         as_json(who)
     else:
         seen = who["plant"] or who["project"] or "all projects"
-        out.print(f"[bold]{who['name']}[/]: {', '.join(who['roles'])}, {seen}")
+        say("[bold]{}[/]: {}, {}", who["name"], ", ".join(who["roles"]), seen)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from trueup_cli.options import Json, PlantName
-from trueup_cli.show import as_json, out, progress
+from trueup_cli.show import as_json, progress, say
 
 if TYPE_CHECKING:
     from trueup.ledger.archive import Archive
@@ -70,7 +70,7 @@ def _write(to: Path, plant: str | None, *, as_json_: bool) -> None:
 
     with _parts() as parts, progress(f"writing {to}") as bar:
         digest = write(parts, open_log(parts.settings, parts.database), to, plant, _now(), bar)
-    as_json({"archive": str(to), "digest": f"sha256:{digest}"}) if as_json_ else out.print(f"{to} is sha256:{digest}", soft_wrap=True)
+    as_json({"archive": str(to), "digest": f"sha256:{digest}"}) if as_json_ else say("{} is sha256:{}", to, digest)
 
 
 def restore(source: Path, *, key: LogKey = None, as_json_: Json = False) -> None:
@@ -88,8 +88,8 @@ def restore(source: Path, *, key: LogKey = None, as_json_: Json = False) -> None
     if as_json_:
         as_json({"as_of": archive.config["created_at"], "jobs": jobs})
         return
-    out.print(f"restored as it was {archive.config['created_at']}; {jobs} jobs go on", soft_wrap=True)
-    out.print("Its log is signed with the key that it had: give it back as TRUEUP_SIGNING_KEY, or as signing.key.", soft_wrap=True)
+    say("restored as it was {}; {} jobs go on", archive.config["created_at"], jobs)
+    say("Its log is signed with the key that it had: give it back as TRUEUP_SIGNING_KEY, or as signing.key.")
 
 
 def import_(
@@ -113,7 +113,7 @@ def import_(
         actor = os.environ.get("TRUEUP_ACTOR") or getpass.getuser()
         plant = import_plant(parts, archive, project, Stamp(f"command for {actor}", _now()), bar)
     log = archive.config["checkpoint"].splitlines()[0]
-    as_json({"plant": plant, "from": log}) if as_json_ else out.print(f"plant [bold]{plant}[/] is here, from {log}", soft_wrap=True)
+    as_json({"plant": plant, "from": log}) if as_json_ else say("plant [bold]{}[/] is here, from {}", plant, log)
 
 
 @contextmanager
@@ -153,4 +153,5 @@ def gc(
         as_json({**removed, "dry_run": dry_run})
         return
     what = "would be" if dry_run else "were"
-    out.print(f"{removed['blobs']} blobs and {removed['files']} files of uploads {what} removed, {removed['bytes'] / 1e6:.1f} MB")
+    megabytes = removed["bytes"] / 1e6
+    say("{} blobs and {} files of uploads {} removed, {:.1f} MB", removed["blobs"], removed["files"], what, megabytes)

@@ -10,13 +10,12 @@ from pathlib import Path
 from typing import Annotated, Any, NoReturn, TypeVar
 
 from cyclopts import App, Parameter
-from rich.markup import escape
 
 from trueup.errors import TrueupError
 from trueup_cli.digests import whole
 from trueup_cli.exits import DISAGREES, HOLDS, told
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, seen, witness_file, witnessed
-from trueup_cli.show import as_json, err, moment, out, progress, table
+from trueup_cli.show import as_json, err, lines, moment, progress, say, table
 from trueup_client import Client, Witness
 from trueup_client.problem import ClientError
 from trueup_client.records import Decision
@@ -58,15 +57,15 @@ def checkpoint(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     if as_json_:
         as_json({"checkpoint": note})
     else:
-        out.print(note, end="", markup=False, soft_wrap=True)
-    err.print(f"seen; kept in {witness_file(url)}", style="dim", soft_wrap=True)
+        lines(note)
+    say("[dim]seen; kept in {}[/]", witness_file(url), to=err)
 
 
 @app.command
 def key(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """Print the log's public key, to be given to robots and auditors by a way of your own."""
     found = connect(url).audit_key()
-    as_json({"key": found}) if as_json_ else print(found)
+    as_json({"key": found}) if as_json_ else say("{}", found)
 
 
 @app.command
@@ -114,15 +113,19 @@ def verify(
         table("", ["where", "what does not agree"], wrong)
     else:
         replayed = f", {len(found.decisions)} decisions recomputed" if replays else ""
-        out.print(
-            f"[bold green]holds[/]: {found.size} entries under the signed root {base64.b64encode(found.root).decode()}, {found.rows} rows, "
-            f"{found.bytes / 1e6:.1f} MB of episodes and artifacts{replayed}",
-            soft_wrap=True,
+        root, megabytes = base64.b64encode(found.root).decode(), found.bytes / 1e6
+        say(
+            "[bold green]holds[/]: {} entries under the signed root {}, {} rows, {:.1f} MB of episodes and artifacts{}",
+            found.size,
+            root,
+            found.rows,
+            megabytes,
+            replayed,
         )
     if lines.notes and not as_json_:
-        out.print("[bold]to be known[/]: what was decided knowing what")
+        say("[bold]to be known[/]: what was decided knowing what")
         for note in lines.notes:
-            out.print(f"  {escape(note)}", soft_wrap=True)
+            say("  {}", note)
     if wrong:
         _disagree(f"{len(wrong)} things are not as the log says")
 
@@ -202,7 +205,7 @@ def _replayed(client: Client, decision: str) -> list[str]:
 
 
 def _disagree(what: str) -> NoReturn:
-    err.print(f"[bold red]disagrees[/] {escape(what)}", soft_wrap=True)
+    say("[bold red]disagrees[/] {}", what, to=err)
     sys.exit(DISAGREES)
 
 
@@ -274,9 +277,7 @@ def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: lis
         ["rule", "recorded", "recomputed", "threshold", "passed"],
         [(a["rule"], a["value"], b["value"], b["threshold"], b["passed"]) for a, b in pairs],
     )
-    out.print(
-        "[bold green]agrees[/]: every figure and the verdict" if not differences else "[bold red]disagrees[/]\n" + "\n".join(differences)
-    )
-    out.print(
-        escape(disclosure(recorded) or "It does not tell what was known when its gate was declared: trueup audit verify works it out.")
-    )
+    say("[bold red]disagrees[/]" if differences else "[bold green]agrees[/]: every figure and the verdict")
+    for difference in differences:
+        say("{}", difference)
+    say("{}", disclosure(recorded) or "It does not tell what was known when its gate was declared: trueup audit verify works it out.")

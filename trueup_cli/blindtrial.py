@@ -15,8 +15,7 @@ from cyclopts.validators import Number
 from trueup.canonical import is_digest
 from trueup.errors import TrueupError
 from trueup_cli.options import DEFAULT_URL, Json, Url, connect
-from trueup_cli.show import as_json, moment, progress
-from trueup_cli.show import out as console
+from trueup_cli.show import as_json, moment, progress, say
 
 TRIALS = 60
 
@@ -49,7 +48,7 @@ def run(
     """
     if verify:
         said = _verify(Path(target))
-        as_json({"holds": True, "said": said}) if as_json_ else console.print(said, soft_wrap=True)
+        as_json({"holds": True, "said": said}) if as_json_ else say("{}", said)
         return
     out = out or Path(f"blindtrial-{Path(target).resolve().name}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -69,8 +68,8 @@ def run(
     if as_json_:
         as_json({"sentence": sentence(document), "report": document, "files": {"report": str(out / "report.html")}})
         return
-    console.print(sentence(document))
-    console.print(f"report: {out / 'report.html'}")
+    say("{}", sentence(document))
+    say("report: {}", out / "report.html")
 
 
 def _verify(trial: Path) -> str:

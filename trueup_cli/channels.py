@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import Parameter
-from rich.markup import escape
 
 from trueup.gate.evidence import BadEvidence
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, read_json, witnessed
-from trueup_cli.show import as_json, moment, out, table
+from trueup_cli.show import as_json, moment, say, table
 from trueup_client import Client, Problem
 from trueup_client.records import ChannelPosition
 
@@ -37,14 +36,14 @@ def evidence(
         as_json(found)
         return
     if not found:
-        out.print(f"no evidence of {of[:12]} yet")
+        say("no evidence of {} yet", of[:12])
         return
     rows = [
         (e["stage"], "passed" if e["passed"] else "failed", moment(e["created_at"]), e["created_by"], e["document"]["shows"]) for e in found
     ]
     table(f"Evidence of {of[:12]}", ["stage", "", "at", "by", "shows"], rows)
     for e in found:
-        out.print(f"[dim]{e['stage']} cannot show: {escape(e['document']['cannot_show'])}[/]")
+        say("[dim]{} cannot show: {}[/]", e["stage"], e["document"]["cannot_show"])
 
 
 def channels(
@@ -67,7 +66,7 @@ def channels(
     if rows:
         table("Channels", ["channel", "requires", "gen.", "version", "artifact", "since (UTC)"], rows)
     else:
-        out.print("no channels: `trueup channels PLANT --declare field --requires MIL,physical` makes one")
+        say("no channels: `trueup channels PLANT --declare field --requires MIL,physical` makes one")
 
 
 def release(plant: PlantName, channel: str, *, artifact: Artifact = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -84,7 +83,7 @@ def release(plant: PlantName, channel: str, *, artifact: Artifact = None, url: U
     if as_json_:
         as_json(moved)
     else:
-        out.print(f"{channel} serves version {moved['version']} of {plant}, generation {moved['generation']}")
+        say("{} serves version {} of {}, generation {}", channel, moved["version"], plant, moved["generation"])
 
 
 def _position(client: Client, plant: str, channel: str) -> ChannelPosition | None:

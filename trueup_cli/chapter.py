@@ -7,7 +7,7 @@ from rich.text import Text
 from trueup.chapter.figures import Table, Value, run_chapter
 from trueup.chapter.published import PUBLISHED, printed_like
 from trueup_cli.options import Json
-from trueup_cli.show import as_json, out, progress, table
+from trueup_cli.show import as_json, progress, say, table
 
 
 def chapter(*, as_json_: Json = False) -> None:
@@ -21,7 +21,7 @@ def chapter(*, as_json_: Json = False) -> None:
         _show(found)
     compared = [_agrees(t, r, c, v) for t in tables for r, row in t.rows.items() for c, v in row.items()]
     agree = sum(x is True for x in compared)
-    out.print(f"\n{agree} of {sum(x is not None for x in compared)} published figures agree to the printed digit")
+    say("\n{} of {} published figures agree to the printed digit", agree, sum(x is not None for x in compared))
 
 
 def _show(found: Table) -> None:
@@ -33,7 +33,7 @@ def _show(found: Table) -> None:
         rows.append([name, *(_cell(row[c], digits.get(c)) if c in row else "" for c in columns)])
         if digits:
             rows.append([Text("  published", "dim"), *(_published(row[c], digits[c]) if c in digits else "" for c in columns)])
-    out.print()
+    say("")
     table(found.title, ["", *columns], rows)
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import errno
 import sys
+import traceback
 from collections.abc import Mapping
-
-from rich.markup import escape
 
 from trueup.errors import TrueupError
 from trueup_cli.exits import DISAGREES, REFUSED, UNREACHABLE
-from trueup_cli.show import as_json, err
+from trueup_cli.show import as_json, err, lines, say
 from trueup_client.problem import ClientError, NotSigned, Problem, Rewritten, Untrue
 
 UNTRUE_HINT = "The bytes are not what their digest names: the stored copy is damaged, or was changed."
@@ -30,7 +29,14 @@ HINTS = {  # what to do at the command, where the service's words are for progra
         "TRUEUP_DATA_DIR), where it finds the first admin's token."
     ),
 }
+NOT_AS_SAID = ("blob-damaged", "broken-chain")  # what the service finds wrong with what it keeps
 UNREACHABLE_HINT = "Start it with `trueup serve`, or name it with --url or TRUEUP_URL."
+
+
+def trace(error: Exception) -> int:
+    """Print an error that nobody expected and where it came from, for its message may quote others; the exit code is Python's own."""
+    lines("".join(traceback.format_exception(error)), to=err)
+    return REFUSED
 
 
 def complain(error: Exception) -> int | None:
@@ -38,7 +44,8 @@ def complain(error: Exception) -> int | None:
     code = UNREACHABLE if isinstance(error, ClientError) else REFUSED
     facts: Mapping[str, object] = {}
     if isinstance(error, Problem):
-        noun, code, facts = str(error.facts.get("noun", "")), REFUSED, {k: x for k, x in error.facts.items() if k != "noun"}
+        code = DISAGREES if error.code in NOT_AS_SAID else REFUSED
+        noun, facts = str(error.facts.get("noun", "")), {k: x for k, x in error.facts.items() if k != "noun"}
         told = error.code, error.detail, HINTS.get((error.code, noun), error.hint)
     elif isinstance(error, Untrue):
         told, code = ("untrue", str(error), UNTRUE_HINT), DISAGREES
@@ -64,11 +71,11 @@ def _print(code: str, detail: str, hint: str, facts: Mapping[str, object], reque
     if "--json" in sys.argv:
         as_json({"code": code, "detail": detail, "hint": hint, "facts": known, "request_id": request_id})
         return
-    err.print(f"[bold red]{escape(code)}[/] {escape(detail)}", soft_wrap=True)
+    say("[bold red]{}[/] {}", code, detail, to=err)
     if hint:
-        err.print(f"  {escape(hint)}", soft_wrap=True)
+        say("  {}", hint, to=err)
     for name, x in known.items():
         if isinstance(x, str | int | float) and str(x) not in detail:
-            err.print(f"  [dim]{escape(name)}[/] {escape(str(x)[:SHOWN])}", soft_wrap=True)
+            say("  [dim]{}[/] {}", name, str(x)[:SHOWN], to=err)
     if request_id:
-        err.print(f"  [dim]request {request_id}[/]")
+        say("  [dim]request {}[/]", request_id, to=err)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from trueup.errors import TrueupError
-from trueup_cli.show import out
+from trueup_cli.show import lines, say
 
 Shell = Literal["bash", "zsh", "fish", "powershell"]
 
@@ -41,10 +41,10 @@ def completion(
 
     try:
         if not install and to is None:
-            print(app.generate_completion(shell=shell))
+            lines(app.generate_completion(shell=shell))
             return
         written = app.install_completion(shell=shell, output=to, add_to_startup=to is None)
     except ShellDetectionError as error:
         raise NoShell(str(error)) from error
     says = "completes trueup in every shell that is started from now on" if to is None else "completes trueup in a shell that reads it"
-    out.print(f"{written} {says}", soft_wrap=True)
+    say("{} {}", written, says)

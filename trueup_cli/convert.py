@@ -19,7 +19,7 @@ from trueup.model.mjcf_patch import Left, patch
 from trueup.model.mjcf_writer import Written, write
 from trueup.model.predictor import Physical
 from trueup_cli.options import Json
-from trueup_cli.show import as_json, out, progress
+from trueup_cli.show import as_json, progress, say
 
 
 def convert(model: Path, to: Path, *, mjcf: Path | None = None, as_json_: Json = False) -> None:
@@ -40,9 +40,9 @@ def convert(model: Path, to: Path, *, mjcf: Path | None = None, as_json_: Json =
     if as_json_:
         as_json({"file": str(to), "artifact": found.digest, "not_expressed": [x.document() for x in left]})
         return
-    out.print(f"{to}: {found.plant.name}, artifact {found.digest[:12]}", soft_wrap=True)
+    say("{}: {}, artifact {}", to, found.plant.name, found.digest[:12])
     for x in left:
-        out.print(f"not expressed: {x}", soft_wrap=True, markup=False)
+        say("not expressed: {}", x)
 
 
 def _of_no_form(to: Path) -> Sequence[Left]:

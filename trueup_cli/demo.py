@@ -26,7 +26,7 @@ from trueup_cli.beside import service_beside
 from trueup_cli.pictures.before_and_after import AFTER, BEFORE, Trace, before_and_after
 from trueup_cli.registry import result_of, run_job, show_decision
 from trueup_cli.serving import show_serving
-from trueup_cli.show import answer, out, progress, table
+from trueup_cli.show import answer, progress, say, table
 from trueup_client import Client
 from trueup_client.records import Decision
 
@@ -78,23 +78,23 @@ def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
         _upload(client, told)
         best = _fit_and_gate(client, told)
         if best is None:
-            out.print("\nNo candidate was accepted: the nominal model keeps serving.")
+            say("\nNo candidate was accepted: the nominal model keeps serving.")
         else:
             _promote_and_predict(client, told, best)
             _roll_back(client, told)
         _audit(client)
-    out.print(f"\n[dim]done in {time.monotonic() - began:.0f} s; storage, model and picture are in {work}[/]")
-    out.print(f"[dim]look at it in a browser: {'make look' if work == DEMO else f'trueup look --data {work}/data'}[/]")
+    say("\n[dim]done in {:.0f} s; storage, model and picture are in {}[/]", time.monotonic() - began, work)
+    say("[dim]look at it in a browser: {}[/]", "make look" if work == DEMO else f"trueup look --data {work}/data")
 
 
 def _say(step: int, what: str) -> None:
-    out.print(f"\n[bold]{step}  {what}[/]")
+    say("\n[bold]{}  {}[/]", step, what)
 
 
 def _upload(client: Client, case: Case) -> None:
     nominal = case.plant["nominal"]
     described = f"in {nominal['mjcf']}" if case.is_robot else f"of the family {nominal['family']}"
-    out.print(f"[bold]{case.name}[/]: {len(list(case.folder.glob('*.mcap')))} recordings, a nominal model {described}")
+    say("[bold]{}[/]: {} recordings, a nominal model {}", case.name, len(list(case.folder.glob("*.mcap"))), described)
     _say(1, "Register the plant, upload the recordings")
     client.register_plant(case.plant)
     found = []
@@ -114,10 +114,8 @@ def _fit_and_gate(client: Client, case: Case) -> Decision | None:
     """The decision on the candidate with the smallest rollout error among those accepted, if any."""
     _say(2, "Declare the gate, before anything is scored")
     gate = client.declare_gate(case.name, json.loads((case.folder / "gate.json").read_text()))
-    out.print(
-        f"gate {gate['digest'][:12]}: {', '.join(r['rule'] for r in gate['document']['rules'])}, "
-        f"over windows of {gate['document']['scoring']['horizon_s']:g} s"
-    )
+    rules, horizon_s = ", ".join(r["rule"] for r in gate["document"]["rules"]), gate["document"]["scoring"]["horizon_s"]
+    say("gate {}: {}, over windows of {:g} s", gate["digest"][:12], rules, horizon_s)
     _say(3, "Fit candidates from the adaptation episodes and diagnose the gap; judge each on the validation episodes")
     rows, decisions = [], []
     for name, request in CANDIDATES.items():
@@ -204,7 +202,7 @@ def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list
         channel.unit,
     )
     (case.work / "before-and-after.svg").write_text(svg)
-    out.print(f"picture: {case.work / 'before-and-after.svg'}")
+    say("picture: {}", case.work / "before-and-after.svg")
 
 
 def _roll_back(client: Client, case: Case) -> None:
@@ -212,7 +210,7 @@ def _roll_back(client: Client, case: Case) -> None:
     serving = client.serving(case.name)
     began = time.monotonic()
     client.roll_back(case.name, serving.generation)
-    out.print(f"switched in {1e3 * (time.monotonic() - began):.0f} ms")
+    say("switched in {:.0f} ms", 1e3 * (time.monotonic() - began))
     show_serving(list(client.history(case.name)), as_json_=False)
 
 
@@ -225,4 +223,4 @@ def _audit(client: Client) -> None:
             recorded = entry["facts"]["decision"]
             with progress(f"replay {entry['subject'][:12]}") as bar, tempfile.TemporaryDirectory() as folder:
                 recomputed = recompute(client, str(entry["plant"]), recorded, Path(folder), bar)
-            out.print(f"{entry['subject'][:12]} {'[green]agrees[/]' if not differences(recorded, recomputed) else '[red]disagrees[/]'}")
+            say("{} [red]disagrees[/]" if differences(recorded, recomputed) else "{} [green]agrees[/]", entry["subject"][:12])

@@ -16,7 +16,7 @@ from trueup.diagnose.words import sentence, warnings
 from trueup.episode.episode import Episode
 from trueup.model.mjcf_writer import write as write_corrected
 from trueup_cli.options import Json, Seed
-from trueup_cli.show import answer, as_json, progress
+from trueup_cli.show import answer, as_json, progress, say
 from trueup_pages.diagnosis import report_page
 
 
@@ -57,8 +57,8 @@ def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> Non
         return
     answer(found.document)
     if found.choice.rivals:
-        print(f"What would part the explanations: trueup excite {case} --model {out} --split --out {out / 'experiment'}")
-    print("   ".join(f"{what}: {where}" for what, where in files.items()))
+        say("What would part the explanations: trueup excite {} --model {} --split --out {}", case, out, out / "experiment")
+    say("{}", "   ".join(f"{what}: {where}" for what, where in files.items()))
 
 
 def write(found: Diagnosis, episodes: list[Episode], out: Path) -> None:

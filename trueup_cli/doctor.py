@@ -11,7 +11,7 @@ from pathlib import Path
 
 from trueup_cli.exits import REFUSED
 from trueup_cli.options import Json
-from trueup_cli.show import as_json, out, table
+from trueup_cli.show import as_json, say, table
 
 PYTHON = (3, 11)
 
@@ -74,5 +74,5 @@ def doctor(*, as_json_: Json = False) -> None:
         table("This installation", ["part", "found", "state", "used for", "what to do"], rows)
     missing = [f.part for f in found if f.needed and not f.ok]
     if missing:
-        out.print(f"[red]{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} needed[/]")
+        say("[red]{} {} needed[/]", ", ".join(missing), "is" if len(missing) == 1 else "are")
         raise SystemExit(REFUSED)

@@ -29,8 +29,7 @@ from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
 from trueup_cli.options import Json, Seed
 from trueup_cli.pictures.excitation import excite_picture
-from trueup_cli.show import as_json, progress, table
-from trueup_cli.show import out as screen
+from trueup_cli.show import as_json, progress, say, table
 
 Array = NDArray[np.float64]
 ELSEWHERE = "add another sensor at the joint, or another load"
@@ -91,10 +90,9 @@ def excite(
     _show(found)
     if isinstance(found.information, Separation):
         for how in _otherwise(play, found.information):
-            screen.print(f"Not parted: {how}.")
-    screen.print(
-        f"in {out}: excitation.csv, excitation.mcap, excitation.svg; declare `excitation = {digest_of(document)[:12]}` when recorded"
-    )
+            say("Not parted: {}.", how)
+    files, digest = "excitation.csv, excitation.mcap, excitation.svg", digest_of(document)
+    say("in {}: {}; declare `excitation = {}` when recorded", out, files, digest[:12])
 
 
 def _in_play(plant: Plant, folder: Path | None, spread: float) -> tuple[InPlay, dict[str, Any]]:
@@ -181,9 +179,7 @@ def _show(found: Excitation) -> None:
     table(found.title, ["", "designed", "random, same energy"], [(name, value, others[name]) for name, value in found.information.rows()])
     length = f"{len(found.t_s)} samples, {found.t_s[-1]:.4g} s"
     if np.isfinite(found.used):
-        room = f"at most {100 * found.used:.0f} % of the envelope is used, breaches: {found.breaches}"
-        screen.print(f"{length}; under {len(found.paths)} models {room}")
+        models, share = len(found.paths), 100 * found.used
+        say("{}; under {} models at most {:.0f} % of the envelope is used, breaches: {}", length, models, share, found.breaches)
     else:
-        screen.print(
-            f"{length}; plant.json declares no envelope, so nothing but the command's limits was kept: declare one before you play it"
-        )
+        say("{}; plant.json declares no envelope, so nothing but the command's limits was kept: declare one before you play it", length)

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import sys
 
-from rich.markup import escape
-
 from trueup_cli.exits import DISAGREES
 from trueup_cli.options import Json
-from trueup_cli.show import as_json, err, out, progress, table
+from trueup_cli.show import as_json, err, progress, say, table
 
 
 def fsck(*, as_json_: Json = False) -> None:
@@ -29,9 +27,9 @@ def fsck(*, as_json_: Json = False) -> None:
     elif wrong:
         table("", ["where", "what is wrong"], wrong)
     else:
-        out.print(f"[bold green]whole[/]: {found.size} entries, {found.rows} rows, {found.bytes / 1e6:.1f} MB", soft_wrap=True)
+        say("[bold green]whole[/]: {} entries, {} rows, {:.1f} MB", found.size, found.rows, found.bytes / 1e6)
     if left and not as_json_:
-        out.print(f"{len(left)} blobs are named by no row: uploads under way, or left over; `trueup gc` removes old ones.", soft_wrap=True)
+        say("{} blobs are named by no row: uploads under way, or left over; `trueup gc` removes old ones.", len(left))
     if wrong:
-        err.print(f"[bold red]wrong[/] {escape(f'{len(wrong)} things')}: restore them from a backup (`trueup restore`), or from a mirror.")
+        say("[bold red]wrong[/] {} things: restore them from a backup (`trueup restore`), or from a mirror.", len(wrong), to=err)
         sys.exit(DISAGREES)

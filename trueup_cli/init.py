@@ -18,8 +18,7 @@ from trueup.episode.survey import survey
 from trueup.errors import BadPlant, NotAnEpisode
 from trueup.fit.first_model import Chosen, choose, describe
 from trueup_cli.options import Json
-from trueup_cli.show import as_json, progress, table
-from trueup_cli.show import out as console
+from trueup_cli.show import as_json, progress, say, table
 
 Force = Annotated[bool, Parameter(negative=(), help="Write over a case that is there")]
 HELD_OUT = 0.3  # of what was recorded
@@ -70,7 +69,7 @@ def init(log: Path, *, out: Path, wanted: Wanted | None = None, force: Force = F
         as_json({"case": str(out), "plant": made.document})
         return
     tell(made)
-    console.print(f"next: trueup diagnose {out} --out {out / 'diagnosis'}", soft_wrap=True)
+    say("next: trueup diagnose {} --out {}", out, out / "diagnosis")
 
 
 def make_case(log: Path, out: Path, wanted: Wanted) -> Made:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import webbrowser
 from contextlib import suppress
@@ -14,7 +13,7 @@ from cyclopts.types import ExistingDirectory
 
 from trueup_cli.beside import service_beside
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, token_for
-from trueup_cli.show import err
+from trueup_cli.show import as_json, err, say
 from trueup_client import Client
 
 
@@ -41,7 +40,7 @@ def look(
     os.environ["TRUEUP_DATA_DIR"] = str(data)  # whose token is asked for
     with suppress(KeyboardInterrupt), service_beside(data, urlsplit(url).port) as (_, child):
         _open(url, plant, browser=browser, as_json_=as_json_)
-        err.print("[dim]serving until Ctrl-C[/]")
+        say("[dim]serving until Ctrl-C[/]", to=err)
         child.wait()
 
 
@@ -51,7 +50,7 @@ def _open(url: str, plant: str | None, *, browser: bool, as_json_: bool) -> None
     to = _best_page(client, plant)
     token = token_for(url)
     link = f"{url}/sign-in?{urlencode({'next': to})}" + (f"#token={quote(token, safe='')}" if token else "")
-    print(json.dumps({"url": link, "page": to}) if as_json_ else link, flush=True)
+    as_json({"url": link, "page": to}) if as_json_ else say("{}", link)
     if browser:
         webbrowser.open(link)
 

@@ -84,13 +84,11 @@ def main() -> None:
         sys.exit(PIPE_CLOSED)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
-    except Exception as error:
-        from trueup_cli.complaints import complain  # what it needs to print loads slowly, and a server never complains
+    except Exception as error:  # noqa: BLE001  (nothing is hidden: it is printed whole)
+        from trueup_cli.complaints import complain, trace  # what it needs to print loads slowly, and a server never complains
 
         code = complain(error)
-        if code is None:
-            raise
-        sys.exit(code)
+        sys.exit(trace(error) if code is None else code)
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
 from trueup_cli.exits import HOLDS, told
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, witnessed
-from trueup_cli.show import Bar, as_json, out, progress
+from trueup_cli.show import Bar, as_json, progress, say
 from trueup_client import Client, Untrue
 from trueup_client.records import Artifact as Registered
 
@@ -68,7 +68,7 @@ def export(
         if digest == serving.artifact:
             there.mark(version)
     told_ = {"model": f"models:/{there.name}/{version}", "artifact": digest, "serving": digest == serving.artifact}
-    as_json(told_) if as_json_ else out.print(f"{digest} is [bold]{told_['model']}[/]", soft_wrap=True)
+    as_json(told_) if as_json_ else say("{} is [bold]{}[/]", digest, told_["model"])
 
 
 @app.command(name="import")
@@ -92,7 +92,10 @@ def import_(
                 known, kept = _known(mlflow, model, folder)
         made = kept or _of_parameters(Plant.from_document(client.plant(plant)["document"]), known)
         version = client.add_artifact(plant, made.manifest, made.arrays)
-    as_json(version) if as_json_ else out.print(f"candidate [bold]{version['digest']}[/], version {version['version']} of {plant}")
+    if as_json_:
+        as_json(version)
+    else:
+        say("candidate [bold]{}[/], version {} of {}", version["digest"], version["version"], plant)
 
 
 @contextmanager

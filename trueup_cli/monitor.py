@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from trueup.gate.policy import BadPolicy
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, read_json
 from trueup_cli.registry import result_of, run_job
-from trueup_cli.show import as_json, moment, out, table
+from trueup_cli.show import as_json, moment, say, table
 from trueup_client import Client
 from trueup_client.problem import Problem
 from trueup_client.records import Alarm, Policy
@@ -48,11 +48,12 @@ def show_calibration(document: dict[str, Any]) -> None:
         rows.append((d["detector"], d["level"], f"{f['promised_per_h']:.3g}", said, f"{f['exceedance']:.4f}", _delays(f["delays"])))
     table("Monitor", ["detector", "level", "promised/h", "held out/h", "exceedance", "drifts found, median delay"], rows)
     hours = document["figures"]["reference_h"]
-    out.print(f"reference: {hours:.2f} h; one false alarm in {document['promise_h']:g} h is promised, of all detectors and joints together")
+    promise_h = document["promise_h"]
+    say("reference: {:.2f} h; one false alarm in {:g} h is promised, of all detectors and joints together", hours, promise_h)
     if not document["figures"]["promise_shown"]:
-        out.print("[yellow]The reference is shorter than the promise: the levels rest on what is assumed of the tail.[/]")
+        say("[yellow]The reference is shorter than the promise: the levels rest on what is assumed of the tail.[/]")
     for d in document["detectors"]:
-        out.print(f"[dim]{d['detector']}: {d['rests_on']}[/]")
+        say("[dim]{}: {}[/]", d["detector"], d["rests_on"])
 
 
 def _delays(delays: dict[str, Any]) -> str:
@@ -75,7 +76,8 @@ def monitor(
     if as_json_:
         as_json(state)
         return
-    out.print(f"{plant}: {'watched' if state['watches'] else 'not watched'}, {state['episodes']} episodes seen. {state['hint']}".rstrip())
+    watched = "watched" if state["watches"] else "not watched"
+    say("{}: {}, {} episodes seen. {}", plant, watched, state["episodes"], state["hint"] or "")
     watches = [w for w in watches if "channels" in w["seen"]]
     if watches:
         names = list(watches[0]["seen"]["channels"])
@@ -95,7 +97,7 @@ def _draw(client: Client, plant: str, to: Path) -> None:
     if any("channels" in one["seen"] for w in found for one in w.watches):
         to.write_text(watch_picture(plant, found))
     else:
-        out.print("nothing was watched yet: there is nothing to draw")
+        say("nothing was watched yet: there is nothing to draw")
 
 
 def _row(seen: dict[str, Any], names: list[str]) -> tuple[object, ...]:
@@ -119,7 +121,7 @@ def alarms(
     for alarm in found:
         show_alarm(alarm)
     if not found:
-        out.print("no alarms")
+        say("no alarms")
 
 
 def policy(
@@ -142,9 +144,9 @@ def policy(
         as_json(found)
         return
     if found is None:
-        out.print(f"{plant} has no policy: every step is a person's. Declare one with [bold]trueup policy {plant} FILE[/].", soft_wrap=True)
+        say("{} has no policy: every step is a person's. Declare one with [bold]trueup policy {} FILE[/].", plant, plant)
         return
-    out.print(f"policy [bold]{found['digest']}[/], the {found['sequence']}. of {plant}, since {moment(found['created_at'])}")
+    say("policy [bold]{}[/], the {}. of {}, since {}", found["digest"], found["sequence"], plant, moment(found["created_at"]))
     table("", ["", ""], [(name, value) for name, value in found["document"].items() if name != "schema"])
 
 
@@ -160,11 +162,15 @@ def _policy(client: Client, plant: str) -> Policy | None:
 
 def show_alarm(alarm: Alarm) -> None:
     """Print what changed, and what came of it."""
-    standing = f"closed: {alarm['closed_because']}" if alarm["closed_at"] else "[bold red]open[/]"
-    out.print(f"alarm [bold]{alarm['id']}[/] {moment(alarm['raised_at'])}, {standing}")
+    if alarm["closed_at"]:
+        say("alarm [bold]{}[/] {}, closed: {}", alarm["id"], moment(alarm["raised_at"]), alarm["closed_because"])
+    else:
+        say("alarm [bold]{}[/] {}, [bold red]open[/]", alarm["id"], moment(alarm["raised_at"]))
     for name, at in alarm["document"]["detectors"].items():
-        out.print(f"  {name}: {at['leading']}")
+        say("  {}: {}", name, at["leading"])
     for words in alarm["document"]["change"]["words"]:
-        out.print(f"  {words}")
-    waiting = "  no diagnosis yet: upload an adaptation and a validation episode recorded since the change began"
-    out.print(f"  diagnosis: job {alarm['job']}" if alarm["job"] else waiting)
+        say("  {}", words)
+    if alarm["job"]:
+        say("  diagnosis: job {}", alarm["job"])
+    else:
+        say("  no diagnosis yet: upload an adaptation and a validation episode recorded since the change began")

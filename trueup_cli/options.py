@@ -5,6 +5,7 @@ from __future__ import annotations
 import getpass
 import json
 import os
+import re
 import socket
 from itertools import islice
 from pathlib import Path
@@ -21,6 +22,7 @@ Url = Annotated[str, Parameter(name="--url", env_var="TRUEUP_URL", help="Address
 Seed = Annotated[int, Parameter(help="Of what is drawn by lot: the same seed gives the same answer")]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
 DEFAULT_URL = "http://127.0.0.1:8321"
+NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")  # what a service may call a plant: nothing else goes into a shell
 COMPLETED, COMPLETION_LIMIT_S = 500, 1.0
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
@@ -38,7 +40,7 @@ def plants_there(_: object) -> list[str]:
     url = os.environ.get("TRUEUP_URL", DEFAULT_URL)
     try:
         with Client(url, timeout_s=COMPLETION_LIMIT_S, token=token_for(url)) as client:
-            return [str(plant["name"]) for plant in islice(client.plants(), COMPLETED)]
+            return [name for plant in islice(client.plants(), COMPLETED) if NAME.fullmatch(name := str(plant["name"]))]
     except (ClientError, OSError):
         return []
 

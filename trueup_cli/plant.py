@@ -9,7 +9,7 @@ from cyclopts import App
 from trueup.errors import BadPlant
 from trueup_cli.exits import ASKS, told
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, read_json
-from trueup_cli.show import as_json, moment, out, table
+from trueup_cli.show import as_json, moment, say, table
 
 app = App(name="plant", help="Register and look at plants.", help_epilogue=told(ASKS))
 
@@ -27,7 +27,7 @@ def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> N
 
     description = file / "plant.json" if file.is_dir() else file
     found = connect(url).register_plant(resolved(read_json(description, BadPlant), description.parent))
-    as_json(found) if as_json_ else out.print(f"plant [bold]{found['name']}[/] is registered as {found['digest'][:12]}")
+    as_json(found) if as_json_ else say("plant [bold]{}[/] is registered as {}", found["name"], found["digest"][:12])
 
 
 @app.command
@@ -45,8 +45,8 @@ def show(name: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
         for c in declared[kind]
     ]
     model = nominal.get("mjcf") or f"{nominal['family']}, " + ", ".join(f"{k} = {v:g}" for k, v in nominal["parameters"].items())
-    out.print(f"[bold]{found['name']}[/] {found['digest'][:12]}, registered {moment(found['created_at'])} by {found['created_by']}")
-    out.print(f"{model}; a step of {1e3 * nominal['timestep_s']:g} ms", markup=False)
+    say("[bold]{}[/] {}, registered {} by {}", found["name"], found["digest"][:12], moment(found["created_at"]), found["created_by"])
+    say("{}; a step of {:g} ms", model, 1e3 * nominal["timestep_s"])
     table("", ["", "channel", "unit", "joint", "limits"], channels)
 
 

@@ -14,8 +14,7 @@ from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode_stream
 from trueup.model.predictor import Nominal, Predictor, predict_episode
 from trueup_cli.options import Json
-from trueup_cli.show import as_json, progress
-from trueup_cli.show import out as console
+from trueup_cli.show import as_json, progress, say
 
 
 def predict(
@@ -53,7 +52,7 @@ def predict(
         as_json({"file": str(out), "samples": len(predicted), "rms": {c.name: float(x) for c, x in zip(channels, rms, strict=True)}})
         return
     said = ", ".join(f"{c.name} {x:.3g} {c.unit}".rstrip() for c, x in zip(channels, rms, strict=True))
-    console.print(f"{out}: {len(predicted)} samples; RMS error {said}", soft_wrap=True)
+    say("{}: {} samples; RMS error {}", out, len(predicted), said)
 
 
 def write_csv(to: Path, predictor: Predictor, episode: Episode, predicted: np.ndarray) -> None:

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
-from rich.markup import escape
 
 from trueup.errors import BadGate, NotAnEpisode
 from trueup.gate.line import budget_of
 from trueup_cli.digests import whole
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Seed, Url, connect, read_json
-from trueup_cli.show import Bar, answer, as_json, moment, out, progress, table
+from trueup_cli.show import Bar, answer, as_json, moment, progress, say, table
 from trueup_client import Client
 from trueup_client.problem import Problem
 from trueup_client.records import Decision, GateInLine, JobWithReads
@@ -46,9 +45,9 @@ def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Jso
     else:
         warned = Counter(warning for episode in found for warning in episode["summary"].get("collection", {}).get("warnings", []))
         for warning, times in warned.items():
-            out.print(f"[yellow]{times} of {len(found)} episodes[/]: {escape(warning)}", soft_wrap=True)
+            say("[yellow]{} of {} episodes[/]: {}", times, len(found), warning)
         if warned:
-            out.print("[dim]A recording declares in its metadata record `episode`, a plant in plant.json: docs/plant.md.[/]")
+            say("[dim]A recording declares in its metadata record `episode`, a plant in plant.json: docs/plant.md.[/]")
         table(
             "Episodes",
             ["file", "digest", "role", "samples", "seconds"],
@@ -86,7 +85,7 @@ def fit(
     """Fit a candidate from the plant's adaptation episodes."""
     request: dict[str, Any] = {"kind": "fit", "method": method, **({"features": features.split(",")} if features else {})}
     found = run_job(connect(url), plant, request, f"fit {method}")
-    as_json(found) if as_json_ else out.print(f"candidate [bold]{result_of(found)['artifact']}[/]")
+    as_json(found) if as_json_ else say("candidate [bold]{}[/]", result_of(found)["artifact"])
 
 
 def diagnosis(plant: PlantName, *, seed: Seed = 0, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -96,8 +95,8 @@ def diagnosis(plant: PlantName, *, seed: Seed = 0, url: Url = DEFAULT_URL, as_js
         as_json(found)
         return
     answer(result_of(found)["report"])
-    out.print(f"candidate [bold]{result_of(found)['artifact']}[/]")
-    out.print(f"[dim]the whole of it in a browser: trueup look {plant}[/]")
+    say("candidate [bold]{}[/]", result_of(found)["artifact"])
+    say("[dim]the whole of it in a browser: trueup look {}[/]", plant)
 
 
 def gate(
@@ -178,7 +177,7 @@ def _show_scales(decision: Decision, found: list[dict[str, Any]]) -> None:
         [(f["channel"], f"× {f['factor']:g}", f["accepted"], *(_ratio(v) for v in f["verdicts"])) for f in found],
     )
     word = f"the verdict hangs on the scale of {' and '.join(dict.fromkeys(moved))}" if moved else "no scale moves the verdict"
-    out.print(escape(word), soft_wrap=True)
+    say("{}", word)
 
 
 def _ratio(verdict: dict[str, Any]) -> str:
@@ -234,14 +233,22 @@ def result_of(job: JobWithReads) -> dict[str, Any]:
 
 def show_decision(decision: Decision, gate: GateInLine) -> None:
     """Print a decision with every verdict, what it was judged on, and what was known when its gate was declared."""
-    word = "[bold green]accepted[/]" if decision["accepted"] else "[bold red]rejected[/]"
-    out.print(f"{word}: decision [bold]{decision['digest']}[/] at generation {decision['generation']}", soft_wrap=True)
+    say(
+        "[bold green]accepted[/]: decision [bold]{}[/] at generation {}"
+        if decision["accepted"]
+        else "[bold red]rejected[/]: decision [bold]{}[/] at generation {}",
+        decision["digest"],
+        decision["generation"],
+    )
     scoring, episodes = gate["document"]["scoring"], len(decision["document"]["episodes"])
     windows = "every window" if scoring["windows"] == "every" else "the first window alone"
-    out.print(
-        f"[dim]on {windows} of {scoring['horizon_s']:g} s in {episodes} held-out episode{'s' * (episodes != 1)}, against "
-        f"{decision['incumbent'][:12]}; errors in units of the channels' declared scales[/]",
-        soft_wrap=True,
+    held_out = f"{episodes} held-out episode{'s' * (episodes != 1)}"
+    say(
+        "[dim]on {} of {:g} s in {}, against {}; errors in units of the channels' declared scales[/]",
+        windows,
+        scoring["horizon_s"],
+        held_out,
+        decision["incumbent"][:12],
     )
     table(
         "",
@@ -250,17 +257,13 @@ def show_decision(decision: Decision, gate: GateInLine) -> None:
     )
     uses = decision["document"].get("uses")
     if uses:
-        out.print(f"[dim]held-out episodes used {_span(uses)} of {budget_of(gate['document'])} times[/]", soft_wrap=True)
+        say("[dim]held-out episodes used {} of {} times[/]", _span(uses), budget_of(gate["document"]))
     if decision["disclosure"]:
-        out.print(escape(decision["disclosure"]), soft_wrap=True)
+        say("{}", decision["disclosure"])
     if gate["looser"]:
         because = gate["document"].get("because")
-        out.print(
-            escape(
-                f"It is looser than the gate before it{'' if because is None else f', because “{because}”'}: {'; '.join(gate['looser'])}."
-            ),
-            soft_wrap=True,
-        )
+        why = "" if because is None else f", because “{because}”"
+        say("It is looser than the gate before it{}: {}.", why, "; ".join(gate["looser"]))
 
 
 def _span(uses: list[int]) -> str:

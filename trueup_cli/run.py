@@ -13,7 +13,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from trueup_cli.options import Json
-from trueup_cli.show import as_json, out, progress
+from trueup_cli.show import as_json, err, progress, say
 
 RESTART_PAUSE_S = 1.0
 
@@ -37,13 +37,13 @@ def serve(
     from trueup_service.settings import Settings
     from trueup_service.wiring import build
 
-    settings = Settings()
+    settings = Settings() if host is None else Settings(host=host)
     configure_logs(settings.log_level)
     parts = build(settings)
     made = first_admin(settings, parts.database)
     if made is not None:
-        print(f"An admin's token was made; it is in {made}, which the command beside it reads.", file=sys.stderr)
-    listening = listen(host or settings.host, settings.port if port is None else port)
+        say("An admin's token was made; it is in {}, which the command beside it reads.", made, to=err)
+    listening = listen(settings.host, settings.port if port is None else port)
     address = listening.getsockname()
     logging.getLogger("trueup").info(
         "listening", extra={"url": f"http://{address[0]}:{address[1]}", "data_dir": str(settings.data_dir.absolute())}
@@ -113,7 +113,7 @@ def migrate(*, as_json_: Json = False) -> None:
     with progress("migrating"):
         build(settings).close()
         migrate_engine(settings.sqlalchemy_url)
-    as_json({"schema": HEAD}) if as_json_ else out.print(f"the schema is at {HEAD}")
+    as_json({"schema": HEAD}) if as_json_ else say("the schema is at {}", HEAD)
 
 
 def kernels(*, as_json_: Json = False) -> None:
@@ -124,7 +124,7 @@ def kernels(*, as_json_: Json = False) -> None:
     with progress("compiling"):
         families, count = compile_all(), warm()
     said = f"compiled: {', '.join(families)}, and one kernel with {count} effects"
-    as_json({"families": families, "effects": count}) if as_json_ else out.print(said)
+    as_json({"families": families, "effects": count}) if as_json_ else say("{}", said)
 
 
 def keygen(name: str, *, as_json_: Json = False) -> None:
@@ -142,5 +142,5 @@ def keygen(name: str, *, as_json_: Json = False) -> None:
     if as_json_:
         as_json({"signing_key": made.text, "verifier": made.verifier})
         return
-    print(made.text)
-    print(made.verifier)
+    say("{}", made.text)
+    say("{}", made.verifier)

@@ -13,7 +13,7 @@ from trueup.errors import NoSuchDigest
 from trueup_cli.digests import whole
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, witnessed
 from trueup_cli.registry import whole_artifact
-from trueup_cli.show import as_json, moment, out, progress, table
+from trueup_cli.show import as_json, moment, progress, say, table
 from trueup_client import Client, Problem, Serving
 
 Generation = Annotated[int | None, Parameter(help="Refuse if the pointer is elsewhere; default: where it is now")]
@@ -98,7 +98,7 @@ def approve(
     if as_json_:
         as_json(found)
     else:
-        out.print(f"approved by {found['actor']}; somebody else may promote it", markup=False)
+        say("approved by {}; somebody else may promote it", found["actor"])
 
 
 def rollback(plant: PlantName, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -126,7 +126,7 @@ def fetch(
     digest = whole_artifact(client, plant, artifact) if artifact else client.serving(plant).artifact
     with progress(f"fetch {digest[:12]}"):
         client.fetch(plant, digest, to)
-    as_json({"artifact": digest, "folder": str(to)}) if as_json_ else out.print(f"{digest} is in {to}", soft_wrap=True)
+    as_json({"artifact": digest, "folder": str(to)}) if as_json_ else say("{} is in {}", digest, to)
 
 
 def show_serving(found: list[Serving], *, as_json_: bool) -> None:

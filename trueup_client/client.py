@@ -305,7 +305,7 @@ class Client:
 
     def evidence(self, plant: str, artifact: str) -> list[Evidence]:
         """Everything that was found of an artifact, in order."""
-        items: list[Evidence] = self._get(f"/v1/plants/{_name(plant)}/artifacts/{_name(artifact)}/evidence")["items"]
+        items: list[Evidence] = list(self._pages(f"/v1/plants/{_name(plant)}/artifacts/{_name(artifact)}/evidence", "after"))
         return items
 
     def declare_channel(self, plant: str, name: str, requires: list[str]) -> Channel:

@@ -154,11 +154,25 @@ class UploadElsewhere(TrueupError):
     hint = "Ask how far it came (GET the upload), and go on from `offset_bytes`."
 
 
+class UploadsFull(TrueupError):
+    """The plant has as many uploads in parts under way as it may."""
+
+    code = "uploads-full"
+    hint = "Finish those that are under way; one that nobody goes on with goes after TRUEUP_UPLOADS_KEPT_S."
+
+
 class ApprovalMissing(TrueupError):
     """The plant's policy takes more people for a promotion."""
 
     code = "approval-missing"
     hint = "Somebody else must approve it first, with a token of their own name: `trueup approve PLANT DECISION`."
+
+
+class UnknownHost(TrueupError):
+    """The service is not known by the host that the request names."""
+
+    code = "unknown-host"
+    hint = "Ask it by its address or its name; whoever runs it adds a name to TRUEUP_ALLOWED_HOSTS."
 
 
 class Unauthenticated(TrueupError):

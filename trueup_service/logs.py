@@ -1,4 +1,4 @@
-"""Logs as JSON, one object a line, on standard error."""
+"""Logs as JSON in ASCII, one object a line, on standard error: nothing that somebody sends ends a line or reaches a terminal as it is."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import json
 import logging
 import sys
 from datetime import UTC, datetime
-
-import orjson
 
 _PLAIN = set(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName", "color_message"}
 
@@ -25,10 +23,7 @@ class JsonLines(logging.Formatter):
         line |= {key: value for key, value in vars(record).items() if key not in _PLAIN}
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)
-        try:
-            return orjson.dumps(line, default=str).decode()
-        except TypeError:  # text that is no Unicode
-            return json.dumps(line, default=str)
+        return json.dumps(line, default=str)
 
 
 def configure_logs(level: str) -> None:
@@ -38,3 +33,5 @@ def configure_logs(level: str) -> None:
     logging.basicConfig(level=level, handlers=[handler], force=True)
     for quiet in ("alembic", "dbos"):
         logging.getLogger(quiet).setLevel(logging.WARNING)
+    engine = logging.getLogger("dbos")  # would print in a form of its own
+    engine.handlers, engine.propagate = [handler], False

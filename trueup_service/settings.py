@@ -28,7 +28,41 @@ class Settings(BaseSettings):
     public_url: str | None = Field(
         None, description="Address under which browsers reach the service, such as https://registry.example.com; unset: as they ask."
     )
+    connections: int | None = Field(
+        None,
+        ge=1,
+        description="Connections held at once; unset: what the limit on open files (`ulimit -n`) leaves room for, less a quarter and less "
+        "than what database, blobs and checkpoint need.",
+    )
+    header_limit_s: float = Field(20.0, gt=0, description="Time in which a request's head must arrive [s].")
+    keep_alive_s: float = Field(
+        75.0, gt=0, description="How long a connection is kept without a request [s]; a robot that asks twice a minute keeps its own."
+    )
+    silence_limit_s: float = Field(
+        60.0,
+        gt=0,
+        description="How long a body may be on its way, or an answer be left untaken, at less than 100 bytes a second [s].",
+    )
+    allowed_hosts: str | None = Field(
+        None,
+        description="Names by which the service may be asked, beside addresses, localhost, the machine's own name, `host` and that of "
+        "`public_url`: comma-separated, `*.example.com` for every name below it, `*` for any. Others are refused, so that a page whose own "
+        "name leads to this address (DNS rebinding) cannot read its answers. /healthz and /readyz answer by any name.",
+    )
     upload_limit_bytes: int = Field(2 << 30, ge=1, description="Largest upload [bytes].")
+    uploads_under_way: int = Field(64, ge=1, description="Uploads in parts that a plant may have under way at one server.")
+    uploads_under_way_bytes: int = Field(8 << 30, ge=1, description="Bytes of the uploads in parts that a plant has under way [bytes].")
+    uploads_kept_s: float = Field(
+        604_800.0, gt=0, description="How long an upload in parts that nobody goes on with is kept, since its last part [s]."
+    )
+    answers_kept_s: float = Field(
+        604_800.0,
+        gt=0,
+        description="How long the answer to an Idempotency-Key is kept [s]; a request that is repeated later is a new one.",
+    )
+    answers_kept: int = Field(
+        10_000, ge=1, description="Answers to Idempotency-Keys that are kept for one token: of more, the oldest go within a minute."
+    )
     inspection_memory_bytes: int = Field(1 << 30, ge=256 << 20, description="Address space of the process that inspects an upload [bytes].")
     inspection_timeout_s: float = Field(120.0, gt=0, description="Time that the inspection of an upload may take [s].")
     inspections: int = Field(2, ge=1, description="Inspections at once.")
@@ -69,7 +103,12 @@ class Settings(BaseSettings):
     @cached_property
     def sqlalchemy_url(self) -> str:
         """URL of the database."""
-        return self.database_url or f"sqlite:///{(self.data_dir / 'trueup.sqlite').absolute()}"
+        return self.database_url or f"sqlite:///{self.sqlite_file}"
+
+    @property
+    def sqlite_file(self) -> Path | None:
+        """The embedded database, if that is where things are kept."""
+        return (self.data_dir / "trueup.sqlite").absolute() if self.embedded else None
 
     @property
     def embedded(self) -> bool:

@@ -10,6 +10,7 @@ from pathlib import Path
 from trueup.canonical import digest_of_bytes
 from trueup_service.jobs import JobQueue
 from trueup_service.locks import own_folder
+from trueup_service.private import private_folder
 from trueup_service.registry.blobs import Blobs, FolderBlobs, S3Blobs
 from trueup_service.registry.database import Database
 from trueup_service.registry.schema import migrate
@@ -36,7 +37,7 @@ class Parts:
 
 def build(settings: Settings) -> Parts:
     """The parts, with the schema up to date and a spool folder of this process."""
-    settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+    private_folder(settings.data_dir, settings.sqlite_file)
     database = Database(settings.sqlalchemy_url, settings.database_pool)
     migrate(database)
     return Parts(

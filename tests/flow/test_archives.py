@@ -299,7 +299,7 @@ def test_parts_survive_the_death_of_the_server(tmp_path):
     with closing(Client(service.url)) as client:
         client.register_plant(plant_document("p"))
         line = socket.create_connection(("127.0.0.1", service.port))
-        head = f"PATCH /v1/plants/p/uploads/{digest} HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {os.environ['TRUEUP_TOKEN']}\r\n"
+        head = f"PATCH /v1/plants/p/uploads/{digest} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {os.environ['TRUEUP_TOKEN']}\r\n"
         line.sendall(f"{head}Upload-Offset: 0\r\nContent-Length: {len(data)}\r\n\r\n".encode() + data[:10_000])
         until(lambda: client._get(f"/v1/plants/p/uploads/{digest}")["offset_bytes"] == 10_000)
         line.close()

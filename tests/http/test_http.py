@@ -114,7 +114,7 @@ def test_a_sound_file_that_is_no_episode_of_the_plant_is_refused(service, client
 def test_an_upload_that_stops_half_way_leaves_nothing(service, plant):
     data = episode_bytes(samples=4000)
     with socket.create_connection(("127.0.0.1", service.port)) as raw:
-        head = f"POST /v1/plants/{plant}/episodes HTTP/1.1\r\nHost: x\r\nContent-Length: {len(data)}\r\n\r\n"
+        head = f"POST /v1/plants/{plant}/episodes HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(data)}\r\n\r\n"
         raw.sendall(head.encode() + data[: len(data) // 2])
     assert json.loads(request(service, "GET", f"/v1/plants/{plant}/episodes")[2])["items"] == []
 

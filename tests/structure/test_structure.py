@@ -170,6 +170,21 @@ def test_no_path_of_the_machine_it_was_written_on_is_named():
         assert not [found for found in of_here if found in path.read_bytes()], path
 
 
+def test_a_command_prints_through_show_alone_in_forms_that_stand_in_its_code():
+    """Else what others wrote could be taken for markup, or reach the terminal as it is."""
+    for path in sorted((ROOT / "trueup_cli").rglob("*.py")):
+        if path.name == "show.py":
+            continue
+        for call in (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)):
+            name = getattr(call.func, "attr", getattr(call.func, "id", ""))
+            assert name not in {"print", "print_json", "from_markup"}, f"{path.name}:{call.lineno}"
+            assert not ast.unparse(call.func).startswith(("sys.stdout.write", "sys.stderr.write")), f"{path.name}:{call.lineno}"
+            if name == "say":
+                form = call.args[0]
+                forms = (form.body, form.orelse) if isinstance(form, ast.IfExp) else (form,)
+                assert all(isinstance(f, ast.Constant) and isinstance(f.value, str) for f in forms), f"{path.name}:{call.lineno}"
+
+
 def test_the_robots_client_imports_the_standard_library_alone():
     code = "import sys, trueup_client; print(*{m.split('.')[0] for m in sys.modules})"
     loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split())

@@ -31,7 +31,7 @@ STILL = 0.05  # of the command's range: less is hardly an excitation
 def measured(plant: Plant, episode: Episode, fitted_on: Sequence[Coverage] = ()) -> dict[str, Json]:
     """Conditions, envelope, excitation, how much of it lies where the serving model was `fitted_on`, and warnings in words."""
     off = off_step(episode.period_s, plant.timestep_s)
-    warnings = [off] if off else []
+    warnings = [*([off] if off else []), *episode.clock_doubts]
     found: dict[str, Json] = {
         "conditions": _conditions(episode, warnings),
         "envelope": _envelope(plant, episode, warnings),

@@ -24,7 +24,8 @@ class Episode:
     `t_s` [s] counts from the first sample, strictly increasing, `(samples,)`. `observations` is `(samples,
     observation channels)`, `commands` `(samples, command channels)`: row i acts from `t_s[i]` to the next sample, and is the mean of
     those in force where the command changed in between.
-    A channel that the log lacks is a column of nan, named in `missing`. The arrays cannot be written to.
+    A channel that the log lacks is a column of nan, named in `missing`. `clock_doubts` says where the log's own clocks
+    contradict each other. The arrays cannot be written to.
     """
 
     t_s: NDArray[np.float64]
@@ -35,6 +36,7 @@ class Episode:
     conditions: Mapping[str, str]
     start_ns: int
     digest: str
+    clock_doubts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         samples = len(self.t_s)

@@ -17,6 +17,7 @@ from io import BytesIO
 from typing import BinaryIO, cast
 
 from trueup.episode.align import align
+from trueup.episode.clocks import doubts
 from trueup.episode.container import LIMITS, Limits, Metadata
 from trueup.episode.episode import Episode
 from trueup.episode.layout import Layout
@@ -47,9 +48,11 @@ def read_episode_stream(stream: BinaryIO, size: int, layout: Layout, limits: Lim
                     track.add(topic, block, messages)
     role, conditions = _role(walk.contents.metadata)
     known = sorted({t.name for t in walk.contents.topics.values()})
-    stamps, observations, commands = align(*(track.track(known) for track in tracks))
+    observed, issued = (track.track(known) for track in tracks)
+    stamps, observations, commands = align(observed, issued)
+    amiss = doubts(observed) + (doubts(issued) if issued.topic != observed.topic else ())
     start = int(stamps[0])
-    return Episode((stamps - start) / 1e9, commands, observations, layout, role, conditions, start, hashed.digest)
+    return Episode((stamps - start) / 1e9, commands, observations, layout, role, conditions, start, hashed.digest, amiss)
 
 
 class _Hashed:

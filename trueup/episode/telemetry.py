@@ -22,7 +22,8 @@ from trueup.episode.writer import write_episode
 from trueup.errors import NotAnEpisode
 
 ALLOWED = ("start_ns", "t_s", "observations", "commands", "conditions", "role")
-LATEST_NS = 2**62
+LATEST_NS = 2**31 * 1_000_000_000 - 1  # the seconds of a ROS 2 stamp have 32 bits, with a sign
+LARGEST = 2**62  # a number beyond this is no time of any clock, and would overflow when something is added
 LONGEST_S = 1e9
 
 
@@ -40,7 +41,7 @@ def telemetry_to_mcap(data: bytes, layout: Layout, out: BinaryIO) -> None:
     start = _start_ns(batch.get("start_ns"))
     stamps_ns = start + np.rint(1e9 * np.clip(t_s, -LONGEST_S, LONGEST_S)).astype(np.int64)
     if np.abs(t_s).max() > LONGEST_S or stamps_ns[0] < 0 or stamps_ns[-1] > LATEST_NS:
-        raise _refused("t_s counts seconds from start_ns, lies between 1970 and 2116, and is shorter than 31 years", "t_s")
+        raise _refused("t_s counts seconds from start_ns, lies between 1970 and 2038, and is shorter than 31 years", "t_s")
     role = batch.get("role", Role.TELEMETRY)
     if role not in (Role.TELEMETRY, Role.REFERENCE):
         raise _refused("the role of a batch is telemetry or reference", "role")
@@ -68,7 +69,7 @@ def _refused(message: str, rule: str) -> NotAnEpisode:
 def _start_ns(given: Any) -> int:
     if isinstance(given, int) and not isinstance(given, bool):
         given = str(given)
-    if not isinstance(given, str) or not given.isascii() or not given.isdigit() or int(given) > LATEST_NS:
+    if not isinstance(given, str) or not given.isascii() or not given.isdigit() or int(given) > LARGEST:
         raise _refused("start_ns is a whole number of nanoseconds since 1970, as text", "start_ns")
     return int(given)
 

@@ -52,12 +52,11 @@ def move_channel(writer: Writer, plant: str, name: str, artifact: str, expected_
         )
     if not writer.has_served(plant, artifact):
         raise NeverServed(f"version {wanted.version} has never served the plant itself", artifact=artifact)
-    found = writer.evidence_of(plant, artifact)
-    last = {e.stage: e for e in found}  # a stage that was failed after it was passed is failed
-    missing = [stage for stage in channel.requires if stage not in last or not last[stage].passed]
+    last = writer.last_evidence(plant, artifact)  # a stage that was failed after it was passed is failed
+    missing = [stage for stage in channel.requires if not last.get(stage, ("", False))[1]]
     if missing:
         raise EvidenceMissing(f"version {wanted.version} has no passed evidence of {', '.join(missing)}", stages=missing, artifact=artifact)
-    evidence = [last[stage].digest for stage in channel.requires]
+    evidence = [last[stage][0] for stage in channel.requires]
     at = max(before.at, stamp.now) if before else stamp.now
     move = ChannelMove(plant, name, generation + 1, artifact, wanted.version, evidence, at, stamp.actor)
     writer.move_channel(move)

@@ -12,6 +12,7 @@ from starlette.concurrency import run_in_threadpool
 
 from trueup import __version__
 from trueup_service.http import openapi, problems
+from trueup_service.http.hosts import Hosts
 from trueup_service.http.limiting import Limiting
 from trueup_service.http.observing import Observing
 from trueup_service.http.pages import audit as audit_page
@@ -40,6 +41,7 @@ from trueup_service.http.routers import (
     uploads,
 )
 from trueup_service.http.serving_answers import ServingAnswers
+from trueup_service.http.tidying import INTERVAL_S, tidy
 from trueup_service.identity import Identities
 from trueup_service.inspection import Inspector
 from trueup_service.signed_log import SignedLog, open_log
@@ -73,6 +75,16 @@ async def _publish(signed: SignedLog, interval_s: float) -> None:
         await asyncio.sleep(interval_s)
 
 
+async def _tidy(parts: Parts) -> None:
+    """Let go of what is kept for a while only."""
+    while True:
+        try:
+            await run_in_threadpool(tidy, parts)
+        except Exception:
+            log.exception("what has reached its age could not be removed; trying again")
+        await asyncio.sleep(INTERVAL_S)
+
+
 def create_app(parts: Parts) -> FastAPI:
     """The service over these parts."""
 
@@ -82,8 +94,10 @@ def create_app(parts: Parts) -> FastAPI:
         limits = parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s
         app.state.inspector = Inspector(parts.settings.inspections, *limits)
         publishing = asyncio.create_task(_publish(app.state.log, parts.settings.checkpoint_interval_s))
+        tidying = asyncio.create_task(_tidy(parts))
         yield
         publishing.cancel()
+        tidying.cancel()
         app.state.inspector.close()
         parts.close()
 
@@ -98,5 +112,6 @@ def create_app(parts: Parts) -> FastAPI:
     for page in PAGES:
         app.include_router(page.router, include_in_schema=False)
     app.add_middleware(Limiting)
+    app.add_middleware(Hosts, settings=parts.settings)
     app.add_middleware(Observing)
     return app

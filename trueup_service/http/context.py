@@ -13,7 +13,9 @@ from pydantic import BaseModel
 from trueup.canonical import Json, digest_of
 from trueup_service.actions.once import Key, once
 from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.errors import BadRequest
 from trueup_service.identity import Who
+from trueup_service.plain_text import obeyed_character
 from trueup_service.registry.store import Writer, writing
 from trueup_service.wiring import Parts
 
@@ -32,6 +34,10 @@ async def _stamp(
     ] = None,
 ) -> Stamp:
     who: Who = request.scope["who"]
+    if actor and (found := obeyed_character(actor)):
+        raise BadRequest(
+            f"Trueup-Actor holds the control character {found}", hint="Name who asks in one line of text.", header="Trueup-Actor"
+        )
     return Stamp(f"{who.name} for {actor}" if actor and actor != who.name else who.name, time_text(datetime.now(UTC)), who.token)
 
 

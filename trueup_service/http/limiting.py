@@ -28,7 +28,10 @@ class Limiting:
             message = await receive()
             read += len(message.get("body", b""))
             if read > LIMIT_BYTES:
-                raise TooLargeUpload(f"the body has more than {LIMIT_BYTES} bytes", limit_bytes=LIMIT_BYTES)
+                told = f"the body has more than {LIMIT_BYTES} bytes"
+                raise TooLargeUpload(
+                    told, hint="Send less at once; long recordings and arrays have routes of their own.", limit_bytes=LIMIT_BYTES
+                )
             return message
 
         await self._app(scope, counted, send)

@@ -24,7 +24,7 @@ from trueup.ledger.note import BadKey
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
 from trueup_service import errors as service
 from trueup_service.http.pages.page import show, to_sign_in, wants_page
-from trueup_service.registry.blobs import BlobMissing, StoreAway
+from trueup_service.registry.blobs import BlobDamaged, BlobMissing, StoreAway
 
 log = logging.getLogger("trueup.http")
 
@@ -51,6 +51,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     NotCanonical: HTTPStatus.UNPROCESSABLE_ENTITY,
     NotAccepted: HTTPStatus.CONFLICT,
     NothingToRollBackTo: HTTPStatus.CONFLICT,
+    BlobDamaged: HTTPStatus.INTERNAL_SERVER_ERROR,
     BlobMissing: HTTPStatus.INTERNAL_SERVER_ERROR,
     StoreAway: HTTPStatus.SERVICE_UNAVAILABLE,
     service.NotFound: HTTPStatus.NOT_FOUND,
@@ -74,7 +75,9 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.NotWhole: HTTPStatus.UNPROCESSABLE_ENTITY,
     BadArchive: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.UploadElsewhere: HTTPStatus.CONFLICT,
+    service.UploadsFull: HTTPStatus.TOO_MANY_REQUESTS,
     service.ApprovalMissing: HTTPStatus.CONFLICT,
+    service.UnknownHost: HTTPStatus.MISDIRECTED_REQUEST,
     service.Unauthenticated: HTTPStatus.UNAUTHORIZED,
     service.Forbidden: HTTPStatus.FORBIDDEN,
     service.LogRewound: HTTPStatus.INTERNAL_SERVER_ERROR,
@@ -86,6 +89,14 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
 def status_of(error: errors.TrueupError) -> HTTPStatus:
     """The status of an error: that of the nearest class in the table."""
     return next((STATUS[kind] for kind in type(error).__mro__ if kind in STATUS), HTTPStatus.INTERNAL_SERVER_ERROR)
+
+
+def answer(request: Request, error: errors.TrueupError) -> Response:
+    """An error as a problem."""
+    found = problem(request, status_of(error), error.code, error.message, error.hint, error.facts)
+    if isinstance(error, service.Unauthenticated):
+        found.headers["WWW-Authenticate"] = 'Bearer realm="trueup"'
+    return found
 
 
 def problem(request: Request, status: int, code: str, detail: str, hint: str, facts: dict[str, object] | None = None) -> Response:
@@ -120,10 +131,7 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(errors.TrueupError)
     def _ours(request: Request, error: errors.TrueupError) -> Response:
-        answer = problem(request, status_of(error), error.code, error.message, error.hint, error.facts)
-        if isinstance(error, service.Unauthenticated):
-            answer.headers["WWW-Authenticate"] = 'Bearer realm="trueup"'
-        return answer
+        return answer(request, error)
 
     @app.exception_handler(RequestValidationError)
     def _invalid(request: Request, error: RequestValidationError) -> Response:
@@ -140,10 +148,12 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     def _plain(request: Request, error: HTTPException) -> Response:
+        if isinstance(error.__cause__, errors.TrueupError):  # it came up while the framework read a body, and says more
+            return answer(request, error.__cause__)
         code = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
-        answer = problem(request, error.status_code, code, str(error.detail), "Compare the request with /openapi.json.")
-        answer.headers.update(error.headers or {})
-        return answer
+        found = problem(request, error.status_code, code, str(error.detail), "Compare the request with /openapi.json.")
+        found.headers.update(error.headers or {})
+        return found
 
     @app.exception_handler(OperationalError)
     @app.exception_handler(PoolTimeout)

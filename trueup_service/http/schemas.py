@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from trueup.gate.line import disclosure
 from trueup.ledger.operation import Operation, of_job
+from trueup_service.plain_text import LINE
 from trueup_service.registry.records import Role
 
 T = TypeVar("T")
@@ -85,7 +86,7 @@ class NewToken(BaseModel):
     """A token for somebody. Without a project it is of all; `plant` narrows it to one; without `days` it does not expire."""
 
     model_config = ConfigDict(extra="forbid")
-    name: str = Field(min_length=1, max_length=100, pattern=r"^[^\x00-\x1f\x7f]+$")
+    name: str = Field(min_length=1, max_length=100, pattern=LINE)
     roles: list[Role] = Field(min_length=1, max_length=5)
     project: Name | None = None
     plant: Name | None = None
@@ -327,7 +328,7 @@ class Closing(BaseModel):
     """Why an alarm is closed."""
 
     model_config = ConfigDict(extra="forbid")
-    because: str = Field(min_length=1, max_length=500)
+    because: str = Field(min_length=1, max_length=500, pattern=LINE)
 
 
 class Decision(Answer):

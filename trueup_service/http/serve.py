@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
+import logging
 import socket
 import sys
 from types import FrameType
+from typing import cast
 
 import uvicorn
 
 from trueup_service.http.app import create_app
+from trueup_service.http.connections import Door, Limits, room_for_connections
+from trueup_service.settings import Settings
 from trueup_service.wiring import Parts
 
 
@@ -24,7 +29,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 COLLECT_AFTER = (20_000, 20, 50)  # allocations; a request makes some thousands, nearly all freed without the collector
-KEEP_ALIVE_S = 75  # a robot that asks twice a minute keeps its connection; uvicorn's 5 s would make it connect again for each answer
+SWEEP_TICKS = 10  # of 0.1 s
 SWITCH_INTERVAL_S = 0.0005  # a writer back from its commit must not wait Python's usual 5 ms for its turn, with a lock in its hands
 
 
@@ -36,7 +41,16 @@ def _quiet_collector() -> None:
 
 
 class _Server(uvicorn.Server):
-    """Lets those who wait for a change go as soon as it is told to stop, instead of waiting for them."""
+    """Lets those who wait for a change go as soon as it is told to stop, and those who keep it waiting while it runs."""
+
+    def __init__(self, config: uvicorn.Config, door: Door) -> None:
+        super().__init__(config)
+        self._door = door
+
+    async def on_tick(self, counter: int) -> bool:
+        if counter % SWEEP_TICKS == 0:
+            self._door.sweep(self.server_state.connections, asyncio.get_running_loop().time())
+        return await super().on_tick(counter)
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         answers = getattr(self.config.app.state, "answers", None)  # type: ignore[union-attr]
@@ -45,16 +59,25 @@ class _Server(uvicorn.Server):
         super().handle_exit(sig, frame)
 
 
+def _limits(settings: Settings) -> Limits:
+    connections = settings.connections or room_for_connections(settings.database_pool)
+    return Limits(settings.header_limit_s, settings.keep_alive_s, settings.silence_limit_s, connections)
+
+
 def serve(parts: Parts, listening: socket.socket) -> None:
     """Serve until told to stop."""
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     _quiet_collector()
+    door = Door(_limits(parts.settings))
+    logging.getLogger("trueup").info("at the door", extra={"connections": door.limits.connections})
     config = uvicorn.Config(
         create_app(parts),
         log_config=None,
         access_log=False,
         server_header=False,
-        timeout_keep_alive=KEEP_ALIVE_S,
+        http=cast(type[asyncio.Protocol], door.protocol),
+        ws="none",
+        timeout_keep_alive=int(parts.settings.keep_alive_s) + 1,
         timeout_graceful_shutdown=10,
     )
-    _Server(config).run(sockets=[listening])
+    _Server(config, door).run(sockets=[listening])

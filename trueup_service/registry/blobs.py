@@ -36,6 +36,18 @@ class BlobMissing(TrueupError):
     hint = "A row names bytes that the store lost: restore them from a copy; their digest tells whether it is the right one."
 
 
+class BlobDamaged(TrueupError):
+    """The bytes that are kept are not what their digest names."""
+
+    code = "blob-damaged"
+    hint = "The stored copy is damaged or was changed: `trueup fsck` lists all such, and sending the right bytes again mends a folder."
+
+    @classmethod
+    def of(cls, digest: str) -> BlobDamaged:
+        """The error for a digest, which its message names."""
+        return cls(f"the bytes kept for the digest {digest} are not what it names", digest=digest)
+
+
 class StoreAway(TrueupError):
     """The blob store does not answer."""
 

@@ -7,9 +7,11 @@ only a job's progress, the generation that serves, where a monitor stands, and w
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import accumulate
 from typing import Any, TypeVar
 
 from sqlalchemy import (
@@ -94,6 +96,9 @@ _SIZE = select(t.audit_head.c.size).where(t.audit_head.c.id == 1).scalar_subquer
 _LOCK_HEAD = _HEAD.with_for_update()
 _MOVE_HEAD = update(t.audit_head).values(size=bindparam("new_size"), frontier=bindparam("new_frontier"))
 _NODES = select(t.audit_tree).where(t.audit_tree.c.node.in_(bindparam("nodes", expanding=True)))
+_FORGET_ANSWER = delete(t.idempotency).where(
+    t.idempotency.c.scope == bindparam("of"), t.idempotency.c.key == bindparam("under"), t.idempotency.c.at == bindparam("since")
+)
 _INSERT = {name: insert(table) for name, table in t.metadata.tables.items()}
 
 
@@ -339,10 +344,29 @@ class Reader:
     def evidence(self, plant: str, digest: str) -> EvidenceRecord | None:
         return self._one(EvidenceRecord, select(t.evidence).where(t.evidence.c.plant == plant, t.evidence.c.digest == digest))
 
-    def evidence_of(self, plant: str, artifact: str) -> list[EvidenceRecord]:
-        """Everything that was found of an artifact, in order."""
-        query = select(t.evidence).where(t.evidence.c.plant == plant, t.evidence.c.artifact == artifact)
-        return self._all(EvidenceRecord, query.order_by(t.evidence.c.created_at, t.evidence.c.digest))
+    def last_evidence(self, plant: str, artifact: str) -> dict[str, tuple[str, bool]]:
+        """Of each stage that an artifact was at, the digest of what was found last, and whether it was passed."""
+        e = t.evidence.c
+        query = select(e.stage, e.digest, e.passed).where(e.plant == plant, e.artifact == artifact).order_by(e.created_at, e.digest)
+        return {row.stage: (row.digest, row.passed) for row in self.connection.execute(query)}
+
+    def evidence_of(
+        self, plant: str, artifact: str, after: tuple[str, str], limit: int, limit_bytes: int
+    ) -> tuple[list[EvidenceRecord], bool]:
+        """What was found of an artifact, in order of time and digest, from behind `after`, and whether there is more.
+
+        At most `limit` of them, and the first one and as many more as have `limit_bytes` of documents together.
+        """
+        key, of = tuple_(t.evidence.c.created_at, t.evidence.c.digest), (t.evidence.c.plant == plant, t.evidence.c.artifact == artifact)
+        sizes = select(t.evidence.c.created_at, t.evidence.c.digest, func.length(t.evidence.c.document)).where(*of, key > after)
+        found = self.connection.execute(sizes.order_by(*key.clauses).limit(limit + 1)).all()
+        together = accumulate(size for *_, size in found)
+        shown = found[: max(1, min(limit, sum(size <= limit_bytes for size in together)))]
+        if not shown:
+            return [], False
+        last = tuple(shown[-1][:2])
+        query = select(t.evidence).where(*of, key > after, key <= last).order_by(*key.clauses)
+        return self._all(EvidenceRecord, query), len(shown) < len(found)
 
     def channel(self, plant: str, name: str) -> ChannelRecord | None:
         return self._one(ChannelRecord, select(t.channels).where(t.channels.c.plant == plant, t.channels.c.name == name))
@@ -463,6 +487,19 @@ class Reader:
             )
         ).first()
         return (row.request_digest, json.loads(row.response)) if row else None
+
+    def answers_beyond(self, before: str, kept: int) -> list[tuple[str, str, str]]:
+        """Answers under idempotency keys given before a time, and of each token all but the newest ones: scope, key and time."""
+        c, counted, found = t.idempotency.c, Counter[str](), []
+        answers = select(c.scope, c.key, c.at).order_by(c.at.desc(), c.scope, c.key)
+        if (self.connection.scalar(select(func.count()).select_from(t.idempotency)) or 0) <= kept:
+            answers = answers.where(c.at < before)  # no token can have more
+        for scope, key, at in self.connection.execute(answers):
+            token = scope.rpartition("@")[2]
+            counted[token] += 1
+            if at < before or counted[token] > kept:
+                found.append((scope, key, at))
+        return found
 
     def _one(self, kind: type[R], query: Select[Any], **values: Any) -> R | None:
         row = self.connection.execute(query, values).mappings().first()
@@ -626,6 +663,10 @@ class Writer(Reader):
     def remember(self, scope: str, key: str, request: str, response: dict[str, Json], now: str) -> None:
         """Keep the response to a request under its idempotency key."""
         self._add(t.idempotency, {"scope": scope, "key": key, "request_digest": request, "response": json.dumps(response), "at": now})
+
+    def forget_answers(self, answers: Sequence[tuple[str, str, str]]) -> None:
+        """Let go of answers under idempotency keys: scope, key and time of each."""
+        self.connection.execute(_FORGET_ANSWER, [{"of": scope, "under": key, "since": at} for scope, key, at in answers])
 
     def append_audit(self, *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]) -> AuditEntry:
         """Add the next entry of the log."""

@@ -38,7 +38,7 @@ def plant_page(request: Request, parts: With, plant: PlantName) -> Response:
         serving = find.serving(reader, plant)
         artifact = find.artifact(reader, plant, serving.artifact)
         back = None if serving.back_to is None else reader.move(plant, serving.back_to)
-        evidence = reader.evidence_of(plant, serving.artifact)
+        last = reader.last_evidence(plant, serving.artifact)
         jobs = reader.jobs(plant, END_OF_TIME, ROWS * 3)
         latest = reader.latest_version(plant)
         values: dict[str, Any] = {
@@ -49,7 +49,7 @@ def plant_page(request: Request, parts: With, plant: PlantName) -> Response:
             "alarm": reader.open_alarm(plant),
             "policy": reader.policy(plant),
             "gap": gaps_of(connection, [plant]).get(plant, ()),
-            "ladder": [(stage, [e for e in evidence if e.stage == stage]) for stage in STAGES],
+            "ladder": [(stage, stage in last and reader.evidence(plant, last[stage][0])) for stage in STAGES],
             "decisions": reader.decisions(plant, END_OF_TIME, ROWS),
             "versions": list(reversed(reader.artifacts(plant, max(latest - ROWS, 0), ROWS))),
             "diagnoses": [j for j in jobs if j.kind == "diagnose"][:ROWS],

@@ -9,13 +9,14 @@ from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
-from trueup.canonical import Json, is_digest
+from trueup.canonical import Json, digest_of_bytes, is_digest
 from trueup.errors import BadArtifact, BrokenChain
 from trueup.ledger.provenance import PAYLOAD_TYPE, of_artifact
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import DigestMismatch, Kept, NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.downloads import UNCHANGING, send_kept
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Artifact, Envelope, Page, page
@@ -51,8 +52,7 @@ def get_blob(parts: With, digest: DigestPath) -> StreamingResponse:
 def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     if not blobs.holds(digest):
         raise NotFound(f"there is no blob {digest!r} here", noun="blob", name=digest)
-    headers = {"ETag": f'"{digest}"', "Cache-Control": "private, max-age=31536000, immutable"}
-    return StreamingResponse(blobs.stream(digest), media_type="application/octet-stream", headers=headers)
+    return send_kept(blobs, digest)
 
 
 @router.post(
@@ -125,7 +125,9 @@ def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
     """Their SHA-256 is the artifact's name."""
     with parts.database.read() as connection:
         found = find.artifact(Reader(connection), plant, digest)
-    headers = {"ETag": f'"{digest}"', "Cache-Control": "private, max-age=31536000, immutable"}
+    if digest_of_bytes(found.manifest.encode()) != digest:
+        raise BrokenChain("the kept manifest is not the one that its digest names", artifact=digest)
+    headers = {"ETag": f'"{digest}"', "Cache-Control": UNCHANGING}
     return Response(found.manifest, media_type="application/json", headers=headers)
 
 

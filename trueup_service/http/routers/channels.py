@@ -20,6 +20,7 @@ from trueup_service.registry.store import Reader, Writer
 
 router = guarded("/v1/plants/{plant}", ["channels"])
 ChannelName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A channel's name")]
+PAGE_BYTES = 2 << 20  # of documents in a page, unless the first one alone has more
 CHANNEL = {"name": "channel", "in": "path", "required": True, "schema": {"type": "string"}, "description": "A channel's name"}
 
 
@@ -36,11 +37,16 @@ def add(
 
 
 @router.get("/artifacts/{digest}/evidence", summary="List the evidence of an artifact")
-def list_evidence(parts: With, plant: PlantName, digest: DigestPath) -> Page[Evidence]:
+def list_evidence(
+    parts: With, plant: PlantName, digest: DigestPath, after: Annotated[str, Query(max_length=92)] = "", limit: Limit = 100
+) -> Page[Evidence]:
+    """In the order in which it came; `after` is `next` of the page before. A page ends early where its documents are long."""
+    at, _, last = after.partition("_")
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.artifact(reader, plant, digest)
-        return Page(items=[Evidence.model_validate(e) for e in reader.evidence_of(plant, digest)])
+        found, more = reader.evidence_of(plant, digest, (at, last), limit, PAGE_BYTES)
+    return Page(items=[Evidence.model_validate(e) for e in found], next=f"{found[-1].created_at}_{found[-1].digest}" if more else None)
 
 
 @router.post("/channels", status_code=201, response_model=Channel, summary="Declare a channel of serving", responses=there(Channel))

@@ -12,6 +12,7 @@ from trueup.episode.role import Role
 from trueup_service.actions import find
 from trueup_service.errors import Kept
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With
+from trueup_service.http.downloads import send_kept
 from trueup_service.http.guard import guarded
 from trueup_service.http.ingesting import against, ingest, inspect
 from trueup_service.http.openapi import there
@@ -19,7 +20,6 @@ from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, 
 from trueup_service.http.serving_answers import document
 from trueup_service.http.uploads import received
 from trueup_service.inspection import Inspected
-from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
@@ -71,10 +71,7 @@ def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeCon
 def download(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
     with parts.database.read() as connection:
         found = find.episode(Reader(connection), plant, digest)
-    if not parts.blobs.holds(digest):
-        raise BlobMissing(digest=digest)
-    headers = {"Content-Length": str(found.size_bytes), "ETag": f'"{digest}"', "Cache-Control": "private, max-age=31536000, immutable"}
-    return StreamingResponse(parts.blobs.stream(digest), media_type="application/octet-stream", headers=headers)
+    return send_kept(parts.blobs, digest, found.size_bytes)
 
 
 @router.delete("/{digest}", summary="Refused: episodes are kept", status_code=204)

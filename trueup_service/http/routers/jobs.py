@@ -12,6 +12,7 @@ from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.context import END_OF_TIME, Before, By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.downloads import send_kept
 from trueup_service.http.guard import Asking, guarded, require_seen
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import (
@@ -91,13 +92,8 @@ def get_output(parts: With, who: Asking, job: JobId, name: OutputName) -> Stream
         reader = Reader(connection)
         require_seen(parts.database, who, find.job(reader, job).plant, find.missing("job", job))
         found = find.output(reader, job, name)
-    headers = {
-        "Content-Length": str(found.size_bytes),
-        "ETag": f'"{found.digest}"',
-        "Cache-Control": "private, max-age=31536000, immutable",
-        "Content-Disposition": f'attachment; filename="{found.name}"',
-    }
-    return StreamingResponse(parts.blobs.stream(found.digest), media_type=found.media_type, headers=headers)
+    named = f'attachment; filename="{found.name}"'
+    return send_kept(parts.blobs, found.digest, found.size_bytes, found.media_type, Content_Disposition=named)
 
 
 @router.post("/jobs/{job}/cancel", summary="Cancel a job")

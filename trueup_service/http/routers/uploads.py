@@ -20,7 +20,7 @@ from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode, Upload
 from trueup_service.http.uploads import Received
 from trueup_service.inspection import Against
-from trueup_service.partial_uploads import PartialUploads, digest_of_file
+from trueup_service.partial_uploads import PartialUploads, Quota, digest_of_file
 from trueup_service.wiring import Parts
 
 router = guarded("/v1/plants/{plant}/uploads/{digest}", ["episodes"])
@@ -40,7 +40,8 @@ async def append(request: Request, parts: With, plant: PlantName, digest: Digest
     """What is answered is durable. Where the connection breaks, what came is kept; 409 says where to go on."""
     await run_in_threadpool(against, parts, plant)
     uploads = PartialUploads(parts.settings.data_dir)
-    here = await uploads.append(plant, digest, at, _until_it_breaks(request), parts.settings.upload_limit_bytes)
+    quota = Quota(parts.settings.uploads_under_way, parts.settings.uploads_under_way_bytes)
+    here = await uploads.append(plant, digest, at, _until_it_breaks(request), parts.settings.upload_limit_bytes, quota)
     return Upload(digest=digest, offset_bytes=here)
 
 

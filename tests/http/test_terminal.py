@@ -1,0 +1,145 @@
+"""What others wrote never acts on the terminal of whoever runs a command, whatever a server answers and however files are named."""
+
+import json
+import logging
+import os
+import re
+import uuid
+
+import pytest
+
+from tests.http.test_http import accepted, problem, request
+from tests.support.forks import run
+from tests.support.hostile import EVIL, OBEYED, hostile
+from tests.support.made import plant_document
+from tests.support.service import ADMIN, ROOT
+from trueup.gate.evidence import SCHEMA
+from trueup_cli.complaints import trace
+from trueup_client import Client
+from trueup_service.logs import JsonLines
+
+OURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\[\?25[lh]|\x1b\[[12][AK]|\r")  # colours, and what moves a progress bar
+JSON = {"Content_Type": "application/json"}
+COMMANDS = {  # each prints what others wrote, and ends with this code
+    "plant list": 0,
+    "plant show PLANT": 0,
+    "plant show nobody": 1,
+    "versions PLANT": 0,
+    "decisions PLANT": 0,
+    "serving PLANT": 0,
+    "serving PLANT --history": 0,
+    "evidence PLANT --artifact ARTIFACT": 0,
+    "channels PLANT": 1,
+    "monitor PLANT": 0,
+    "policy PLANT": 1,
+    "whoami": 0,
+    "token issue somebody auditor": 0,
+    "token revoke 000000000000": 1,
+    "project create NEW": 0,
+    "audit": 0,
+    "audit PLANT": 0,
+    "fit PLANT": 1,
+    "upload PLANT FILE": 1,
+    "predict --model FILE --episode FILE --horizon 1 --out OUT": 1,
+}
+AS_JSON = ("plant list", "plant show PLANT", "versions PLANT", "evidence PLANT --artifact ARTIFACT", "audit", "serving nobody")
+
+
+@pytest.fixture(scope="module")
+def filled(service, tmp_path_factory):
+    """A hostile service, and names in it."""
+    client, plant = Client(service.url, actor="tester"), f"p{uuid.uuid4().hex[:12]}"
+    client.register_plant(plant_document(plant))
+    decision = accepted(client, plant, 1.2)
+    artifact = client.decision(plant, decision)["candidate"]
+    client.add_evidence(plant, evidence(artifact))
+    client.declare_channel(plant, "field", [])
+    client.close()
+    file = tmp_path_factory.mktemp("files") / f"{EVIL.replace('/', '')}.mcap"
+    file.write_bytes(b"no recording")
+    names = {"PLANT": plant, "ARTIFACT": artifact, "DECISION": decision, "FILE": str(file), "NEW": plant, "OUT": str(file.parent / "out")}
+    with hostile(service.port) as url:
+        yield url, names
+
+
+def evidence(artifact, shows="that it moves", cannot_show="anything else"):
+    said = {"shows": shows, "cannot_show": cannot_show}
+    return {"schema": SCHEMA, "artifact": artifact, "stage": "SIL", "passed": True, "figures": {}, **said}
+
+
+def told(filled, tmp_path, line, *options, **environment):
+    url, names = filled
+    here = {**os.environ, "TRUEUP_URL": url, "TRUEUP_TOKEN": ADMIN, "XDG_STATE_HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
+    arguments = [names.get(word, word) for word in line.split()]
+    return run("trueup_cli.main", [*arguments, *options], {**here, **environment}, ROOT)
+
+
+@pytest.mark.parametrize("service", ["embedded"], indirect=True)
+@pytest.mark.parametrize("terminal", [False, True], ids=["pipe", "terminal"])
+@pytest.mark.parametrize("line", COMMANDS)
+def test_nothing_that_a_terminal_obeys_comes_out_of_a_command(filled, tmp_path, line, terminal):
+    done = told(filled, tmp_path, line, **({"FORCE_COLOR": "1", "TERM": "xterm", "COLUMNS": "400"} if terminal else {}))
+    said = done.stdout + done.stderr
+    said = OURS.sub("", said) if terminal else said
+    assert not OBEYED & set(said)
+    assert "\\x1b[2J[red]x" in said, "it is there, seen, and no markup"
+    assert done.returncode == COMMANDS[line]
+
+
+@pytest.mark.parametrize("service", ["embedded"], indirect=True)
+@pytest.mark.parametrize("line", AS_JSON)
+def test_json_is_ascii_and_holds_what_others_wrote(filled, tmp_path, line):
+    said = told(filled, tmp_path, line, "--json").stdout
+    assert said.isascii()
+    assert not OBEYED & set(said)
+    assert any(EVIL in text for text in texts(json.loads(said)))
+
+
+def texts(value):
+    """Every text in a JSON value."""
+    if isinstance(value, str):
+        yield value
+    for x in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        yield from texts(x)
+
+
+@pytest.mark.parametrize("character", ["\x1b", "\x9b", "\x7f", "\u202e", "\u2028", "\r"])
+def test_evidence_in_words_that_a_terminal_obeys_is_refused(service, filled, character):
+    plant, artifact = filled[1]["PLANT"], filled[1]["ARTIFACT"]
+    for document in (evidence(artifact, shows=f"a{character}b"), evidence(artifact, cannot_show=f"a{character}b")):
+        found = problem(service, "POST", f"/v1/plants/{plant}/evidence", json.dumps(document), **JSON)
+        assert found[:2] == (422, "bad-evidence")
+        assert f"U+{ord(character):04X}" in found[2]["detail"]
+    several = json.dumps(evidence(artifact, shows="one line\nand another,\twith a tab: é and \u200d"))
+    assert request(service, "POST", f"/v1/plants/{plant}/evidence", several, **JSON)[0] in (200, 201)
+
+
+def test_an_actor_that_a_terminal_obeys_is_refused(service):
+    body = json.dumps(plant_document(f"p{uuid.uuid4().hex[:12]}"))
+    for actor in ("a\x9b2J", "a\tb", "a\x85b"):
+        assert problem(service, "POST", "/v1/plants", body, Trueup_Actor=actor, **JSON)[:2] == (400, "bad-request")
+    for actor in ("a\x1b[2J", "a\x7f"):  # no header may hold these
+        assert request(service, "POST", "/v1/plants", body, Trueup_Actor=actor, **JSON)[0] == 400
+    assert request(service, "POST", "/v1/plants", body, Trueup_Actor="Zoé", **JSON)[0] == 201
+
+
+def test_names_of_tokens_and_reasons_are_one_line_of_text(service):
+    for name in ("a\x1b[2J", "a\x9b2J", "a\u202eb", "a\nb"):
+        body = json.dumps({"name": name, "roles": ["auditor"]})
+        assert problem(service, "POST", "/v1/tokens", body, **JSON)[:2] == (422, "invalid-request")
+
+
+def test_a_line_of_the_log_is_one_line_of_ascii():
+    record = logging.makeLogRecord({"msg": EVIL, "levelname": "INFO", "name": "x", "path": EVIL, "half": "\ud800"})
+    line = JsonLines().format(record)
+    assert line.isascii()
+    assert not OBEYED & set(line)
+    assert "\n" not in line
+    assert json.loads(line)["path"] == EVIL
+
+
+def test_an_error_that_nobody_expected_is_printed_whole_and_quotes_nothing_as_it_is(capsys):
+    assert trace(ValueError(EVIL)) == 1
+    said = capsys.readouterr().err
+    assert "ValueError: \\x1b[2J[red]x[/]" in said
+    assert not OBEYED & set(said)
