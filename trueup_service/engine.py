@@ -12,16 +12,9 @@ from typing import NoReturn
 from dbos import DBOS, DBOSClient, DBOSConfig, DBOSPortableJSONSerializer, EnqueueOptions, SetWorkflowID, StepOptions
 from dbos._serialization import DBOSDefaultSerializer, DefaultSerializer
 
-from trueup.errors import TrueupError
+from trueup_service.errors import Pickled
 
 __all__ = ["DBOS", "DBOSClient", "DBOSConfig", "DBOSPortableJSONSerializer", "EnqueueOptions", "Pickled", "SetWorkflowID", "StepOptions"]
-
-
-class Pickled(TrueupError):
-    """A row of the job engine is pickled. Nothing of ours is: somebody else wrote it."""
-
-    code = "pickled-row"
-    hint = "Somebody wrote into the engine's tables: find out who may write to the database, then delete the row."
 
 
 def _refuse(_serializer: object, _data: object) -> NoReturn:

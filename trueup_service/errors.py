@@ -133,6 +133,13 @@ class OtherKey(TrueupError):
     )
 
 
+class Pickled(TrueupError):
+    """A row of the job engine is pickled. Nothing of ours is: somebody else wrote it."""
+
+    code = "pickled-row"
+    hint = "Somebody wrote into the engine's tables: find out who may write to the database, then delete the row."
+
+
 class NotEmpty(TrueupError):
     """The registry holds something already."""
 

@@ -19,7 +19,8 @@ from tests.support.service import Service
 from tests.support.storage import SIGNING_KEY, embedded
 from trueup.episode.role import Role
 from trueup_client import Client
-from trueup_service.engine import Pickled
+from trueup_service import engine as _shut  # noqa: F401  (as whatever uses the engine does)
+from trueup_service.errors import Pickled
 from trueup_service.jobs import QUEUE, WORKFLOW, migrate_engine
 from trueup_service.registry.database import Database
 

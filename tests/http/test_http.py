@@ -248,7 +248,7 @@ def lenient(client, plant):
         before = client.gate_in_force(plant)
     except Problem:
         return client.declare_gate(plant, LENIENT)
-    if before["document"].get("vacuous"):
+    if before["document"]["rules"] == LENIENT["rules"]:
         return before
     return client.declare_gate(plant, {**LENIENT, "follows": before["digest"]})
 

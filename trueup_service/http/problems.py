@@ -83,6 +83,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.LogRewound: HTTPStatus.INTERNAL_SERVER_ERROR,
     service.OtherKey: HTTPStatus.INTERNAL_SERVER_ERROR,
     BadKey: HTTPStatus.INTERNAL_SERVER_ERROR,
+    service.Pickled: HTTPStatus.INTERNAL_SERVER_ERROR,
 }
 
 
