@@ -477,12 +477,16 @@ class Client:
         return json.loads(self._to.whole(method, path, body, headers))
 
     def _pages(self, path: str, cursor: str, **query: str) -> Iterator[Any]:
+        followed: set[str] = set()
         while True:
             page = self._get(f"{path}?{urlencode(query)}")
             yield from page["items"]
             if page["next"] is None:
                 return
             query[cursor] = page["next"]
+            if query[cursor] in followed:
+                raise Untrue(f"the pages of {path} lead back to one that was read: a list has an end")
+            followed.add(query[cursor])
 
     def _save(self, path: str, digest: str, to: Path) -> None:
         """Write beside, verify, then rename: no half or wrong file ever has the name."""

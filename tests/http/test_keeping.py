@@ -65,7 +65,7 @@ def test_a_data_folder_that_others_may_read_is_closed_at_the_start_and_the_log_s
 
 
 def gate(number):
-    rules = [{"rule": "one_step_no_worse", "slack": 1.0 + number}]
+    rules = [{"rule": "rollout_improves", "ratio": 1.0 / (1 + number)}]
     return json.dumps({"schema": "trueup.gate/1", "rules": rules, "scoring": {"horizon_s": 2.0, "windows": "first"}})
 
 
