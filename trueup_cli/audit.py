@@ -123,7 +123,7 @@ def verify(
             replayed,
         )
     if lines.notes and not as_json_:
-        say("[bold]to be known[/]: what was decided knowing what")
+        say("[bold]notes[/]: gates and decisions that were made after candidates had been judged")
         for note in lines.notes:
             say("  {}", note)
     if wrong:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
+from tests.support.gates import LENIENT
 from tests.support.made import T0_NS, episode_bytes, mcap_bytes, plant_document, save
 from tests.support.service import Service, kill
 from tests.support.storage import Storage, embedded, scaled
@@ -275,10 +276,7 @@ def test_a_damaged_artifact_is_not_served_again(tmp_path):
         client.register_plant(plant_document("p"))
         for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
             client.upload_episode("p", save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role)))
-        rules = [{"rule": "one_step_no_worse", "slack": 1e9}]
-        scoring = {"horizon_s": 2.0, "windows": "first"}
-        meant = {"vacuous": True, "because": "any candidate serves here"}
-        gate = client.declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": scoring, **meant})
+        gate = client.declare_gate("p", LENIENT)
         for method in ("residual", "identify"):
             candidate = client.wait(client.submit("p", {"kind": "fit", "method": method})["id"])["result"]["artifact"]
             decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate["digest"]})["id"])

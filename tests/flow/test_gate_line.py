@@ -212,6 +212,15 @@ def test_it_takes_somebody_else_with_a_reason_and_two_tokens_are_not_two_people(
     assert "with the approval of" in command(service, "audit", "verify", "--no-replay").stdout
 
 
+@pytest.mark.parametrize("reason", ["two\x1b[2Jlines", "title\x07", "back\x9b2J"])
+def test_a_reason_that_would_command_a_terminal_is_refused(bench, reason):
+    shop = bench(f"escape{ord(reason[3])}{len(reason)}")
+    bad = refused(lambda: shop.follow(reason, rules=[IMPROVES]))
+    assert (bad.code, bad.facts["field"]) == ("bad-gate", "because")
+    accepted = shop.judge(shop.follow("one step does not matter", rules=[IMPROVES]))
+    assert refused(lambda: shop.colleague.approve(shop.name, accepted["digest"], reason)).status == 422
+
+
 def test_a_policy_may_forbid_it_outright(bench):
     shop = bench("forbidden")
     second = shop.follow("one step does not matter", rules=[IMPROVES])

@@ -19,6 +19,7 @@ from sqlalchemy import text
 
 from tests.http.test_http import move
 from tests.support.forks import run
+from tests.support.gates import in_force
 from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT, Service, command
 from tests.support.storage import embedded
@@ -106,7 +107,7 @@ def test_a_witness_sees_the_log_grow_and_refuses_one_that_was_rewritten(told, lo
     witness = Witness(tmp_path / "seen.json")
     first = client.witness(witness)
     rules = [{"rule": "one_step_no_worse", "slack": 3.0}]
-    client.declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": GATE_SCORING, **meant(client)})
+    in_force(client, "p", rules=rules)
     second = client.witness(Witness(tmp_path / "seen.json"))
     assert second.size == first.size + 1
     for size, root in ((second.size, bytes(32)), (second.size + 1, bytes(32))):  # whoever has the key tells another story
@@ -120,14 +121,6 @@ def test_a_witness_sees_the_log_grow_and_refuses_one_that_was_rewritten(told, lo
 
 def signer(told):
     return Signer.from_text((told[1] / "data" / "signing.key").read_text())
-
-
-GATE_SCORING = {"horizon_s": 2.0, "windows": "first"}
-
-
-def meant(client):
-    """What a gate says that takes the place of the one in force and lets anything pass."""
-    return {"vacuous": True, "because": "any candidate serves here", "follows": client.gate_in_force("p")["digest"]}
 
 
 def test_a_witness_refuses_a_log_whose_tail_was_cut(told, log, tmp_path):
@@ -401,7 +394,7 @@ def test_a_server_signs_no_log_shorter_than_the_one_it_published(tmp_path):
 
 def test_a_number_that_is_written_like_an_integer_stays_verifiable(told, kept):
     rules = [{"rule": "one_step_no_worse", "slack": 1e17}]
-    told[2].declare_gate("p", {"schema": "trueup.gate/1", "rules": rules, "scoring": GATE_SCORING, **meant(told[2])})
+    in_force(told[2], "p", rules=rules)
     assert found(kept) == []
 
 

@@ -6,6 +6,7 @@ import sqlite3
 import pytest
 
 from tests.flow.test_failures import until
+from tests.support.gates import LENIENT, in_force
 from tests.support.made import episode_bytes, identified, plant_document, save
 from tests.support.service import Service, command
 from tests.support.storage import embedded
@@ -13,15 +14,6 @@ from trueup.episode.role import Role
 from trueup.ledger.verification import verify
 from trueup_client import Client, Problem
 from trueup_service.kept import Kept
-
-RULES = [{"rule": "one_step_no_worse", "slack": 1e9}]
-LENIENT = {
-    "schema": "trueup.gate/1",
-    "rules": RULES,
-    "scoring": {"horizon_s": 2.0, "windows": "first"},
-    "vacuous": True,
-    "because": "any candidate serves here",
-}
 
 
 @pytest.fixture(scope="module")
@@ -36,10 +28,10 @@ def told(tmp_path_factory):
             client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
         candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])["result"]["artifact"]
         other = client.add_artifact("p", identified("p").manifest)["digest"]
-        never = LENIENT | {"rules": [{"rule": "rollout_improves", "ratio": 1e-12}]}
+        never = [{"rule": "rollout_improves", "ratio": 1e-12}]
         decisions = []
-        for judged, rules in ((candidate, LENIENT), (other, never)):
-            gate = client.declare_gate("p", rules | ({"follows": client.gate_in_force("p")["digest"]} if decisions else {}))["digest"]
+        for judged, rules in ((candidate, LENIENT["rules"]), (other, never)):
+            gate = in_force(client, "p", rules=rules)["digest"]
             job = client.submit("p", {"kind": "gate", "candidate": judged, "gate": gate})
             decisions.append(client.wait(job["id"])["result"]["decision"])
         client.promote("p", decisions[0], 1)
@@ -166,8 +158,7 @@ def test_damaged_bytes_end_a_replay_with_4_and_come_right_when_they_are_sent_aga
 def test_an_actors_name_is_printed_as_it_is(told):
     service, _, _, _ = told
     client = Client(service.url, actor="[/bold][black]x")
-    follows = {"follows": client.gate_in_force("p")["digest"]}
-    client.declare_gate("p", LENIENT | {"rules": [{"rule": "one_step_no_worse", "slack": 5.0}]} | follows)
+    in_force(client, "p", rules=[{"rule": "one_step_no_worse", "slack": 5.0}])
     client.close()
     assert "[/bold][black]x" in command(service, "audit").stdout
 

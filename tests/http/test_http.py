@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.gates import in_force
 from tests.support.made import episode_bytes, identified, mcap_bytes, plant_document, save
 from tests.support.service import ADMIN, Service
 from tests.support.storage import Storage, embedded
@@ -242,32 +243,11 @@ def move(client, plant, k):
     return client.promote(plant, accepted(client, plant, k), client.serving(plant).generation)
 
 
-def lenient(client, plant):
-    """A gate in force that lets anything pass."""
-    try:
-        before = client.gate_in_force(plant)
-    except Problem:
-        return client.declare_gate(plant, LENIENT)
-    if before["document"]["rules"] == LENIENT["rules"]:
-        return before
-    return client.declare_gate(plant, {**LENIENT, "follows": before["digest"]})
-
-
-LENIENT = {
-    "schema": "trueup.gate/1",
-    "rules": [{"rule": "one_step_no_worse", "slack": 1e9}],
-    "scoring": {"horizon_s": 2.0, "windows": "first"},
-    "vacuous": True,
-    "because": "any candidate serves here",
-    "held_out_uses": 1_000_000,  # the same recording is used by every plant of these tests
-}
-
-
 def accepted(client, plant, k):
     """An accepted decision of a real gate job."""
     candidate = identified(plant, k)
     client.add_artifact(plant, candidate.manifest)
-    gate = lenient(client, plant)
+    gate = in_force(client, plant, held_out_uses=1_000_000)  # the same recording is used by every plant of these tests
     if not list(client.episodes(plant, "validation")):
         with tempfile.TemporaryDirectory() as folder:
             client.upload_episode(plant, save(Path(folder), "v.mcap", episode_bytes(9, role=Role.VALIDATION)))

@@ -197,6 +197,13 @@ def test_a_server_that_only_serves_loads_no_heavy_library():
     assert not loaded & {"numpy", "numba", "scipy", "dbos", "alembic", "safetensors", "obstore"}
 
 
+def test_the_job_engine_is_imported_in_one_place():
+    """Whoever imports it elsewhere would have it unpickle what a row says is pickled."""
+    every = (path for package in ROOT.glob("trueup*") for path in package.rglob("*.py"))
+    importing = [path for path in every if re.search(r"^\s*(from|import) dbos\b", path.read_text(), re.MULTILINE)]
+    assert [p.relative_to(ROOT).as_posix() for p in importing] == ["trueup_service/engine.py"]
+
+
 def test_links_in_the_documentation_lead_somewhere():
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
         for link in re.findall(r"\]\((?!https?:|#)([^)#]+)", page.read_text()):

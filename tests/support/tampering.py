@@ -11,6 +11,7 @@ from typing import Any
 
 from sqlalchemy import LargeBinary, select, text
 
+from tests.support.gates import LENIENT
 from tests.support.made import episode_bytes, plant_document, save
 from trueup.episode.role import Role
 from trueup.ledger.audit import AuditEntry, rebuild
@@ -19,13 +20,6 @@ from trueup_client import Client
 from trueup_service.registry.tables import metadata
 from trueup_service.wiring import Parts
 
-RULES = {
-    "schema": "trueup.gate/1",
-    "rules": [{"rule": "one_step_no_worse", "slack": 1e9}],
-    "scoring": {"horizon_s": 2.0, "windows": "first"},
-    "vacuous": True,
-    "because": "any candidate serves here",
-}
 TAMPERED = [metadata.tables[name] for name in (*KEYS, "audit", "audit_tree", "audit_head")]
 
 
@@ -43,7 +37,7 @@ def promoted(client: Client, folder: Path) -> tuple[str, str]:
     for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
         client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
     candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])["result"]["artifact"]
-    gate = client.declare_gate("p", RULES)["digest"]
+    gate = client.declare_gate("p", LENIENT)["digest"]
     decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"])["result"]["decision"]
     client.promote("p", decision, 1)
     return candidate, decision

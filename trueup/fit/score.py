@@ -68,14 +68,14 @@ def score(predictor: Predictor, episodes: Sequence[Episode], scoring: Scoring) -
     return score_of([missed(predictor, e, scoring) for e in episodes], predictor.plant.scales)
 
 
-def score_of(missed: Sequence[Missed], scales: Array) -> Score:
+def score_of(each: Sequence[Missed], scales: Array) -> Score:
     """The score of what was missed in each episode, with these reporting scales `(channels,)`."""
-    pairs = [_score_one(m, scales) for m in missed]
+    pairs = [_score_one(one, scales) for one in each]
     return Score(np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs]), tuple(p[2] for p in pairs))
 
 
-def _score_one(missed: Missed, scales: Array) -> tuple[float, float, Windowed]:
-    errors, inside = _norms(missed, scales), missed.inside
+def _score_one(one: Missed, scales: Array) -> tuple[float, float, Windowed]:
+    errors, inside = _norms(one, scales), one.inside
     counts = inside[:, 1:].sum(axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
         means = np.where(inside[:, 1:], errors[:, 1:], 0.0).sum(axis=1) / counts
@@ -98,9 +98,9 @@ def missed(predictor: Predictor, episode: Episode, scoring: Scoring) -> Missed:
     return Missed(by, windows.inside)
 
 
-def _norms(missed: Missed, scales: Array) -> Array:
+def _norms(one: Missed, scales: Array) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):  # a predictor that runs away scores inf or nan, and no gate passes that
-        found: Array = np.linalg.norm(missed.by / scales, axis=2)
+        found: Array = np.linalg.norm(one.by / scales, axis=2)
     return found
 
 

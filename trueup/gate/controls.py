@@ -27,6 +27,11 @@ Array = NDArray[np.float64]
 FAR = 10.0  # times the incumbent's error: whoever allows for that allows for anything
 SEED = 0
 INCUMBENT, COPY, NOISE = "incumbent", "copy", "noise"
+CALLED: Mapping[str, str] = {
+    INCUMBENT: "the incumbent itself",
+    COPY: "a candidate equal to the incumbent",
+    NOISE: "the incumbent with noise added",
+}
 PAIRS = 4  # made-up windows, so that there is an interval
 
 
@@ -58,33 +63,22 @@ def judged(gate: Gate, trial: Trial) -> tuple[Verdict, ...]:
 
 
 def controls(gate: Gate, trial: Trial, missed: Sequence[Missed], copied: Score, scales: Array, spreads: Array) -> dict[str, Json]:
-    """How the gate judges each control beside a trial's incumbent, which `missed` so much of each episode, and whose `copied` score is that
-    of its bytes; `scales` and `spreads` `(channels,)` are the reporting scales and the standard deviations of what was observed.
+    """How the gate judges each control in the place of the candidate of `trial`, the trial of the incumbent against itself.
 
-    In closed loop each counts as the incumbent does. Raises VacuousGate where one is accepted, unless the gate says that it is meant so.
+    The incumbent `missed` so much of each episode, and scores as `copied` when it is loaded from its bytes again; `scales` and `spreads`
+    `(channels,)` are the reporting scales and the standard deviations of what was observed. Raises VacuousGate where a control is accepted,
+    unless the gate says that it is meant so.
     """
-    same = None if trial.tracking is None else _even(trial.tracking)
     scores = {INCUMBENT: trial.incumbent, COPY: copied, NOISE: score_of(_noisy(missed, spreads), scales)}
-    found: dict[str, tuple[Verdict, ...]] = {
-        name: judged(gate, replace(trial, candidate=score, tracking=same)) for name, score in scores.items()
-    }
-    accepted = [name for name, verdicts in found.items() if _accepts(verdicts)]
+    verdicts = {name: judged(gate, replace(trial, candidate=score)) for name, score in scores.items()}
+    accepted = [name for name, each in verdicts.items() if _accepts(each)]
     if accepted and not gate.vacuous:
-        raise VacuousGate(f"it accepts {' and '.join(_told(name) for name in accepted)}", control=accepted[0])
-    return {name: {"accepted": _accepts(v), "failed": [x.rule for x in v if not x.passed]} for name, v in found.items()}
+        raise VacuousGate(f"it accepts {' and '.join(CALLED[name] for name in accepted)}", control=accepted[0])
+    return {name: {"accepted": _accepts(each), "failed": [v.rule for v in each if not v.passed]} for name, each in verdicts.items()}
 
 
 def _accepts(verdicts: Sequence[Verdict]) -> bool:
     return all(v.passed for v in verdicts)
-
-
-def _told(control: str) -> str:
-    told: Mapping[str, str] = {
-        INCUMBENT: "the incumbent itself",
-        COPY: "a candidate equal to the incumbent",
-        NOISE: "the incumbent with noise added",
-    }
-    return told[control]
 
 
 def _made_up(gate: Gate, times: float) -> Trial:
@@ -94,11 +88,6 @@ def _made_up(gate: Gate, times: float) -> Trial:
     tracking = Tracking(many * times, many, (0.0, 0.0), (1.0,))
     cell = (("",) * len(gate.conditions),)
     return Trial(both[0], both[1], ("0" * 64,), cell, gate.conditions, tracking)
-
-
-def _even(tracking: Tracking) -> Tracking:
-    """Runs in which both do as the incumbent did."""
-    return replace(tracking, candidate=tracking.incumbent, breaches=(tracking.breaches[1], tracking.breaches[1]))
 
 
 def _noisy(missed: Sequence[Missed], spreads: Array) -> list[Missed]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -62,27 +62,23 @@ def run_trial(
     serving = score_of(against, scales)
     copied = serving if copy is None else score(copy, episodes, gate.scoring)
     progress(share * 2.0 / 3.0)
-    spreads = np.nanstd(np.concatenate([e.observations for e in episodes]), axis=0)
-    shown = controls(gate, Trial(serving, serving, named, cells, gate.conditions, _still(driven)), against, copied, scales, spreads)
+    alone = Trial(serving, serving, named, cells, gate.conditions, _still(driven))
+    shown = controls(gate, alone, against, copied, scales, _spreads(episodes))
     by = tuple(missed(candidate, e, gate.scoring) for e in episodes)
     progress(share)
     tracking = _driven(candidate, incumbent, episodes, lambda done: progress(share + share * done)) if driven else None
     return Run(Trial(score_of(by, scales), serving, named, cells, gate.conditions, tracking), by, against, shown)
 
 
+def _spreads(episodes: Sequence[Episode]) -> Array:
+    """The standard deviation of each channel over all episodes in its own unit, `(channels,)`; 0 where it is not observed in any."""
+    observed = np.ma.masked_invalid(np.concatenate([e.observations for e in episodes]))
+    return np.asarray(observed.std(axis=0).filled(0.0), np.float64)
+
+
 def _still(driven: bool) -> Tracking | None:
     """In closed loop a control does as the incumbent does, whatever that is."""
     return Tracking(np.ones(1), np.ones(1), (0.0, 0.0), (1.0,)) if driven else None
-
-
-def rescaled(run: Run, scales: Array, channels: Sequence[str]) -> Iterator[tuple[str, float, Trial]]:
-    """The same trial with each channel's reporting scale halved and doubled, `scales` `(channels,)` being those declared."""
-    for column, channel in enumerate(channels):
-        for factor in SCALED:
-            other = scales.copy()
-            other[column] *= factor
-            scores = (score_of(m, other) for m in (run.candidate, run.incumbent))
-            yield channel, factor, replace(run.trial, candidate=next(scores), incumbent=next(scores))
 
 
 def _driven(candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episode], progress: Callable[[float], None]) -> Tracking:
@@ -124,12 +120,17 @@ def judge(
 
 
 def sensitivity(gate: Gate, run: Run, scales: Array, channels: Sequence[str]) -> list[Json]:
-    """How the verdict moves when each channel's reporting scale is halved and doubled: it should not hang on a unit of reporting."""
-    found: list[Json] = []
-    for channel, factor, trial in rescaled(run, scales, channels):
-        verdicts = judged(gate, trial)
-        rules: list[Json] = [
-            {name: v.document()[name] for name in ("rule", "passed", "value", "threshold", "ratio", "ci95")} for v in verdicts
-        ]
-        found.append({"channel": channel, "factor": factor, "accepted": all(v.passed for v in verdicts), "verdicts": rules})
-    return found
+    """How the verdict moves when each channel's reporting scale is halved and doubled: it should not hang on a unit of reporting.
+
+    `scales` `(channels,)` are those declared. In closed loop nothing changes: tracking has scales of its own.
+    """
+    rows: list[Json] = []
+    for column, channel in enumerate(channels):
+        for factor in SCALED:
+            other = scales.copy()
+            other[column] *= factor
+            trial = replace(run.trial, candidate=score_of(run.candidate, other), incumbent=score_of(run.incumbent, other))
+            verdicts = judged(gate, trial)
+            accepted, documents = all(v.passed for v in verdicts), [v.document() for v in verdicts]
+            rows.append({"channel": channel, "factor": factor, "accepted": accepted, "verdicts": documents})
+    return rows

@@ -112,10 +112,10 @@ def disclosure(document: Mapping[str, Any]) -> str | None:
     """In a sentence or two what was known when a decision's gate was declared; None of a decision that does not tell."""
     if "known" not in document:
         return None
-    return told(document["candidate"], document["known"])
+    return disclosure_of(document["candidate"], document["known"])
 
 
-def told(candidate: str, known: Mapping[str, Any]) -> str:
+def disclosure_of(candidate: str, known: Mapping[str, Any]) -> str:
     """What was known when a gate was declared, in words."""
     own = f"candidate {candidate[:SHORT]}"
     said = [f"{own} had {_outcome(past)} {_on(past['episodes'])} by gate {past['gate'][:SHORT]}" for past in known["candidate"]]

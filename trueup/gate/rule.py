@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from functools import cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cache, cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -25,13 +25,21 @@ MEAN, BOUND = "mean", "bound"
 ROLLOUT, ONE_STEP = "rollout", "one_step"
 
 
-@dataclass(frozen=True, slots=True)
+Interval = Callable[[], tuple[float, float] | None]
+
+
+@dataclass(frozen=True)
 class Compared:
-    """Mean errors of both models, and the 95 % interval of the candidate's over the incumbent's; None where there is none."""
+    """Mean errors of both models, and how the 95 % interval of the candidate's over the incumbent's is drawn, should somebody ask."""
 
     candidate: float
     incumbent: float
-    ci95: tuple[float, float] | None
+    interval: Interval
+
+    @cached_property
+    def ci95(self) -> tuple[float, float] | None:
+        """The interval; None where there is none."""
+        return self.interval()
 
     @property
     def ratio(self) -> float:
@@ -64,7 +72,7 @@ class Trial:
         """Mean `rollout` or `one_step` errors over the episodes of these numbers, or over all."""
         chosen = list(range(len(self.episodes)) if of is None else of)
         candidate, incumbent = (float(np.mean(getattr(s, error)[chosen])) for s in (self.candidate, self.incumbent))
-        return Compared(candidate, incumbent, ratio_interval([self._pairs(error, i) for i in chosen]))
+        return Compared(candidate, incumbent, lambda: ratio_interval([self._pairs(error, i) for i in chosen]))
 
     def _pairs(self, error: str, episode: int) -> Pairs:
         """Both models' errors by window; an episode whose windows are not known counts as one."""
@@ -80,8 +88,8 @@ class Trial:
 class Verdict:
     """A rule's answer: the figure, the threshold it was held against, in `unit`, and the reason in words.
 
-    `ratio` is the candidate's error over the incumbent's, `ci95` its interval. With `require` bound it is not the mean but the upper end
-    of the interval that had to stay below the rule's bound.
+    `compared` has the ratio of the candidate's error to the incumbent's, and its interval; None where nothing could be compared. With
+    `require` bound it is not the mean but the upper end of the interval that had to stay within the rule's bound.
     """
 
     rule: str
@@ -90,9 +98,18 @@ class Verdict:
     threshold: float
     unit: str
     because: str
-    ratio: float = float("nan")
-    ci95: tuple[float, float] | None = None
+    compared: Compared | None = field(default=None, compare=False)
     require: str = MEAN
+
+    @property
+    def ratio(self) -> float:
+        """The candidate's error over the incumbent's; nan where there is none."""
+        return float("nan") if self.compared is None else self.compared.ratio
+
+    @property
+    def ci95(self) -> tuple[float, float] | None:
+        """The 95 % interval of the ratio; None where there is none."""
+        return None if self.compared is None else self.compared.ci95
 
     def document(self) -> dict[str, Json]:
         """The same as JSON; a figure that is no number stands as null."""
@@ -124,11 +141,13 @@ class Rule(ABC):
     def __call__(self, trial: Trial) -> Verdict:
         """The verdict on a trial; a figure that is not a number never passes."""
 
-    def within(self, found: Compared, bound: float) -> bool:
-        """Whether what the rule requires is at most `bound` times the incumbent's; what is no number is not."""
+    def within(self, found: Compared, bound: float, *, below: bool = False) -> bool:
+        """Whether what the rule requires is at most, or `below`, `bound` times the incumbent's; what is no number is not."""
         if self.require == MEAN:
-            return found.candidate <= bound * found.incumbent
-        return found.ci95 is not None and found.ci95[1] <= bound
+            error, most = found.candidate, bound * found.incumbent
+        else:
+            error, most = float("nan") if found.ci95 is None else found.ci95[1], bound
+        return error < most if below else error <= most
 
     def nearest(self, each: Sequence[Compared], bound: float) -> int:
         """The number of the pair that is nearest to the bound or furthest beyond; the first that is no number."""
@@ -144,9 +163,7 @@ class Rule(ABC):
         """The verdict in the figures' own units."""
         if self.require == BOUND and found.ci95 is None:
             because = f"there is no interval: it takes two windows with an error, {because}"
-        return Verdict(
-            self.name, bool(passed), found.candidate, bound * found.incumbent, "1", because, found.ratio, found.ci95, self.require
-        )
+        return Verdict(self.name, passed, found.candidate, bound * found.incumbent, "1", because, found, self.require)
 
     def document(self) -> dict[str, Json]:
         """The rule as JSON; that it requires the mean goes without saying."""

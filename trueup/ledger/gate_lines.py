@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from trueup.gate.line import Past, known, looser, past_of, told
+from trueup.gate.line import Past, disclosure_of, known, looser, past_of
 from trueup.ledger.audit import AuditEntry
 from trueup.ledger.verification import Finding
 
@@ -54,27 +54,16 @@ class GateLines:
     _used: dict[str, int] = field(default_factory=dict)
     _expected: dict[str, list[int]] = field(default_factory=dict)  # uses, by job
     _comparisons: list[_Comparison] = field(default_factory=list)
-    _approved: dict[str, list[tuple[str, str]]] = field(default_factory=dict)  # with a reason: by which token, of which actor
+    _approved: dict[str, list[str]] = field(default_factory=dict)  # with a reason, and by whom
     _imported: set[str] = field(default_factory=set)
     _tells: set[str] = field(default_factory=set)  # decisions that say what was known
 
     def __call__(self, entry: AuditEntry) -> list[Finding]:
         """What an entry says that is not so."""
-        looks: Mapping[str, Callable[[AuditEntry, str, Any], list[str]]] = {
-            "plant:registered": self._registered,
-            "plant:imported": self._brought,
-            "episode:ingested": self._ingested,
-            "gate:declared": self._declared,
-            "job:submitted": self._submitted,
-            "job:finished": self._finished,
-            "job:cancelled": self._cancelled,
-            "decision:made": self._decided,
-            "decision:approved": self._approves,
-            "pointer:moved": self._moved,
-        }
-        if entry.plant is None or entry.kind not in looks:
+        look = LOOKS.get(entry.kind)
+        if entry.plant is None or look is None:
             return []
-        return [Finding(f"entry {entry.sequence}", what) for what in looks[entry.kind](entry, entry.plant, entry.facts)]
+        return [Finding(f"entry {entry.sequence}", what) for what in look(self, entry, entry.plant, entry.facts)]
 
     def _registered(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
         self._projects[plant] = facts.get("project")
@@ -95,7 +84,7 @@ class GateLines:
         follows = document.get("follows")
         if follows is not None and plant not in self._imported and (before is None or before.digest != follows):
             return [f"gate {entry.subject[:12]} says that it follows {follows[:12]}, which was not in force"]
-        if before is not None and any(self._past[d][1].plant == plant for d in self._past):
+        if before is not None and any(past.plant == plant for _, past in self._past.values()):
             why = f"because “{document['because']}”" if "because" in document else "without a reason"
             said = looser(before.document, document)
             is_looser = f"looser: {'; '.join(said)}" if said else "nothing in it is looser"
@@ -118,11 +107,12 @@ class GateLines:
         asked = self._asked.pop(entry.subject, None)
         if asked is None:
             return []
-        if facts["kind"] == "compare":
+        if facts["state"] in NOTHING_CAME:
+            if facts["kind"] == "gate":
+                self._given_back(asked)
+        elif facts["kind"] == "compare":
             both = str(asked["first"]), str(asked["second"])
             self._comparisons.append(_Comparison(entry.subject, both, tuple(asked["episodes"]), entry.sequence))
-        elif facts["state"] in NOTHING_CAME:
-            self._given_back(asked)
         return []
 
     def _cancelled(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
@@ -150,7 +140,7 @@ class GateLines:
         document = facts["decision"]
         expected = self._known(plant, document, gate.at)
         if expected["candidate"] or expected["compared"]:
-            self.notes.append(f"decision {entry.subject[:12]} of plant {plant}: {told(document['candidate'], expected)}")
+            self.notes.append(f"decision {entry.subject[:12]} of plant {plant}: {disclosure_of(document['candidate'], expected)}")
         if "known" not in document:
             return []
         self._tells.add(entry.subject)
@@ -176,7 +166,7 @@ class GateLines:
 
     def _approves(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
         if "because" in facts:
-            self._approved.setdefault(entry.subject, []).append((facts["token"], entry.actor))
+            self._approved.setdefault(entry.subject, []).append(entry.actor)
         return []
 
     def _moved(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
@@ -190,7 +180,7 @@ class GateLines:
         said = (
             f"candidate {past.candidate[:12]} of plant {plant} was promoted after decision {rejected[0][1].decision[:12]} had rejected it"
         )
-        others = [actor for _, actor in self._approved.get(decision, []) if actor != entry.actor]
+        others = [actor for actor in self._approved.get(decision, []) if actor != entry.actor]
         if others:
             self.notes.append(f"{said}, with the approval of {' and '.join(others)} and a reason")
             return []
@@ -202,3 +192,17 @@ class GateLines:
         since = max(*(at for at, _ in rejected), *(g.at for g in self._lines.get(plant, []) if g.digest == past.gate), 0)
         seen = {e for _, p in rejected for e in p.episodes}
         return all(e not in seen and self._came.get((plant, e), 0) > since for e in past.episodes)
+
+
+LOOKS: Mapping[str, Callable[[GateLines, AuditEntry, str, Any], list[str]]] = {
+    "plant:registered": GateLines._registered,
+    "plant:imported": GateLines._brought,
+    "episode:ingested": GateLines._ingested,
+    "gate:declared": GateLines._declared,
+    "job:submitted": GateLines._submitted,
+    "job:finished": GateLines._finished,
+    "job:cancelled": GateLines._cancelled,
+    "decision:made": GateLines._decided,
+    "decision:approved": GateLines._approves,
+    "pointer:moved": GateLines._moved,
+}

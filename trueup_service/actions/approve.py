@@ -64,10 +64,10 @@ def require_not_rejected(reader: Reader, plant: str, made: DecisionRecord, stamp
     forbids it. Raises RejectedBefore.
     """
     rejected = rejections(reader, made)
-    old = stale(reader, made, rejected) if rejected else []
     if not rejected:
         return {}
     digests: list[Json] = [other.digest for other in rejected]
+    old = stale(reader, made, rejected)
     if not old:
         return {"rejected_before": digests, "fresh_episodes": True}
     policy = policy_of(reader, plant)
@@ -77,14 +77,11 @@ def require_not_rejected(reader: Reader, plant: str, made: DecisionRecord, stamp
     forbidden = policy is not None and policy.on_rejected == FORBID
     if reasons and not forbidden:
         return {"rejected_before": digests, "approved_because": reasons}
-    told = f"candidate {made.candidate[:12]} was rejected by decision {rejected[0].digest[:12]}, and {len(old)} of the {_count(made)}"
-    said = f"{told} that it is to be promoted on came in before that, or before the gate"
-    facts: dict[str, Any] = {"rejected_by": [other.digest for other in rejected][:10], "stale": old[:10]}
+    message = (
+        f"decision {rejected[0].digest[:12]} rejected candidate {made.candidate[:12]}; {len(old)} of the episodes on which it was accepted "
+        "came in before that rejection, or before the gate"
+    )
+    facts: dict[str, Any] = {"rejected_by": digests[:10], "stale": old[:10]}
     if forbidden:
-        raise RejectedBefore(said, hint="The plant's policy forbids it: record fresh held-out episodes and judge on those alone.", **facts)
-    raise RejectedBefore(said, **facts)
-
-
-def _count(made: DecisionRecord) -> str:
-    episodes = made.document["episodes"]
-    return f"{len(episodes)} episodes"  # type: ignore[arg-type]
+        facts["hint"] = "The plant's policy forbids it: record fresh held-out episodes and judge on those alone."
+    raise RejectedBefore(message, **facts)

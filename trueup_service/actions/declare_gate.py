@@ -12,13 +12,13 @@ from trueup.gate.decision import Gate, default_gate
 from trueup.gate.line import looser
 from trueup.model.plant import Plant
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actions.stamp import END_OF_TIME, Stamp
 from trueup_service.errors import GateFollows
+from trueup_service.plain_text import obeyed_character
 from trueup_service.registry.records import GateRecord
 from trueup_service.registry.store import Writer
 
 TOLD = 10  # decisions that a refusal names
-END_OF_TIME = "9999"
 
 
 def declare_gate(writer: Writer, plant: str, document: Mapping[str, Json] | None, stamp: Stamp) -> tuple[GateRecord, bool]:
@@ -37,6 +37,8 @@ def declare_gate(writer: Writer, plant: str, document: Mapping[str, Json] | None
     known = next((g for g in line if g.digest == gate.digest), None)
     if known is not None:
         return known, False
+    if gate.because is not None and (character := obeyed_character(gate.because, allowed="\n\t")):
+        raise BadGate(f"because holds the control character {character}: write it as text that can be read", field="because")
     require_can_reject(gate)
     _require_follows(writer, plant, gate, line)
     record = GateRecord(plant, gate.digest, gate.document(), stamp.now, stamp.actor)

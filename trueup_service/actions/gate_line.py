@@ -6,28 +6,43 @@ What came before what is told by the log's own order, not by clocks, which may b
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from trueup.canonical import Json
-from trueup.gate.line import Past, known, past_of, same_model
+from trueup.gate.line import Past, known, looser, past_of, same_model
 from trueup_service.actions import find
 from trueup_service.errors import GateSuperseded
-from trueup_service.registry.records import DecisionRecord, GateRecord
+from trueup_service.registry.records import DecisionRecord, GateRecord, JobState
 from trueup_service.registry.store import Reader
 
 DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingested"
 
 
-def in_force(reader: Reader, plant: str) -> GateRecord | None:
-    """The last gate that was declared for a plant; None where there is none."""
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A gate's place in its plant's line: the one before it, what is looser in it than in that one, and whether it is in force."""
+
+    gate: GateRecord
+    before: GateRecord | None
+    looser: list[str]
+    in_force: bool
+
+
+def place(reader: Reader, plant: str, digest: str | None = None) -> Place | None:
+    """The place of a gate, or without a digest of the one in force; None where there is none."""
     line = reader.gate_line(plant)
-    return line[-1] if line else None
+    at = next((i for i, gate in reversed(list(enumerate(line))) if digest in (None, gate.digest)), None)
+    if at is None:
+        return None
+    before = line[at - 1] if at else None
+    return Place(line[at], before, [] if before is None else looser(before.document, line[at].document), at == len(line) - 1)
 
 
 def require_in_force(reader: Reader, plant: str, gate: GateRecord) -> None:
     """Raises GateSuperseded."""
-    last = in_force(reader, plant)
-    if last is not None and last.digest != gate.digest:
+    last = reader.gate_line(plant)[-1]
+    if last.digest != gate.digest:
         raise GateSuperseded(
             f"gate {gate.digest[:12]} was superseded: {last.digest[:12]} is in force since {last.created_at}", in_force=last.digest
         )
@@ -51,7 +66,11 @@ def _before(reader: Reader, made: Sequence[DecisionRecord], gate: GateRecord, de
 
 def _compared(reader: Reader, candidate: str, episodes: Sequence[str], declared: int) -> list[str]:
     """Comparisons that had shown the candidate's errors on these episodes when the gate was declared."""
-    jobs = [j for j in reader.jobs_reading(episodes, "compare") if candidate in (j.request["first"], j.request["second"])]
+    jobs = [
+        j
+        for j in reader.jobs_reading(episodes, "compare")
+        if j.state == JobState.SUCCEEDED and candidate in (j.request["first"], j.request["second"])
+    ]
     ended: dict[str, int] = {}
     for plant in {j.plant for j in jobs}:
         ended |= reader.log_positions(plant, "job:finished", [j.id for j in jobs])

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+END_OF_TIME = "9999-12-31T23:59:59.999999Z"
+
 
 @dataclass(frozen=True, slots=True)
 class Stamp:

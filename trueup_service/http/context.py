@@ -19,8 +19,6 @@ from trueup_service.plain_text import obeyed_character
 from trueup_service.registry.store import Writer, writing
 from trueup_service.wiring import Parts
 
-END_OF_TIME = "9999-12-31T23:59:59.999999Z"
-
 
 async def _parts(request: Request) -> Parts:
     parts: Parts = request.app.state.parts

@@ -364,7 +364,7 @@ class ApprovalRequest(BaseModel):
     """Why a decision is approved: a candidate that was rejected before takes a reason."""
 
     model_config = ConfigDict(extra="forbid")
-    because: str | None = Field(None, min_length=1, max_length=2000)
+    because: str | None = Field(None, min_length=1, max_length=2000, pattern=LINE)
 
 
 class Serving(BaseModel):

@@ -207,11 +207,7 @@ class Reader:
             .where(t.audit.c.plant == plant, t.audit.c.kind == kind, t.audit.c.subject.in_(bindparam("subjects", expanding=True)))
             .group_by(t.audit.c.subject)
         )
-        found: dict[str, int] = {}
-        for begin in range(0, len(subjects), AT_ONCE):
-            rows = self.connection.execute(query, {"subjects": list(subjects[begin : begin + AT_ONCE])})
-            found |= {subject: int(sequence) for subject, sequence in rows}
-        return found
+        return {str(subject): int(sequence) for subject, sequence in self._in_parts(query, "subjects", subjects)}
 
     def job(self, job: str) -> JobRecord | None:
         return self._one(JobRecord, select(t.jobs).where(t.jobs.c.id == job))
@@ -259,10 +255,7 @@ class Reader:
             t.job_reads.c.purpose == purpose, t.job_reads.c.digest.in_(bindparam("digests", expanding=True))
         )
         query = select(t.jobs).where(t.jobs.c.id.in_(reads)).order_by(t.jobs.c.created_at, t.jobs.c.id)
-        found: dict[str, JobRecord] = {}
-        for begin in range(0, len(digests), AT_ONCE):
-            rows = self.connection.execute(query, {"digests": list(digests[begin : begin + AT_ONCE])}).mappings()
-            found |= {row["id"]: record_of(JobRecord, row) for row in rows}
+        found = {row.id: record_of(JobRecord, row._mapping) for row in self._in_parts(query, "digests", digests)}
         return list(found.values())
 
     def decision(self, digest: str) -> DecisionRecord | None:
@@ -287,9 +280,7 @@ class Reader:
         on_them = select(t.decisions).where(t.decisions.c.job.in_(reads), t.decisions.c.plant.in_(near), *which)
         own = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.candidate == candidate, *which)
         found = self._all(DecisionRecord, own)
-        for begin in range(0, len(episodes), AT_ONCE):
-            rows = self.connection.execute(on_them, {"digests": list(episodes[begin : begin + AT_ONCE])}).mappings()
-            found += [record_of(DecisionRecord, row) for row in rows]
+        found += [record_of(DecisionRecord, row._mapping) for row in self._in_parts(on_them, "digests", episodes)]
         return sorted({d.digest: d for d in found}.values(), key=lambda d: (d.created_at, d.digest))
 
     def decisions_naming(self, plant: str, digest: str) -> list[str]:
@@ -500,6 +491,11 @@ class Reader:
             if at < before or counted[token] > kept:
                 found.append((scope, key, at))
         return found
+
+    def _in_parts(self, query: Select[Any], name: str, values: Sequence[str]) -> Iterator[Any]:
+        """The rows of a query whose parameter `name` takes a list, for as many values as there are."""
+        for begin in range(0, len(values), AT_ONCE):
+            yield from self.connection.execute(query, {name: list(values[begin : begin + AT_ONCE])})
 
     def _one(self, kind: type[R], query: Select[Any], **values: Any) -> R | None:
         row = self.connection.execute(query, values).mappings().first()

@@ -1,5 +1,7 @@
 """Gates: frozen by digest, able to reject, and deaf to what is no number."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from trueup.gate.cells import cell_of, matrix
 from trueup.gate.controls import VacuousGate, require_can_reject
 from trueup.gate.decision import Gate, default_gate
 from trueup.gate.interval import Pairs, ratio_interval
-from trueup.gate.judge import judge, run_trial, sensitivity
+from trueup.gate.judge import _spreads, judge, run_trial, sensitivity
 from trueup.gate.recompute import differences, recompute
 from trueup.gate.rule import Trial, rules
 from trueup.model.plant import Plant
@@ -243,6 +245,7 @@ def test_a_gate_that_cannot_reject_is_refused_unless_it_says_so(given):
         [{"rule": "rollout_improves"}, {"rule": "one_step_no_worse"}],
         [{"rule": "rollout_improves", "ratio": 1.0}, {"rule": "tracking_no_worse"}, {"rule": "retained_conditions", "slack": 9.0}],
         [{"rule": "rollout_improves", "require": "bound"}],
+        [{"rule": "rollout_improves", "require": "bound", "ratio": 1.0}],
     ],
 )
 def test_a_gate_that_can_reject_is_not(given):
@@ -255,6 +258,14 @@ def test_the_controls_are_judged_and_told():
     assert {name: found["accepted"] for name, found in run.controls.items()} == {"incumbent": False, "copy": False, "noise": False}
     assert run.controls["noise"]["failed"] == ["rollout_improves", "one_step_no_worse"]
     assert run.controls["copy"]["failed"] == ["rollout_improves"]
+
+
+def test_a_channel_that_no_episode_observed_adds_no_noise_to_the_controls():
+    found = read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)
+    blind = replace(found, observations=np.where([False, True], np.nan, found.observations))
+    run = run_trial(default_gate(0.5), Identified(PLANT, NEAR), Nominal(PLANT), [blind])
+    assert run.controls["noise"]["accepted"] is False
+    assert np.isfinite(_spreads([blind])).all()
 
 
 def test_a_gate_that_accepts_a_control_judges_nobody():

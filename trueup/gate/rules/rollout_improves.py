@@ -15,6 +15,5 @@ class RolloutImproves(Rule):
 
     def __call__(self, trial: Trial) -> Verdict:
         found = trial.compared(ROLLOUT)
-        at_bound = self.require == MEAN and found.candidate == self.ratio * found.incumbent  # it must be below
         because = f"rollout error {found.candidate:.5g}, the incumbent's is {found.incumbent:.5g}"
-        return self.verdict(self.within(found, self.ratio) and not at_bound, found, self.ratio, because)
+        return self.verdict(self.within(found, self.ratio, below=True), found, self.ratio, because)

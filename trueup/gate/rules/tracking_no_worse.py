@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from trueup.control.closed_loop import Tracking
 from trueup.gate.rule import MEAN, Compared, Rule, Trial, Verdict
 
 
@@ -21,9 +22,13 @@ class TrackingNoWorse(Rule):
         runs = trial.tracking
         if runs is None:
             return Verdict(self.name, False, float("nan"), self.slack, "1", "there are no runs in closed loop", require=self.require)
-        change = runs.change_ci95()
-        ci95 = None if change is None else (1.0 + change[0], 1.0 + change[1])
-        found = Compared(float(runs.candidate.mean()), float(runs.incumbent.mean()), ci95)
+        found = Compared(float(runs.candidate.mean()), float(runs.incumbent.mean()), lambda: _ratios(runs))
         calm = runs.breaches[0] <= runs.breaches[1]
         because = f"breaches {runs.breaches[0]:.4f} of the time, the incumbent {runs.breaches[1]:.4f}; {len(runs.candidate)} paired runs"
         return self.verdict(calm and self.within(found, self.slack), found, self.slack, because)
+
+
+def _ratios(runs: Tracking) -> tuple[float, float] | None:
+    """The interval that the runs tell of, of the ratio instead of the change."""
+    change = runs.change_ci95()
+    return None if change is None else (1.0 + change[0], 1.0 + change[1])

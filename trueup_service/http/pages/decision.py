@@ -8,11 +8,11 @@ from typing import Any
 from fastapi import Request, Response
 
 from trueup.canonical import digest_of
-from trueup.gate.line import budget_of, looser, told
+from trueup.gate.line import budget_of, disclosure_of
 from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import inclusion, leaf_hash, prove
 from trueup_service.actions import find
-from trueup_service.actions.gate_line import known_at
+from trueup_service.actions.gate_line import known_at, place
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.context import By, DigestPath, PlantName, With
 from trueup_service.http.guard import guarded
@@ -61,14 +61,10 @@ def _known(reader: Reader, gate: GateRecord, made: DecisionRecord) -> dict[str, 
     """What was known when the gate was declared, told by the decision or worked out, and what is looser in the gate."""
     document: dict[str, Any] = made.document
     known = document.get("known") or known_at(reader, made.plant, gate, made.candidate, document["episodes"])
-    line = reader.gate_line(made.plant)
-    at = next((i for i, g in enumerate(line) if g.digest == gate.digest), 0)
-    before = line[at - 1] if at else None
     return {
         "known": known,
-        "disclosure": told(made.candidate, known),
-        "gate_before": None if before is None else before.digest,
-        "looser": [] if before is None else looser(before.document, gate.document),
+        "disclosure": disclosure_of(made.candidate, known),
+        "place": place(reader, made.plant, gate.digest),
         "budget": budget_of(gate.document),
     }
 

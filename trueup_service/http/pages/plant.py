@@ -13,8 +13,9 @@ from trueup.errors import PointerMoved, TrueupError
 from trueup.ledger.pointer import NothingToRollBackTo
 from trueup_service.actions import find
 from trueup_service.actions.move_pointer import previous_artifact
+from trueup_service.actions.stamp import END_OF_TIME
 from trueup_service.actions.submit_job import SUBMIT
-from trueup_service.http.context import END_OF_TIME, By, PlantName, With
+from trueup_service.http.context import By, PlantName, With
 from trueup_service.http.guard import guarded
 from trueup_service.http.moving import roll_back_tested, tested_way_back
 from trueup_service.http.pages.page import form, go, show, wants_page

@@ -9,7 +9,8 @@ from trueup.errors import BrokenChain
 from trueup.ledger.provenance import PAYLOAD_TYPE, of_decision
 from trueup_service.actions import find
 from trueup_service.actions.approve import approve
-from trueup_service.http.context import END_OF_TIME, Before, By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.actions.stamp import END_OF_TIME
+from trueup_service.http.context import Before, By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.guard import Asking, guarded, require_seen
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Approval, ApprovalRequest, Decision, Envelope, Page, page

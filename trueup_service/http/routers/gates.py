@@ -6,14 +6,13 @@ from typing import Annotated, Any
 
 from fastapi import Body, Query, Response
 
-from trueup.gate.line import looser
 from trueup_service.actions import find
+from trueup_service.actions.gate_line import Place, place
 from trueup_service.errors import NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Gate, GateInLine, Page, page
-from trueup_service.registry.records import GateRecord
 from trueup_service.registry.store import Reader
 
 router = guarded("/v1/plants/{plant}", ["gates"])
@@ -57,28 +56,26 @@ def get_gate_in_force(parts: With, plant: PlantName) -> GateInLine:
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.plant_digest(reader, plant)
-        line = reader.gate_line(plant)
-    if not line:
+        found = place(reader, plant)
+    if found is None:
         raise NotFound(f"plant {plant!r} has no gate", noun="gate", name=plant, hint="Declare one before anything is scored.")
-    return _in_line(line, len(line) - 1)
+    return _in_line(found)
 
 
 @router.get("/gates/{digest}/line", summary="Get a gate with its place in the plant's line")
 def get_gate_in_line(parts: With, plant: PlantName, digest: DigestPath) -> GateInLine:
     """Whether it is in force, which one was before it, and what is looser in it."""
     with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.gate(reader, plant, digest)
-        line = reader.gate_line(plant)
-    return _in_line(line, next(i for i, gate in enumerate(line) if gate.digest == digest))
+        found = place(Reader(connection), plant, digest)
+    if found is None:
+        raise find.missing("gate", digest)
+    return _in_line(found)
 
 
-def _in_line(line: list[GateRecord], at: int) -> GateInLine:
-    """A gate of a line by its number."""
-    before = line[at - 1] if at else None
+def _in_line(found: Place) -> GateInLine:
     return GateInLine(
-        **Gate.model_validate(line[at]).model_dump(),
-        in_force=at == len(line) - 1,
-        follows=None if before is None else before.digest,
-        looser=[] if before is None else looser(before.document, line[at].document),
+        **Gate.model_validate(found.gate).model_dump(),
+        in_force=found.in_force,
+        follows=None if found.before is None else found.before.digest,
+        looser=found.looser,
     )

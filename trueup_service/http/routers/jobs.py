@@ -10,8 +10,9 @@ from starlette.responses import StreamingResponse
 
 from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
+from trueup_service.actions.stamp import END_OF_TIME
 from trueup_service.actions.submit_job import SUBMIT
-from trueup_service.http.context import END_OF_TIME, Before, By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.context import Before, By, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.downloads import send_kept
 from trueup_service.http.guard import Asking, guarded, require_seen
 from trueup_service.http.openapi import there

@@ -9,7 +9,8 @@ from fastapi import Path, Query
 
 from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm
-from trueup_service.http.context import END_OF_TIME, Before, By, DigestPath, IdempotencyKey, Limit, PlantName, With, run_once
+from trueup_service.actions.stamp import END_OF_TIME
+from trueup_service.http.context import Before, By, DigestPath, IdempotencyKey, Limit, PlantName, With, run_once
 from trueup_service.http.guard import guarded
 from trueup_service.http.schemas import Alarm, Closing, Monitor, MonitorState, Page, Watch, page
 from trueup_service.registry.store import Reader
