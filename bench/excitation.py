@@ -45,9 +45,7 @@ def main() -> None:
     truth[:3] = DEPLOYMENT
     figures = []
     for duration_s in DURATIONS_S:
-        found = identification(
-            Setting(InPlay((ensemble,)), Bounds.of(PLANT, duration_s, None, None, 0.1), NOISE, np.zeros(2), np.zeros(1)), rng
-        )
+        found = identification(Setting(InPlay((ensemble,)), Bounds.of(PLANT, duration_s), NOISE, np.zeros(2), np.zeros(1)), rng)
         ours = _widths(ensemble, truth, found.command)
         needed = next(n for n in range(len(found.t_s), 40 * len(found.t_s), 10) if (_random(ensemble, truth, n) <= ours).all())
         ratio = len(found.t_s) / needed

@@ -82,7 +82,7 @@ def _undecided(rng: np.random.Generator) -> tuple[Bench, str, Plant, Trial, list
 
 
 def _designed(plant: Plant, play: InPlay, trial: Trial, rng: np.random.Generator) -> Excitation:
-    setting = Setting(play, Bounds.of(plant, SECONDS, None, None, 0.1), trial.sigma, np.zeros(2), np.zeros(1))
+    setting = Setting(play, Bounds.of(plant, SECONDS), trial.sigma, np.zeros(2), np.zeros(1))
     made = splitting(setting, rng, effort=0.25)
     if made.information.least < DETECTABLE:  # type: ignore[attr-defined]
         raise NotIdentifiable("no command parts them")

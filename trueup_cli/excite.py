@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from trueup.artifact.model import load
 from trueup.canonical import digest_of
-from trueup.collect.bounds import Bounds
+from trueup.collect.bounds import Bounds, Recorded
+from trueup.collect.checklist import checks
 from trueup.collect.ensemble import Ensemble, InPlay
-from trueup.collect.excitation import DETECTABLE, Excitation, Setting, at_rest, identification, splitting
+from trueup.collect.excitation import DETECTABLE, Excitation, Setting, identification, resting, splitting
 from trueup.collect.goal import Separation
 from trueup.diagnose.admission import admit
 from trueup.diagnose.case import read_episodes, read_plant
@@ -47,14 +48,16 @@ def excite(
     band_hz: Annotated[
         tuple[float, float] | None, Parameter(help="Lowest and highest frequency [Hz]; default: by duration and step")
     ] = None,
-    rate: Annotated[float | None, Parameter(help="Largest change of a command [its unit / s]")] = None,
-    margin: Annotated[float, Parameter(help="Of the declared envelope, kept free under every model")] = 0.1,
+    rate: Annotated[float | None, Parameter(help="Largest change of a command [its unit / s]; default: as recorded")] = None,
+    speed: Annotated[float | None, Parameter(help="Largest speed of a joint [its unit / s]; default: as recorded")] = None,
+    margin: Annotated[float, Parameter(help="Of the envelope, kept free under every model")] = 0.1,
     seed: Seed = 0,
     as_json_: Json = False,
 ) -> None:
     """Design a bounded excitation that identifies a plant's numbers, or splits explanations, safe under every model still in play.
 
-    Writes excitation.csv, .mcap (commands alone), .json and .svg.
+    It keeps the envelope that plant.json declares, and where it declares none the range of the recordings in the case folder. Writes
+    excitation.csv, .mcap (commands alone), .json and .svg; what to check before it is played stands first in each that can say it.
 
     Parameters
     ----------
@@ -68,10 +71,10 @@ def excite(
     play, report = _in_play(described, model, spread)
     if split and len(play.ensembles) == 1:
         raise _nothing_to_split(report)
-    hold, begin = _begins(described, episodes)
-    bounds = Bounds.of(described, duration_s, band_hz, rate, margin)
+    recorded = Recorded.of(described, episodes)
+    bounds = Bounds.of(described, duration_s, band_hz, rate, margin, speed=speed, recorded=recorded)
     with progress("excite") as bar:
-        rest = at_rest(play.ensembles[0], begin, hold)
+        hold, rest = resting(play.ensembles[0], bounds, _candidates(described, episodes, bounds))
         setting = Setting(play, bounds, _noise(described, episodes, report), rest, hold)
         act = splitting if split else identification
         found = act(setting, np.random.default_rng(seed), lambda stage, part: bar(part, stage))
@@ -82,12 +85,20 @@ def excite(
             hint="; or ".join(_otherwise(play, found.information)) + "; or allow a longer duration, a wider band or envelope.",
         )
     goal = "split" if split else "identify"
-    document = {"schema": "trueup.excitation/1", "plant": described.name, "goal": goal, "seed": seed, **found.document()}
+    first = checks(described, found, diagnosed=model is not None)
+    document = {
+        "check_first": first,
+        "schema": "trueup.excitation/1",
+        "plant": described.name,
+        "goal": goal,
+        "seed": seed,
+        **found.document(),
+    }
     _write(described, found, document, out)
     if as_json_:
         as_json(document)
         return
-    _show(found)
+    _show(found, first)
     if isinstance(found.information, Separation):
         for how in _otherwise(play, found.information):
             say("Not parted: {}.", how)
@@ -126,18 +137,25 @@ def _nothing_to_split(report: dict[str, Any]) -> NotIdentifiable:
     )
 
 
-def _begins(plant: Plant, episodes: list[Episode]) -> tuple[Array, Array]:
-    """The command that holds the machine, and a state to start from: none and rest of one joint, what was recorded first of a robot."""
+def _candidates(plant: Plant, episodes: list[Episode], bounds: Bounds) -> list[tuple[Array, Array]]:
+    """Commands to hold and states to seek rest from: none in the middle of the envelope, and what was recorded at first and on the mean.
+
+    A robot's rest is not known without a recording: what holds it against its weight is no middle of anything.
+    """
     joints = len(plant.joints)
-    if joints == 1:
-        return np.clip(np.zeros(1), *plant.limits), np.zeros(2)
-    if not episodes:
+    middle = np.concatenate([bounds.envelope[:joints].mean(axis=1), np.zeros(joints)])
+    none = np.clip(np.zeros(joints), bounds.low, bounds.high)
+    found = [(none, middle)] if joints == 1 else []
+    for episode in episodes[:1]:
+        states = np.nan_to_num(smoothed_states(plant, episode))
+        commands = plant.applied(episode.commands)
+        states[:, joints:] = 0.0
+        found += [(commands[0], states[0]), (commands.mean(axis=0), states.mean(axis=0))]
+    if not found:
         raise NotIdentifiable(
             "a robot's rest is not known without a recording", hint="Put an adaptation episode that begins at rest into the case folder."
         )
-    state = np.nan_to_num(smoothed_states(plant, episodes[0])[0])
-    state[joints:] = 0.0
-    return plant.applied(episodes[0].commands[0]), state
+    return found
 
 
 def _noise(plant: Plant, episodes: list[Episode], report: dict[str, Any]) -> Array:
@@ -157,6 +175,7 @@ def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path)
     out.mkdir(parents=True, exist_ok=True)
     columns = found.command[:, [plant.joint_of(c) for c in plant.layout.commands]]
     with (out / "excitation.csv").open("w", newline="") as file:
+        file.writelines(f"# {line}\r\n" for line in document["check_first"])
         writer = csv.writer(file)
         writer.writerow(["t", *(c.name for c in plant.layout.commands)])
         writer.writerows([repr(float(t)), *(repr(float(u)) for u in row)] for t, row in zip(found.t_s, columns, strict=True))
@@ -174,12 +193,11 @@ def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path)
     (out / "excitation.svg").write_text(excite_picture(plant, found))
 
 
-def _show(found: Excitation) -> None:
+def _show(found: Excitation, first: list[str]) -> None:
+    say("[bold]Check before you play it[/]")
+    for number, line in enumerate(first, 1):
+        say("  {}. {}", number, line)
     others = dict(found.random.rows())
     table(found.title, ["", "designed", "random, same energy"], [(name, value, others[name]) for name, value in found.information.rows()])
-    length = f"{len(found.t_s)} samples, {found.t_s[-1]:.4g} s"
-    if np.isfinite(found.used):
-        models, share = len(found.paths), 100 * found.used
-        say("{}; under {} models at most {:.0f} % of the envelope is used, breaches: {}", length, models, share, found.breaches)
-    else:
-        say("{}; plant.json declares no envelope, so nothing but the command's limits was kept: declare one before you play it", length)
+    length, models, share = f"{len(found.t_s)} samples, {found.t_s[-1]:.4g} s", len(found.paths), 100 * found.used
+    say("{}; under {} models at most {:.0f} % of the envelope is used, breaches: {}", length, models, share, found.breaches)

@@ -1,17 +1,50 @@
-"""Bounds: what an excitation must keep, of command, rate, envelope, band and time."""
+"""Bounds: what an excitation must keep, of command, rate, travel, speed, band and time.
+
+Travel is bounded by the envelope that plant.json declares, and where it declares none by what was recorded; speed and the rate of a command
+by what was recorded, unless they are given.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.errors import BadPlant
+from trueup.episode.episode import Episode
+from trueup.errors import BadPlant, NotIdentifiable
 from trueup.model.plant import Plant
+from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 SMOOTHED = 0.85  # of a random excitation, from sample to sample: at 0.05 s the chapter's
+DECLARED, RECORDED, GIVEN, UNBOUNDED = "declared", "recorded", "given", "unbounded"  # where a bound comes from
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What a machine has done: `ranges` `(2 x joints, 2)` of positions and velocities, nan where not observed, and `rate` `(joints,)`, the
+    fastest change of each command [command/s]. Velocities are bounded alike in both directions.
+    """
+
+    ranges: Array
+    rate: Array
+
+    @staticmethod
+    def of(plant: Plant, episodes: Sequence[Episode]) -> Recorded:
+        """From recordings, of which there may be none."""
+        joints = len(plant.joints)
+        ranges, rate = np.full((2 * joints, 2), np.nan), np.full(joints, np.nan)
+        for episode in episodes:
+            states, command = smoothed_states(plant, episode).copy(), plant.applied(episode.commands)
+            states[:, joints:] = np.abs(states[:, joints:])
+            ranges[:, 0] = np.fmin(ranges[:, 0], np.fmin.reduce(states, axis=0))
+            ranges[:, 1] = np.fmax(ranges[:, 1], np.fmax.reduce(states, axis=0))
+            steps = np.abs(np.diff(command, axis=0)) / np.diff(episode.t_s[: len(command)])[:, None]
+            rate = np.fmax(rate, steps.max(axis=0, initial=0.0))
+        ranges[joints:, 0] = -ranges[joints:, 1]
+        return Recorded(ranges, rate)
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +52,8 @@ class Bounds:
     """What an excitation must keep.
 
     `low` and `high` of the command `(joints,)`, `rate` [command/s] `(joints,)`, `envelope` `(2 x joints, 2)` of positions and velocities
-    with its `margin` taken off, `band_hz`, `duration_s` [s] without the hold at the end.
+    with its `margin` taken off, `band_hz`, `duration_s` [s] without the hold at the end. `sources` `(2 x joints,)` says where each row of
+    the envelope comes from, `rate_source` where the rate does.
     """
 
     low: Array
@@ -29,36 +63,70 @@ class Bounds:
     margin: float
     band_hz: tuple[float, float]
     duration_s: float
+    sources: tuple[str, ...]
+    rate_source: str
 
     @staticmethod
-    def of(plant: Plant, duration_s: float, band_hz: tuple[float, float] | None, rate: float | None, margin: float) -> Bounds:
-        """A plant's own. Without a rate a command may cross its range in a fifth of the shortest period of the band."""
+    def of(
+        plant: Plant,
+        duration_s: float,
+        band_hz: tuple[float, float] | None = None,
+        rate: float | None = None,
+        margin: float = 0.1,
+        *,
+        speed: float | None = None,
+        recorded: Recorded | None = None,
+    ) -> Bounds:
+        """A plant's own, and where it declares none what was `recorded`. No command crosses its range faster than in a fifth of the band's
+        shortest period.
+
+        Raises BadPlant, and NotIdentifiable where nothing bounds the travel of a joint.
+        """
         if not 0.0 <= margin < 1.0 or not duration_s > 0.0:
             raise BadPlant("an excitation needs a margin from 0 to below 1 and a positive duration", field="margin")
+        if not all(given is None or given > 0.0 for given in (rate, speed)):
+            raise BadPlant("a rate and a speed are positive", field="rate")
         joints = len(plant.joints)
         low, high = (np.where(plant.command_columns >= 0, bound[plant.command_columns], 0.0) for bound in plant.limits)
         band = band_hz or (1.0 / duration_s, min(0.1 / plant.timestep_s, 20.0 / duration_s))
-        envelope = np.tile([-np.inf, np.inf], (2 * joints, 1))
-        for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
-            if channel.name in plant.envelope:
-                near, far = plant.envelope[channel.name]
-                half, middle = (far - near) / 2.0, (far + near) / 2.0
-                envelope[column] = middle - (1.0 - margin) * half, middle + (1.0 - margin) * half
-        rates = np.full(joints, rate) if rate is not None else 5.0 * band[1] * np.maximum(high - low, 1e-12)
-        return Bounds(low, high, rates, envelope, margin, band, duration_s)
+        been = Recorded.of(plant, []) if recorded is None else recorded
+        ranges, sources = _ranges(plant, been, speed)
+        for j in np.flatnonzero(~_bounded(ranges[:joints])).tolist():
+            raise NotIdentifiable(
+                f"nothing says how far {plant.joint_name(j)} may travel",
+                hint="Declare its range under envelope in plant.json, or put an adaptation recording into the case folder.",
+            )
+        envelope = _widened(ranges, 1.0 - margin)
+        fastest = 5.0 * band[1] * np.maximum(high - low, 1e-12)
+        told = np.isfinite(been.rate)
+        rates = np.full(joints, rate) if rate is not None else np.where(told, np.fmin(been.rate, fastest), fastest)
+        source = GIVEN if rate is not None else RECORDED if told.any() else UNBOUNDED
+        return Bounds(low, high, np.asarray(rates, np.float64), envelope, margin, band, duration_s, sources, source)
 
     def inside(self, paths: Array) -> bool:
         """Whether every path `(…, samples, 2 x joints)` keeps the envelope less its margin."""
         low, high = self.envelope.T
         return bool(((paths >= low) & (paths <= high)).all())
 
-    def declared(self) -> tuple[Array, Array]:
-        """The envelope without its margin, `(2 x joints,)` each."""
+    def used(self, paths: Array, start: Array) -> float:
+        """The largest part of the room between a state `start` `(2 x joints,)` and the envelope less its margin that paths `(…, samples,
+        2 x joints)` take: above 1 one leaves it.
+        """
         low, high = self.envelope.T
-        declared = np.isfinite(low)
-        near, far = np.where(declared, low, 0.0), np.where(declared, high, 0.0)
-        middle, half = (near + far) / 2.0, (far - near) / 2.0 / (1.0 - self.margin)
-        return np.where(declared, middle - half, -np.inf), np.where(declared, middle + half, np.inf)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            parts = [(paths - start).max(axis=(0, 1)) / (high - start), (start - paths).max(axis=(0, 1)) / (start - low)]
+        most = float(np.max(np.nan_to_num(parts, nan=np.inf, posinf=np.inf, neginf=np.inf)))
+        return most if np.isfinite(paths).all() else np.inf
+
+    def room(self, state: Array) -> float:
+        """How far a state `(2 x joints,)` is from the nearest end of the envelope, as a part of half its width; negative outside of it."""
+        bounded = _bounded(self.envelope)
+        (low, high), within = self.envelope[bounded].T, state[bounded]
+        return float((np.minimum(within - low, high - within) / np.maximum((high - low) / 2.0, 1e-300)).min(initial=1.0))
+
+    def whole(self) -> Array:
+        """The envelope without its margin, `(2 x joints, 2)`."""
+        return _widened(self.envelope, 1.0 / (1.0 - self.margin))
 
     def random(self, hold: Array, like: Array, rng: np.random.Generator) -> Array:
         """Smoothed noise about a command `hold` `(joints,)`, of the energy of another one `(samples, joints)`, within the limits."""
@@ -70,3 +138,31 @@ class Bounds:
             cut = np.clip(hold + size * x, self.low, self.high)
             size *= float(np.sqrt(energy / max(np.sum((cut - hold) ** 2), 1e-300)))
         return np.clip(hold + size * x, self.low, self.high)
+
+
+def _bounded(ranges: Array) -> NDArray[np.bool_]:
+    """Which of some ranges `(n, 2)` are finite, `(n,)`."""
+    return np.asarray(np.isfinite(ranges).all(axis=1))
+
+
+def _widened(ranges: Array, by: float) -> Array:
+    """Ranges `(n, 2)` about their middles, so many times as wide; what is unbounded stays so."""
+    bounded = _bounded(ranges)[:, None]
+    kept = np.where(bounded, ranges, 0.0)
+    middle, half = kept.mean(axis=1, keepdims=True), by * np.diff(kept, axis=1) / 2.0
+    return np.where(bounded, np.concatenate([middle - half, middle + half], axis=1), [-np.inf, np.inf])
+
+
+def _ranges(plant: Plant, been: Recorded, speed: float | None) -> tuple[Array, tuple[str, ...]]:
+    """The range of each position and velocity `(2 x joints, 2)`, infinite where nothing bounds it, and where it comes from."""
+    joints, known = len(plant.joints), _bounded(been.ranges)
+    ranges = np.where(known[:, None], been.ranges, [-np.inf, np.inf])
+    sources = [RECORDED if found else UNBOUNDED for found in known]
+    for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
+        if channel.name in plant.envelope:
+            ranges[column], sources[column] = plant.envelope[channel.name], DECLARED
+    if speed is not None:
+        for column in range(joints, 2 * joints):
+            low, high = ranges[column] if sources[column] == DECLARED else (-speed, speed)
+            ranges[column], sources[column] = (max(low, -speed), min(high, speed)), GIVEN
+    return ranges, tuple(sources)

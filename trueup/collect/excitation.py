@@ -6,7 +6,7 @@ under members drawn anew, and compared with random excitations of the same energ
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from trueup.canonical import Json
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.goal import Goal, Identification, Splitting, Told
-from trueup.collect.wave import Maker, Wave
+from trueup.collect.wave import AT_REST, HOLDS, Held, Maker, Wave
 from trueup.errors import NotIdentifiable
 
 Array = NDArray[np.float64]
@@ -54,22 +54,30 @@ class Setting:
 class Excitation:
     """A designed command `(samples, joints)` at `t_s` [s], from the state `start`, with what it promises.
 
-    `paths` `(members, samples, 2 x joints)` are the motions under members drawn anew, of which `central` says where those of each
-    composition begin, its central one first; `breaches` is how many leave the declared envelope; `information` is what it tells,
-    `random` what random excitations of the same energy do.
+    It begins from rest under the command `hold` `(joints,)`. `paths` `(members, samples, 2 x joints)` are the motions under members drawn
+    anew, of which `central` says where those of each composition begin, its central one first; `breaches` is how many leave the envelope,
+    `used` the largest part of it that one takes, `rests` whether every one is at rest at the end; `information` is what it tells, `random`
+    what random excitations of the same energy do.
     """
 
     title: str
     t_s: Array
     command: Array
     start: Array
+    hold: Array
     information: Told
     random: Told
     paths: Array
     central: dict[str, int]
     breaches: int
     used: float
+    rests: bool
     bounds: Bounds
+
+    @property
+    def speed_at_end(self) -> Array:
+        """Of each joint `(joints,)`, the largest under any member."""
+        return np.asarray(np.abs(self.paths[:, -1, self.paths.shape[2] // 2 :]).max(axis=0))
 
     def document(self) -> dict[str, Json]:
         """The same as JSON, without the samples."""
@@ -81,11 +89,41 @@ class Excitation:
             "rate": [float(x) for x in self.bounds.rate],
             "members": len(self.paths),
             "breaches": self.breaches,
-            "envelope_used": self.used if np.isfinite(self.used) else None,
-            "speed_at_end": float(np.abs(self.paths[:, -1, self.paths.shape[2] // 2 :]).max()),
+            "envelope_used": self.used,
+            "rests": self.rests,
+            "speed_at_end": float(self.speed_at_end.max()),
             "information": self.information.document(),
             "random_of_same_energy": self.random.document(),
         }
+
+
+def resting(ensemble: Ensemble, bounds: Bounds, candidates: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Where to begin: of `candidates`, each a command to hold `(joints,)` and a state to seek rest from `(2 x joints,)`, the one whose rest
+    has the most room within the envelope; its command and that rest.
+
+    Raises NotIdentifiable where it comes to rest under none of them, or under none inside the envelope.
+    """
+    best: tuple[float, Array, Array] | None = None
+    refused: NotIdentifiable | None = None
+    for hold, begin in candidates:
+        try:
+            rest = at_rest(ensemble, begin, hold)
+        except NotIdentifiable as moving:
+            refused = moving
+            continue
+        room = bounds.room(rest)
+        if best is None or room > best[0]:
+            best = room, hold, rest
+    if best is None:
+        assert refused is not None
+        raise refused
+    if best[0] <= 0.0:
+        where = ", ".join(f"{x:.4g}" for x in best[2][: len(best[1])])
+        raise NotIdentifiable(
+            f"the machine comes to rest at {where}, outside of the envelope less its margin",
+            hint="Widen the envelope, or put a recording into the case folder that begins at rest inside of it.",
+        )
+    return best[1], best[2]
 
 
 def at_rest(ensemble: Ensemble, start: Array, hold: Array) -> Array:
@@ -169,32 +207,52 @@ def _worth(maker: Maker, goal: Goal, wave: Wave, above: float) -> float:
 
 
 def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, progress: Progress) -> Excitation:
-    """The wave, made a little smaller until not one of CHECKED members drawn anew breaches the declared envelope's margin."""
+    """The wave, made a little smaller until not one of CHECKED members drawn anew breaches the envelope's margin.
+
+    Those get as long a hold as they need to come to rest, if there is one.
+    """
     made = maker.made(wave)
     assert made is not None
     size, fresh = made[2], maker.play.drawn(CHECKED, rng)
-    while True:
-        found = maker.sized(wave, size)
-        if found is not None:
-            paths = maker.play.responses(fresh, found[0], found[1], maker.start)
-            if maker.bounds.inside(paths):
-                break
-        size *= SHRINK
+    while not (held := _held(maker, maker.sized(wave, size), fresh)).safe:
+        size *= max(0.5, min(SHRINK, 1.0 / held.used))
         if size < SMALLEST:
             raise NotIdentifiable(
-                "a model still in play leaves the envelope, or never rests, under the smallest excitation",
+                "a model still in play leaves the envelope under the smallest excitation",
                 hint="Narrow the spread of the numbers, widen the envelope, or hold the machine where there is room.",
             )
         progress("checking on members drawn anew", 0.5)
-    t_s, command = found
-    low, high = maker.bounds.declared()
-    outside = ~((paths >= low) & (paths <= high)).all(axis=(1, 2))
-    declared = np.isfinite(low)
-    middle, half = (high[declared] + low[declared]) / 2.0, (high[declared] - low[declared]) / 2.0
-    used = float((np.abs(paths[:, :, declared] - middle) / half).max(initial=0.0)) if declared.any() else float("nan")
+    low, high = maker.bounds.whole().T
+    outside = ~((held.paths >= low) & (held.paths <= high)).all(axis=(1, 2))
+    bounded = np.isfinite(low)
+    middle, half = (high[bounded] + low[bounded]) / 2.0, (high[bounded] - low[bounded]) / 2.0
+    used = float((np.abs(held.paths[:, :, bounded] - middle) / half).max())
     progress("comparing with random ones", 0.9)
-    others = [maker.bounds.random(maker.hold, command, rng) for _ in range(RANDOM)]
-    told, random = goal.told(t_s, [command]), goal.told(t_s, others)
+    others = [maker.bounds.random(maker.hold, held.command, rng) for _ in range(RANDOM)]
+    told, random = goal.told(held.t_s, [held.command]), goal.told(held.t_s, others)
     begins = np.cumsum([0, *(m.shape[1] for m in fresh)])
     central = {" + ".join(e.effects) or "no effect": int(first) for e, first in zip(maker.play.ensembles, begins, strict=False)}
-    return Excitation(goal.title, t_s, command, maker.start, told, random, paths, central, int(outside.sum()), used, maker.bounds)
+    return Excitation(
+        title=goal.title,
+        t_s=held.t_s,
+        command=held.command,
+        start=maker.start,
+        hold=maker.hold,
+        information=told,
+        random=random,
+        paths=held.paths,
+        central=central,
+        breaches=int(outside.sum()),
+        used=used,
+        rests=held.rests,
+        bounds=maker.bounds,
+    )
+
+
+def _held(maker: Maker, sized: Held, members: tuple[Array, ...]) -> Held:
+    """A command with the shortest of the holds that brings these members to rest, or with the longest."""
+    for longest in HOLDS:
+        held = maker.held(sized.t_s, sized.command, members, AT_REST, longest)
+        if held.rests or not held.safe:
+            break
+    return held

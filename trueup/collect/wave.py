@@ -26,9 +26,10 @@ KNOTS = 5  # of the brake
 BRAKED = 3  # times it is fitted, for its limits cut some of it off
 NUDGED = 1e-3  # of the command's reach: how much a tent is pushed to see what it moves
 CUT = (1.0, 2.0, 4.0)  # times the limit before a wave is cut off there
-HALVINGS = 7
-AT_REST = 0.05  # of the largest speed under any member
-LONGEST_HOLD = 1.0  # times the excitation
+SIZES = 8  # that are tried of a wave
+ALMOST, ENOUGH = 0.96, 0.9  # of the room: what the next size is aimed at, and what the largest size takes of it
+NEARLY, AT_REST = 0.05, 0.01  # of the largest speed under any member: of a wave while it is sought, of the one that is chosen
+HOLDS = (1.0, 3.0)  # times the excitation: how long a hold may be, while a wave is sought and of the one that is chosen
 CHANGED = 0.3  # of the lines, at once
 TOUCH = 1e-9  # of a command: it is the hold
 
@@ -54,7 +55,7 @@ class Wave:
 
 
 @njit(cache=True)
-def _followed(wanted, begin, step):  # type: ignore[no-untyped-def]
+def followed(wanted, begin, step):  # type: ignore[no-untyped-def]
     """A command `(samples, joints)` followed from `begin` by no more than `step` a sample."""
     slow = np.empty_like(wanted)
     for j in range(wanted.shape[1]):
@@ -63,6 +64,24 @@ def _followed(wanted, begin, step):  # type: ignore[no-untyped-def]
             now += min(max(wanted[i, j] - now, -step[j]), step[j])
             slow[i, j] = now
     return slow
+
+
+@dataclass(frozen=True)
+class Held:
+    """A command `(samples, joints)` at `t_s` with a hold at its end, the motions `paths` `(members, samples, 2 x joints)` under it, the
+    part of the room that they have `used`, and whether every member `rests` when it is over.
+    """
+
+    t_s: Array
+    command: Array
+    paths: Array
+    used: float
+    rests: bool
+
+    @property
+    def safe(self) -> bool:
+        """Whether no member leaves the envelope less its margin."""
+        return self.used <= 1.0
 
 
 @dataclass(frozen=True)
@@ -88,22 +107,24 @@ class Maker:
         return Wave(lines, rng.uniform(0.0, 2.0 * np.pi, lines.shape), rng.exponential(1.0, lines.shape), float(rng.choice(CUT)))
 
     def made(self, wave: Wave) -> tuple[Array, Array, float] | None:
-        """Times, the largest safe command, and its size; None where even the smallest leaves the envelope."""
-        low, high = 0.0, 1.0
-        found = self.sized(wave, high)
-        if found is not None:
-            return (*found, high)
-        for _ in range(HALVINGS):
-            size = 0.5 * (low + high)
-            tried = self.sized(wave, size)
-            if tried is None:
-                high = size
-            else:
-                low, found = size, tried
-        return None if found is None else (*found, low)
+        """Times, the largest safe command, and its size; None where even the smallest leaves the envelope.
 
-    def sized(self, wave: Wave, size: float) -> tuple[Array, Array] | None:
-        """The command of one size with its brake and hold, None where a member leaves the envelope or does not come to rest."""
+        Motions grow about as the command does, so a size tells the next one to try.
+        """
+        low, high, size = 0.0, np.inf, 1.0
+        found: Held | None = None
+        for _ in range(SIZES):
+            held = self.sized(wave, size)
+            good = held.safe and held.rests
+            low, high, found = (size, high, held) if good else (low, size, found)
+            if good and (size == 1.0 or held.used > ENOUGH):
+                break
+            guess = size * ALMOST / held.used if good or not held.safe else 0.0
+            size = guess if low < guess < high else (low + min(high, 1.0)) / 2.0
+        return None if found is None else (found.t_s, found.command, low)
+
+    def sized(self, wave: Wave, size: float) -> Held:
+        """The command of one size with its brake and a hold."""
         b, period = self.bounds, self.period_s
         n = round(b.duration_s / period) + 1
         active = n - round(BRAKE * n)
@@ -115,13 +136,12 @@ class Maker:
         shaped = np.clip(wave.cut * rise * wave_form, -1.0, 1.0) * size * reach
         shaped[active:] = 0.0
         command = self._slowed(self.hold + shaped)
-        command = self._braked(t, command, active)
-        return self._held(t, command)
+        return self.held(t, self._braked(t, command, active), self.members, NEARLY, HOLDS[0])
 
     def _slowed(self, command: Array) -> Array:
         """The command within its limits and its rate, beginning at the hold."""
         wanted = np.ascontiguousarray(np.clip(command, self.bounds.low, self.bounds.high))
-        return np.asarray(_followed(wanted, self.hold, self.bounds.rate * self.period_s))
+        return np.asarray(followed(wanted, self.hold, self.bounds.rate * self.period_s))
 
     def _braked(self, t: Array, command: Array, active: int) -> Array:
         """The command with an end that brings the members nearest to rest: least squares on the tents of the brake."""
@@ -154,16 +174,16 @@ class Maker:
         last[:, joints:] *= BRAKE * self.bounds.duration_s / 3.0
         return np.nan_to_num(last, nan=1e6, posinf=1e6, neginf=-1e6).ravel()
 
-    def _held(self, t: Array, command: Array) -> tuple[Array, Array] | None:
-        """The command with as long a hold as every member needs to come to rest, if none leaves the envelope."""
-        more = round(LONGEST_HOLD * self.bounds.duration_s / self.period_s)
+    def held(self, t: Array, command: Array, members: tuple[Array, ...], rest: float, longest: float) -> Held:
+        """The command with as long a hold as these members need to come to `rest`, a part of their largest speed, and at the `longest` so
+        many times the excitation.
+        """
+        more = round(longest * self.bounds.duration_s / self.period_s)
         times = np.asarray(np.arange(len(t) + more) * self.period_s, np.float64)
         whole = self._slowed(np.concatenate([command, np.repeat(self.hold[None, :], more, axis=0)]))
-        paths = self.play.responses(self.members, times, whole, self.start)
-        if not self.bounds.inside(paths):
-            return None
+        paths = self.play.responses(members, times, whole, self.start)
         speed = np.abs(paths[:, :, paths.shape[2] // 2 :]).max(axis=(0, 2))
-        moving = np.flatnonzero(speed > AT_REST * speed.max())
+        moving = np.flatnonzero(speed > rest * speed.max())
         still = np.flatnonzero((np.abs(whole - self.hold) > TOUCH).any(axis=1))
         end = max(int(moving[-1]) if len(moving) else 0, int(still[-1]) if len(still) else 0) + 2
-        return None if end > len(times) else (times[:end], whole[:end])
+        return Held(times[:end], whole[:end], paths[:, :end], self.bounds.used(paths, self.start), end <= len(times))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from trueup.canonical import Json
+from trueup.collect.bounds import Recorded
 from trueup.diagnose.admission import admit
 from trueup.diagnose.decide import Choice, Yardstick, agreeing, decide, yardstick
 from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
@@ -112,7 +113,7 @@ def diagnose(
     choice = agreeing(choice, gap)
     progress("what the data speak against", 0.0)
     excluded, unexcited = bounds(search, choice.winner, plant)
-    experiment = next_experiment(plant, admission, search, choice)
+    experiment = next_experiment(plant, admission, search, choice, Recorded.of(plant, adaptation))
     changes = patch(predictor)
     document = report(
         plant=plant,

@@ -1,8 +1,9 @@
 """Probe: the bounded experiment that would split what the data could not.
 
-Among smooth, stepped and periodic commands inside the declared limits, the one whose predicted observations differ most between
-the answer and its nearest rival, in units of the noise, once the rival's own parameters have adapted. A pair that no such
-command parts by DETECTABLE is alike under every input: then a sensor or a time stamp must part it.
+Among smooth, stepped and periodic commands inside the declared limits, under which both models stay inside the envelope, the one whose
+predicted observations differ most between the answer and its nearest rival, in units of the noise, once the rival's own parameters have
+adapted. Where no envelope is declared it is the recorded range. A pair that no such command parts by DETECTABLE is alike under every input:
+then a sensor or a time stamp must part it.
 Source: W. G. Hunter, A. M. Reiner, Technometrics 7 (1965), on designs for discriminating between rival models.
 """
 
@@ -16,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
+from trueup.collect.bounds import DECLARED, Bounds, Recorded
 from trueup.collect.excitation import DETECTABLE
+from trueup.collect.wave import followed
 from trueup.diagnose.admission import Admission
 from trueup.diagnose.decide import Choice
 from trueup.diagnose.problem import Candidate
@@ -31,7 +34,8 @@ from trueup.model.series import Series, integral_of, roll, unobserved
 Array = NDArray[np.float64]
 DURATION_S = 6.0
 RATES_HZ = (0.15, 0.4, 1.0, 2.5)
-SIZES = (0.25, 0.5, 0.95)  # of the command's limit
+SIZES = (0.02, 0.07, 0.25, 0.5, 0.95)  # of the command's limit
+FREE = 0.01  # of its travel: a machine that moves no further by itself stays wherever it is
 PART = 0.3  # of the largest command that was recorded of a robot's joint
 SHAPES = ("sine", "square", "ramp and hold", "chirp")
 
@@ -45,6 +49,7 @@ class Experiment:
     t_s: Array
     command: Array | None
     separation: float
+    check_first: tuple[str, ...] = ()
 
     def document(self, path: str | None, told: Callable[[str], Json] = str) -> dict[str, Json]:
         """The same as JSON, with the command file's path; `told` says how a term is written."""
@@ -56,18 +61,22 @@ class Experiment:
         }
 
     def csv(self, plant: Plant) -> str:
-        """The commands as a table: `t` [s], then each command channel in its declared unit."""
+        """The commands as a table: `t` [s], then each command channel in its declared unit; before it, as comments, what to check."""
         if self.command is None:
             return ""
         driven = [plant.joint_of(c) for c in plant.layout.commands]
         rows = [[self.t_s[i], *self.command[i, driven]] for i in range(len(self.t_s))]
         head = ",".join(["t", *(c.name for c in plant.layout.commands)])
-        return "".join(f"{line}\r\n" for line in [head, *(",".join(repr(float(x)) for x in row) for row in rows)])
+        return "".join(
+            f"{line}\r\n"
+            for line in [*(f"# {said}" for said in self.check_first), head, *(",".join(repr(float(x)) for x in row) for row in rows)]
+        )
 
 
-def next_experiment(plant: Plant, admission: Admission, search: Search, choice: Choice) -> Experiment | None:
-    """The experiment for an answer and its nearest rival; None where there is none."""
-    ground = _ground(plant, search)
+def next_experiment(plant: Plant, admission: Admission, search: Search, choice: Choice, recorded: Recorded) -> Experiment | None:
+    """The experiment for an answer and its nearest rival, within what is declared or was `recorded`; None where there is none."""
+    bounds = _bounds(plant, recorded)
+    ground = _ground(plant, search, choice.winner, bounds)
     if not choice.rivals:
         late = [term for term in choice.winner.hypothesis.effects if kind(term).name == "actuator_delay"]
         if late and len(plant.joints) == 1:
@@ -78,33 +87,72 @@ def next_experiment(plant: Plant, admission: Admission, search: Search, choice: 
     rival = choice.rivals[0]
     splits = choice.winner.hypothesis.effects, rival.hypothesis.effects
     at = joint(min(set(splits[0]) ^ set(splits[1])))
-    best, separation = None, 0.0
+    best, separation, beyond = None, 0.0, 0.0
     for shape, rate, size in product(SHAPES, RATES_HZ, SIZES):
         command = ground.issued.copy()
         command[:, at] += _command(shape, rate, ground.t_s) * size * _reach(plant, admission, at)
-        command[:, at] = np.clip(command[:, at], *(bound[plant.command_columns[at]] for bound in plant.limits))
-        found = _separation(plant, admission, search, choice.winner, rival, ground, command)
-        if found > separation:
+        command = np.clip(command, bounds.low, bounds.high)
+        command = np.asarray(followed(np.ascontiguousarray(command), ground.issued[0], bounds.rate * ground.period_s))
+        found, inside = _separation(admission, search, choice.winner, rival, replace(ground, issued=command), bounds)
+        beyond = beyond if inside else max(beyond, found)
+        if inside and found > separation:
             best, separation = command, found
     seconds = float(ground.t_s[-1])
+    kept = "declared envelope" if _declared(plant, bounds) else "recorded range"
     if best is None or separation < DETECTABLE:
+        if beyond >= DETECTABLE:
+            why = (
+                f"No command that keeps the machine inside its {kept} parts them by {DETECTABLE:g} standard errors. One that leaves it "
+                "would: declare a wider envelope in plant.json, if there is room."
+            )
+            return Experiment(splits, why, ground.t_s, None, separation)
         how = how_to_part(choice.winner.hypothesis, rival.hypothesis) or "another sensor at the joint, or another load, is needed"
         why = f"No command within the limits parts them by {DETECTABLE:g} standard errors: {how}."
         return Experiment(splits, why, ground.t_s, None, separation)
     why = f"The two predictions differ by {separation:.0f} standard errors over {seconds:g} s, after the rival's parameters have adapted."
-    return Experiment(splits, why, ground.t_s, best, separation)
+    return Experiment(splits, why, ground.t_s, best, separation, _checks(plant, ground, kept))
 
 
-def _ground(plant: Plant, search: Search) -> Series:
-    """What an experiment adds a wave to: rest of a single joint, the commands of a recorded episode of a robot, which would fall else."""
+def _bounds(plant: Plant, recorded: Recorded) -> Bounds:
+    """The declared envelope, or where it leaves the travel of a joint open what was recorded of travel, speed and rate."""
+    observed = {c.name for c, column in zip(plant.layout.observations, plant.state_columns, strict=True) if column < len(plant.joints)}
+    if observed <= set(plant.envelope):
+        return Bounds.of(plant, DURATION_S, rate=np.inf, margin=0.0)
+    return Bounds.of(plant, DURATION_S, margin=0.0, recorded=recorded)
+
+
+def _declared(plant: Plant, bounds: Bounds) -> bool:
+    return set(bounds.sources[: len(plant.joints)]) == {DECLARED}
+
+
+def _checks(plant: Plant, ground: Series, kept: str) -> tuple[str, ...]:
+    """What to check before the command is played."""
+    joints = len(plant.joints)
+    begin = ", ".join(f"{plant.joint_name(j)} {ground.begin[0, j]:.4g}" for j in range(joints))
+    return (
+        f"Before you play this: it begins at {begin}, and keeps the {kept} under the answer and its rival alone.",
+        "It does not end at rest: be ready to stop the machine. `trueup excite` designs one that does, safe under every model in play.",
+    )
+
+
+def _ground(plant: Plant, search: Search, winner: Candidate, bounds: Bounds) -> Series:
+    """What an experiment adds a wave to: rest of a single joint, in the middle of its travel where it rests anywhere; of a robot, which
+    would fall else, the commands of a recorded episode, drawn in about their mean to leave room for the wave where no envelope is declared.
+    """
     if len(plant.joints) == 1:
         t = np.asarray(np.arange(round(DURATION_S / plant.timestep_s) + 1) * plant.timestep_s, np.float64)
-        return unobserved(search.problem.scheme, t, np.zeros((len(t), 1)), plant.command_scales, plant.timestep_s)
+        rest = unobserved(search.problem.scheme, t, np.zeros((len(t), 1)), plant.command_scales, plant.timestep_s)
+        low, high = bounds.envelope[0]
+        middle = replace(rest, begin=np.array([[(low + high) / 2.0, 0.0]])) if np.isfinite(high - low) else rest
+        moved = np.ptp(_predicted(search, winner, middle, jacobian=False)[0, :, 0])
+        return middle if moved < FREE * (high - low) else rest
     recorded = search.problem.adaptation[0]
     kept = slice(0, int(np.searchsorted(recorded.t_s, DURATION_S, "right")))
     steps = recorded.steps[kept].copy()
     steps[-1] = 0
-    s = unobserved(recorded.scheme, recorded.t_s[kept], recorded.issued[kept], recorded.u_scale, recorded.period_s)
+    mean, drawn_in = recorded.issued.mean(axis=0), 1.0 if _declared(plant, bounds) else 1.0 - PART
+    issued = mean + drawn_in * (recorded.issued[kept] - mean)
+    s = unobserved(recorded.scheme, recorded.t_s[kept], issued, recorded.u_scale, recorded.period_s)
     return replace(
         s, h_s=recorded.h_s[kept].copy(), steps=steps, begin=recorded.begin[:1], begin_by_positions=recorded.begin_by_positions[:1]
     )
@@ -125,18 +173,20 @@ def _command(shape: str, rate: float, t: Array) -> Array:
 
 
 def _separation(
-    plant: Plant, admission: Admission, search: Search, winner: Candidate, rival: Candidate, ground: Series, command: Array
-) -> float:
-    """Distance of two predictions in standard errors, what the rival's parameters and start could take up removed."""
-    s = replace(ground, issued=command, integral=integral_of(command, ground.t_s))
+    admission: Admission, search: Search, winner: Candidate, rival: Candidate, commanded: Series, bounds: Bounds
+) -> tuple[float, bool]:
+    """Distance of two predictions in standard errors, what the rival's parameters and start could take up removed; and whether both stay
+    within the bounds.
+    """
+    s = replace(commanded, integral=integral_of(commanded.issued, commanded.t_s))
     truth, columns = _predicted(search, winner, s, jacobian=False)[0], _predicted(search, rival, s, jacobian=True)
-    if not (np.isfinite(truth).all() and np.isfinite(columns).all()) or not _inside(plant, truth, columns[0]):
-        return 0.0
+    if not (np.isfinite(truth).all() and np.isfinite(columns).all()):
+        return 0.0, False
     seen = admission.observed
     differ = ((truth - columns[0])[:, seen] / admission.sigma[seen]).ravel()
     tangent = ((columns[1:] - columns[0])[:, :, seen] / admission.sigma[seen]).reshape(len(columns) - 1, -1).T
     left = differ - tangent @ np.linalg.lstsq(tangent, differ, rcond=1e-10)[0]
-    return float(np.sqrt(left @ left))
+    return float(np.sqrt(left @ left)), bounds.inside(np.stack([truth, columns[0]]))
 
 
 def _predicted(search: Search, candidate: Candidate, s: Series, *, jacobian: bool) -> Array:
@@ -152,12 +202,3 @@ def _predicted(search: Search, candidate: Candidate, s: Series, *, jacobian: boo
         init[0, state, n + 1 + state] += fitter.start_steps[state]
     out = roll(s, fitter.form, p, switches(fit.hypothesis, fitter.joints), init)
     return np.moveaxis(out, 2, 0)[: n + 1 + states if jacobian else 1]
-
-
-def _inside(plant: Plant, *paths: Array) -> bool:
-    """Whether every path stays inside the declared envelope."""
-    for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
-        low, high = plant.envelope.get(channel.name, (-np.inf, np.inf))
-        if any(path[:, column].min() < low or path[:, column].max() > high for path in paths):
-            return False
-    return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.collect.bounds import DECLARED, RECORDED, UNBOUNDED
 from trueup.collect.excitation import Excitation
 from trueup.model.plant import Plant
 from trueup_cli.pictures.drawing import PALE, SERIES, WIDTH, Panel, legend, nice, range_of, sheet, text
@@ -29,22 +30,30 @@ def excite_picture(plant: Plant, found: Excitation) -> str:
             panel.line(found.t_s, values, SERIES[0]),
         ]
         top += PANEL + GAP
+    kept, sources = found.bounds.whole(), found.bounds.sources
     for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
         paths = found.paths[:, :, column]
-        bounds = plant.envelope.get(channel.name, ())
+        bounds = tuple(kept[column]) if sources[column] != UNBOUNDED else ()
         low, high = paths.min(axis=0), paths.max(axis=0)
         panel = Panel(top, PANEL, span, nice(*range_of([low, high, np.array(bounds)])))
         parts += [panel.frame(f"{channel.name} [{channel.unit}]", times=True), *(_level(panel, x) for x in bounds)]
         parts += [_band(panel, found.t_s, low, high), *_centres(panel, found, paths)]
         top += PANEL + GAP
     parts += [
-        legend([*zip(_names(found), SERIES, strict=False), ("limit, envelope", BOUND)], 78),
+        legend([*zip(_names(found), SERIES, strict=False), (f"limit, {_envelope(plant, found)}", BOUND)], 78),
         text(WIDTH / 2, top - 8, "time [s]", PALE, anchor="middle"),
     ]
     words = (
-        f"{len(found.paths)} models drawn anew, {found.breaches} breaches; {100 * found.bounds.margin:.0f} % of the envelope is kept free"
+        f"{len(found.paths)} models drawn anew, {found.breaches} breaches of the {_envelope(plant, found)}, of which "
+        f"{100 * found.bounds.margin:.0f} % is kept free"
     )
     return sheet(f"{plant.name}: a bounded excitation", words, round(top + 10), parts)
+
+
+def _envelope(plant: Plant, found: Excitation) -> str:
+    """What the bounds of the travel are: declared, or the range of what was recorded."""
+    of = set(found.bounds.sources[: len(plant.joints)])
+    return "declared envelope" if of == {DECLARED} else "recorded range" if of == {RECORDED} else "declared envelope and recorded range"
 
 
 def _names(found: Excitation) -> list[str]:

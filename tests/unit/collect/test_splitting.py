@@ -40,7 +40,7 @@ def undecided():
 def designed(undecided):
     plant, _, trial, _, found = undecided
     play = InPlay((Ensemble.posterior(found.predictor, found.document), *Ensemble.alternatives(plant, found.document)))
-    bounds = Bounds.of(plant, 6.0, None, None, 0.1)
+    bounds = Bounds.of(plant, 6.0)
     return splitting(Setting(play, bounds, trial.sigma, np.zeros(2), np.zeros(1)), np.random.default_rng(0), effort=0.1)
 
 
@@ -98,7 +98,7 @@ def test_the_command_writes_the_experiment(undecided, tmp_path, capsys, monkeypa
     monkeypatch.setattr("trueup.collect.excitation.IMPROVED", 4)
     (tmp_path / "plant.json").write_text(json.dumps(plant.document))
     write(found, episodes, tmp_path / "found")
-    excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True, duration_s=8.0)
+    excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True, duration_s=10.0)
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
     assert document["goal"] == "split"
     assert 4.0 < document["information"]["separation"][0]["standard_errors"] < 200.0  # of the noise that the diagnosis found
@@ -122,7 +122,7 @@ def ensemble(plant, parameters, wide=(0.02, 0.02, 0.02), **effects):
 
 
 PLANT = Plant.from_document(plant_document())
-BOUNDS = Bounds.of(PLANT, 6.0, None, None, 0.1)
+BOUNDS = Bounds.of(PLANT, 6.0)
 NOISE, REST = np.array([0.01, 0.02]), np.zeros(2)
 TIMES = np.asarray(np.arange(200) * PLANT.timestep_s)
 COMMAND = np.sin(2.0 * TIMES)[:, None]
@@ -162,3 +162,23 @@ def test_an_alternative_that_no_command_parts_does_not_spoil_the_others():
     alike, parted = found.information.standard_errors
     assert alike < 4.0 < parted
     assert found.information.alternatives == (("sensor_bias",), ("quadratic_drag",))
+
+
+def test_the_next_experiment_of_a_report_keeps_the_declared_envelope(undecided):
+    plant, _, _, _, found = undecided
+    said, also, head, *_ = found.experiment.csv(plant).split("\r\n")
+    assert said.startswith("# Before you play this: it begins at joint 0, and keeps the declared envelope")
+    assert "does not end at rest" in also
+    assert head.startswith("t,")
+    answer = Ensemble.posterior(found.predictor, found.document)
+    path = answer.responses(answer.centre[:, None], found.experiment.t_s, found.experiment.command, np.zeros(2))[0]
+    low, high = plant.envelope["q"]
+    assert low < path[:, 0].min() < path[:, 0].max() < high
+
+
+def test_without_an_envelope_it_keeps_what_was_recorded_and_says_what_that_costs(undecided):
+    plant, _, _, episodes, _ = undecided
+    found = diagnose(Plant.from_document({k: v for k, v in plant.document.items() if k != "envelope"}), episodes)
+    assert found.experiment.command is None
+    assert "inside its recorded range" in found.document["next_experiment"]["why"]
+    assert "wider envelope" in found.document["next_experiment"]["why"]
