@@ -109,6 +109,13 @@ class SwitchbackFailed(TrueupError):
     hint = "Keep what serves, and promote a sound artifact instead."
 
 
+class Busy(TrueupError):
+    """The service holds as many bytes of other requests as it may."""
+
+    code = "busy"
+    hint = "Send it again in a second, with the same Idempotency-Key; TRUEUP_BODIES_LIMIT_BYTES is how much the service holds at once."
+
+
 class InspectionFailed(TrueupError):
     """The inspection of the upload was ended at its limit."""
 

@@ -1,4 +1,7 @@
-"""Inspect an upload in a process of its own, with limits: a child of the inspector, which has loaded what that needs."""
+"""Inspect an upload in a process of its own, with limits: a child of the inspector, which has loaded what that needs.
+
+Nothing else reads into memory what somebody sent: so many inspections at once, with so much memory each, bound what all of them take.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +11,20 @@ import socket
 import struct
 import subprocess
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import orjson
 
 from trueup.canonical import Json
-from trueup.errors import BadEpisode
+from trueup.errors import BadArtifact, BadEpisode, TrueupError
 from trueup_service.errors import InspectionFailed
 
 LENGTH = "!Q"  # before a request
 CPU_MARGIN_S = 1
+REFUSALS: dict[str, type[TrueupError]] = {"episode": BadEpisode, "artifact": BadArtifact}
 ENDING_S = 5.0  # for the inspector to end by itself
 
 
@@ -60,15 +66,19 @@ class Inspector:
 
         Raises BadEpisode with the child's code and facts, InspectionFailed at a limit.
         """
-        request = orjson.dumps(
-            {
-                **asdict(against),
-                "path": str(path.absolute()),
-                "telemetry": telemetry,
-                "memory_bytes": self._memory_bytes,
-                "cpu_s": int(self._timeout_s) + CPU_MARGIN_S,
-            }
-        )
+        return Inspected(**await self._answer({**asdict(against), "path": str(path.absolute()), "telemetry": telemetry}))
+
+    async def try_artifact(self, manifest: bytes, arrays: Path | None) -> None:
+        """Load an artifact from its manifest and the file of its arrays, and have it answer its probe.
+
+        Raises BadArtifact with the child's code and facts, InspectionFailed at a limit.
+        """
+        await self._answer({"manifest": manifest.decode(), "arrays": None if arrays is None else str(arrays.absolute())})
+
+    async def _answer(self, asked: Mapping[str, Json]) -> dict[str, Any]:
+        """What a child says to a request."""
+        limits = {"memory_bytes": self._memory_bytes, "cpu_s": int(self._timeout_s) + CPU_MARGIN_S}
+        request = orjson.dumps({**asked, **limits})
         async with self._slots:
             reader, writer = await asyncio.open_connection(sock=self._child())
             try:
@@ -80,7 +90,7 @@ class Inspector:
                 answer = b""  # it died before it had read
             finally:
                 writer.close()  # whoever still works on it dies of that
-        return _inspected(answer)
+        return _told(answer)
 
     def close(self) -> None:
         """Let the process end."""
@@ -116,7 +126,7 @@ class Inspector:
         return self._control
 
 
-def _inspected(answer: bytes) -> Inspected:
+def _told(answer: bytes) -> dict[str, Any]:
     try:
         found = orjson.loads(answer)
     except orjson.JSONDecodeError as error:
@@ -125,7 +135,7 @@ def _inspected(answer: bytes) -> Inspected:
         raise InspectionFailed("the inspection met a limit", limit=found["limit"])
     if "problem" in found:
         problem = found["problem"]
-        refused = BadEpisode(problem["message"], hint=problem["hint"], **problem["facts"])
+        refused = REFUSALS[problem["of"]](problem["message"], hint=problem["hint"], **problem["facts"])
         refused.code = problem["code"]
         raise refused
-    return Inspected(**found)
+    return dict(found)

@@ -26,6 +26,7 @@ from typing import Any, NoReturn
 import numpy as np
 import orjson
 
+from trueup.artifact.artifact import Artifact, nominal_artifact, unpack
 from trueup.canonical import Json
 from trueup.collect.coverage import Coverage
 from trueup.collect.measured import measured
@@ -66,14 +67,23 @@ def convert_file(path: Path, plant: dict[str, Json]) -> Path:
     return as_mcap(path)
 
 
+def try_artifact(manifest: bytes, arrays: Path | None) -> None:
+    """Load an artifact and have it answer its probe. Raises BadArtifact, BadPlant."""
+    unpack(Artifact(manifest, b"" if arrays is None else arrays.read_bytes()))
+
+
 def answer(request: dict[str, Any]) -> dict[str, Any]:
     """What a request's file holds, its problem, or that there was too little memory for it."""
-    path = Path(request["path"])
+    of = "artifact" if "manifest" in request else "episode"
     try:
+        if of == "artifact":
+            try_artifact(request["manifest"].encode(), None if request["arrays"] is None else Path(request["arrays"]))
+            return {}
+        path = Path(request["path"])
         held = convert_file(path, request["plant"]) if request["telemetry"] else path
         return asdict(inspect_file(held, Against(request["plant"], request["coverage"])))
     except TrueupError as error:
-        return {"problem": {"code": error.code, "message": error.message, "hint": error.hint, "facts": error.facts}}
+        return {"problem": {"of": of, "code": error.code, "message": error.message, "hint": error.hint, "facts": error.facts}}
     except MemoryError:
         return {"limit": "inspection_memory_bytes"}
 
@@ -120,6 +130,8 @@ def rehearse() -> None:
         )
         file.flush()
         inspect_file(path, Against(dict(plant.document), []))
+    nominal = nominal_artifact(plant)
+    try_artifact(nominal.manifest, None)
     gc.collect()
     gc.freeze()  # what children share with us is not to be touched by their collector
 

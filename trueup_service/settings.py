@@ -50,6 +50,13 @@ class Settings(BaseSettings):
         "name leads to this address (DNS rebinding) cannot read its answers. /healthz and /readyz answer by any name.",
     )
     upload_limit_bytes: int = Field(2 << 30, ge=1, description="Largest upload [bytes].")
+    arrays_limit_bytes: int = Field(128 << 20, ge=1, description="Largest arrays of an artifact [bytes].")
+    bodies_limit_bytes: int = Field(
+        64 << 20,
+        ge=4 << 20,
+        description="Bytes of the bodies that are held in memory at once, uploads aside, each of which may have 4 MiB [bytes]; beyond that "
+        "a request is told to come again.",
+    )
     uploads_under_way: int = Field(64, ge=1, description="Uploads in parts that a plant may have under way at one server.")
     uploads_under_way_bytes: int = Field(8 << 30, ge=1, description="Bytes of the uploads in parts that a plant has under way [bytes].")
     uploads_kept_s: float = Field(

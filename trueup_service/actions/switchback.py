@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import isfinite
+from pathlib import Path
+from threading import BoundedSemaphore
 from time import perf_counter
 from typing import Any
 
 from trueup.artifact.artifact import Artifact, unpack
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
-from trueup.episode.mcap import read_episode
+from trueup.episode.mcap import read_episode_stream
 from trueup.errors import TrueupError
 from trueup.fit.score import Scoring, score
 from trueup.gate.decision import Gate
@@ -20,6 +22,7 @@ from trueup_service.errors import SwitchbackFailed
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ArtifactRecord
 
+AT_ONCE = BoundedSemaphore(2)  # tests: each reads two models and a recording
 HELD: dict[str, Json] = {"loads": True, "digests_hold": True, "answers_probe": True, "fits_plant": True}
 
 
@@ -30,7 +33,8 @@ def load_artifact(blobs: Blobs, record: ArtifactRecord) -> Artifact:
 
 def test_switchback(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> dict[str, Json]:
     """What held: it loads, its digests hold, it answers its recorded probe, it was made for the plant as it is. Raises SwitchbackFailed."""
-    _able(blobs, record, plant_digest)
+    with AT_ONCE:
+        _able(blobs, record, plant_digest)
     return {**HELD, "artifact": record.digest}
 
 
@@ -71,6 +75,7 @@ def rehearse(
 
 def rehearse_decision(
     blobs: Blobs,
+    spool: Path,
     back: ArtifactRecord,
     candidate: ArtifactRecord,
     plant_digest: str,
@@ -79,6 +84,7 @@ def rehearse_decision(
     now: str,
 ) -> dict[str, Json]:
     """The same for a decision that is to be promoted, on its first episode. Raises SwitchbackFailed."""
-    forward = unpack(load_artifact(blobs, candidate), candidate.digest)
-    probe = read_episode(blobs.get(decision["episodes"][0]), forward.plant.layout)
-    return rehearse(blobs, back, plant_digest, forward, probe, Gate.from_document(gate).scoring, now)
+    with AT_ONCE, blobs.at_hand(decision["episodes"][0], spool) as path, path.open("rb") as file:
+        forward = unpack(load_artifact(blobs, candidate), candidate.digest)
+        probe = read_episode_stream(file, path.stat().st_size, forward.plant.layout)
+        return rehearse(blobs, back, plant_digest, forward, probe, Gate.from_document(gate).scoring, now)

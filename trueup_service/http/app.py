@@ -111,7 +111,7 @@ def create_app(parts: Parts) -> FastAPI:
         app.include_router(module.router)
     for page in PAGES:
         app.include_router(page.router, include_in_schema=False)
-    app.add_middleware(Limiting)
+    app.add_middleware(Limiting, room_bytes=parts.settings.bodies_limit_bytes)
     app.add_middleware(Hosts, settings=parts.settings)
     app.add_middleware(Observing)
     return app

@@ -1,10 +1,10 @@
-"""Bodies that are held in memory have a limit; uploads, which stream to disk, have one of their own."""
+"""Bodies that are held in memory have a limit, each and all together; uploads, which stream to disk, have one of their own."""
 
 from __future__ import annotations
 
 import re
 
-from trueup_service.errors import TooLargeUpload
+from trueup_service.errors import Busy, TooLargeUpload
 from trueup_service.http.observing import App, Message, Receive, Scope, Send
 
 LIMIT_BYTES = 4 << 20
@@ -12,10 +12,10 @@ UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+)")
 
 
 class Limiting:
-    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it."""
+    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it, one that all others leave no room for in Busy."""
 
-    def __init__(self, app: App) -> None:
-        self._app = app
+    def __init__(self, app: App, room_bytes: int) -> None:
+        self._app, self._room = app, room_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http" or UPLOADS.fullmatch(scope["path"]):
@@ -26,12 +26,19 @@ class Limiting:
         async def counted() -> Message:
             nonlocal read
             message = await receive()
-            read += len(message.get("body", b""))
+            came = len(message.get("body", b""))
+            read += came
+            self._room -= came
             if read > LIMIT_BYTES:
                 told = f"the body has more than {LIMIT_BYTES} bytes"
                 raise TooLargeUpload(
                     told, hint="Send less at once; long recordings and arrays have routes of their own.", limit_bytes=LIMIT_BYTES
                 )
+            if self._room < 0:
+                raise Busy("other requests leave no room for this one's body")
             return message
 
-        await self._app(scope, counted, send)
+        try:
+            await self._app(scope, counted, send)
+        finally:
+            self._room += read

@@ -42,7 +42,7 @@ def _rehearsed(parts: Parts, stamp: Stamp, plant: str, decision: str) -> dict[st
         registered, gate = find.plant_digest(reader, plant), find.gate(reader, plant, made.gate)
     from trueup_service.actions.switchback import rehearse_decision  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    return rehearse_decision(parts.blobs, *artifacts, registered, made.document, gate.document, stamp.now)
+    return rehearse_decision(parts.blobs, parts.spool, *artifacts, registered, made.document, gate.document, stamp.now)
 
 
 def roll_back_tested(parts: Parts, stamp: Stamp, plant: str, expected_generation: int, key: str | None) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from starlette.requests import ClientDisconnect
 from trueup_service.errors import BadRequest, DigestMismatch, TooLargeUpload
 from trueup_service.partial_uploads import write_all
 
-PART_BYTES, SYNC_BYTES = 1 << 20, 4 << 20
+PART_BYTES, SYNC_BYTES = 256 << 10, 4 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +83,13 @@ class _Sink:
         if self._unsynced >= SYNC_BYTES:
             os.fdatasync(self._file.fileno())
             self._unsynced = 0
+
+
+def allow_arrays(size: int, limit_bytes: int) -> None:
+    """Raises TooLargeUpload for arrays of more bytes."""
+    if size > limit_bytes:
+        hint = "Pack a smaller model, or raise TRUEUP_ARRAYS_LIMIT_BYTES."
+        raise TooLargeUpload(f"the arrays have more than {limit_bytes} bytes", hint=hint, limit_bytes=limit_bytes)
 
 
 def _allow(size: str | None, limit_bytes: int) -> None:

@@ -14,7 +14,7 @@ import time
 import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from obstore.store import S3Store
 
 STREAM_BYTES = 1 << 20
+PART_BYTES, PARTS = 8 << 20, 2  # of what goes to a store, and how many are held in memory
 ASIDE = "removed/"
 YOUNG_S = 3600.0  # what was put in the last hour is not put again
 
@@ -72,6 +73,14 @@ class Blobs(ABC):
     @abstractmethod
     def stream(self, digest: str) -> Iterator[bytes]:
         """The bytes in parts. Raises BlobMissing."""
+
+    @abstractmethod
+    def size(self, digest: str) -> int:
+        """How many bytes there are. Raises BlobMissing."""
+
+    @abstractmethod
+    def at_hand(self, digest: str, spool: Path) -> AbstractContextManager[Path]:
+        """The bytes as a file of ours in `spool`, whatever happens to the blob meanwhile. Raises BlobMissing."""
 
     @abstractmethod
     def holds(self, digest: str) -> bool:
@@ -142,6 +151,24 @@ class FolderBlobs(Blobs):
         except FileNotFoundError as error:
             raise BlobMissing(digest=digest) from error
 
+    def size(self, digest: str) -> int:
+        try:
+            return self._path(digest).stat().st_size
+        except FileNotFoundError as error:
+            raise BlobMissing(digest=digest) from error
+
+    @contextmanager
+    def at_hand(self, digest: str, spool: Path) -> Iterator[Path]:
+        path = spool / uuid.uuid4().hex
+        try:
+            os.link(self._path(digest), path)
+        except FileNotFoundError as error:
+            raise BlobMissing(digest=digest) from error
+        try:
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
+
     def stream(self, digest: str) -> Iterator[bytes]:
         try:
             file = self._path(digest).open("rb")
@@ -203,10 +230,27 @@ class S3Blobs(Blobs):
 
         if self._age_s(digest) > YOUNG_S:  # put again what is old, so that nobody takes it for left over
             with source.open("rb") as file, _answering(digest):
-                obstore.put(self._store, _checked(digest), file)
+                obstore.put(self._store, _checked(digest), file, chunk_size=PART_BYTES, max_concurrency=PARTS)
 
     def get(self, digest: str) -> bytes:
         return b"".join(self.stream(digest))
+
+    def size(self, digest: str) -> int:
+        import obstore  # noqa: PLC0415
+
+        with _answering(digest):
+            return int(obstore.head(self._store, _checked(digest))["size"])
+
+    @contextmanager
+    def at_hand(self, digest: str, spool: Path) -> Iterator[Path]:
+        path = spool / uuid.uuid4().hex
+        try:
+            with path.open("xb") as file:
+                for part in self.stream(digest):
+                    file.write(part)
+            yield path
+        finally:
+            path.unlink(missing_ok=True)
 
     def stream(self, digest: str) -> Iterator[bytes]:
         import obstore  # noqa: PLC0415
@@ -243,7 +287,7 @@ class S3Blobs(Blobs):
         if self._age_s(digest) < max(older_than_s, YOUNG_S if older_than_s else 0.0):
             return None
         with _answering(digest):
-            size = int(obstore.head(self._store, _checked(digest))["size"])
+            size = self.size(digest)
             if not dry_run:
                 obstore.copy(self._store, digest, f"{ASIDE}{digest}")
                 obstore.delete(self._store, digest)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Annotated
 
 from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
@@ -20,10 +22,11 @@ from trueup_service.http.downloads import UNCHANGING, send_kept
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Artifact, Envelope, Page, page
-from trueup_service.http.uploads import Received, received
+from trueup_service.http.uploads import Received, allow_arrays, received
+from trueup_service.inspection import Inspector
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.store import Reader
-from trueup_service.wiring import Parts, keep_bytes
+from trueup_service.wiring import Parts
 
 router = guarded("/v1", ["artifacts"])
 MANIFEST = {"requestBody": {"required": True, "content": {"application/json": {"schema": {"type": "object"}}}}}
@@ -33,7 +36,10 @@ ARRAYS = {"requestBody": {"required": True, "content": {"application/octet-strea
 @router.put("/blobs/{digest}", status_code=201, summary="Upload arrays under their digest", openapi_extra=ARRAYS)
 async def put_blob(request: Request, parts: With, digest: DigestPath) -> dict[str, str | int]:
     """Durable once answered. The digest in the path is verified while the bytes stream."""
-    async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
+    limit = min(parts.settings.upload_limit_bytes, parts.settings.arrays_limit_bytes)
+    if (declared := request.headers.get("content-length", "")).isdigit():
+        allow_arrays(int(declared), limit)
+    async with received(request, parts.spool, limit) as file:
         await run_in_threadpool(_keep, parts.blobs, digest, file)
         return {"digest": digest, "size_bytes": file.size_bytes}
 
@@ -66,32 +72,55 @@ def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
 async def add(request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None) -> Response:
     """The body is the manifest's exact bytes; arrays that it names were uploaded before. The predictor must load and answer its probe."""
     manifest = await request.body()
-    return await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
+    arrays = await run_in_threadpool(_arrays, parts, manifest)
+    if arrays is None:
+        await _inspector(request).try_artifact(manifest, None)
+        return await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
+    async with _at_hand(parts, arrays) as path:
+        await _inspector(request).try_artifact(manifest, path)
+        answer = await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
+        # they may have been put long ago, and been taken for left over before this row was there
+        await run_in_threadpool(parts.blobs.put, arrays, path)
+        return answer
+
+
+def _inspector(request: Request) -> Inspector:
+    inspector: Inspector = request.app.state.inspector
+    return inspector
+
+
+@asynccontextmanager
+async def _at_hand(parts: Parts, digest: str) -> AsyncIterator[Path]:
+    """A blob as a file of ours; what takes it from a store works in a thread."""
+    held = parts.blobs.at_hand(digest, parts.spool)
+    path = await run_in_threadpool(held.__enter__)
+    try:
+        yield path
+    finally:
+        held.__exit__(None, None, None)
+
+
+def _arrays(parts: Parts, manifest: bytes) -> str | None:
+    """The digest of the arrays that a manifest names, which must have been uploaded before. Raises BadArtifact, TooLargeUpload."""
+    from trueup.artifact.artifact import read_manifest  # noqa: PLC0415  (numpy: a server that only serves needs none)
+
+    named = read_manifest(manifest).get("arrays")
+    digest = named.get("sha256") if isinstance(named, dict) else None
+    if digest is None:
+        return None
+    if not isinstance(digest, str) or not is_digest(digest) or not parts.blobs.holds(digest):
+        raise BadArtifact("the arrays that the manifest names are not here", arrays=digest, hint="PUT them to /v1/blobs/{digest} first.")
+    allow_arrays(parts.blobs.size(digest), parts.settings.arrays_limit_bytes)
+    return digest
 
 
 def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | None) -> Response:
-    from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
-    from trueup.artifact.artifact import unpack  # noqa: PLC0415
+    from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415
     from trueup_service.actions.add_artifact import add_artifact  # noqa: PLC0415
 
-    artifact = Bytes.of(manifest, lambda document: _arrays(parts.blobs, document))
-    unpack(artifact)
+    artifact = Bytes(manifest, b"")
     request = {"digest": artifact.digest}
-    answer = create(parts, stamp, f"artifacts/{plant}", key, request, lambda w: add_artifact(w, plant, artifact, None, stamp), Artifact)
-    if artifact.arrays:
-        keep_bytes(parts, artifact.arrays)  # they may have been put long ago, and been taken for left over before this row was there
-    return answer
-
-
-def _arrays(blobs: Blobs, manifest: Mapping[str, Any]) -> bytes:
-    """The arrays that a manifest names, which must have been uploaded before."""
-    named = manifest.get("arrays")
-    digest = named.get("sha256") if isinstance(named, dict) else None
-    if digest is None:
-        return b""
-    if not isinstance(digest, str) or not is_digest(digest) or not blobs.holds(digest):
-        raise BadArtifact("the arrays that the manifest names are not here", arrays=digest, hint="PUT them to /v1/blobs/{digest} first.")
-    return blobs.get(digest)
+    return create(parts, stamp, f"artifacts/{plant}", key, request, lambda w: add_artifact(w, plant, artifact, None, stamp), Artifact)
 
 
 @router.get("/plants/{plant}/artifacts", summary="List versions")
