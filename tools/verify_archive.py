@@ -4,7 +4,8 @@
     python verify_archive.py ARCHIVE [KEY]
 
 ARCHIVE is what `trueup export` or `trueup backup` wrote, a folder or a tar file; KEY is the log's public key as its operator gave it to you
-(<name>+<hash>+<base64>), without which the archive is believed to name its own. Exit 0 if all of this holds, 4 with a list otherwise:
+(<name>+<hash>+<base64>). Without it the archive is believed to name its own, which shows that it is whole and not whose it is, and this
+program says so. Exit 0 if all of this holds, 4 with a list otherwise:
 
 - every part of the archive is what its digest names;
 - the head of the log, and the archive itself, are signed by the key (Ed25519, C2SP signed note);
@@ -207,6 +208,10 @@ class Archive:
     def __init__(self, path):
         self.tar = tarfile.open(path, "r:") if path.is_file() else None
         self.path = path
+        for member in self.tar.getmembers() if self.tar else ():
+            plain = member.isdir() or (member.isreg() and member.sparse is None)
+            if not plain or member.offset_data + member.size > path.stat().st_size:
+                raise Broken(f"{member.name} is no plain file that lies in the tar file whole")
         index = json.loads(self.read("index.json"))
         described = next(m for m in index["manifests"] if m["artifactType"] == MANIFEST_TYPE)
         self.digest, self.signature = described["digest"], described["annotations"][f"{MANIFEST_TYPE}.signature"]
@@ -308,8 +313,12 @@ def main(arguments):
         return 2
     try:
         archive = Archive(Path(arguments[0]))
+        if len(arguments) == 1:
+            print(
+                f"whose it is, nobody has shown: no key was given, and the archive names its own, {archive.config['key']}", file=sys.stderr
+            )
         found = findings(archive, arguments[1] if len(arguments) > 1 else None)
-    except (Broken, KeyError, ValueError, TypeError, StopIteration, OSError, tarfile.TarError) as error:
+    except (Broken, KeyError, ValueError, TypeError, AttributeError, RecursionError, StopIteration, OSError, tarfile.TarError) as error:
         found = [f"the archive cannot be read: {error}"]
     print(*(found or ["holds"]), sep="\n")
     return 4 if found else 0

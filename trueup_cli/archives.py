@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import getpass
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,14 +13,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from trueup_cli.options import Json, PlantName
-from trueup_cli.show import as_json, progress, say
+from trueup_cli.show import as_json, err, progress, say
 
 if TYPE_CHECKING:
     from trueup.ledger.archive import Archive
     from trueup_service.wiring import Parts
 
 LogKey = Annotated[
-    str | None, Parameter(name="--key", env_var="TRUEUP_LOG_KEY", help="Public key of the log that it comes from; default: as it says")
+    str | None,
+    Parameter(name="--key", env_var="TRUEUP_LOG_KEY", help="Public key of the log that it comes from; default: that of this installation"),
+]
+AnyKey = Annotated[
+    bool,
+    Parameter(
+        name="--any-key", negative=(), help="Believe the key that the archive names itself, which shows that it is whole, not whose it is"
+    ),
 ]
 
 
@@ -73,7 +80,7 @@ def _write(to: Path, plant: str | None, *, as_json_: bool) -> None:
     as_json({"archive": str(to), "digest": f"sha256:{digest}"}) if as_json_ else say("{} is sha256:{}", to, digest)
 
 
-def restore(source: Path, *, key: LogKey = None, as_json_: Json = False) -> None:
+def restore(source: Path, *, key: LogKey = None, any_key: AnyKey = False, as_json_: Json = False) -> None:
     """Bring a backup back into empty storage, once it holds against its own log; jobs that were under way go on.
 
     Parameters
@@ -83,7 +90,7 @@ def restore(source: Path, *, key: LogKey = None, as_json_: Json = False) -> None
     """
     from trueup_service.archives import restore as bring
 
-    with _parts() as parts, _whole(source, key) as archive, progress("restoring") as bar:
+    with _whole(source, key, any_key=any_key) as archive, _parts() as parts, progress("restoring") as bar:
         jobs = bring(parts, archive, bar)
     if as_json_:
         as_json({"as_of": archive.config["created_at"], "jobs": jobs})
@@ -97,6 +104,7 @@ def import_(
     *,
     project: Annotated[str | None, Parameter(help="The plant will be of it")] = None,
     key: LogKey = None,
+    any_key: AnyKey = False,
     as_json_: Json = False,
 ) -> None:
     """Bring a plant in with its history, once it holds against the log that it comes from.
@@ -109,7 +117,7 @@ def import_(
     from trueup_service.actions.stamp import Stamp
     from trueup_service.archives import import_plant
 
-    with _parts() as parts, _whole(source, key) as archive, progress("importing") as bar:
+    with _whole(source, key, any_key=any_key) as archive, _parts() as parts, progress("importing") as bar:
         actor = os.environ.get("TRUEUP_ACTOR") or getpass.getuser()
         plant = import_plant(parts, archive, project, Stamp(f"command for {actor}", _now()), bar)
     log = archive.config["checkpoint"].splitlines()[0]
@@ -117,19 +125,41 @@ def import_(
 
 
 @contextmanager
-def _whole(source: Path, key: str | None) -> Iterator[Archive]:
-    """An archive whose head is signed and that holds against it. Raises NotSigned, NotWhole, BadArchive."""
-    from trueup.ledger.archive import Archive, statement_of
+def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]:
+    """An archive whose head is signed by a key that is believed, and that holds against it: the seal is looked at before anything else.
+
+    Raises KeyNotGiven, NotSigned, NotWhole, BadArchive.
+    """
+    from trueup.ledger.archive import Archive, Seal, statement_of
     from trueup_client.problem import NotSigned
     from trueup_client.proof import Checkpoint, Key, includes
     from trueup_service.archives import require_whole
+    from trueup_service.errors import KeyNotGiven
+    from trueup_service.settings import Settings
+    from trueup_service.signed_log import own_key
 
-    archive = Archive(source)
+    given, own = (None if text is None else Key.from_text(text) for text in (key, own_key(Settings())))
+
+    def signers(endorsements: Iterable[str]) -> list[Key]:
+        """The keys that may have signed, of which the last one does now: what was given and its heirs, else ours and its own."""
+        first = given or own
+        return [] if first is None else [first, *first.followed(endorsements)]
+
+    def signed(seal: Seal) -> bool:
+        return any(k.signed(seal.signature, statement_of(f"sha256:{seal.digest}")) for k in signers(seal.endorsements))
+
+    archive = Archive(source, signed)
     try:
-        believed = Key.from_text(key or str(archive.config["key"]))
-        signer = [believed, *believed.followed(archive.endorsements)][-1]
-        Checkpoint.of(str(archive.config["checkpoint"]), signer)
-        if signer.opened(archive.signature) != statement_of(f"sha256:{archive.digest}"):
+        statement, named = statement_of(f"sha256:{archive.digest}"), str(archive.config["key"])
+        believed = signers(archive.endorsements)[-1:]
+        if given is None and not any(k.signed(archive.signature, statement) for k in believed):
+            if not any_key:
+                raise KeyNotGiven(f"the archive says that it is signed with {named}, and nobody else does", key=named)
+            say("[bold]Whose it is, nobody has shown[/]: the archive names its own key, {}", named, to=err)
+            believed = [Key.from_text(named)]
+            believed += believed[0].followed(archive.endorsements)
+        Checkpoint.of(str(archive.config["checkpoint"]), believed[-1])
+        if not believed[-1].signed(archive.signature, statement):
             raise NotSigned("the archive is not the one that its site signed")
         with progress("verifying") as bar:
             require_whole(archive, includes, bar)

@@ -62,6 +62,13 @@ class Key:
                 break
         raise NotSigned(f"the note is not signed by {self.name}")
 
+    def signed(self, note: str, text: str) -> bool:
+        """Whether this key signed a note of this very text."""
+        try:
+            return self.opened(note) == text
+        except NotSigned:
+            return False
+
     def followed(self, endorsements: Iterable[str]) -> list[Key]:
         """The keys that take over from this one, in order: each is endorsed by the one before, for the same log."""
         found = [self]

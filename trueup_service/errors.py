@@ -109,10 +109,10 @@ class SwitchbackFailed(TrueupError):
     hint = "Keep what serves, and promote a sound artifact instead."
 
 
-class Busy(TrueupError):
+class NoRoom(TrueupError):
     """The service holds as many bytes of other requests as it may."""
 
-    code = "busy"
+    code = "no-room"
     hint = "Send it again in a second, with the same Idempotency-Key; TRUEUP_BODIES_LIMIT_BYTES is how much the service holds at once."
 
 
@@ -159,6 +159,16 @@ class NotWhole(TrueupError):
 
     code = "archive-not-whole"
     hint = "Nothing was taken over. Fetch the archive again, and compare the key with the one of the site that it came from."
+
+
+class KeyNotGiven(TrueupError):
+    """An archive says itself which key it is signed with, and nobody else has said which it should be."""
+
+    code = "key-not-given"
+    hint = (
+        "Ask whoever runs the log that it comes from for its public key (`trueup audit key`), and give it with --key. --any-key believes "
+        "the key that the archive names: that shows that it is whole, and not whose it is."
+    )
 
 
 class UploadElsewhere(TrueupError):

@@ -91,6 +91,13 @@ def open_log(settings: Settings, database: Database) -> SignedLog:
     return SignedLog(database, signer, settings.data_dir / CHECKPOINT_FILE)
 
 
+def own_key(settings: Settings) -> str | None:
+    """The public key of the key that signs here, if there is one already. Raises BadKey."""
+    if settings.signing_key is None and not (settings.data_dir / KEY_FILE).exists():
+        return None
+    return _signers(settings)[0].verifier
+
+
 def _signers(settings: Settings) -> tuple[Signer, Signer | None]:
     """The key that signs, and the one that it takes over from, if that is at hand."""
     if settings.signing_key is not None:

@@ -155,7 +155,7 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
         assert verified_here(tmp_path / "bad", key) == 4
         changed += 1
         if changed == 5:  # the other verifier, a process each
-            assert run(fresh, "import", tmp_path / "bad", check=False).returncode == 1
+            assert run(fresh, "import", tmp_path / "bad", "--any-key", check=False).returncode == 1
     assert changed > 10
     kept = storage.environment.get("TRUEUP_SIGNING_KEY") or (site[2] / "data" / "signing.key").read_text()
     whole_again()  # whichever part the last one was
@@ -167,7 +167,7 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
         rewrite(tmp_path / "bad", title, change, Signer.from_text(kept))
         code, said = verified(tmp_path / "bad", key)
         assert (code, "cannot be read" in said) == (4, False), name
-        refused = run(fresh, "import", tmp_path / "bad", check=False)
+        refused = run(fresh, "import", tmp_path / "bad", "--any-key", check=False)
         assert (refused.returncode, "archive-not-whole" in refused.stderr) == (1, True), name
     other = json.loads((ROOT / "tests" / "golden" / "tlog" / "vectors.json").read_text())["verifier"]
     assert verified(tmp_path / "good", other)[0] == 4

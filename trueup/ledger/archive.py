@@ -24,6 +24,7 @@ import os
 import tarfile
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO
@@ -40,11 +41,13 @@ ARTIFACT = "application/vnd.trueup.archive.v1"
 CONFIG, ROWS, ENTRIES = f"{ARTIFACT}.config+json", f"{ARTIFACT}.rows+jsonl", f"{ARTIFACT}.entries+jsonl"
 EPISODE, ARRAYS, OUTPUT = "application/vnd.mcap", "application/vnd.safetensors", "application/octet-stream"
 MANIFEST, INDEX = "application/vnd.oci.image.manifest.v1+json", "application/vnd.oci.image.index.v1+json"
-SIGNATURE = f"{ARTIFACT}.signature"
+SIGNATURE, ENDORSEMENTS = f"{ARTIFACT}.signature", f"{ARTIFACT}.endorsements"
 TITLE = "org.opencontainers.image.title"
 PART_BYTES = 1 << 20
 DOCUMENT_BYTES = 1 << 20
 LARGEST_MANIFEST = 4 << 30  # some 300 bytes for each episode
+LARGEST_UNSIGNED = 16 << 20  # of a manifest whose signature nobody could check before it was read
+LARGEST_LINE = 64 << 20  # of a row: a manifest or a document of 4 MiB, however it is escaped
 
 
 class BadArchive(TrueupError):
@@ -93,7 +96,10 @@ class ArchiveWriter:
             "layers": self._layers,
         }
         described = self._blob(MANIFEST, canonical_bytes(manifest)) | {"artifactType": ARTIFACT}
-        described["annotations"] = {SIGNATURE: sign(statement_of(str(described["digest"])))}
+        described["annotations"] = {
+            SIGNATURE: sign(statement_of(str(described["digest"]))),
+            ENDORSEMENTS: canonical_bytes(config.get("endorsements", [])).decode(),
+        }
         if self._tar is None:
             _sync(self._path / "blobs" / "sha256")
         index: dict[str, Json] = {"schemaVersion": 2, "mediaType": INDEX, "manifests": [described]}
@@ -191,14 +197,27 @@ class _Parts:
         return self._hashed.hexdigest() == self._digest
 
 
-class Archive:
-    """An archive that is read, and verified as a registry is. Raises BadArchive."""
+@dataclass(frozen=True, slots=True)
+class Seal:
+    """What the outside of an archive says: the digest of its manifest, the site's signature of it, and how its key was handed over."""
 
-    def __init__(self, path: Path) -> None:
+    digest: str
+    signature: str
+    endorsements: tuple[str, ...]
+
+
+class Archive:
+    """An archive that is read, and verified as a registry is. Raises BadArchive.
+
+    `signed` is asked about the seal before anything else is read, and says whether it is known to be that of a key which is believed; it
+    may raise. What is not known to be signed is not read far.
+    """
+
+    def __init__(self, path: Path, signed: Callable[[Seal], bool] = lambda _seal: False) -> None:
         self._path = path
         try:
             self._tar = tarfile.open(path, "r:") if path.is_file() else None  # noqa: SIM115
-            self._members = {m.name: m for m in self._tar.getmembers() if m.isfile()} if self._tar else {}
+            self._members = _members(self._tar, path.stat().st_size) if self._tar else {}
         except (OSError, tarfile.TarError) as error:
             raise BadArchive(f"{path} is neither a folder nor a tar file") from error
         index: Any = self._document(self._named("index.json"))
@@ -206,7 +225,12 @@ class Archive:
             described = next(m for m in index["manifests"] if m.get("artifactType") == ARTIFACT)
             self.digest = str(described["digest"]).removeprefix("sha256:")
             self.signature = str(described["annotations"][SIGNATURE])
-            manifest: Any = self._document(self._whole(self.digest, int(described["size"])))
+            endorsed = self._document(str(described["annotations"].get(ENDORSEMENTS, "[]")).encode())
+            known = signed(Seal(self.digest, self.signature, tuple(map(str, endorsed))))
+            size = int(described["size"])
+            if not 0 <= size <= (LARGEST_MANIFEST if known else LARGEST_UNSIGNED):
+                raise BadArchive(f"the manifest has {size} bytes, and nothing shows who signed it", hint="Give the key that signs it now.")
+            manifest: Any = self._document(self._whole(self.digest, size))
             self._layers = {layer["annotations"][TITLE]: str(layer["digest"]).removeprefix("sha256:") for layer in manifest["layers"]}
             self.config: dict[str, Any] = self._document(self._whole(str(manifest["config"]["digest"]).removeprefix("sha256:")))
             if self.config["schema"] != SCHEMA:
@@ -214,7 +238,7 @@ class Archive:
             self.plant: str | None = self.config["plant"]
             self.endorsements: list[str] = [str(note) for note in self.config.get("endorsements", ())]
             self._held = {digest for title, digest in self._layers.items() if title.startswith(("episodes/", "arrays/", "imported/"))}
-        except (StopIteration, KeyError, TypeError, AttributeError) as error:
+        except (StopIteration, KeyError, TypeError, AttributeError, ValueError) as error:
             raise BadArchive(f"{path} does not describe itself as an archive") from error
 
     def close(self) -> None:
@@ -277,27 +301,24 @@ class Archive:
             raise BadArchive(f"the archive has no {title}")
         hashed = hashlib.sha256()
         with self._open(digest) as file:
-            for line in file:
+            while line := file.readline(LARGEST_LINE):
                 hashed.update(line)
-                try:
-                    yield json.loads(line)
-                except ValueError as error:
-                    raise BadArchive(f"{title} is damaged", digest=digest) from error
+                yield self._document(line, title)
         if hashed.hexdigest() != digest:
             raise BadArchive(f"{title} is not what its digest names", digest=digest)
 
     def _whole(self, digest: str, size: int = DOCUMENT_BYTES) -> bytes:
         with self._open(digest) as file:
-            found = file.read(min(size, LARGEST_MANIFEST))
+            found = file.read(size)
         if digest_of_bytes(found) != digest:
             raise BadArchive("a part is not what its digest names", digest=digest)
         return found
 
-    def _document(self, data: bytes) -> Any:
+    def _document(self, data: bytes, title: str = "a document of the archive") -> Any:
         try:
             return json.loads(data)
-        except ValueError as error:
-            raise BadArchive("a document of the archive is damaged") from error
+        except (ValueError, RecursionError) as error:
+            raise BadArchive(f"{title} is damaged: it is no JSON, or nested beyond reason") from error
 
     def _open(self, digest: str) -> BinaryIO:
         if not is_digest(digest):
@@ -317,6 +338,18 @@ class Archive:
             raise BadArchive(f"the archive has no {name}") from error
         opened: BinaryIO = found
         return opened
+
+
+def _members(tar: tarfile.TarFile, size: int) -> dict[str, tarfile.TarInfo]:
+    """The files of a tar file of so many bytes, each of which lies in it whole: what a few bytes unfold to is not read."""
+    found = {}
+    for member in tar.getmembers():
+        if member.isdir():
+            continue
+        if not member.isreg() or member.sparse is not None or member.offset_data + member.size > size:
+            raise BadArchive(f"{member.name[:80]!r} is no plain file that lies in the tar file whole")
+        found[member.name] = member
+    return found
 
 
 def lines(items: Iterable[Mapping[str, Json]]) -> bytes:

@@ -72,10 +72,11 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.SwitchbackFailed: HTTPStatus.CONFLICT,
     service.InspectionFailed: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.NotEmpty: HTTPStatus.CONFLICT,
+    service.KeyNotGiven: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.NotWhole: HTTPStatus.UNPROCESSABLE_ENTITY,
     BadArchive: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.UploadElsewhere: HTTPStatus.CONFLICT,
-    service.Busy: HTTPStatus.SERVICE_UNAVAILABLE,
+    service.NoRoom: HTTPStatus.SERVICE_UNAVAILABLE,
     service.UploadsFull: HTTPStatus.TOO_MANY_REQUESTS,
     service.ApprovalMissing: HTTPStatus.CONFLICT,
     service.UnknownHost: HTTPStatus.MISDIRECTED_REQUEST,
@@ -96,7 +97,7 @@ def status_of(error: errors.TrueupError) -> HTTPStatus:
 def answer(request: Request, error: errors.TrueupError) -> Response:
     """An error as a problem."""
     found = problem(request, status_of(error), error.code, error.message, error.hint, error.facts)
-    if isinstance(error, service.Busy):
+    if isinstance(error, service.NoRoom):
         found.headers["Retry-After"] = "1"
     if isinstance(error, service.Unauthenticated):
         found.headers["WWW-Authenticate"] = 'Bearer realm="trueup"'

@@ -1,0 +1,171 @@
+"""Archives that somebody made to do harm: what a few bytes unfold to, what is nested without end, and keys that nobody vouches for."""
+
+import hashlib
+import io
+import json
+import os
+import resource
+import subprocess
+import sys
+import tarfile
+
+import pytest
+
+from tests.flow.test_archives import VERIFIER, run
+from tests.support.made import episode_bytes, plant_document, save
+from tests.support.service import ROOT, Service
+from tests.support.storage import embedded
+from trueup.episode.role import Role
+from trueup.ledger.archive import ARTIFACT, MANIFEST, SIGNATURE, statement_of
+from trueup.ledger.note import Signer
+from trueup_client import Client
+
+LIMIT_BYTES = 2 << 30  # of address space, for a program that holds an archive of a few kilobytes
+UNFOLDED = 7 << 30
+FORGER = Signer("forger", b"1" * 32)
+
+
+def limited(command, **environment):
+    """A program that may take so much memory and no more."""
+    return subprocess.run(
+        command,
+        env={**os.environ, **environment, "NO_COLOR": "1", "COLUMNS": "200", "OPENBLAS_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES,) * 2),
+    )
+
+
+def imported(archive, storage, *more):
+    return limited([sys.executable, "-m", "trueup_cli.main", "import", str(archive), *more], **storage.environment)
+
+
+def index_of(digest, size):
+    described = {"mediaType": MANIFEST, "artifactType": ARTIFACT, "digest": f"sha256:{digest}", "size": size}
+    described["annotations"] = {SIGNATURE: FORGER.note(statement_of(f"sha256:{digest}"))}
+    return json.dumps({"schemaVersion": 2, "manifests": [described]}).encode()
+
+
+def sparse(name, size):
+    """A member of a tar file that unfolds to so many bytes of nothing: a header of GNU tar that says there is no data."""
+    head = bytearray(512)
+    head[0 : len(name)] = name.encode()
+    head[100:108], head[108:116], head[116:124] = b"0000644\0", b"0000000\0", b"0000000\0"
+    head[124:136] = b"00000000000\0"
+    head[136:148], head[156:157] = b"00000000000\0", b"S"
+    head[257:265] = b"ustar  \0"
+    head[386:398], head[398:410] = b"%011o\0" % (size % 8**11), b"00000000000\0"
+    head[483:495] = bytes([0x80, *size.to_bytes(11, "big")])
+    head[148:156] = b" " * 8
+    head[148:156] = b"%06o\0 " % sum(head)
+    return bytes(head)
+
+
+def tarred(path, files, *raw):
+    """A tar file of files, and of headers as they are."""
+    plain = io.BytesIO()
+    with tarfile.open(fileobj=plain, mode="w") as archive:
+        for name, data in files.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            archive.addfile(info, io.BytesIO(data))
+        end = archive.offset
+    path.write_bytes(plain.getvalue()[:end] + b"".join(raw) + bytes(1024))
+
+
+def bomb(path):
+    digest = "0" * 64
+    tarred(path, {"index.json": index_of(digest, UNFOLDED)}, sparse(f"blobs/sha256/{digest}", UNFOLDED))
+
+
+def nested(path):
+    data = b"[" * 500_000
+    digest = hashlib.sha256(data).hexdigest()
+    tarred(path, {"index.json": index_of(digest, len(data)), f"blobs/sha256/{digest}": data})
+
+
+def nested_index(path):
+    tarred(path, {"index.json": b'{"manifests":' * 70_000})
+
+
+def negative(path):
+    data = b"{}"
+    digest = hashlib.sha256(data).hexdigest()
+    tarred(path, {"index.json": index_of(digest, -1), f"blobs/sha256/{digest}": data})
+
+
+def cut_short(path):
+    data = b"x" * 5000
+    digest = hashlib.sha256(data).hexdigest()
+    tarred(path, {"index.json": index_of(digest, len(data)), f"blobs/sha256/{digest}": data})
+    path.write_bytes(path.read_bytes()[:4000])
+
+
+@pytest.mark.parametrize("made", [bomb, nested, nested_index, negative, cut_short])
+def test_what_unfolds_or_is_nested_is_refused_within_little_memory(made, tmp_path):
+    made(tmp_path / "archive.tar")
+    for key in (["--any-key"], ["--key", FORGER.verifier]):
+        done = imported(tmp_path / "archive.tar", embedded(tmp_path / "data"), *key)
+        assert (done.returncode, "bad-archive" in done.stderr) == (1, True), done.stderr[-2000:]
+    done = limited([sys.executable, "-I", str(VERIFIER), str(tmp_path / "archive.tar")])
+    assert (done.returncode, "cannot be read" in done.stdout) == (4, True), done.stdout + done.stderr[-2000:]
+
+
+def test_a_large_manifest_in_a_folder_with_holes_is_not_read_before_its_signature_is_known(tmp_path):
+    digest = "0" * 64
+    (tmp_path / "archive" / "blobs" / "sha256").mkdir(parents=True)
+    (tmp_path / "archive" / "index.json").write_bytes(index_of(digest, 3 << 30))
+    with (tmp_path / "archive" / "blobs" / "sha256" / digest).open("wb") as file:
+        file.truncate(3 << 30)
+    for key in (["--any-key"], ["--key", Signer("honest", b"2" * 32).verifier]):
+        done = imported(tmp_path / "archive", embedded(tmp_path / "data"), *key)
+        assert (done.returncode, "nothing shows who signed it" in done.stderr) == (1, True), done.stderr[-2000:]
+
+
+# -- keys
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """A plant's archive, and the key of its log."""
+    folder = tmp_path_factory.mktemp("exported")
+    storage = embedded(folder / "data")
+    with Service(storage).running(worker=False) as service:
+        client = Client(service.url)
+        client.register_plant(plant_document("p"))
+        client.upload_episode("p", save(folder, "0.mcap", episode_bytes(0, role=Role.ADAPTATION)))
+        key = client.audit_key()
+        client.close()
+    run(storage, "export", "p", folder / "p.tar")
+    return storage, folder / "p.tar", key
+
+
+def test_an_archive_that_nobody_vouches_for_is_not_taken_without_a_word(exported, tmp_path):
+    _, archive, key = exported
+    fresh = embedded(tmp_path / "fresh")
+    refused = run(fresh, "import", archive, check=False)
+    assert (refused.returncode, key in refused.stderr, "key-not-given" in refused.stderr) == (1, True, True)
+    assert not (tmp_path / "fresh" / "trueup.sqlite").exists()  # nothing was begun
+    taken = run(fresh, "import", archive, "--any-key")
+    assert "nobody has shown" in taken.stderr
+    assert key in taken.stderr
+
+
+def test_the_key_that_is_given_is_the_one_that_counts(exported, tmp_path):
+    _, archive, key = exported
+    fresh = embedded(tmp_path / "fresh")
+    assert run(fresh, "import", archive, "--key", FORGER.verifier, check=False).returncode == 4
+    assert "nobody has shown" not in run(fresh, "import", archive, "--key", key).stderr
+
+
+def test_an_installation_believes_its_own_key(exported, tmp_path):
+    storage, _, _ = exported
+    run(storage, "backup", tmp_path / "backup")
+    fresh = embedded(tmp_path / "fresh")
+    (tmp_path / "fresh").mkdir()
+    (tmp_path / "fresh" / "signing.key").write_text((storage.settings().data_dir / "signing.key").read_text())
+    done = run(fresh, "restore", tmp_path / "backup")
+    assert "restored" in done.stdout
+    assert "nobody has shown" not in done.stderr
