@@ -154,6 +154,9 @@ class _Service:
         for found in _had(self._client.rows("audit_tree")):
             yield node_of(int(found["node"])), bytes.fromhex(found["hash"])
 
+    def signer(self) -> str | None:
+        return self._client.audit_key()
+
     def rows(self, table: str) -> Iterable[Mapping[str, Any]]:
         return _had(self._client.rows(table))
 

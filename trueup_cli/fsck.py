@@ -12,13 +12,13 @@ from trueup_cli.show import as_json, err, progress, say, table
 def fsck(*, as_json_: Json = False) -> None:
     """Check the storage that the settings name, without a server or beside a running one; exit 4 with a list if anything is wrong."""
     from trueup.ledger.verification import verify
-    from trueup_service.kept import Kept, lost_jobs, published, unnamed
+    from trueup_service.kept import Kept, lost_jobs, published, signing, unnamed
     from trueup_service.settings import Settings
     from trueup_service.wiring import build
 
     parts = build(Settings())
     with progress("checking") as bar:
-        found = verify(Kept(parts.database, parts.blobs), bar)
+        found = verify(Kept(parts.database, parts.blobs, signing(parts)), bar)
         wrong = [(f.where, f.what) for f in [*found.findings, *published(parts), *lost_jobs(parts)]]
         left = unnamed(parts)
     parts.close()

@@ -11,14 +11,14 @@ from trueup.canonical import Json
 from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry
 from trueup.ledger.merkle import Node, node_of
-from trueup.ledger.note import head_of
+from trueup.ledger.note import head_of, signed_with
 from trueup.ledger.rows import KEYS, blobs
 from trueup.ledger.verification import Finding
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.database import Database
 from trueup_service.registry.store import Reader
-from trueup_service.signed_log import CHECKPOINT_FILE, root_at
+from trueup_service.signed_log import CHECKPOINT_FILE, own_key, root_at
 from trueup_service.wiring import Parts
 
 AT_ONCE = 1000
@@ -27,8 +27,12 @@ AT_ONCE = 1000
 class Kept:
     """What a database and a blob store keep."""
 
-    def __init__(self, database: Database, blobs: Blobs) -> None:
-        self._database, self._blobs = database, blobs
+    def __init__(self, database: Database, blobs: Blobs, signer: str | None = None) -> None:
+        self._database, self._blobs, self._signer = database, blobs, signer
+
+    def signer(self) -> str | None:
+        """The key that signs here, where it is at hand."""
+        return self._signer
 
     def head(self) -> tuple[int, bytes]:
         """The log as it stands, unsigned."""
@@ -85,15 +89,24 @@ def published(parts: Parts) -> list[Finding]:
         return [Finding("log", f"{beyond} entries are kept behind its end")]
     if not path.exists():
         return []
-    size, root = head_of(path.read_text())
+    note = path.read_text()
+    size, root = head_of(note)
     try:
         with parts.database.read() as connection:
             reader = Reader(connection)
-            now = reader.audit_tree().size
+            now, keys = reader.audit_tree().size, [key.verifier for key in reader.audit_keys()]
             same = now >= size and root_at(reader, size) == root
     except TrueupError as error:
         return [Finding("log", error.message)]
-    return [] if same else [Finding("log", f"of {size} entries that were published, {now} are there, or they are others")]
+    found = [] if same else [Finding("log", f"of {size} entries that were published, {now} are there, or they are others")]
+    if not any(signed_with(note, key) for key in keys):
+        found.append(Finding(t.audit_key.name, "none of the keys that are kept has signed what was published"))
+    return found
+
+
+def signing(parts: Parts) -> str | None:
+    """The key that signs here, if a head was ever published and the key is at hand. Raises BadKey."""
+    return own_key(parts.settings) if (parts.settings.data_dir / CHECKPOINT_FILE).exists() else None
 
 
 def lost_jobs(parts: Parts) -> list[Finding]:

@@ -30,7 +30,7 @@ from trueup_client import Client, NotSigned, Problem, Rewritten, Robot, Witness
 from trueup_client.proof import Checkpoint, Key, includes, leaf_hash
 from trueup_service.archives import export
 from trueup_service.errors import LogRewound, OtherKey
-from trueup_service.kept import Kept, lost_jobs, published, unnamed
+from trueup_service.kept import Kept, lost_jobs, published, signing, unnamed
 from trueup_service.registry.store import Reader
 from trueup_service.settings import Settings
 from trueup_service.signed_log import open_log
@@ -311,7 +311,7 @@ def kept(told):
 
 
 def found(parts):
-    return verify(Kept(parts.database, parts.blobs)).findings or published(parts)
+    return verify(Kept(parts.database, parts.blobs, signing(parts))).findings or published(parts)
 
 
 def test_what_was_not_touched_holds(kept, told):
@@ -409,6 +409,57 @@ def test_an_entry_kept_behind_the_end_of_the_log_is_found_and_not_shown(told, ke
     finally:
         with kept.database.write() as connection:
             connection.execute(text("DELETE FROM audit WHERE sequence = 1000000"))
+
+
+FORGED = Signer("trueup-forged", b"f" * 32)
+BESIDE_THE_LOG = {
+    "the key is another": "UPDATE audit_key SET verifier = :forged",
+    "the key is gone": "DELETE FROM audit_key",
+    "a key too many": "INSERT INTO audit_key (id, verifier, endorsement) VALUES (2, :forged, NULL)",
+    "an endorsement that nobody gave": "UPDATE audit_key SET endorsement = 'x'",
+    "a hash of no entries": "INSERT INTO audit_tree (node, hash) VALUES (281474976710000, :hash)",
+    "a hash of no level": "INSERT INTO audit_tree (node, hash) VALUES (-7, :hash)",
+    "a second head": "INSERT INTO audit_head (id, size, frontier) VALUES (2, 0, :hash)",
+}
+
+
+@pytest.mark.parametrize("edit", BESIDE_THE_LOG.values(), ids=BESIDE_THE_LOG.keys())
+def test_what_is_edited_beside_the_entries_is_found_by_fsck_and_by_verify(told, kept, edit):
+    parts = told[0].storage.build()
+    values = {name: value for name, value in (("forged", FORGED.verifier), ("hash", b"h" * 32)) if f":{name}" in edit}
+    tables = ("audit_key", "audit_tree", "audit_head")
+    before = {}
+    with parts.database.write() as connection:
+        for table in tables:
+            before[table] = connection.execute(text(f"SELECT * FROM {table}")).mappings().all()
+        connection.execute(text(edit), values)
+    try:
+        assert found(kept) != []
+        assert run_fsck(told).returncode == 4
+        done = command(told[0], "audit", "verify", "--no-replay", check=False)
+        assert (done.returncode, "audit_" in done.stdout or "tree/" in done.stdout) == (4, True), done.stderr
+    finally:
+        with parts.database.write() as connection:
+            for table, rows in before.items():
+                connection.execute(text(f"DELETE FROM {table}"))
+                for row in rows:
+                    names = ", ".join(row)
+                    connection.execute(text(f"INSERT INTO {table} ({names}) VALUES ({', '.join(f':{n}' for n in row)})"), dict(row))
+        parts.close()
+    assert found(kept) == []
+    assert command(told[0], "audit", "verify", "--no-replay").returncode == 0
+
+
+def test_a_published_head_that_none_of_the_kept_keys_signed_is_found_without_the_key(told, kept):
+    with kept.database.write() as connection:
+        before = connection.execute(text("SELECT verifier FROM audit_key")).scalar()
+        connection.execute(text("UPDATE audit_key SET verifier = :forged"), {"forged": FORGED.verifier})
+    try:
+        assert verify(Kept(kept.database, kept.blobs)).findings == []  # nobody can say
+        assert [f.where for f in published(kept)] == ["audit_key"]
+    finally:
+        with kept.database.write() as connection:
+            connection.execute(text("UPDATE audit_key SET verifier = :v"), {"v": before})
 
 
 def test_a_robot_keeps_the_highest_generation_that_it_saw_though_it_could_not_fetch_it(told, tmp_path, monkeypatch):

@@ -267,6 +267,10 @@ class Archive:
     def nodes(self) -> None:
         """None: the tree is rebuilt."""
 
+    def signer(self) -> str:
+        """The key that the archive names, which whoever reads it has verified."""
+        return str(self.config["key"])
+
     def rows(self, table: str) -> Iterator[Mapping[str, Json]]:
         """Rows as they were stored."""
         return self.documents(f"rows/{table}.jsonl")

@@ -19,7 +19,8 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from trueup.canonical import Json, canonical_bytes
 from trueup.errors import TrueupError
@@ -110,6 +111,23 @@ class Signer:
             "payloadType": payload_type,
             "signatures": [{"keyid": self.key_id, "sig": _base64(signature)}],
         }
+
+
+def signed_with(note: str, verifier: str) -> bool:
+    """Whether a note is signed by a public key."""
+    text, _, lines = note.rpartition("\n\n")
+    try:
+        name, hashed, encoded = verifier.split("+", 2)
+        key = base64.b64decode(encoded, validate=True)
+        for line in lines.splitlines():
+            dash, signer, signature = line.split(" ")
+            signed = base64.b64decode(signature, validate=True)
+            if (dash, signer, signed[:4].hex()) == ("—", name, hashed):
+                Ed25519PublicKey.from_public_bytes(key[1:]).verify(signed[4:], f"{text}\n".encode())
+                return True
+    except (ValueError, binascii.Error, InvalidSignature):
+        return False
+    return False
 
 
 def head_of(note: str) -> tuple[int, bytes]:

@@ -1,6 +1,6 @@
 """Hold a registry against its log: every entry, every row, every byte. What does not agree is listed, not raised.
 
-- the tree of all entries has the root that was signed;
+- the tree of all entries has the root that was signed, and its kept hashes, head and keys are those of the entries and no others;
 - every row is as the last entry that names it left it, every row is named, and every named row is there;
 - what is named by its content has that content, bytes included;
 - every move of a pointer is told by an entry that may tell of one.
@@ -20,6 +20,7 @@ from trueup.ledger.merkle import NOTHING, Frontier, Node, leaf_hash
 from trueup.ledger.rows import KEPT_APART, KEYS, MOVES, WHOLESALE, blobs, misnamed, must_be_named, row_digest, row_name
 
 Told = Callable[[float, str], None]
+HEAD, KEY = "audit_head", "audit_key"
 LOOKS = 8  # at rows that change while they are read, before what does not agree counts
 
 
@@ -34,6 +35,9 @@ class Registry(Protocol):
 
     def nodes(self) -> Iterable[tuple[Node, bytes]] | None:
         """Every hash of the tree that is kept; None where it is rebuilt."""
+
+    def signer(self) -> str | None:
+        """The public key that signs the log now; None where nobody can say."""
 
     def rows(self, table: str) -> Iterable[Mapping[str, Json]]:
         """Every row of a table, as it is stored."""
@@ -62,6 +66,7 @@ class _Log:
     nodes: dict[Node, bytes] = field(default_factory=dict)
     named: dict[str, tuple[str, AuditEntry]] = field(default_factory=dict)
     asked: dict[str, str] = field(default_factory=dict)  # the digest of each job's request, as it was submitted
+    keys: list[AuditEntry] = field(default_factory=list)  # that tell of a key which took over
 
     def read(self, registry: Registry) -> list[Finding]:
         """Read on to the signed head."""
@@ -76,6 +81,8 @@ class _Log:
                 self.named |= {name: (digest, entry) for name, digest in entry.rows.items()}
                 if entry.kind == "job:submitted":
                     self.asked[entry.subject] = digest_of(entry.facts["request"])
+                if entry.kind == "key:replaced":
+                    self.keys.append(entry)
                 findings += self.each(entry)
         except TrueupError as error:
             return [Finding("log", error.message)]
@@ -102,7 +109,7 @@ def verify(registry: Registry, told: Told = lambda _share, _stage: None, each: E
     """Verify a registry, which may be written to meanwhile; `each` looks at every entry, too, and says what it finds wrong."""
     log = _Log(each)
     told(0.0, "reading the log")
-    findings = log.read(registry) or _hold_nodes(registry, log)
+    findings = log.read(registry) or _hold_tree(registry, log)
     if findings:
         return Verified(log.tree.size, log.tree.root(), 0, 0, [], findings)
     return _hold_all(registry, log, told)
@@ -140,15 +147,43 @@ def _hold_all(registry: Registry, log: _Log, told: Told, looks: int = LOOKS) -> 
     return Verified(log.tree.size, log.tree.root(), held, hashed, decisions, findings + damaged)
 
 
-def _hold_nodes(registry: Registry, log: _Log) -> list[Finding]:
-    """Hold the hashes from which proofs are made against those of the entries; there may be more by now."""
+def _hold_tree(registry: Registry, log: _Log) -> list[Finding]:
+    """Hold what the log keeps beside its entries, the hashes from which proofs are made, its head and its keys, against the entries."""
+    made = dict(log.nodes)
     try:
-        found = registry.nodes()
-        kept = log.nodes if found is None else dict(found)
+        nodes = registry.nodes()
+        if nodes is None:
+            return []
+        kept = dict(nodes)
+        findings = log.read(registry)  # whatever was written before these were read
+        heads, keys = (list(registry.rows(table)) for table in (HEAD, KEY))
+        signer = registry.signer()
     except TrueupError as error:
         return [Finding("tree", error.message)]
-    wrong = [node for node, made in log.nodes.items() if kept.get(node) != made]
-    return [Finding(f"tree/{level}/{position}", "it is not the hash of its entries") for level, position in wrong]
+    wrong = [node for node, found in made.items() if kept.get(node) != found]
+    findings += [Finding(f"tree/{level}/{position}", "it is not the hash of its entries") for level, position in wrong]
+    beyond = [node for node in kept if node not in log.nodes]
+    findings += [Finding(f"tree/{level}/{position}", "it is the hash of no entries") for level, position in beyond]
+    if [row["id"] for row in heads] != [1]:
+        findings.append(Finding(HEAD, f"{len(heads)} heads of the log are kept, and it has one"))
+    return findings + _hold_keys(log.keys, keys, signer)
+
+
+def _hold_keys(replaced: Sequence[AuditEntry], keys: Sequence[Mapping[str, Any]], signer: str | None) -> list[Finding]:
+    """Hold the keys that are kept against the entries that tell of each that took over, and against the one that signs now."""
+    if not keys and not replaced and signer is None:
+        return []  # nobody has signed yet
+    findings = []
+    if [row["id"] for row in keys] != list(range(1, len(replaced) + 2)):
+        findings.append(Finding(KEY, f"{len(keys)} keys are kept, and by the log there were {len(replaced) + 1}"))
+    told = [(entry.subject, entry.facts["endorsement"]) for entry in replaced]
+    first = replaced[0].facts["before"] if replaced else signer
+    for row, (verifier, endorsement) in zip(keys, [(first, None), *told], strict=False):
+        if (row["verifier"], row["endorsement"]) != (verifier or row["verifier"], endorsement):
+            findings.append(Finding(f"{KEY}/{row['id']}", "it is not the key that the log tells of"))
+    if signer is not None and keys and keys[-1]["verifier"] != signer:
+        findings.append(Finding(f"{KEY}/{keys[-1]['id']}", "it is not the key that signs the log"))
+    return findings
 
 
 def _read(registry: Registry, table: str) -> tuple[list[Mapping[str, Any]], list[Finding]]:

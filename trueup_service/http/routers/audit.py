@@ -29,7 +29,7 @@ from trueup_service.signed_log import SignedLog
 
 router = guarded("/v1/audit", ["audit"])
 TILE = 256
-TABLES = {name: metadata.tables[name] for name in (*KEYS, "audit_tree")}
+TABLES = {name: metadata.tables[name] for name in (*KEYS, "audit_tree", "audit_head", "audit_key")}
 TilePath = Annotated[str, Path(pattern=r"^(x[0-9]{3}/){0,5}[0-9]{3}(\.p/[0-9]{1,3})?$", description="tile as x001/x234/067, .p/<width>")]
 Size = Annotated[int, Query(ge=0, le=2**62, description="entries of the log; default: all there are")]
 TEXT: dict[int | str, dict[str, Any]] = {200: {"content": {"text/plain": {"schema": {"type": "string"}}}}}
@@ -149,7 +149,9 @@ def _tile_answer(tile: str, found: int, width: int, content: bytes) -> Response:
 def rows(
     parts: With, table: str, after: Annotated[str, Query(max_length=400, description="`next` of the page before")] = "", limit: Limit = 100
 ) -> Rows:
-    """What the entries' `rows` name, to be held against their digests: SHA-256 of the canonical {"row": …, "table": …}."""
+    """What the entries' `rows` name, to be held against their digests: SHA-256 of the canonical {"row": …, "table": …}; and what the log
+    keeps beside its entries: its hashes, its head and its keys.
+    """
     found = TABLES.get(table)
     if found is None:
         raise NotFound(f"the log names no rows of {table!r}", noun="table", name=table, hint=f"It names those of {', '.join(TABLES)}.")
