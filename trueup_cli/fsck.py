@@ -10,18 +10,19 @@ from trueup_cli.show import as_json, err, progress, say, table
 
 
 def fsck(*, as_json_: Json = False) -> None:
-    """Check the storage that the settings name, without a server or beside a running one; exit 4 with a list if anything is wrong."""
+    """Check the storage that the settings name, without a server or beside a running one; exit 4 with a list if anything is wrong.
+
+    A data folder that cannot be written, such as a mounted snapshot, is read as it is.
+    """
     from trueup.ledger.verification import verify
     from trueup_service.kept import Kept, lost_jobs, published, signing, unnamed
     from trueup_service.settings import Settings
-    from trueup_service.wiring import build
+    from trueup_service.wiring import reading
 
-    parts = build(Settings())
-    with progress("checking") as bar:
+    with reading(Settings()) as parts, progress("checking") as bar:
         found = verify(Kept(parts.database, parts.blobs, signing(parts)), bar)
         wrong = [(f.where, f.what) for f in [*found.findings, *published(parts), *lost_jobs(parts)]]
         left = unnamed(parts)
-    parts.close()
     if as_json_:
         as_json({"entries": found.size, "rows": found.rows, "bytes": found.bytes, "findings": wrong, "unnamed_blobs": len(left)})
     elif wrong:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import getpass
 import json
 import os
@@ -15,6 +16,7 @@ from urllib.parse import quote, urlsplit
 from cyclopts import Parameter
 
 from trueup.errors import TrueupError
+from trueup_cli.show import err, say
 from trueup_client import Client, Witness
 from trueup_client.problem import ClientError
 
@@ -24,6 +26,7 @@ Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
 DEFAULT_URL = "http://127.0.0.1:8321"
 NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")  # what a service may call a plant: nothing else goes into a shell
 COMPLETED, COMPLETION_LIMIT_S = 500, 1.0
+UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
@@ -50,9 +53,24 @@ PlantName = Annotated[str, Parameter(completer=plants_there, help="Name of the p
 
 def seen(url: str) -> tuple[Client, Witness]:
     """The same, once the log was seen to extend what this user saw of it before, and who saw it. Raises NotSigned, Rewritten."""
-    client, witness = connect(url), Witness(witness_file(url), os.environ.get("TRUEUP_LOG_KEY"))
-    client.witness(witness)
+    client, pinned = connect(url), os.environ.get("TRUEUP_LOG_KEY")
+    witness = Witness(witness_file(url), pinned)
+    try:
+        client.witness(witness)
+    except OSError as error:
+        if error.errno not in UNWRITABLE:
+            raise
+        say("[dim]{} cannot be written: what is seen of the log is not kept[/]", witness_file(url), to=err)
+        witness = Passing(witness_file(url), pinned)
+        client.witness(witness)
     return client, witness
+
+
+class Passing(Witness):
+    """A witness that forgets what it saw: where nothing can be written it still holds the log against what was seen before."""
+
+    def _keep(self) -> None:
+        pass
 
 
 def witnessed(url: str) -> Client:

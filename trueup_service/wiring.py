@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
 import uuid
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -12,7 +16,7 @@ from trueup_service.jobs import JobQueue
 from trueup_service.locks import own_folder
 from trueup_service.private import private_folder
 from trueup_service.registry.blobs import Blobs, FolderBlobs, S3Blobs
-from trueup_service.registry.database import Database
+from trueup_service.registry.database import Database, copied
 from trueup_service.registry.schema import migrate
 from trueup_service.settings import Settings
 
@@ -43,6 +47,24 @@ def build(settings: Settings) -> Parts:
     return Parts(
         settings, database, _blobs(settings), JobQueue(settings.sqlalchemy_url, database.engine), own_folder(settings.data_dir / "spool")
     )
+
+
+@contextmanager
+def reading(settings: Settings) -> Iterator[Parts]:
+    """The parts for who reads alone. Where the data folder cannot be written, such as a snapshot that is mounted to be looked at, they are
+    over a copy of its database, and nothing is written there.
+    """
+    with ExitStack() as ended:
+        if os.access(settings.data_dir, os.W_OK) or not settings.data_dir.is_dir():
+            parts = build(settings)
+        else:
+            folder = Path(ended.enter_context(tempfile.TemporaryDirectory(prefix="trueup-")))
+            url = settings.sqlalchemy_url if settings.sqlite_file is None else f"sqlite:///{copied(settings.sqlite_file, folder)}"
+            database = Database(url, settings.database_pool)
+            migrate(database)
+            parts = Parts(settings, database, _blobs(settings), JobQueue(url, database.engine), own_folder(folder / "spool"))
+        ended.callback(parts.close)
+        yield parts
 
 
 def keep_bytes(parts: Parts, data: bytes) -> str:

@@ -6,10 +6,12 @@ begin. Within one process they queue on a lock of ours first, for SQLite's own w
 
 from __future__ import annotations
 
+import shutil
 import sqlite3
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
+from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
@@ -59,6 +61,19 @@ class Database:
     def close(self) -> None:
         """Close every connection."""
         self.engine.dispose()
+
+
+def copied(database: Path, folder: Path) -> Path:
+    """A copy of an SQLite database in a folder, as it is at one moment. Raises OSError, sqlite3.Error."""
+    to = folder / database.name
+    try:
+        with closing(sqlite3.connect(f"{database.as_uri()}?mode=ro", uri=True)) as source, closing(sqlite3.connect(to)) as target:
+            source.backup(target)
+    except sqlite3.OperationalError:  # nobody has it open, and the file that those who do would share cannot be made here
+        for name in (database.name, f"{database.name}-wal"):
+            if (found := database.with_name(name)).exists():
+                shutil.copyfile(found, folder / name)
+    return to
 
 
 class ChangeCounter:
