@@ -8,10 +8,10 @@ RUN := $(VENV)/.run
 DEV := $(VENV)/.dev
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo look demo-arm serve test check laws flow bench docs site pictures lock clean
+.PHONY: help setup demo look demo-arm serve test advisories check laws flow bench docs site pictures lock clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-8s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 $(BIN)/uv:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "trueup needs Python 3.11 or newer: make PYTHON=python3.12 …")'
@@ -47,7 +47,11 @@ serve: $(RUN) ## run the service on embedded storage in .trueup, with a worker b
 	@$(BIN)/trueup serve
 
 test: $(DEV) ## run every test; brings its own PostgreSQL, S3 server and strace
+	@$(BIN)/python tools/advisories.py --tell
 	@$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+
+advisories: $(DEV) ## look the pinned packages up among published advisories, where those can be reached; exit 1 if there are any
+	@$(BIN)/python tools/advisories.py
 
 check: $(DEV) ## format, lint, types, layers
 	@$(BIN)/ruff format --check .

@@ -109,10 +109,10 @@ class SwitchbackFailed(TrueupError):
     hint = "Keep what serves, and promote a sound artifact instead."
 
 
-class NoRoom(TrueupError):
+class MemoryFull(TrueupError):
     """The service holds as many bytes of other requests as it may."""
 
-    code = "no-room"
+    code = "memory-full"
     hint = "Send it again in a second, with the same Idempotency-Key; TRUEUP_BODIES_LIMIT_BYTES is how much the service holds at once."
 
 

@@ -16,7 +16,7 @@ from tests.support.made import identified, plant_document
 from tests.support.service import Service
 from trueup.canonical import canonical_bytes
 from trueup_client import Client
-from trueup_service.errors import NoRoom
+from trueup_service.errors import MemoryFull
 from trueup_service.http.limiting import Limiting
 
 LARGE = 96 << 20
@@ -90,7 +90,7 @@ def test_bodies_have_a_limit_all_together_and_room_comes_back():
     async def app(scope, receive, send):
         try:
             await receive()
-        except NoRoom as error:
+        except MemoryFull as error:
             refused.append(error.code)
             return
         reading.set()
@@ -101,10 +101,10 @@ def test_bodies_have_a_limit_all_together_and_room_comes_back():
         first = asyncio.create_task(limiting(*asked(3 << 20), None))
         await reading.wait()
         await limiting(*asked(2 << 20), None)
-        assert refused == ["no-room"]
+        assert refused == ["memory-full"]
         await asyncio.gather(limiting(*asked(1 << 20), None), _soon(go_on), first)
         await limiting(*asked(4 << 20), None)
-        assert refused == ["no-room"]
+        assert refused == ["memory-full"]
 
     async def _soon(event):
         event.set()
@@ -120,7 +120,7 @@ def test_who_finds_no_room_is_told_when_to_come_again(server):
         while 503 not in answers:
             for status, headers, content in at_once.map(lambda _: request(service, "POST", "/v1/plants", body), range(8)):
                 assert status in {422, 503}
-                assert status != 503 or (headers["Retry-After"], json.loads(content)["code"]) == ("1", "no-room")
+                assert status != 503 or (headers["Retry-After"], json.loads(content)["code"]) == ("1", "memory-full")
                 answers.add(status)
     assert problem(service, "POST", "/v1/plants", body)[0] == 422
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from trueup_service.errors import NoRoom, TooLargeUpload
+from trueup_service.errors import MemoryFull, TooLargeUpload
 from trueup_service.http.observing import App, Message, Receive, Scope, Send
 
 LIMIT_BYTES = 4 << 20
@@ -12,7 +12,7 @@ UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+)")
 
 
 class Limiting:
-    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it, one that all others leave no room for in NoRoom."""
+    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it, one that all others leave no room for in MemoryFull."""
 
     def __init__(self, app: App, room_bytes: int) -> None:
         self._app, self._room = app, room_bytes
@@ -35,7 +35,7 @@ class Limiting:
                     told, hint="Send less at once; long recordings and arrays have routes of their own.", limit_bytes=LIMIT_BYTES
                 )
             if self._room < 0:
-                raise NoRoom("other requests leave no room for this one's body")
+                raise MemoryFull("other requests leave no room for this one's body")
             return message
 
         try:

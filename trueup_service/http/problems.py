@@ -76,7 +76,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.NotWhole: HTTPStatus.UNPROCESSABLE_ENTITY,
     BadArchive: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.UploadElsewhere: HTTPStatus.CONFLICT,
-    service.NoRoom: HTTPStatus.SERVICE_UNAVAILABLE,
+    service.MemoryFull: HTTPStatus.SERVICE_UNAVAILABLE,
     service.UploadsFull: HTTPStatus.TOO_MANY_REQUESTS,
     service.ApprovalMissing: HTTPStatus.CONFLICT,
     service.UnknownHost: HTTPStatus.MISDIRECTED_REQUEST,
@@ -97,7 +97,7 @@ def status_of(error: errors.TrueupError) -> HTTPStatus:
 def answer(request: Request, error: errors.TrueupError) -> Response:
     """An error as a problem."""
     found = problem(request, status_of(error), error.code, error.message, error.hint, error.facts)
-    if isinstance(error, service.NoRoom):
+    if isinstance(error, service.MemoryFull):
         found.headers["Retry-After"] = "1"
     if isinstance(error, service.Unauthenticated):
         found.headers["WWW-Authenticate"] = 'Bearer realm="trueup"'
