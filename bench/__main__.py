@@ -8,6 +8,7 @@ ALL = (
     "footprint",
     "ingest",
     "malformed",
+    "hostile",
     "openapi",
     "serving",
     "registry",

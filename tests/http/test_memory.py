@@ -122,7 +122,18 @@ def test_who_finds_no_room_is_told_when_to_come_again(server):
                 assert status in {422, 503}
                 assert status != 503 or (headers["Retry-After"], json.loads(content)["code"]) == ("1", "memory-full")
                 answers.add(status)
-    assert problem(service, "POST", "/v1/plants", body)[0] == 422
+    assert problem(service, "POST", "/v1/plants", body, Content_Type="application/json")[0] == 422
+
+
+def test_refused_bodies_do_not_stay_in_memory(server):
+    service, pid = server
+    body = b'{"x": "' + b"y" * (3 << 20)
+    for _ in range(3):
+        assert problem(service, "POST", "/v1/plants", body, Content_Type="application/json")[0] == 422
+    before = peak_bytes(pid)
+    for _ in range(60):
+        problem(service, "POST", "/v1/plants", body, Content_Type="application/json")
+    assert peak_bytes(pid) - before < 60 * len(body) // 3
 
 
 @pytest.mark.parametrize("opening", ["[", '{"a":'])

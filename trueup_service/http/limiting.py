@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 
 from trueup_service.errors import MemoryFull, TooLargeUpload
@@ -12,10 +13,11 @@ UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+)")
 
 
 class Limiting:
-    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it, one that all others leave no room for in MemoryFull."""
+    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it, one that others leave no room for in MemoryFull."""
 
     def __init__(self, app: App, room_bytes: int) -> None:
         self._app, self._room = app, room_bytes
+        self._passed, self._limit = 0, room_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http" or UPLOADS.fullmatch(scope["path"]):
@@ -42,3 +44,7 @@ class Limiting:
             await self._app(scope, counted, send)
         finally:
             self._room += read
+            self._passed += read
+            if self._passed > self._limit:  # a refused body hangs on its error, in a circle that the collector is slow to see
+                self._passed = 0
+                gc.collect()
