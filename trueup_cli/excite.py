@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from trueup.artifact.model import load
 from trueup.canonical import digest_of
 from trueup.collect.bounds import Bounds, Recorded
-from trueup.collect.checklist import checks
+from trueup.collect.checklist import checks, command_table
 from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.excitation import DETECTABLE, Excitation, Setting, identification, resting, splitting
 from trueup.collect.goal import Separation
@@ -173,18 +172,13 @@ def _noise(plant: Plant, episodes: list[Episode], report: dict[str, Any]) -> Arr
 
 def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    columns = found.command[:, [plant.joint_of(c) for c in plant.layout.commands]]
-    with (out / "excitation.csv").open("w", newline="") as file:
-        file.writelines(f"# {line}\r\n" for line in document["check_first"])
-        writer = csv.writer(file)
-        writer.writerow(["t", *(c.name for c in plant.layout.commands)])
-        writer.writerows([repr(float(t)), *(repr(float(u)) for u in row)] for t, row in zip(found.t_s, columns, strict=True))
+    (out / "excitation.csv").write_text(command_table(plant, found.t_s, found.command, document["check_first"]), newline="")
     with (out / "excitation.mcap").open("wb") as mcap:
         write_episode(
             mcap,
             stamps_ns=np.rint(found.t_s * 1e9).astype(np.int64),
             observations=np.zeros((0, len(plant.layout.observations))),
-            commands=columns,
+            commands=found.command[:, [plant.joint_of(c) for c in plant.layout.commands]],
             layout=plant.layout,
             role=None,
             conditions={"plant": plant.name, "excitation": digest_of(document)},

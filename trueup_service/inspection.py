@@ -1,6 +1,7 @@
 """Inspect an upload in a process of its own, with limits: a child of the inspector, which has loaded what that needs.
 
-Nothing else reads into memory what somebody sent: so many inspections at once, with so much memory each, bound what all of them take.
+No recording and no arrays are read into the server's own memory as they come in: so many inspections at once, with so much memory each,
+bound what all of them take.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 SMOOTHED = 0.85  # of a random excitation, from sample to sample: at 0.05 s the chapter's
-DECLARED, RECORDED, GIVEN, UNBOUNDED = "declared", "recorded", "given", "unbounded"  # where a bound comes from
+DECLARED, RECORDED, GIVEN, BAND, UNBOUNDED = "declared", "recorded", "given", "band", "unbounded"  # where a bound comes from
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Recorded:
         joints = len(plant.joints)
         ranges, rate = np.full((2 * joints, 2), np.nan), np.full(joints, np.nan)
         for episode in episodes:
-            states, command = smoothed_states(plant, episode).copy(), plant.applied(episode.commands)
+            states, command = smoothed_states(plant, episode), plant.applied(episode.commands)
             states[:, joints:] = np.abs(states[:, joints:])
             ranges[:, 0] = np.fmin(ranges[:, 0], np.fmin.reduce(states, axis=0))
             ranges[:, 1] = np.fmax(ranges[:, 1], np.fmax.reduce(states, axis=0))
@@ -53,7 +53,7 @@ class Bounds:
 
     `low` and `high` of the command `(joints,)`, `rate` [command/s] `(joints,)`, `envelope` `(2 x joints, 2)` of positions and velocities
     with its `margin` taken off, `band_hz`, `duration_s` [s] without the hold at the end. `sources` `(2 x joints,)` says where each row of
-    the envelope comes from, `rate_source` where the rate does.
+    the envelope comes from, `rate_sources` `(joints,)` where each rate does.
     """
 
     low: Array
@@ -64,7 +64,7 @@ class Bounds:
     band_hz: tuple[float, float]
     duration_s: float
     sources: tuple[str, ...]
-    rate_source: str
+    rate_sources: tuple[str, ...]
 
     @staticmethod
     def of(
@@ -91,17 +91,19 @@ class Bounds:
         band = band_hz or (1.0 / duration_s, min(0.1 / plant.timestep_s, 20.0 / duration_s))
         been = Recorded.of(plant, []) if recorded is None else recorded
         ranges, sources = _ranges(plant, been, speed)
-        for j in np.flatnonzero(~_bounded(ranges[:joints])).tolist():
+        if len(free := np.flatnonzero(~_bounded(ranges[:joints]))):
             raise NotIdentifiable(
-                f"nothing says how far {plant.joint_name(j)} may travel",
-                hint="Declare its range under envelope in plant.json, or put an adaptation recording into the case folder.",
+                f"nothing says how far {' and '.join(plant.joint_name(int(j)) for j in free)} may travel",
+                hint="Declare the range under envelope in plant.json, or put an adaptation recording into the case folder.",
             )
         envelope = _widened(ranges, 1.0 - margin)
         fastest = 5.0 * band[1] * np.maximum(high - low, 1e-12)
-        told = np.isfinite(been.rate)
-        rates = np.full(joints, rate) if rate is not None else np.where(told, np.fmin(been.rate, fastest), fastest)
-        source = GIVEN if rate is not None else RECORDED if told.any() else UNBOUNDED
-        return Bounds(low, high, np.asarray(rates, np.float64), envelope, margin, band, duration_s, sources, source)
+        if rate is not None:
+            rates, rate_sources = np.full(joints, rate), (GIVEN,) * joints
+        else:
+            rates = np.fmin(been.rate, fastest)
+            rate_sources = tuple(RECORDED if recorded_binds else BAND for recorded_binds in been.rate <= fastest)
+        return Bounds(low, high, rates, envelope, margin, band, duration_s, sources, rate_sources)
 
     def inside(self, paths: Array) -> bool:
         """Whether every path `(…, samples, 2 x joints)` keeps the envelope less its margin."""
@@ -109,8 +111,8 @@ class Bounds:
         return bool(((paths >= low) & (paths <= high)).all())
 
     def used(self, paths: Array, start: Array) -> float:
-        """The largest part of the room between a state `start` `(2 x joints,)` and the envelope less its margin that paths `(…, samples,
-        2 x joints)` take: above 1 one leaves it.
+        """The largest part of the room between a state `start` `(2 x joints,)` and the envelope less its margin that paths `(members,
+        samples, 2 x joints)` take: above 1 one leaves it.
         """
         low, high = self.envelope.T
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -163,6 +165,7 @@ def _ranges(plant: Plant, been: Recorded, speed: float | None) -> tuple[Array, t
             ranges[column], sources[column] = plant.envelope[channel.name], DECLARED
     if speed is not None:
         for column in range(joints, 2 * joints):
-            low, high = ranges[column] if sources[column] == DECLARED else (-speed, speed)
-            ranges[column], sources[column] = (max(low, -speed), min(high, speed)), GIVEN
+            low, high = ranges[column] if sources[column] == DECLARED else (-np.inf, np.inf)
+            if low < -speed or high > speed:
+                ranges[column], sources[column] = (max(low, -speed), min(high, speed)), GIVEN
     return ranges, tuple(sources)

@@ -1,14 +1,23 @@
-"""Checklist: what a person must check before a designed command is played on a machine."""
+"""Checklist: what a person must check before a designed command is played on a machine, and the command as it is handed over."""
 
 from __future__ import annotations
 
-from trueup.collect.bounds import DECLARED, GIVEN, RECORDED, UNBOUNDED
+import csv
+from collections.abc import Sequence
+from io import StringIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.collect.bounds import BAND, DECLARED, GIVEN, RECORDED, UNBOUNDED
 from trueup.collect.excitation import Excitation
 from trueup.episode.layout import Channel
 from trueup.model.plant import Plant
 
+Array = NDArray[np.float64]
 WHENCE = {DECLARED: "declared in plant.json", RECORDED: "as recorded, for no envelope is declared", GIVEN: "as asked for"}
 SPEED_WHENCE = {**WHENCE, RECORDED: "as recorded"}
+RATE_WHENCE = {RECORDED: "as recorded", GIVEN: "as asked for", BAND: "by the band alone"}
 
 
 def checks(plant: Plant, found: Excitation, *, diagnosed: bool) -> list[str]:
@@ -23,11 +32,25 @@ def checks(plant: Plant, found: Excitation, *, diagnosed: bool) -> list[str]:
     ]
 
 
+def begins_at(plant: Plant, state: Array) -> str:
+    """The positions of a state `(2 x joints,)` in words."""
+    return ", ".join(f"{_position(plant, j).name} = {state[j]:.4g} {_position(plant, j).unit}" for j in range(len(plant.joints)))
+
+
+def command_table(plant: Plant, t_s: Array, command: Array, first: Sequence[str]) -> str:
+    """A command `(samples, joints)` as CSV: `t` [s], then each command channel in its own unit; before it, as comments, what to check."""
+    text = StringIO(newline="")
+    text.writelines(f"# {line}\r\n" for line in first)
+    writer = csv.writer(text)
+    writer.writerow(["t", *(c.name for c in plant.layout.commands)])
+    columns = command[:, [plant.joint_of(c) for c in plant.layout.commands]]
+    writer.writerows([repr(float(t)), *(repr(float(u)) for u in row)] for t, row in zip(t_s, columns, strict=True))
+    return text.getvalue()
+
+
 def _begin(plant: Plant, found: Excitation) -> str:
-    joints = len(found.hold)
-    where = ", ".join(f"{_position(plant, j).name} = {found.start[j]:.4g} {_position(plant, j).unit}" for j in range(joints))
     held = ", ".join(f"{c.name} = {found.hold[plant.joint_of(c)]:.4g} {c.unit}" for c in plant.layout.commands)
-    return f"Bring the machine to rest at {where}, under the command {held}: the design begins there."
+    return f"Bring the machine to rest at {begins_at(plant, found.start)}, under the command {held}: the design begins there."
 
 
 def _travel(plant: Plant, found: Excitation) -> list[str]:
@@ -59,9 +82,7 @@ def _command(plant: Plant, found: Excitation) -> list[str]:
     for channel in plant.layout.commands:
         j = plant.joint_of(channel)
         low, high = found.command[:, j].min(), found.command[:, j].max()
-        whence = {RECORDED: "as recorded", GIVEN: "as asked for", UNBOUNDED: "by the band alone: none is recorded"}[
-            found.bounds.rate_source
-        ]
+        whence = RATE_WHENCE[found.bounds.rate_sources[j]]
         said.append(
             f"The command {channel.name} goes from {low:.4g} to {high:.4g} {channel.unit} and changes by at most "
             f"{found.bounds.rate[j]:.4g} {channel.unit}/s ({whence})."

@@ -28,6 +28,7 @@ NUDGED = 1e-3  # of the command's reach: how much a tent is pushed to see what i
 CUT = (1.0, 2.0, 4.0)  # times the limit before a wave is cut off there
 SIZES = 8  # that are tried of a wave
 ALMOST, ENOUGH = 0.96, 0.9  # of the room: what the next size is aimed at, and what the largest size takes of it
+LEAST = 1e-9  # of the room, to divide by: a machine that sticks takes none
 NEARLY, AT_REST = 0.05, 0.01  # of the largest speed under any member: of a wave while it is sought, of the one that is chosen
 HOLDS = (1.0, 3.0)  # times the excitation: how long a hold may be, while a wave is sought and of the one that is chosen
 CHANGED = 0.3  # of the lines, at once
@@ -119,7 +120,7 @@ class Maker:
             low, high, found = (size, high, held) if good else (low, size, found)
             if good and (size == 1.0 or held.used > ENOUGH):
                 break
-            guess = size * ALMOST / held.used if good or not held.safe else 0.0
+            guess = size * ALMOST / max(held.used, LEAST) if good or not held.safe else 0.0
             size = guess if low < guess < high else (low + min(high, 1.0)) / 2.0
         return None if found is None else (found.t_s, found.command, low)
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.collect.bounds import DECLARED, Bounds, Recorded
+from trueup.collect.checklist import begins_at, command_table
 from trueup.collect.excitation import DETECTABLE
 from trueup.collect.wave import followed
 from trueup.diagnose.admission import Admission
@@ -61,29 +62,21 @@ class Experiment:
         }
 
     def csv(self, plant: Plant) -> str:
-        """The commands as a table: `t` [s], then each command channel in its declared unit; before it, as comments, what to check."""
-        if self.command is None:
-            return ""
-        driven = [plant.joint_of(c) for c in plant.layout.commands]
-        rows = [[self.t_s[i], *self.command[i, driven]] for i in range(len(self.t_s))]
-        head = ",".join(["t", *(c.name for c in plant.layout.commands)])
-        return "".join(
-            f"{line}\r\n"
-            for line in [*(f"# {said}" for said in self.check_first), head, *(",".join(repr(float(x)) for x in row) for row in rows)]
-        )
+        """The commands as a table, with what to check before it; empty where there are none."""
+        return "" if self.command is None else command_table(plant, self.t_s, self.command, self.check_first)
 
 
 def next_experiment(plant: Plant, admission: Admission, search: Search, choice: Choice, recorded: Recorded) -> Experiment | None:
     """The experiment for an answer and its nearest rival, within what is declared or was `recorded`; None where there is none."""
-    bounds = _bounds(plant, recorded)
-    ground = _ground(plant, search, choice.winner, bounds)
     if not choice.rivals:
         late = [term for term in choice.winner.hypothesis.effects if kind(term).name == "actuator_delay"]
         if late and len(plant.joints) == 1:
             pair = (late[0],), (term_at("sensor_delay", joint(late[0])),)
             why = "No command parts them: " + TWINS[frozenset({"actuator_delay", "sensor_delay"})] + "."
-            return Experiment(pair, why, ground.t_s, None, 0.0)
+            return Experiment(pair, why, np.zeros(0), None, 0.0)
         return None
+    bounds = _bounds(plant, recorded)
+    ground = _ground(plant, search, choice.winner, bounds)
     rival = choice.rivals[0]
     splits = choice.winner.hypothesis.effects, rival.hypothesis.effects
     at = joint(min(set(splits[0]) ^ set(splits[1])))
@@ -127,10 +120,9 @@ def _declared(plant: Plant, bounds: Bounds) -> bool:
 
 def _checks(plant: Plant, ground: Series, kept: str) -> tuple[str, ...]:
     """What to check before the command is played."""
-    joints = len(plant.joints)
-    begin = ", ".join(f"{plant.joint_name(j)} {ground.begin[0, j]:.4g}" for j in range(joints))
     return (
-        f"Before you play this: it begins at {begin}, and keeps the {kept} under the answer and its rival alone.",
+        f"Before you play this: it begins at {begins_at(plant, ground.begin[0])}, and keeps the {kept} under the answer and its rival "
+        "alone.",
         "It does not end at rest: be ready to stop the machine. `trueup excite` designs one that does, safe under every model in play.",
     )
 
@@ -143,7 +135,7 @@ def _ground(plant: Plant, search: Search, winner: Candidate, bounds: Bounds) -> 
         t = np.asarray(np.arange(round(DURATION_S / plant.timestep_s) + 1) * plant.timestep_s, np.float64)
         rest = unobserved(search.problem.scheme, t, np.zeros((len(t), 1)), plant.command_scales, plant.timestep_s)
         low, high = bounds.envelope[0]
-        middle = replace(rest, begin=np.array([[(low + high) / 2.0, 0.0]])) if np.isfinite(high - low) else rest
+        middle = replace(rest, begin=np.array([[(low + high) / 2.0, 0.0]]))
         moved = np.ptp(_predicted(search, winner, middle, jacobian=False)[0, :, 0])
         return middle if moved < FREE * (high - low) else rest
     recorded = search.problem.adaptation[0]

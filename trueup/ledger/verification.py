@@ -177,7 +177,7 @@ def _hold_keys(replaced: Sequence[AuditEntry], keys: Sequence[Mapping[str, Any]]
     if [row["id"] for row in keys] != list(range(1, len(replaced) + 2)):
         findings.append(Finding(KEY, f"{len(keys)} keys are kept, and by the log there were {len(replaced) + 1}"))
     told = [(entry.subject, entry.facts["endorsement"]) for entry in replaced]
-    first = replaced[0].facts["before"] if replaced else signer
+    first = replaced[0].facts["before"] if replaced else None  # then only whoever signs can tell, below
     for row, (verifier, endorsement) in zip(keys, [(first, None), *told], strict=False):
         if (row["verifier"], row["endorsement"]) != (verifier or row["verifier"], endorsement):
             findings.append(Finding(f"{KEY}/{row['id']}", "it is not the key that the log tells of"))

@@ -36,8 +36,13 @@ def against(parts: Parts, plant: str) -> Against:
 
 async def inspect(request: Request, path: Path, held: Against, *, telemetry: bool = False) -> Inspected:
     """What a file holds, once there is a slot to look at it. Raises BadEpisode, InspectionFailed."""
+    return await inspector_of(request).inspect(path, held, telemetry=telemetry)
+
+
+def inspector_of(request: Request) -> Inspector:
+    """Who inspects what this server receives."""
     inspector: Inspector = request.app.state.inspector
-    return await inspector.inspect(path, held, telemetry=telemetry)
+    return inspector
 
 
 def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected) -> Response:

@@ -21,6 +21,7 @@ from trueup_service.errors import BadRequest, DigestMismatch, TooLargeUpload
 from trueup_service.partial_uploads import write_all
 
 PART_BYTES, SYNC_BYTES = 256 << 10, 4 << 20
+ARRAYS_HINT = "Pack a smaller model, or raise TRUEUP_ARRAYS_LIMIT_BYTES."
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,19 +34,20 @@ class Received:
 
 
 @asynccontextmanager
-async def received(request: Request, spool: Path, limit_bytes: int) -> AsyncIterator[Received]:
-    """The body as a file in `spool`, removed at the end. Raises TooLargeUpload, DigestMismatch, BadRequest."""
-    _allow(request.headers.get("content-length"), limit_bytes)
+async def received(request: Request, spool: Path, limit_bytes: int, hint: str | None = None) -> AsyncIterator[Received]:
+    """The body as a file in `spool`, removed at the end. Raises TooLargeUpload with this hint or its own, DigestMismatch, BadRequest."""
+    declared = request.headers.get("content-length", "")
+    allow(int(declared) if declared.isdigit() else 0, limit_bytes, hint)
     path = spool / uuid.uuid4().hex
     try:
-        digest, size = await _receive(request, path, limit_bytes)
+        digest, size = await _receive(request, path, limit_bytes, hint)
         _require_digest(request.headers.get("content-digest"), digest)
         yield Received(path, digest, size)
     finally:
         path.unlink(missing_ok=True)
 
 
-async def _receive(request: Request, path: Path, limit_bytes: int) -> tuple[str, int]:
+async def _receive(request: Request, path: Path, limit_bytes: int, hint: str | None) -> tuple[str, int]:
     """Digest and size of the body. While one part is hashed and written in a thread, the next one is received."""
     gathered, under_way, size = bytearray(), None, 0
     with path.open("xb", buffering=0) as file:
@@ -54,7 +56,7 @@ async def _receive(request: Request, path: Path, limit_bytes: int) -> tuple[str,
             async for part in request.stream():
                 gathered += part
                 size += len(part)
-                _allow(str(size), limit_bytes)
+                allow(size, limit_bytes, hint)
                 if len(gathered) >= PART_BYTES:
                     if under_way is not None:
                         await under_way
@@ -85,16 +87,10 @@ class _Sink:
             self._unsynced = 0
 
 
-def allow_arrays(size: int, limit_bytes: int) -> None:
-    """Raises TooLargeUpload for arrays of more bytes."""
+def allow(size: int, limit_bytes: int, hint: str | None = None) -> None:
+    """Raises TooLargeUpload for more bytes."""
     if size > limit_bytes:
-        hint = "Pack a smaller model, or raise TRUEUP_ARRAYS_LIMIT_BYTES."
-        raise TooLargeUpload(f"the arrays have more than {limit_bytes} bytes", hint=hint, limit_bytes=limit_bytes)
-
-
-def _allow(size: str | None, limit_bytes: int) -> None:
-    if size is not None and size.isdigit() and int(size) > limit_bytes:
-        raise TooLargeUpload(f"the upload has more than {limit_bytes} bytes", limit_bytes=limit_bytes)
+        raise TooLargeUpload(f"the upload has more than {limit_bytes} bytes", hint=hint, limit_bytes=limit_bytes)
 
 
 def _require_digest(header: str | None, digest: str) -> None:

@@ -69,7 +69,7 @@ def copied(database: Path, folder: Path) -> Path:
     try:
         with closing(sqlite3.connect(f"{database.as_uri()}?mode=ro", uri=True)) as source, closing(sqlite3.connect(to)) as target:
             source.backup(target)
-    except sqlite3.OperationalError:  # nobody has it open, and the file that those who do would share cannot be made here
+    except sqlite3.OperationalError:  # SQLite needs an index beside the write-ahead log, and cannot make one here
         for name in (database.name, f"{database.name}-wal"):
             if (found := database.with_name(name)).exists():
                 shutil.copyfile(found, folder / name)

@@ -116,7 +116,7 @@ def test_what_is_declared_or_given_comes_before_what_was_recorded():
     bounds = Bounds.of(PLANT, 6.0, rate=7.0, speed=2.0, margin=0.0, recorded=been)
     assert bounds.sources == ("declared", "given")
     assert bounds.envelope == pytest.approx(np.array([[-0.9, 0.9], [-2.0, 2.0]]))
-    assert (bounds.rate.tolist(), bounds.rate_source) == ([7.0], "given")
+    assert (bounds.rate.tolist(), bounds.rate_sources) == ([7.0], ("given",))
 
 
 def test_it_begins_where_there_is_most_room_and_not_outside():

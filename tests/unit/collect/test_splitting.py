@@ -153,6 +153,17 @@ def test_a_model_that_runs_away_is_told_apart_from_nothing():
     assert apart(softens, ensemble(PLANT, TRUE)) == 0.0
 
 
+def test_a_machine_that_sticks_under_all_but_the_largest_command_gets_one_under_which_it_stays():
+    """Nothing of the room is used then, and the next size to try cannot be told from that."""
+    stuck = ensemble(PLANT, TRUE, coulomb_friction={"level": 0.9 * TRUE[2]})
+    narrow = Plant.from_document({**plant_document(), "envelope": {"q": [-1e-5, 1e-5]}})
+    maker = Setting(InPlay((stuck,)), Bounds.of(narrow, 6.0), NOISE, REST, np.zeros(1)).maker(np.random.default_rng(0))
+    made = maker.made(maker.draw(np.random.default_rng(1)))
+    assert made is not None
+    assert made[2] < 1.0
+    assert np.ptp(stuck.responses(stuck.centre[:, None], made[0], made[1], REST)[:, :, 0]) < 2e-5
+
+
 def test_an_alternative_that_no_command_parts_does_not_spoil_the_others():
     answer = ensemble(PLANT, TRUE, constant_force={"level": 0.1})
     twin = ensemble(PLANT, TRUE, sensor_bias={"bias": 0.1 / TRUE[0]})
@@ -167,7 +178,7 @@ def test_an_alternative_that_no_command_parts_does_not_spoil_the_others():
 def test_the_next_experiment_of_a_report_keeps_the_declared_envelope(undecided):
     plant, _, _, _, found = undecided
     said, also, head, *_ = found.experiment.csv(plant).split("\r\n")
-    assert said.startswith("# Before you play this: it begins at joint 0, and keeps the declared envelope")
+    assert said.startswith("# Before you play this: it begins at q = 0 rad, and keeps the declared envelope")
     assert "does not end at rest" in also
     assert head.startswith("t,")
     answer = Ensemble.posterior(found.predictor, found.document)

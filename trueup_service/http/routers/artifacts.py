@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Annotated
 
 from fastapi import Query, Request, Response
+from fastapi.concurrency import contextmanager_in_threadpool
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
@@ -20,10 +18,10 @@ from trueup_service.errors import DigestMismatch, Kept, NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.downloads import UNCHANGING, send_kept
 from trueup_service.http.guard import guarded
+from trueup_service.http.ingesting import inspector_of
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Artifact, Envelope, Page, page
-from trueup_service.http.uploads import Received, allow_arrays, received
-from trueup_service.inspection import Inspector
+from trueup_service.http.uploads import ARRAYS_HINT, Received, allow, received
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
@@ -37,9 +35,7 @@ ARRAYS = {"requestBody": {"required": True, "content": {"application/octet-strea
 async def put_blob(request: Request, parts: With, digest: DigestPath) -> dict[str, str | int]:
     """Durable once answered. The digest in the path is verified while the bytes stream."""
     limit = min(parts.settings.upload_limit_bytes, parts.settings.arrays_limit_bytes)
-    if (declared := request.headers.get("content-length", "")).isdigit():
-        allow_arrays(int(declared), limit)
-    async with received(request, parts.spool, limit) as file:
+    async with received(request, parts.spool, limit, ARRAYS_HINT) as file:
         await run_in_threadpool(_keep, parts.blobs, digest, file)
         return {"digest": digest, "size_bytes": file.size_bytes}
 
@@ -74,30 +70,14 @@ async def add(request: Request, parts: With, stamp: By, plant: PlantName, key: I
     manifest = await request.body()
     arrays = await run_in_threadpool(_arrays, parts, manifest)
     if arrays is None:
-        await _inspector(request).try_artifact(manifest, None)
+        await inspector_of(request).try_artifact(manifest, None)
         return await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
-    async with _at_hand(parts, arrays) as path:
-        await _inspector(request).try_artifact(manifest, path)
+    async with contextmanager_in_threadpool(parts.blobs.at_hand(arrays, parts.spool)) as path:
+        await inspector_of(request).try_artifact(manifest, path)
         answer = await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
         # they may have been put long ago, and been taken for left over before this row was there
         await run_in_threadpool(parts.blobs.put, arrays, path)
         return answer
-
-
-def _inspector(request: Request) -> Inspector:
-    inspector: Inspector = request.app.state.inspector
-    return inspector
-
-
-@asynccontextmanager
-async def _at_hand(parts: Parts, digest: str) -> AsyncIterator[Path]:
-    """A blob as a file of ours; what takes it from a store works in a thread."""
-    held = parts.blobs.at_hand(digest, parts.spool)
-    path = await run_in_threadpool(held.__enter__)
-    try:
-        yield path
-    finally:
-        held.__exit__(None, None, None)
 
 
 def _arrays(parts: Parts, manifest: bytes) -> str | None:
@@ -110,7 +90,7 @@ def _arrays(parts: Parts, manifest: bytes) -> str | None:
         return None
     if not isinstance(digest, str) or not is_digest(digest) or not parts.blobs.holds(digest):
         raise BadArtifact("the arrays that the manifest names are not here", arrays=digest, hint="PUT them to /v1/blobs/{digest} first.")
-    allow_arrays(parts.blobs.size(digest), parts.settings.arrays_limit_bytes)
+    allow(parts.blobs.size(digest), parts.settings.arrays_limit_bytes, ARRAYS_HINT)
     return digest
 
 
