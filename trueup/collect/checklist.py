@@ -15,6 +15,7 @@ from trueup.episode.layout import Channel
 from trueup.model.plant import Plant
 
 Array = NDArray[np.float64]
+LEAST = 1e-300  # to divide by
 WHENCE = {DECLARED: "declared in plant.json", RECORDED: "as recorded, for no envelope is declared", GIVEN: "as asked for"}
 SPEED_WHENCE = {**WHENCE, RECORDED: "as recorded"}
 RATE_WHENCE = {RECORDED: "as recorded", GIVEN: "as asked for", BAND: "by the band alone"}
@@ -93,7 +94,9 @@ def _command(plant: Plant, found: Excitation) -> list[str]:
 def _end(plant: Plant, found: Excitation) -> str:
     speeds = ", ".join(f"{x:.2g} {_position(plant, j).unit}/s" for j, x in enumerate(found.speed_at_end))
     if found.rests:
-        return f"It ends at rest under every one of {len(found.paths)} models: none is faster than {speeds}."
+        part = 100 * float((found.speed_at_end / np.maximum(found.largest_speed, LEAST)).max())
+        models = f"every one of {len(found.paths)} models"
+        return f"It ends at rest under {models}: none is faster than {speeds}, {part:.1f} % of the largest speed."
     return f"It does NOT end at rest: under one of {len(found.paths)} models the machine still moves at {speeds}. Be ready to stop it."
 
 

@@ -16,7 +16,7 @@ from trueup.canonical import Json
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.goal import Goal, Identification, Splitting, Told
-from trueup.collect.wave import AT_REST, HOLDS, Held, Maker, Wave
+from trueup.collect.wave import AT_REST, LONG, LONGEST, SHORT, STILL, Held, Maker, Wave
 from trueup.errors import NotIdentifiable
 
 Array = NDArray[np.float64]
@@ -77,7 +77,16 @@ class Excitation:
     @property
     def speed_at_end(self) -> Array:
         """Of each joint `(joints,)`, the largest under any member."""
-        return np.asarray(np.abs(self.paths[:, -1, self.paths.shape[2] // 2 :]).max(axis=0))
+        return self._speeds(self.paths[:, -1:])
+
+    @property
+    def largest_speed(self) -> Array:
+        """Of each joint `(joints,)`, under any member at any time."""
+        return self._speeds(self.paths)
+
+    @staticmethod
+    def _speeds(paths: Array) -> Array:
+        return np.asarray(np.abs(paths[:, :, paths.shape[2] // 2 :]).max(axis=(0, 1)))
 
     def document(self) -> dict[str, Json]:
         """The same as JSON, without the samples."""
@@ -250,9 +259,9 @@ def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, pro
 
 
 def _held(maker: Maker, sized: Held, members: tuple[Array, ...]) -> Held:
-    """A command with the shortest of the holds that brings these members to rest, or with the longest."""
-    for longest in HOLDS:
-        held = maker.held(sized.t_s, sized.command, members, AT_REST, longest)
+    """A command with a short hold that brings these members to a standstill, else with one that brings them to rest, else the longest."""
+    for rest, longest in ((STILL, SHORT), (AT_REST, LONG), (AT_REST, LONGEST)):
+        held = maker.held(sized.t_s, sized.command, members, rest, longest)
         if held.rests or not held.safe:
             break
     return held

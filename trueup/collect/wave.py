@@ -29,8 +29,8 @@ CUT = (1.0, 2.0, 4.0)  # times the limit before a wave is cut off there
 SIZES = 8  # that are tried of a wave
 ALMOST, ENOUGH = 0.96, 0.9  # of the room: what the next size is aimed at, and what the largest size takes of it
 LEAST = 1e-9  # of the room, to divide by: a machine that sticks takes none
-NEARLY, AT_REST = 0.05, 0.01  # of the largest speed under any member: of a wave while it is sought, of the one that is chosen
-HOLDS = (1.0, 3.0)  # times the excitation: how long a hold may be, while a wave is sought and of the one that is chosen
+AT_REST, STILL = 0.05, 0.01  # of the largest speed under any member: what counts as rest, and what a short wait is worth
+SHORT, LONG, LONGEST = 0.5, 1.0, 3.0  # times the excitation: how long a hold may be, while a wave is sought LONG
 CHANGED = 0.3  # of the lines, at once
 TOUCH = 1e-9  # of a command: it is the hold
 
@@ -137,7 +137,7 @@ class Maker:
         shaped = np.clip(wave.cut * rise * wave_form, -1.0, 1.0) * size * reach
         shaped[active:] = 0.0
         command = self._slowed(self.hold + shaped)
-        return self.held(t, self._braked(t, command, active), self.members, NEARLY, HOLDS[0])
+        return self.held(t, self._braked(t, command, active), self.members, AT_REST, LONG)
 
     def _slowed(self, command: Array) -> Array:
         """The command within its limits and its rate, beginning at the hold."""
