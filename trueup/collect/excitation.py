@@ -16,7 +16,7 @@ from trueup.canonical import Json
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.goal import Goal, Identification, Splitting, Told
-from trueup.collect.wave import AT_REST, LONG, LONGEST, SHORT, STILL, Held, Maker, Wave
+from trueup.collect.wave import AT_REST, LONG, LONGEST, STILL, Held, Maker, Wave
 from trueup.errors import NotIdentifiable
 
 Array = NDArray[np.float64]
@@ -259,8 +259,8 @@ def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, pro
 
 
 def _held(maker: Maker, sized: Held, members: tuple[Array, ...]) -> Held:
-    """A command with a short hold that brings these members to a standstill, else with one that brings them to rest, else the longest."""
-    for rest, longest in ((STILL, SHORT), (AT_REST, LONG), (AT_REST, LONGEST)):
+    """A command with a hold that brings these members to a standstill, else with one that brings them to rest, else the longest."""
+    for rest, longest in ((STILL, LONG), (AT_REST, LONGEST)):
         held = maker.held(sized.t_s, sized.command, members, rest, longest)
         if held.rests or not held.safe:
             break

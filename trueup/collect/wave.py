@@ -29,8 +29,8 @@ CUT = (1.0, 2.0, 4.0)  # times the limit before a wave is cut off there
 SIZES = 8  # that are tried of a wave
 ALMOST, ENOUGH = 0.96, 0.9  # of the room: what the next size is aimed at, and what the largest size takes of it
 LEAST = 1e-9  # of the room, to divide by: a machine that sticks takes none
-AT_REST, STILL = 0.05, 0.01  # of the largest speed under any member: what counts as rest, and what a short wait is worth
-SHORT, LONG, LONGEST = 0.5, 1.0, 3.0  # times the excitation: how long a hold may be, while a wave is sought LONG
+AT_REST, STILL = 0.05, 0.01  # of the largest speed under any member: what counts as rest, and what is waited for if that is not LONG
+LONG, LONGEST = 1.0, 3.0  # times the excitation: how long a hold may be
 CHANGED = 0.3  # of the lines, at once
 TOUCH = 1e-9  # of a command: it is the hold
 
