@@ -14,6 +14,9 @@ program says so. Exit 0 if all of this holds, 4 with a list otherwise:
 - artifacts, gates, decisions and episodes have the content that names them, and every byte that a row names is there;
 - every move of a pointer is told by an entry that may tell of one.
 
+Whatever holds, it lists on standard error what a reader should know of the gates: which took the place of another, and which decisions were
+made by a gate that was declared after their candidate had been judged.
+
 Written apart from the service and its library, so that one mistake is not made twice.
 """
 
@@ -306,6 +309,26 @@ def bytes_that_are_missing(archive):
     return found
 
 
+def to_know(archive):
+    """Gates that took the place of another, and decisions by a gate that was declared after their candidate had been judged."""
+    said = []
+    for row in archive.lines("rows/gates.jsonl"):
+        gate = json.loads(row["document"])
+        if "follows" in gate:
+            said.append(f"gate {row['digest'][:12]} took the place of {gate['follows'][:12]}: {gate['because']}")
+    for row in archive.lines("rows/decisions.jsonl"):
+        known = json.loads(row["document"]).get("known", {})
+        if known.get("candidate") or known.get("compared"):
+            before = ", ".join(f"{'passed' if d['accepted'] else 'failed'} by gate {d['gate'][:12]}" for d in known["candidate"])
+            said.append(f"decision {row['digest'][:12]}: its gate was declared after its candidate had been judged: {before or 'compared'}")
+    return said
+
+
+def visible(text):
+    """Text that others wrote, for a terminal: what it would obey stands as an escape."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(text))
+
+
 def main(arguments):
     """Verify, and say so."""
     if len(arguments) not in (1, 2):
@@ -314,13 +337,14 @@ def main(arguments):
     try:
         archive = Archive(Path(arguments[0]))
         if len(arguments) == 1:
-            print(
-                f"whose it is, nobody has shown: no key was given, and the archive names its own, {archive.config['key']}", file=sys.stderr
-            )
+            own = visible(archive.config["key"])
+            print(f"whose it is, nobody has shown: no key was given, and the archive names its own, {own}", file=sys.stderr)
         found = findings(archive, arguments[1] if len(arguments) > 1 else None)
+        for line in to_know(archive):
+            print(visible(line), file=sys.stderr)
     except (Broken, KeyError, ValueError, TypeError, AttributeError, RecursionError, StopIteration, OSError, tarfile.TarError) as error:
         found = [f"the archive cannot be read: {error}"]
-    print(*(found or ["holds"]), sep="\n")
+    print(*map(visible, found or ["holds"]), sep="\n")
     return 4 if found else 0
 
 

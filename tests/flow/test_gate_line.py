@@ -3,11 +3,15 @@
 import http.client
 import json
 import os
+import subprocess
+import sys
 import zlib
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
+from tests.support import forks
 from tests.support.made import TRUE, episode_bytes, plant_document, save
 from tests.support.service import command
 from trueup.artifact.artifact import pack
@@ -17,6 +21,8 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
 from trueup_client import Client, Problem
 
+ROOT = Path(__file__).parents[2]
+VERIFIER = ROOT / "tools" / "verify_archive.py"
 SCORING = {"horizon_s": 0.5, "windows": "every"}
 IMPROVES, ONE_STEP = {"rule": "rollout_improves", "ratio": 0.98}, {"rule": "one_step_no_worse", "slack": 0.1}
 STRICT = {"schema": "trueup.gate/1", "rules": [IMPROVES, ONE_STEP], "scoring": SCORING}
@@ -115,6 +121,13 @@ def test_dropping_the_rule_that_failed_is_told_everywhere_and_promotes_nobody(be
     told = command(service, "audit", "verify", "--no-replay").stdout
     assert sentence in told
     assert "it drops the rule one_step_no_worse" in told
+    archive = shop.folder / "p.tar"
+    exported = forks.run("trueup_cli.main", ["export", shop.name, str(archive)], {**os.environ, **service.storage.environment}, ROOT)
+    assert exported.returncode == 0, exported.stderr
+    offline = subprocess.run([sys.executable, "-I", VERIFIER, archive, shop.me.audit_key()], capture_output=True, text=True, check=False)
+    assert offline.stdout == "holds\n"
+    assert f"gate {second[:12]} took the place of {shop.strict[:12]}: one step does not matter to us" in offline.stderr
+    assert f"judged: failed by gate {shop.strict[:12]}" in offline.stderr
 
 
 def test_loosening_a_number_takes_a_fresh_test_to_promote(bench):
@@ -209,7 +222,16 @@ def test_it_takes_somebody_else_with_a_reason_and_two_tokens_are_not_two_people(
         assert shop.promote(accepted).generation == 2
     moved = next(e for e in shop.me.audit(shop.name) if e["kind"] == "pointer:moved")
     assert moved["facts"]["approved_because"] == [{"actor": "fourth", "because": "the first step is within the sensor's noise"}]
-    assert "with the approval of" in command(service, "audit", "verify", "--no-replay").stdout
+    assert "with the approval of fourth and a reason" in command(service, "audit", "verify", "--no-replay").stdout
+
+
+def test_a_policy_whose_gate_was_superseded_says_so(bench):
+    shop = bench("policyholder")
+    shop.me.declare_policy(shop.name, {"schema": "trueup.policy/1", "gate": shop.strict, "on_diagnosis": "ask"})
+    told = "is no longer in force, so nothing is judged by itself"
+    assert told not in page(shop, f"/plants/{shop.name}")
+    shop.follow("one step does not matter", rules=[IMPROVES])
+    assert told in page(shop, f"/plants/{shop.name}")
 
 
 @pytest.mark.parametrize("reason", ["two\x1b[2Jlines", "title\x07", "back\x9b2J"])

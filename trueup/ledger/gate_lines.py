@@ -5,7 +5,7 @@ Entry by entry, from the log alone:
 - a gate that names one that it follows names the one that was in force;
 - what a decision says was known when its gate was declared, and how often its episodes had been used, is what the log tells;
 - a candidate that was rejected before was promoted only on episodes that came in after its gate and after the rejection, or with somebody
-  else's approval and a reason.
+  else's approval and a reason. Two tokens of one name are one person, and the approval of a revoked token counts for nothing.
 
 Decisions of before this was written down tell nothing of it; what was known is told of them all the same. A plant that was imported brought
 the log of another site, which is verified there.
@@ -19,6 +19,7 @@ from typing import Any
 
 from trueup.gate.line import Past, disclosure_of, known, looser, past_of
 from trueup.ledger.audit import AuditEntry
+from trueup.ledger.person import ON_BEHALF, folded
 from trueup.ledger.verification import Finding
 
 NOTHING_CAME = ("failed", "cancelled")
@@ -54,12 +55,17 @@ class GateLines:
     _used: dict[str, int] = field(default_factory=dict)
     _expected: dict[str, list[int]] = field(default_factory=dict)  # uses, by job
     _comparisons: list[_Comparison] = field(default_factory=list)
-    _approved: dict[str, list[str]] = field(default_factory=dict)  # with a reason, and by whom
+    _approved: dict[str, list[AuditEntry]] = field(default_factory=dict)  # with a reason
+    _names: dict[str, str | None] = field(default_factory=dict)  # the name of each token, by its prefix; None once it is revoked
     _imported: set[str] = field(default_factory=set)
     _tells: set[str] = field(default_factory=set)  # decisions that say what was known
 
     def __call__(self, entry: AuditEntry) -> list[Finding]:
         """What an entry says that is not so."""
+        if entry.kind == "token:issued":
+            self._names[entry.subject] = str(entry.facts["name"])
+        elif entry.kind == "token:revoked":
+            self._names[entry.subject] = None
         look = LOOKS.get(entry.kind)
         if entry.plant is None or look is None:
             return []
@@ -166,8 +172,14 @@ class GateLines:
 
     def _approves(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
         if "because" in facts:
-            self._approved.setdefault(entry.subject, []).append(entry.actor)
+            self._approved.setdefault(entry.subject, []).append(entry)
         return []
+
+    def _person(self, entry: AuditEntry) -> str | None:
+        """Who did what an entry tells of; None where their token has been revoked since. Entries of before may not name the token."""
+        facts: Any = entry.facts
+        name = self._names.get(str(facts.get("token")), entry.actor.partition(ON_BEHALF)[0])
+        return None if name is None else folded(name)
 
     def _moved(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
         decision = facts.get("decision")
@@ -180,7 +192,8 @@ class GateLines:
         said = (
             f"candidate {past.candidate[:12]} of plant {plant} was promoted after decision {rejected[0][1].decision[:12]} had rejected it"
         )
-        others = [actor for actor in self._approved.get(decision, []) if actor != entry.actor]
+        nobody_else = {None, self._person(entry)}
+        others = [approval.actor for approval in self._approved.get(decision, []) if self._person(approval) not in nobody_else]
         if others:
             self.notes.append(f"{said}, with the approval of {' and '.join(others)} and a reason")
             return []

@@ -97,6 +97,7 @@ def _move(writer: Writer, before: Move, move: Move, stamp: Stamp, facts: dict[st
         "generation": move.generation,
         "from": before.artifact,
         "decision": move.decision,
+        "token": stamp.token,
         **facts,
     }
     writer.append_audit(at=stamp.now, kind="pointer:moved", actor=stamp.actor, plant=move.plant, subject=move.artifact, facts=moved)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import unicodedata
-
+from trueup.ledger.person import folded
 from trueup_service.registry.store import Reader
 
 ADMIN = "admin"  # whose token stands in the settings, and in no row
@@ -15,8 +14,3 @@ def person_of(reader: Reader, token: str) -> str | None:
     if found is None:
         return ADMIN
     return None if found.revoked_at is not None else folded(found.name)
-
-
-def folded(name: str) -> str:
-    """A name as it is compared: what looks the same is the same."""
-    return " ".join(unicodedata.normalize("NFKC", name).casefold().split())

@@ -11,6 +11,7 @@ from fastapi import Depends, Header, Path, Query, Request, Response
 from pydantic import BaseModel
 
 from trueup.canonical import Json, digest_of
+from trueup.ledger.person import actor_of
 from trueup_service.actions.once import Key, once
 from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.errors import BadRequest
@@ -36,7 +37,7 @@ async def _stamp(
         raise BadRequest(
             f"Trueup-Actor holds the control character {found}", hint="Name who asks in one line of text.", header="Trueup-Actor"
         )
-    return Stamp(f"{who.name} for {actor}" if actor and actor != who.name else who.name, time_text(datetime.now(UTC)), who.token)
+    return Stamp(actor_of(who.name, actor), time_text(datetime.now(UTC)), who.token)
 
 
 With = Annotated[Parts, Depends(_parts)]

@@ -12,6 +12,7 @@ from trueup.episode.role import STAGES
 from trueup.errors import PointerMoved, TrueupError
 from trueup.ledger.pointer import NothingToRollBackTo
 from trueup_service.actions import find
+from trueup_service.actions.gate_line import place
 from trueup_service.actions.move_pointer import previous_artifact
 from trueup_service.actions.stamp import END_OF_TIME
 from trueup_service.actions.submit_job import SUBMIT
@@ -42,13 +43,15 @@ def plant_page(request: Request, parts: With, plant: PlantName) -> Response:
         last = reader.last_evidence(plant, serving.artifact)
         jobs = reader.jobs(plant, END_OF_TIME, ROWS * 3)
         latest = reader.latest_version(plant)
+        policy = reader.policy(plant)
         values: dict[str, Any] = {
             "plant": record,
             "serving": serving,
             "artifact": artifact,
             "back": back,
             "alarm": reader.open_alarm(plant),
-            "policy": reader.policy(plant),
+            "policy": policy,
+            "policy_gate": None if policy is None else place(reader, plant, str(policy.document["gate"])),
             "gap": gaps_of(connection, [plant]).get(plant, ()),
             "ladder": [(stage, stage in last and reader.evidence(plant, last[stage][0])) for stage in STAGES],
             "decisions": reader.decisions(plant, END_OF_TIME, ROWS),
