@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -27,6 +28,7 @@ def service_beside(data: Path, port: int | None = None) -> Iterator[tuple[str, s
     command = [sys.executable, "-m", "trueup_cli.main", "serve", "--port", url.rpartition(":")[2]]
     with (data / LOG_FILE).open("a") as log:
         child = subprocess.Popen(command, env={**os.environ, "TRUEUP_DATA_DIR": str(data)}, stderr=log)
+        signal.signal(signal.SIGTERM, _end)
         try:
             with progress("starting the service"):
                 _wait_until_ready(url, child, data)
@@ -34,6 +36,11 @@ def service_beside(data: Path, port: int | None = None) -> Iterator[tuple[str, s
         finally:
             child.terminate()
             child.wait(timeout=START_LIMIT_S)
+
+
+def _end(number: int, _: object) -> None:
+    """End as after an error, so that the service beside ends, too."""
+    sys.exit(128 + number)
 
 
 def _wait_until_ready(url: str, child: subprocess.Popen[bytes], data: Path) -> None:

@@ -1,8 +1,12 @@
 """Killed workers, killed servers, restarts: nothing acknowledged is lost, nothing happens twice."""
 
 import itertools
+import signal
+import subprocess
+import sys
 import threading
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -10,7 +14,7 @@ import sqlalchemy as sa
 
 from tests.support.gates import LENIENT
 from tests.support.made import T0_NS, episode_bytes, mcap_bytes, plant_document, save
-from tests.support.service import Service, kill
+from tests.support.service import ROOT, Service, free_port, kill
 from tests.support.storage import Storage, embedded, scaled
 from trueup.episode.role import Role
 from trueup.ledger.audit import AuditEntry, rebuild
@@ -296,3 +300,14 @@ def test_a_client_says_so_when_nobody_answers():
     client = Client("http://127.0.0.1:9")
     with pytest.raises(Unreachable):
         client.plant("p")
+
+
+def test_a_command_that_is_ended_ends_the_service_beside_it(tmp_path):
+    url = f"http://127.0.0.1:{free_port()}"
+    look = [sys.executable, "-m", "trueup_cli.main", "look", "--data", str(tmp_path), "--no-browser", "--url", url]
+    with subprocess.Popen(look, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT) as looking:
+        assert url in looking.stdout.readline()
+        looking.terminate()
+    assert looking.returncode == 128 + signal.SIGTERM
+    with closing(Client(url)) as client, pytest.raises(Unreachable):
+        client.is_ready()
