@@ -7,7 +7,7 @@ from pathlib import Path
 
 MADE = Path(__file__).parent.parent / "trueup_client" / "records.py"
 RECORDS = (
-    "Plant", "Episode", "EpisodeContext", "Artifact", "Gate", "GateInLine",
+    "Plant", "Episode", "EpisodeContext", "Artifact", "Gate", "LooserThan", "GateInLine",
     "Output", "Job", "JobWithReads", "Decision", "Approval", "Evidence",
     "Channel",
     "ChannelPosition", "Policy", "Monitor", "Watch", "Alarm", "MonitorState", "Project", "Token", "IssuedToken", "Identity", "AuditEntry",

@@ -257,9 +257,8 @@ def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path
     from trueup.episode.mcap import read_episode
     from trueup.gate import recompute as made_anew
 
-    predictors = {
-        which: load(client.fetch(plant, recorded[which], folder / which), recorded[which]).predictor for which in ("candidate", "incumbent")
-    }
+    named = made_anew.models(recorded)
+    predictors = {name: load(client.fetch(plant, digest, folder / name), digest).predictor for name, digest in named.items()}
     layout = predictors["candidate"].plant.layout
     episodes = []
     for count, digest in enumerate(recorded["episodes"]):

@@ -260,10 +260,10 @@ def show_decision(decision: Decision, gate: GateInLine) -> None:
         say("[dim]held-out episodes used {} of {} times[/]", _span(uses), budget_of(gate["document"]))
     if decision["disclosure"]:
         say("{}", decision["disclosure"])
-    if gate["looser"]:
-        because = gate["document"].get("because")
-        why = "" if because is None else f", because “{because}”"
-        say("It is looser than the gate before it{}: {}.", why, "; ".join(gate["looser"]))
+    if "because" in gate["document"]:
+        say("Its reason: “{}”.", gate["document"]["because"])
+    for less in gate["looser_than"]:
+        say("It is looser than gate {}: {}.", less["gate"][:12], "; ".join(less["looser"]))
 
 
 def _span(uses: list[int]) -> str:

@@ -82,8 +82,15 @@ class Gate(TypedDict):
     created_by: str
 
 
+class LooserThan(TypedDict):
+    """A gate before another one, and what is looser in that, in words."""
+
+    gate: str
+    looser: list[str]
+
+
 class GateInLine(TypedDict):
-    """A gate in its plant's line, in force or not, and what is looser in it than in the one before, in words."""
+    """A gate in its plant's line, in force or not, and what is looser in it than in the one before, in words; and than in every one."""
 
     plant: str
     digest: str
@@ -93,6 +100,7 @@ class GateInLine(TypedDict):
     in_force: bool
     follows: str | None
     looser: list[str]
+    looser_than: list[LooserThan]
 
 
 class Output(TypedDict):

@@ -38,6 +38,7 @@ class Inspected:
     start_ns: int
     end_ns: int
     summary: dict[str, Json]
+    samples_digest: str | None
 
 
 @dataclass(frozen=True, slots=True)

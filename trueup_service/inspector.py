@@ -57,7 +57,7 @@ def inspect_file(path: Path, against: Against) -> Inspected:
     end_ns = episode.start_ns + round(float(episode.t_s[-1]) * 1e9)
     fitted_on = [Coverage.from_document(c) for c in against.coverage]  # type: ignore[arg-type]
     summary = {**summarise(episode), "collection": measured(described, episode, fitted_on)}
-    return Inspected(episode.digest, str(episode.role), episode.start_ns, end_ns, summary)
+    return Inspected(episode.digest, str(episode.role), episode.start_ns, end_ns, summary, episode.samples_digest)
 
 
 def convert_file(path: Path, plant: dict[str, Json]) -> Path:

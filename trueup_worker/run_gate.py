@@ -38,9 +38,11 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     gate = Gate.from_document(declared.document)
     candidate, incumbent, copy = (read_predictor(parts, job, request[which]) for which in ("candidate", "incumbent", "incumbent"))
     episodes = read_episodes(parts, job, plant, HELD_OUT, progress.stage("reading episodes", 0.0, 0.4))
-    run = run_trial(gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0), copy)
+    beside = {digest: read_predictor(parts, job, digest) for digest in request["beside"]} if "beside" in request else None
+    run = run_trial(gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0), copy, beside)
     named = {name: request[name] for name in ("candidate", "incumbent", "generation")}
-    decision = judge(gate, run.trial, plant=plant.digest, controls=run.controls, known=known, uses=request.get("uses", ()), **named)
+    told = {"known": known, "uses": request.get("uses", ()), "selection": request.get("selection")}
+    decision = judge(gate, run.trial, plant=plant.digest, controls=run.controls, beside=run.beside, **told, **named)
     outcome: dict[str, Json] = {
         "decision": decision.document(),
         "rehearsed": _rehearsed(parts, job, episodes, gate, candidate) if decision.accepted else {},

@@ -7,7 +7,7 @@ from typing import Any
 from trueup.canonical import Json, digest_of
 from trueup.episode.role import HELD_OUT
 from trueup.errors import BrokenChain
-from trueup.gate.recompute import differences, recompute
+from trueup.gate.recompute import differences, models, recompute
 from trueup_service.actions import find
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.store import Reader
@@ -25,7 +25,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     recorded: dict[str, Any] = made.document
     if digest_of(recorded) != made.digest:
         raise BrokenChain("the decision's document is not the one that its digest names", decision=made.digest)
-    predictors = {which: read_predictor(parts, job, recorded[which]) for which in ("candidate", "incumbent")}
+    predictors = {name: read_predictor(parts, job, digest) for name, digest in models(recorded).items()}
     episodes = read_episodes(parts, job, read_plant(parts, job), HELD_OUT, progress.stage("reading episodes", 0.0, 0.4))
     found = recompute(recorded, gate, predictors, episodes, registered, progress.stage("scoring", 0.4, 1.0))
     wrong: list[Json] = list(differences(recorded, found))

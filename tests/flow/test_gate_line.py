@@ -13,9 +13,11 @@ import pytest
 
 from tests.support import forks
 from tests.support.made import TRUE, episode_bytes, plant_document, save
-from tests.support.service import command
+from tests.support.service import Service, command
+from tests.support.storage import embedded
 from trueup.artifact.artifact import pack
 from trueup.episode.role import Role
+from trueup.episode.writer import Encoding
 from trueup.gate.line import HELD_OUT_USES
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
@@ -105,8 +107,8 @@ def test_dropping_the_rule_that_failed_is_told_everywhere_and_promotes_nobody(be
     assert accepted["accepted"]
     sentence = accepted["disclosure"]
     assert sentence == (
-        f"This rule was declared after candidate {shop.b[:12]} had failed one_step_no_worse on episode {shop.episodes[0][:12]} "
-        f"by gate {shop.strict[:12]}."
+        f"This gate was declared after candidate {shop.b[:12]} had failed one_step_no_worse on episode {shop.episodes[0][:12]} "
+        f"by gate {shop.strict[:12]}. Over all plants, its held-out episodes had been used once before."
     )
     assert accepted["document"]["known"]["candidate"][0]["decision"] == shop.rejected["digest"]
     assert accepted["document"]["uses"] == [2]
@@ -284,12 +286,140 @@ def test_the_command_names_what_it_follows_and_shows_intervals_uses_and_scales(b
     assert done.returncode == 1
     assert "gate-follows" in done.stderr
     done = command(service, "gate", shop.name, shop.b[:12], "--rules", str(rules), "--because", "learned", "--scales")
-    for said in ("accepted", "had failed one_step_no_worse", "because “learned”", "it drops the rule one_step_no_worse", "used 2 of 20"):
+    for said in ("accepted", "had failed one_step_no_worse", "Its reason: “learned”", "it drops the rule one_step_no_worse", "used 2 of 20"):
         assert said in done.stdout
     assert "no scale moves the verdict" in done.stdout
     again = command(service, "gate", shop.name, shop.b[:12], "--rules", str(rules))  # in force: it needs no reason again
     assert "used 3 of 20" in again.stdout
     assert len(list(shop.me.gates(shop.name))) == 2
+
+
+def test_a_model_that_errs_alike_is_known_whatever_its_digest_its_episodes_and_the_horizon(bench, service):
+    """Nudged numbers make another artifact; on an episode and over a horizon that nobody has judged it by, it errs as B does."""
+    shop = bench("nudger")
+    other = shop.held_out()
+    second = shop.follow("a horizon of ours", rules=[IMPROVES], scoring={"horizon_s": 0.55, "windows": "every"})
+    nudged = shop.me.add_artifact(shop.name, packed(shop.name, tuple(x * (1 + 1e-5) for x in B)).manifest)["digest"]
+    made = shop.judge(second, nudged, [other])
+    assert made["accepted"]
+    assert list(made["document"]["figures"]["beside"]) == [shop.b]
+    assert f"Its errors are within 1 % of those of candidate {shop.b[:12]}, which had been judged before" in made["disclosure"]
+    assert "It was judged on 1 of the plant's 2 held-out episodes." in made["disclosure"]
+    held = refused(lambda: shop.promote(made))
+    assert (held.code, held.facts["rejected_by"]) == ("rejected-before", [shop.rejected["digest"]])
+    replayed = command(service, "replay", made["digest"])
+    assert "within 1 %" in replayed.stdout
+    assert "within 1 %" in command(service, "audit", "verify", "--no-replay").stdout
+
+
+def test_what_a_gate_was_chosen_among_is_told(bench):
+    shop = bench("chooser")
+    others = [shop.held_out() for _ in range(2)]
+    far = shop.me.add_artifact(shop.name, packed(shop.name, (1.4, 0.5, 0.9)).manifest)["digest"]
+    shop.me.wait(shop.me.submit(shop.name, {"kind": "compare", "first": shop.b, "second": far, "episodes": others})["id"])
+    shop.judge(shop.strict, far, others[:1])
+    made = shop.judge(shop.strict, shop.b, others[:1])
+    assert made["document"]["selection"] == {"held_out": 3, "accepted": 0, "rejected": 1, "comparisons": 1}
+    assert "other candidates had been judged on these episodes: 0 times accepted, 1 times rejected." in made["disclosure"]
+    assert "Errors on these episodes had been shown by 1 comparison of versions." in made["disclosure"]
+
+
+def test_another_gate_is_told_while_a_candidate_waits_for_its_verdict(tmp_path):
+    waiting = Service(embedded(tmp_path))
+    waiting.start_server()  # and no worker
+    with closing(Client(waiting.url)) as client:
+        client.register_plant(plant_document("queue"))
+        episode = client.upload_episode("queue", save(tmp_path, "e.mcap", episode_bytes(7, role=Role.VALIDATION, parameters=TRUE)))
+        strict = client.declare_gate("queue", STRICT)["digest"]
+        b = client.add_artifact("queue", packed("queue", B).manifest)["digest"]
+        client.submit("queue", {"kind": "gate", "candidate": b, "gate": strict, "episodes": [episode["digest"]]})
+        held = refused(lambda: client.declare_gate("queue", {**STRICT, "rules": [IMPROVES]}))
+        assert (held.code, held.facts["in_force"]) == ("gate-follows", strict)
+    waiting.stop()
+
+
+def test_another_project_is_no_other_world(bench):
+    shop = bench("traveller")
+    shop.admin.create_project("lab-z")
+    name = "traveller-z"
+    shop.admin.register_plant(plant_document(name), project="lab-z")
+    path = next(shop.folder.glob("traveller-*.mcap"))
+    shop.admin.upload_episode(name, path)
+    b = shop.admin.add_artifact(name, packed(name, B).manifest)["digest"]
+    gate = shop.admin.declare_gate(name, {**STRICT, "rules": [IMPROVES]})["digest"]
+    job = shop.admin.wait(shop.admin.submit(name, {"kind": "gate", "candidate": b, "gate": gate})["id"])
+    made = shop.admin.decision(name, job["result"]["decision"])
+    assert made["accepted"]
+    assert "its held-out episodes had been used once before" in made["disclosure"]
+    held = refused(lambda: shop.admin.promote(name, made["digest"], 1))
+    assert (held.code, held.facts["rejected_by"]) == ("rejected-before", [shop.rejected["digest"]])
+
+
+def test_the_same_samples_in_other_bytes_are_no_fresh_test(bench):
+    shop = bench("copyist")
+    second = shop.follow("one step does not matter", rules=[IMPROVES])
+    again = episode_bytes(shop.seed, role=Role.VALIDATION, parameters=TRUE, encoding=Encoding.JSON, operator="ann")
+    copy = shop.me.upload_episode(shop.name, save(shop.folder, "copy.mcap", again))["digest"]
+    assert copy != shop.episodes[0]
+    made = shop.judge(second, episodes=[copy])
+    assert made["document"]["uses"] == [2]
+    held = refused(lambda: shop.promote(made))
+    assert (held.code, held.facts["stale"]) == ("rejected-before", [copy])
+
+
+def test_what_models_are_fitted_from_is_not_held_out_in_other_bytes(bench):
+    shop = bench("relabeller")
+    fitted = episode_bytes(shop.seed + 500, parameters=TRUE)
+    shop.me.upload_episode(shop.name, save(shop.folder, "fitted.mcap", fitted))
+    again = episode_bytes(shop.seed + 500, role=Role.VALIDATION, parameters=TRUE)
+    held_out = shop.me.upload_episode(shop.name, save(shop.folder, "again.mcap", again))["digest"]
+    assert refused(lambda: shop.judge(shop.strict, episodes=[held_out])).code == "role-refused"
+    job = shop.me.submit(shop.name, {"kind": "gate", "candidate": shop.b, "gate": shop.strict})
+    assert job["request"]["episodes"] == shop.episodes
+
+
+def test_a_gate_that_followed_before_anything_was_judged_has_a_page(bench, service):
+    shop = bench("early")
+    with closing(Client(service.url)) as client:
+        client.register_plant(plant_document("earlier"))
+        client.upload_episode("earlier", next(shop.folder.glob("*.mcap")))
+        b = client.add_artifact("earlier", packed("earlier", B).manifest)["digest"]
+        client.declare_gate("earlier", STRICT)
+        second = client.declare_gate("earlier", {**STRICT, "rules": [IMPROVES]})["digest"]
+        job = client.wait(client.submit("earlier", {"kind": "gate", "candidate": b, "gate": second})["id"])
+    assert "it drops the rule one_step_no_worse" in page(shop, f"/plants/earlier/decisions/{job['result']['decision']}")
+
+
+def test_what_is_looser_is_told_against_every_gate_before(bench):
+    shop = bench("launderer")
+    second = shop.follow("learned", rules=[IMPROVES])
+    third = shop.follow("to be stricter", rules=[IMPROVES], held_out_uses=19)
+    line = shop.me.gate_in_line(shop.name, third)
+    assert line["looser"] == []
+    assert line["looser_than"] == [{"gate": shop.strict, "looser": ["it drops the rule one_step_no_worse"]}]
+    made = shop.judge(third)
+    assert f"looser than gate {shop.strict[:12]}: it drops the rule" in page(shop, f"/plants/{shop.name}/decisions/{made['digest']}")
+    assert second != third
+    twice = refused(lambda: shop.follow("both", rules=[IMPROVES, ONE_STEP, {"rule": "one_step_no_worse", "slack": 5.0}]))
+    assert (twice.code, twice.facts["rules"]) == ("bad-gate", ["one_step_no_worse"])
+
+
+def test_a_vacuous_gate_is_told_with_every_decision(bench, service):
+    shop = bench("hollow")
+    reason = "the first model of this machine is worse than none"
+    meant = shop.follow(reason, rules=[{"rule": "one_step_no_worse", "slack": 1.0}], vacuous=True)
+    made = shop.judge(meant)
+    assert "The gate accepts the incumbent itself" in made["disclosure"]
+    assert reason in page(shop, f"/plants/{shop.name}/decisions/{made['digest']}")
+    assert "says of itself that it may accept the incumbent" in command(service, "audit", "verify", "--no-replay").stdout
+
+
+@pytest.mark.parametrize("nothing", ["\u200b", "\u2060 \u2060", "\u3164"])
+def test_a_reason_of_which_nothing_is_seen_is_none(bench, nothing):
+    shop = bench("mute")
+    assert refused(lambda: shop.follow(nothing, rules=[IMPROVES])).code == "bad-gate"
+    accepted = shop.judge(shop.follow("learned", rules=[IMPROVES], conditions=[f"c{ord(nothing[0])}"]))
+    assert refused(lambda: shop.colleague.approve(shop.name, accepted["digest"], nothing)).status == 400
 
 
 def page(shop: Bench, path: str) -> str:

@@ -14,6 +14,7 @@ from trueup.errors import BadGate
 from trueup.fit.score import EVERY, FIRST, Score, Scoring
 from trueup.gate.line import HELD_OUT_USES
 from trueup.gate.rule import BOUND, MEAN, Rule, Verdict, rules
+from trueup.text import seen
 
 SCHEMA = "trueup.gate/1"
 NEEDED = {"schema", "rules", "scoring"}
@@ -49,7 +50,7 @@ class Gate:
             raise BadGate("a held-out episode must be good for one use at least")
         if self.follows is not None and not is_digest(self.follows):
             raise BadGate("follows must be the digest of the gate that this one takes the place of", field="follows")
-        if self.because is not None and not 0 < len(self.because.strip()) <= LONGEST_REASON:
+        if self.because is not None and not (seen(self.because) and len(self.because) <= LONGEST_REASON):
             raise BadGate(f"because must say why, in {LONGEST_REASON} characters at most", field="because")
         if (self.follows is not None or self.vacuous) and self.because is None:
             raise BadGate("a gate that follows another, or is vacuous, says why in `because`", field="because")
@@ -85,16 +86,17 @@ class Gate:
                 more = ", ".join(sorted(OPTIONAL))
                 raise BadGate(f"a gate holds schema ({SCHEMA}), rules, scoring, and if it likes {more}, nothing else", hint=HOLDS)
             given: Any = document
-            scoring = Scoring(float(given["scoring"]["horizon_s"]), str(given["scoring"]["windows"]))
-            uses, follows, because = (given.get(name) for name in ("held_out_uses", "follows", "because"))
+            if set(given["scoring"]) != {"horizon_s", "windows"}:
+                raise BadGate("scoring holds horizon_s and windows, nothing else", field="scoring", hint=HOLDS)
+            horizon_s = _read(given["scoring"], "horizon_s", float, "a number")
             return Gate(
-                tuple(_rule(r) for r in given["rules"]),
-                scoring,
-                tuple(str(c) for c in given.get("conditions", ())),
-                None if uses is None else int(uses),
-                None if follows is None else str(follows),
-                None if because is None else str(because),
-                given.get("vacuous", False) is True,
+                tuple(_rule(r) for r in _read(given, "rules", list, "a list")),
+                Scoring(horizon_s, _read(given["scoring"], "windows", str, "a text")),
+                tuple(_conditions(given)),
+                _read(given, "held_out_uses", int, "a whole number", optional=True),
+                _read(given, "follows", str, "a text", optional=True),
+                _read(given, "because", str, "a text", optional=True),
+                _read(given, "vacuous", bool, "true or false", optional=True) or False,
             )
         except KeyError as error:
             raise BadGate(f"a gate needs {error.args[0]!r}", hint=HOLDS) from error
@@ -102,9 +104,27 @@ class Gate:
             raise BadGate(f"the gate cannot be read: {error!r}") from error
 
 
+def _read(given: Any, name: str, kind: type, called: str, *, optional: bool = False) -> Any:
+    """A field as it was sent: nothing is made of another kind than it is, but a whole number of a real one. Raises BadGate, KeyError."""
+    value = given.get(name) if optional else given[name]
+    if optional and value is None:
+        return None
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind:
+        raise BadGate(f"{name} must be {called}", field=name, hint=HOLDS)
+    return value
+
+
+def _conditions(given: Any) -> list[str]:
+    named = _read(given, "conditions", list, "a list of texts", optional=True) or []
+    return [_read({"conditions": each}, "conditions", str, "a list of texts") for each in named]
+
+
 def _rule(document: Mapping[str, Json]) -> Rule:
     given = dict(document)
-    kind = rules().get(str(given.pop("rule")))
+    kind = rules().get(_read(given, "rule", str, "the name of a rule"))
+    given.pop("rule")
     if kind is None:
         raise BadGate(f"the rule {document['rule']!r} is not known", hint=f"Rules are {', '.join(rules())}.")
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
@@ -113,7 +133,7 @@ def _rule(document: Mapping[str, Json]) -> Rule:
     require = given.pop("require", MEAN)
     if require not in (MEAN, BOUND):
         raise BadGate(f"the rule {kind.name} requires the {MEAN} or the {BOUND}", field="require")
-    bounds = {key: float(value) for key, value in given.items()}  # type: ignore[arg-type]
+    bounds = {name: _read(given, name, float, "a number") for name in given}
     if not all(np.isfinite(v) and v > 0.0 for v in bounds.values()):
         raise BadGate(f"the bounds of {kind.name} must be positive numbers")
     return kind(**bounds, require=require)  # type: ignore[call-arg]
@@ -129,7 +149,8 @@ class Decision:
     """What a gate decided of a candidate against the incumbent that served at `generation`.
 
     It holds every figure, so that it can be recomputed, and the generation, so that it cannot be replayed after a move. `known` is what
-    was known when the gate was declared (`trueup.gate.line`), `uses` how often each episode has been judged on, this time included.
+    was known when the gate was declared (`trueup.gate.line`), `uses` how often each episode has been judged on, this time included, and
+    `selection` of what candidate and episodes were selected; decisions of before that have none.
     """
 
     plant: str
@@ -142,6 +163,7 @@ class Decision:
     figures: Mapping[str, Json]
     known: Mapping[str, Json]
     uses: tuple[int, ...]
+    selection: Mapping[str, Json] | None = None
 
     @property
     def accepted(self) -> bool:
@@ -168,6 +190,7 @@ class Decision:
             "figures": self.figures,
             "known": self.known,
             "uses": list(self.uses),
+            **({} if self.selection is None else {"selection": dict(self.selection)}),
         }
 
 

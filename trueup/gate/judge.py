@@ -14,7 +14,7 @@ from trueup.control.closed_loop import Tracking, Travelled, compare
 from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.errors import BadGate
-from trueup.fit.score import Missed, missed, score, score_of
+from trueup.fit.score import Missed, Score, missed, score, score_of
 from trueup.gate.cells import cells_of, matrix
 from trueup.gate.controls import controls, judged
 from trueup.gate.decision import Decision, Gate, figures
@@ -29,12 +29,15 @@ NOTHING_KNOWN: Mapping[str, Json] = MappingProxyType({"candidate": [], "episodes
 
 @dataclass(frozen=True)
 class Run:
-    """A trial that was run: its scores, what each model missed in each episode, and the negative controls beside it."""
+    """A trial that was run: its scores, what each model missed in each episode, the negative controls, and the scores of candidates
+    beside it that had been judged before and were not accepted, by digest.
+    """
 
     trial: Trial
     candidate: tuple[Missed, ...]
     incumbent: tuple[Missed, ...]
     controls: Mapping[str, Json]
+    beside: Mapping[str, Score] | None
 
 
 def run_trial(
@@ -44,8 +47,11 @@ def run_trial(
     episodes: Sequence[Episode],
     progress: Callable[[float], None] = lambda _: None,
     copy: Predictor | None = None,
+    beside: Mapping[str, Predictor] | None = None,
 ) -> Run:
     """Score both predictors on held-out episodes; `copy` is the incumbent, loaded once more. The controls are judged before the candidate.
+
+    Models `beside` it, by digest, are scored too, so that the decision tells which of them errs as the candidate does.
 
     Raises RoleRefused for any other role, BadGate without episodes, VacuousGate where the gate accepts a control.
     """
@@ -67,7 +73,8 @@ def run_trial(
     by = tuple(missed(candidate, e, gate.scoring) for e in episodes)
     progress(share)
     tracking = _driven(candidate, incumbent, episodes, lambda done: progress(share + share * done)) if driven else None
-    return Run(Trial(score_of(by, scales), serving, named, cells, gate.conditions, tracking), by, against, shown)
+    others = None if beside is None else {name: score(model, episodes, gate.scoring) for name, model in beside.items()}
+    return Run(Trial(score_of(by, scales), serving, named, cells, gate.conditions, tracking), by, against, shown, others)
 
 
 def _spreads(episodes: Sequence[Episode]) -> Array:
@@ -104,19 +111,25 @@ def judge(
     controls: Mapping[str, Json] = MappingProxyType({}),
     known: Mapping[str, Json] = NOTHING_KNOWN,
     uses: Sequence[int] = (),
+    selection: Mapping[str, Json] | None = None,
+    beside: Mapping[str, Score] | None = None,
 ) -> Decision:
     """Every rule's verdict on the trial; `candidate` and `incumbent` are artifact digests, `plant` the plant's.
 
     `controls` are the verdicts on those, `known` is what was known when the gate was declared, `uses` how often each episode has been
-    judged on, this time included.
+    judged on, this time included, `selection` of what candidate and episodes were selected, `beside` the scores of others on them.
     """
     verdicts: tuple[Verdict, ...] = judged(gate, trial)
     found: dict[str, Json] = {"candidate": figures(trial.candidate), "incumbent": figures(trial.incumbent), "controls": dict(controls)}
+    if beside is not None:
+        found["beside"] = {name: figures(score) for name, score in beside.items()}
     if trial.tracking is not None:
         found["closed_loop"] = trial.tracking.document()
     if gate.conditions:
         found["cells"] = matrix(trial.cells, gate.conditions, trial.candidate.rollout, trial.incumbent.rollout)
-    return Decision(plant, gate.digest, candidate, incumbent, generation, trial.episodes, verdicts, found, dict(known), tuple(uses))
+    return Decision(
+        plant, gate.digest, candidate, incumbent, generation, trial.episodes, verdicts, found, dict(known), tuple(uses), selection
+    )
 
 
 def sensitivity(gate: Gate, run: Run, scales: Array, channels: Sequence[str]) -> list[Json]:

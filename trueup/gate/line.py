@@ -4,7 +4,9 @@ People learn, so a plant may get another gate after candidates have been scored.
 
 - the new gate names the one that it follows, and says why;
 - what is looser in it is worked out from the two documents;
-- every decision by it carries what was known when it was declared: how its candidate and its held-out episodes had been judged before.
+- every decision by it carries what was known when it was declared: how its candidate and its held-out episodes had been judged before;
+- every decision says how its candidate and its episodes were selected: of how many, after how many other trials, and whether the candidate
+  errs as one does that had been judged before and was not accepted.
 
 Everything here is worked out from documents, so a server, an auditor's machine and whoever replays the log say the same.
 """
@@ -20,8 +22,10 @@ from trueup.canonical import Json
 HELD_OUT_USES = 20  # trials by which people choose: of 20 candidates no better than the incumbent, one passes a test at 5 % by chance
 SHORT = 12  # digits of a digest in a sentence
 LONGEST_NAME = 63  # characters of a plant's name
+TWICE = 2
 NAMED = 2  # digests that a sentence names, before it counts
-SAME = 1e-6  # relative: errors this near in every episode are those of one and the same model
+SAME = 0.01  # relative: whose errors are this near in every episode is the same model to a gate, which asks for twice that at least
+BESIDE = 8  # candidates not accepted that are scored beside a new one, the newest
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +76,15 @@ def known(plant: str, candidate: str, episodes: Sequence[str], before: Iterable[
     return {"candidate": mine, "episodes": on, "compared": sorted(compared)}
 
 
+def selection(held_out: int, accepted: int, rejected: int, comparisons: int) -> dict[str, Json]:
+    """How a trial's candidate and episodes were selected, for its decision.
+
+    `held_out` counts the plant's held-out episodes, `accepted` and `rejected` the decisions on its other candidates on any of the trial's
+    episodes since the gate was declared, `comparisons` those of any of its versions on any of them at any time.
+    """
+    return {"held_out": held_out, "accepted": accepted, "rejected": rejected, "comparisons": comparisons}
+
+
 def looser(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     """What a gate lets pass that the one before did not, in words; both as documents."""
     old, new = _rules(before), _rules(after)
@@ -98,6 +111,12 @@ def looser(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     return found
 
 
+def looser_than(line: Sequence[tuple[str, Mapping[str, Any]]], document: Mapping[str, Any]) -> list[dict[str, Json]]:
+    """Every gate before one in which that one is looser, the newest first, and in what; a line is of digests and documents, in order."""
+    told = [(digest, looser(before, document)) for digest, before in reversed(line)]
+    return [{"gate": digest, "looser": list(said)} for digest, said in told if said]
+
+
 def budget_of(document: Mapping[str, Any]) -> int:
     """How many trials a gate's held-out episodes are good for."""
     given = document.get("held_out_uses")
@@ -109,10 +128,44 @@ def _rules(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 
 def disclosure(document: Mapping[str, Any]) -> str | None:
-    """In a sentence or two what was known when a decision's gate was declared; None of a decision that does not tell."""
+    """In a few sentences what whoever reads a decision must know: what was known when its gate was declared, and how its candidate and
+    episodes were selected. None of a decision that does not tell.
+    """
     if "known" not in document:
         return None
-    return disclosure_of(document["candidate"], document["known"])
+    return " ".join([disclosure_of(document["candidate"], document["known"]), *selected(document)])
+
+
+def selected(document: Mapping[str, Any]) -> list[str]:
+    """Sentences that say how a decision's candidate and episodes were selected, and what its gate lets pass; none where all is plain."""
+    told = document.get("selection")
+    near = f"Its errors are within {100 * SAME:g} % of those of candidate"
+    said = [f"{near} {name[:SHORT]}, which had been judged before and not accepted." for name in alike(document)]
+    if told is not None:
+        count = len(document["episodes"])
+        if count < told["held_out"]:
+            said.append(f"It was judged on {count} of the plant's {told['held_out']} held-out episodes.")
+        others = told["accepted"] + told["rejected"]
+        if others:
+            outcome = f"{told['accepted']} times accepted, {told['rejected']} times rejected"
+            said.append(f"Since the gate was declared, other candidates had been judged on these episodes: {outcome}.")
+        if told["comparisons"]:
+            times = f"{told['comparisons']} comparison{'s' * (told['comparisons'] != 1)}"
+            said.append(f"Errors on these episodes had been shown by {times} of versions.")
+    most = max(document.get("uses", ()), default=1)
+    if most > 1:
+        often = "once" if most == TWICE else f"up to {most - 1} times"
+        said.append(f"Over all plants, its held-out episodes had been used {often} before.")
+    if any(control["accepted"] for control in document["figures"].get("controls", {}).values()):
+        said.append("The gate accepts the incumbent itself, its copy or noise: it was declared as one that may.")
+    return said
+
+
+def alike(document: Mapping[str, Any]) -> list[str]:
+    """Candidates that had been judged before and were not accepted, and whose errors on a decision's episodes are its candidate's."""
+    figures, count = document["figures"], len(document["episodes"])
+    own = _by_episode(figures["candidate"], range(count))
+    return [name for name, beside in figures.get("beside", {}).items() if _all_near(own, _by_episode(beside, range(count)))]
 
 
 def disclosure_of(candidate: str, known: Mapping[str, Any]) -> str:
@@ -122,16 +175,16 @@ def disclosure_of(candidate: str, known: Mapping[str, Any]) -> str:
     if known["compared"]:
         said.append(f"{own} had been compared on its episodes in job {_names(known['compared'])}")
     if said:
-        return f"This rule was declared after {'; and after '.join(said)}."
+        return f"This gate was declared after {'; and after '.join(said)}."
     rejected, accepted = (sum(on[outcome] for on in known["episodes"]) for outcome in ("rejected", "accepted"))
     if rejected or accepted:
         number = len({on["episode"] for on in known["episodes"]})
         which = f"{number} of its held-out episodes {'has' if number == 1 else 'have'}"
         return (
-            f"This rule was declared before candidate {candidate[:SHORT]} was judged; {which} judged others before it: "
+            f"This gate was declared before candidate {candidate[:SHORT]} was judged; {which} judged others before it: "
             f"{accepted} times accepted, {rejected} times rejected{_elsewhere(known)}."
         )
-    return "This rule was declared before anything was scored on its held-out episodes by a gate."
+    return "When this gate was declared, no gate had judged anything on its held-out episodes."
 
 
 def _elsewhere(known: Mapping[str, Any]) -> str:
@@ -160,14 +213,25 @@ def same_model(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
     What is packed anew, or registered under another name, has another digest and the same errors. Figures of other windows do not compare;
     whoever calls has seen to it that both gates score alike.
     """
-    errors = [_errors(document) for document in (one, other)]
-    shared = errors[0].keys() & errors[1].keys()
-    return bool(shared) and all(_near(a, b) for e in shared for a, b in zip(errors[0][e], errors[1][e], strict=True))
+    return _all_near(*(_by_episode(document["figures"]["candidate"], document["episodes"]) for document in (one, other)))
 
 
-def _errors(document: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    figures = document["figures"]["candidate"]
-    return dict(zip(document["episodes"], zip(figures["rollout"], figures["one_step"], strict=True), strict=True))
+def rejects(other: Mapping[str, Any], document: Mapping[str, Any], *, same_scoring: bool) -> bool:
+    """Whether a rejection is one of the candidate of another decision: of itself, of one that errs as it does, or of the same model under
+    another digest. Both are documents of decisions, whose gates score alike or not.
+    """
+    own = other["candidate"] in (document["candidate"], *alike(document))
+    return own or (same_scoring and same_model(other, document))
+
+
+def _by_episode(figures: Mapping[str, Any], episodes: Iterable[Any]) -> dict[Any, tuple[Any, Any]]:
+    return dict(zip(episodes, zip(figures["rollout"], figures["one_step"], strict=True), strict=True))
+
+
+def _all_near(one: Mapping[Any, tuple[Any, Any]], other: Mapping[Any, tuple[Any, Any]]) -> bool:
+    """Whether two models err alike in every episode that both were judged on, one at least."""
+    shared = one.keys() & other.keys()
+    return bool(shared) and all(_near(a, b) for e in shared for a, b in zip(one[e], other[e], strict=True))
 
 
 def _near(one: float | None, other: float | None) -> bool:

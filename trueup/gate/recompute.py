@@ -24,7 +24,7 @@ def recompute(
     plant: str,
     progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Json]:
-    """The document of a decision as its bytes give it: `predictors` are its `candidate` and `incumbent`, `plant` the plant's digest.
+    """The document of a decision as its bytes give it: `predictors` are its `models`, by name, `plant` the plant's digest.
 
     Raises BadGate if the gate is not the one that the decision names.
     """
@@ -32,10 +32,26 @@ def recompute(
     if declared.digest != recorded["gate"]:
         raise BadGate("the gate is not the one that the decision names", expected=recorded["gate"], found=declared.digest)
     told = "known" in recorded
-    run = run_trial(declared if told else _believed(declared), predictors["candidate"], predictors["incumbent"], episodes, progress)
-    named = {name: recorded[name] for name in ("candidate", "incumbent", "generation", *(("known", "uses") if told else ()))}
-    made = judge(declared, run.trial, plant=plant, controls=run.controls, **named).document()
+    beside = recorded["figures"].get("beside")
+    run = run_trial(
+        declared if told else _believed(declared),
+        predictors["candidate"],
+        predictors["incumbent"],
+        episodes,
+        progress,
+        beside=None if beside is None else {digest: predictors[digest] for digest in beside},
+    )
+    selected = ("selection",) if "selection" in recorded else ()
+    named = {name: recorded[name] for name in ("candidate", "incumbent", "generation", *(("known", "uses") if told else ()), *selected)}
+    made = judge(declared, run.trial, plant=plant, controls=run.controls, beside=run.beside, **named).document()
     return made if told else _only(made, recorded)
+
+
+def models(recorded: Mapping[str, Any]) -> dict[str, str]:
+    """The digests of the artifacts that a decision was made from: its `candidate`, its `incumbent`, and what was scored beside them, by
+    digest.
+    """
+    return {**{which: recorded[which] for which in ("candidate", "incumbent")}, **{d: d for d in recorded["figures"].get("beside", {})}}
 
 
 def _believed(gate: Gate) -> Gate:

@@ -3,9 +3,11 @@
 Entry by entry, from the log alone:
 
 - a gate that names one that it follows names the one that was in force;
-- what a decision says was known when its gate was declared, and how often its episodes had been used, is what the log tells;
-- a candidate that was rejected before was promoted only on episodes that came in after its gate and after the rejection, or with somebody
-  else's approval and a reason. Two tokens of one name are one person, and the approval of a revoked token counts for nothing.
+- what a decision says was known when its gate was declared, how often its episodes had been used, and of what its candidate and its
+  episodes were selected, is what the log tells;
+- a candidate that was rejected before, itself or under another digest, was promoted only on episodes that came in after its gate and
+  after the rejection, or with somebody else's approval and a reason. Two tokens of one name are one person, and the approval of a revoked
+  token counts for nothing.
 
 Decisions of before this was written down tell nothing of it; what was known is told of them all the same. A plant that was imported brought
 the log of another site, which is verified there.
@@ -17,9 +19,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from trueup.gate.line import Past, disclosure_of, known, looser, past_of
+from trueup.episode.role import HELD_OUT
+from trueup.gate.line import BESIDE, Past, alike, disclosure_of, known, looser_than, past_of, rejects, selected, selection
 from trueup.ledger.audit import AuditEntry
-from trueup.ledger.person import ON_BEHALF, folded
+from trueup.ledger.person import folded, name_of
 from trueup.ledger.verification import Finding
 
 NOTHING_CAME = ("failed", "cancelled")
@@ -40,6 +43,15 @@ class _Comparison:
     at: int
 
 
+@dataclass(frozen=True, slots=True)
+class _Expected:
+    """What a gate job must have been told when it was asked for; of comparisons, which end when they end, at most so many."""
+
+    uses: list[int]
+    selection: dict[str, Any]
+    beside: frozenset[str]
+
+
 @dataclass
 class GateLines:
     """Looks at every entry, in order: finds what is not so, and keeps in `notes` what a reader should know."""
@@ -50,10 +62,17 @@ class GateLines:
     _past: dict[str, tuple[int, Past]] = field(default_factory=dict)  # every decision with its entry, in order
     _by_candidate: dict[tuple[str, str], list[str]] = field(default_factory=dict)
     _by_episode: dict[str, list[str]] = field(default_factory=dict)
+    _by_plant: dict[str, list[str]] = field(default_factory=dict)
     _came: dict[tuple[str, str], int] = field(default_factory=dict)  # the entry of each plant's episode
-    _asked: dict[str, Mapping[str, Any]] = field(default_factory=dict)  # what gate jobs and comparisons read
+    _held_out: dict[str, int] = field(default_factory=dict)  # episodes of each plant
+    _holds: dict[str, set[str]] = field(default_factory=dict)  # what each episode holds, by the digest of its samples
+    _samples: dict[str, set[str]] = field(default_factory=dict)  # the digests of the episodes that hold the same samples
+    _asked: dict[str, tuple[str, Mapping[str, Any]]] = field(default_factory=dict)  # what gate jobs and comparisons read, of which plant
+    _compared: dict[str, list[str]] = field(default_factory=dict)  # comparisons of each plant's episode, ended or not
+    _rejected: dict[str, Mapping[str, Any]] = field(default_factory=dict)  # documents of decisions
+    _accepted: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     _used: dict[str, int] = field(default_factory=dict)
-    _expected: dict[str, list[int]] = field(default_factory=dict)  # uses, by job
+    _expected: dict[str, _Expected] = field(default_factory=dict)  # by job
     _comparisons: list[_Comparison] = field(default_factory=list)
     _approved: dict[str, list[AuditEntry]] = field(default_factory=dict)  # with a reason
     _names: dict[str, str | None] = field(default_factory=dict)  # the name of each token, by its prefix; None once it is revoked
@@ -81,7 +100,14 @@ class GateLines:
 
     def _ingested(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
         self._came.setdefault((plant, entry.subject), entry.sequence)
+        self._held_out[plant] = self._held_out.get(plant, 0) + (facts.get("role") in HELD_OUT)
+        if "samples_digest" in facts:
+            self._samples.setdefault(facts["samples_digest"], set()).add(entry.subject)
+            self._holds.setdefault(entry.subject, set()).add(facts["samples_digest"])
         return []
+
+    def _twins(self, episode: str) -> set[str]:
+        return {episode}.union(*(self._samples[held] for held in self._holds.get(episode, ())))
 
     def _declared(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
         line, document = self._lines.setdefault(plant, []), facts["gate"]
@@ -90,29 +116,52 @@ class GateLines:
         follows = document.get("follows")
         if follows is not None and plant not in self._imported and (before is None or before.digest != follows):
             return [f"gate {entry.subject[:12]} says that it follows {follows[:12]}, which was not in force"]
-        if before is not None and any(past.plant == plant for _, past in self._past.values()):
-            why = f"because “{document['because']}”" if "because" in document else "without a reason"
-            said = looser(before.document, document)
-            is_looser = f"looser: {'; '.join(said)}" if said else "nothing in it is looser"
-            place = f"gate {entry.subject[:12]} of plant {plant} took the place of {before.digest[:12]}"
-            self.notes.append(f"{place} after candidates had been judged, {why}; {is_looser}")
+        why = f"because “{document['because']}”" if "because" in document else "without a reason"
+        name = f"gate {entry.subject[:12]} of plant {plant}"
+        if document.get("vacuous"):
+            self.notes.append(f"{name} says of itself that it may accept the incumbent, {why}")
+        judging = any(of == plant and "gate" in asked for of, asked in self._asked.values())
+        if before is not None and (judging or any(past.plant == plant for _, past in self._past.values())):
+            less = looser_than([(gate.digest, gate.document) for gate in line[:-1]], document)
+            than: list[str] = [f"looser than {gate['gate'][:12]}: {'; '.join(gate['looser'])}" for gate in less]  # type: ignore[index,arg-type]
+            is_looser = ". It is ".join(than) or "nothing in it is looser"
+            took = f"{name} took the place of {before.digest[:12]} after candidates had been judged, or while they were, {why}"
+            self.notes.append(f"{took}; {is_looser}")
         return []
 
     def _submitted(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
+        request = facts.get("request")
         if facts["kind"] == "gate":
-            episodes = list(facts["request"]["episodes"])
+            episodes = list(request["episodes"])
+            uses = [1 + sum(self._used.get(twin, 0) for twin in self._twins(e)) for e in episodes]
+            self._expected[entry.subject] = _Expected(uses, self._selection(plant, request), self._not_accepted(plant, request))
             for episode in episodes:
                 self._used[episode] = self._used.get(episode, 0) + 1
-            self._expected[entry.subject] = [self._used[e] for e in episodes]
-            self._asked[entry.subject] = facts["request"]
+            self._asked[entry.subject] = plant, request
         elif facts["kind"] == "compare":
-            self._asked[entry.subject] = facts["request"]
+            self._asked[entry.subject] = plant, request
+            for episode in request["episodes"]:
+                self._compared.setdefault(f"{plant}/{episode}", []).append(entry.subject)
         return []
 
+    def _selection(self, plant: str, request: Mapping[str, Any]) -> dict[str, Any]:
+        """Of what the candidate and the episodes of a trial are selected, as the log tells until now."""
+        since = next((g.at for g in reversed(self._lines.get(plant, [])) if g.digest == request["gate"]), 0)
+        on_them = (self._past[d] for d in {d for e in request["episodes"] for d in self._by_episode.get(e, ())})
+        others = [p.accepted for at, p in on_them if at > since and p.plant == plant and p.candidate != request["candidate"]]
+        compared = {job for e in request["episodes"] for job in self._compared.get(f"{plant}/{e}", ())}
+        return selection(self._held_out.get(plant, 0), others.count(True), others.count(False), len(compared))
+
+    def _not_accepted(self, plant: str, request: Mapping[str, Any]) -> frozenset[str]:
+        """Candidates of a plant, except for a request's, that were rejected or wait for their verdict."""
+        waiting = {asked["candidate"] for of, asked in self._asked.values() if of == plant and "gate" in asked}
+        refused = {self._past[d][1].candidate for d in self._by_plant.get(plant, ()) if d in self._rejected}
+        return frozenset(waiting | refused) - {request["candidate"]}
+
     def _finished(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
-        asked = self._asked.pop(entry.subject, None)
-        if asked is None:
+        if entry.subject not in self._asked:
             return []
+        _, asked = self._asked.pop(entry.subject)
         if facts["state"] in NOTHING_CAME:
             if facts["kind"] == "gate":
                 self._given_back(asked)
@@ -122,8 +171,10 @@ class GateLines:
         return []
 
     def _cancelled(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
-        if facts.get("was") == "queued" and (asked := self._asked.pop(entry.subject, None)) is not None and "gate" in asked:
-            self._given_back(asked)
+        if facts.get("was") == "queued" and entry.subject in self._asked:
+            _, asked = self._asked.pop(entry.subject)
+            if "gate" in asked:
+                self._given_back(asked)
         return []
 
     def _given_back(self, asked: Mapping[str, Any]) -> None:
@@ -137,16 +188,19 @@ class GateLines:
         past = past_of(entry.subject, plant, document)
         self._past[entry.subject] = entry.sequence, past
         self._by_candidate.setdefault((plant, past.candidate), []).append(entry.subject)
+        self._by_plant.setdefault(plant, []).append(entry.subject)
         for episode in past.episodes:
             self._by_episode.setdefault(episode, []).append(entry.subject)
+        (self._accepted if past.accepted else self._rejected)[entry.subject] = document
         return found
 
     def _hold(self, entry: AuditEntry, plant: str, facts: Any, gate: _Gate) -> list[str]:
         """Hold what a decision tells of its gate against the log."""
         document = facts["decision"]
         expected = self._known(plant, document, gate.at)
-        if expected["candidate"] or expected["compared"]:
-            self.notes.append(f"decision {entry.subject[:12]} of plant {plant}: {disclosure_of(document['candidate'], expected)}")
+        if expected["candidate"] or expected["compared"] or alike(document):
+            told = " ".join([disclosure_of(document["candidate"], expected), *selected(document)])
+            self.notes.append(f"decision {entry.subject[:12]} of plant {plant}: {told}")
         if "known" not in document:
             return []
         self._tells.add(entry.subject)
@@ -155,9 +209,16 @@ class GateLines:
         found = []
         if document["known"] != expected:
             found.append(f"decision {entry.subject[:12]} does not tell what was known when its gate was declared")
-        uses = self._expected.get(str(facts.get("job")))
-        if uses is not None and list(document["uses"]) != uses:
+        asked = self._expected.get(str(facts.get("job")))
+        if asked is not None and list(document["uses"]) != asked.uses:
             found.append(f"decision {entry.subject[:12]} does not tell how often its episodes were used")
+        if asked is not None and "selection" in document:
+            told = document["selection"]
+            if {**told, "comparisons": 0} != {**asked.selection, "comparisons": 0} or told["comparisons"] > asked.selection["comparisons"]:
+                found.append(f"decision {entry.subject[:12]} does not tell of what its candidate and its episodes were selected")
+            beside = frozenset(document["figures"].get("beside", ()))
+            if not beside <= asked.beside or len(beside) != min(BESIDE, len(asked.beside)):
+                found.append(f"decision {entry.subject[:12]} does not show the candidates before it that were not accepted")
         return found
 
     def _known(self, plant: str, document: Mapping[str, Any], before: int) -> dict[str, Any]:
@@ -178,7 +239,7 @@ class GateLines:
     def _person(self, entry: AuditEntry) -> str | None:
         """Who did what an entry tells of; None where their token has been revoked since. Entries of before may not name the token."""
         facts: Any = entry.facts
-        name = self._names.get(str(facts.get("token")), entry.actor.partition(ON_BEHALF)[0])
+        name = self._names.get(str(facts.get("token")), name_of(entry.actor))
         return None if name is None else folded(name)
 
     def _moved(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
@@ -186,7 +247,7 @@ class GateLines:
         if facts.get("move") != "promoted" or decision not in self._past:
             return []
         _, past = self._past[decision]
-        rejected = [(at, p) for at, p in (self._past[d] for d in self._by_candidate[plant, past.candidate]) if not p.accepted]
+        rejected = self._rejections(plant, decision)
         if not rejected or self._fresh(plant, past, rejected):
             return []
         said = (
@@ -200,11 +261,34 @@ class GateLines:
         self.notes.append(f"{said}, with nobody else's approval")
         return [f"{said}, on episodes that were there before, with nobody else's approval"] if decision in self._tells else []
 
+    def _rejections(self, plant: str, decision: str) -> list[tuple[int, Past]]:
+        """Rejections of a decision's candidate, of itself or of what errs as it does, in order; `trueup.gate.line.rejects`."""
+        document = self._accepted.get(decision)
+        if document is None:
+            return []
+        near = {d for e in document["episodes"] for d in self._by_episode.get(e, ())}
+        near.update(self._by_plant.get(plant, ()))
+        scoring = self._scoring(plant, document["gate"])
+        found = []
+        for rejected in near & self._rejected.keys():
+            at, past = self._past[rejected]
+            other = self._scoring(past.plant, past.gate)
+            if rejects(self._rejected[rejected], document, same_scoring=scoring is not None and other == scoring):
+                found.append((at, past))
+        return sorted(found, key=lambda each: each[0])
+
+    def _scoring(self, plant: str, gate: str) -> Any:
+        return next((g.document["scoring"] for g in reversed(self._lines.get(plant, [])) if g.digest == gate), None)
+
     def _fresh(self, plant: str, past: Past, rejected: list[tuple[int, Past]]) -> bool:
-        """Whether every episode of a decision came in after its gate was declared and after every rejection."""
+        """Whether every episode of a decision came in after its gate was declared and after every rejection, in whatever bytes."""
         since = max(*(at for at, _ in rejected), *(g.at for g in self._lines.get(plant, []) if g.digest == past.gate), 0)
-        seen = {e for _, p in rejected for e in p.episodes}
-        return all(e not in seen and self._came.get((plant, e), 0) > since for e in past.episodes)
+        judged = {e for _, p in rejected for e in p.episodes}
+        for episode in past.episodes:
+            same = {twin for twin in self._twins(episode) if (plant, twin) in self._came} or {episode}
+            if same & judged or min(self._came.get((plant, twin), 0) for twin in same) <= since:
+                return False
+        return True
 
 
 LOOKS: Mapping[str, Callable[[GateLines, AuditEntry, str, Any], list[str]]] = {

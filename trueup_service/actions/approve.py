@@ -8,18 +8,24 @@ from trueup.canonical import Json
 from trueup.gate.policy import FORBID
 from trueup.ledger.operation import Operation
 from trueup.ledger.pointer import NotAccepted
+from trueup.text import seen
 from trueup_service.actions import find
 from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.gate_line import rejections, stale
 from trueup_service.actions.people import person_of
 from trueup_service.actions.stamp import Stamp
-from trueup_service.errors import ApprovalMissing, RejectedBefore
+from trueup_service.errors import ApprovalMissing, BadRequest, RejectedBefore
 from trueup_service.registry.records import Approval, DecisionRecord
 from trueup_service.registry.store import Reader, Writer
 
 
 def approve(writer: Writer, plant: str, decision: str, because: str | None, stamp: Stamp) -> tuple[Approval, bool]:
-    """The approval, and whether it is new: once for each token. Raises NotFound, NotAccepted."""
+    """The approval, and whether it is new: once for each token.
+
+    Raises NotFound, NotAccepted, BadRequest for a reason of which nothing is seen.
+    """
+    if because is not None and not seen(because):
+        raise BadRequest("because holds nothing that can be seen", hint="Say in a sentence why this may go on.", field="because")
     writer.lock_plant(plant)
     made = find.decision(writer, plant, decision)
     if not made.accepted:
@@ -36,10 +42,10 @@ def approve(writer: Writer, plant: str, decision: str, because: str | None, stam
 
 def approved_by_others(reader: Reader, plant: str, decision: str, stamp: Stamp) -> list[Approval]:
     """One approval of each person besides whoever promotes it now, the one with a reason before others; of revoked tokens none."""
-    promoting = person_of(reader, stamp.token)
+    promoting = person_of(reader, stamp.token, stamp.actor)
     people: dict[str, Approval] = {}
     for approval in sorted(reader.approvals(plant, decision), key=lambda a: (a.because is None, a.at, a.token)):
-        person = person_of(reader, approval.token)
+        person = person_of(reader, approval.token, approval.actor)
         if person is not None and person != promoting:
             people.setdefault(person, approval)
     return [people[person] for person in sorted(people)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -39,6 +40,9 @@ def declare_gate(writer: Writer, plant: str, document: Mapping[str, Json] | None
         return known, False
     if gate.because is not None and (character := obeyed_character(gate.because, allowed="\n\t")):
         raise BadGate(f"because holds the control character {character}: write it as text that can be read", field="because")
+    twice = [name for name, count in Counter(rule.name for rule in gate.rules).items() if count > 1]
+    if twice:
+        raise BadGate(f"it holds the rule {twice[0]} twice: one of them is idle", hint="Name each rule once.", rules=list(twice))
     require_can_reject(gate)
     _require_follows(writer, plant, gate, line)
     record = GateRecord(plant, gate.digest, gate.document(), stamp.now, stamp.actor)
@@ -56,12 +60,12 @@ def _require_follows(writer: Writer, plant: str, gate: Gate, line: Sequence[Gate
     if gate.follows is not None and (last is None or gate.follows != last.digest):
         in_force = "none is in force" if last is None else f"{last.digest[:12]} is in force"
         raise BadGate(f"it follows {gate.follows[:12]}, and {in_force}", field="follows", in_force=None if last is None else last.digest)
-    scored: list[Any] = writer.decisions(plant, END_OF_TIME, TOLD)
-    if last is None or gate.follows is not None or not scored:
+    if last is None or gate.follows is not None or not (writer.is_judging(plant) or writer.decisions(plant, END_OF_TIME, 1)):
         return
+    scored: list[Any] = writer.decisions(plant, END_OF_TIME, TOLD)
     facts: dict[str, Any] = {
         "in_force": last.digest,
         "looser": looser(last.document, gate.document()),
         "decisions": [d.digest for d in scored],
     }
-    raise GateFollows(f"gate {last.digest[:12]} is in force, and candidates have been scored by this plant's gates", **facts)
+    raise GateFollows(f"gate {last.digest[:12]} is in force, and candidates have been judged, or are, by this plant's gates", **facts)

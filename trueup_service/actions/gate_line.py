@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from trueup.canonical import Json
-from trueup.gate.line import Past, known, looser, past_of, same_model
+from trueup.gate.line import Past, alike, known, looser, looser_than, past_of, rejects, selection
 from trueup_service.actions import find
 from trueup_service.errors import GateSuperseded
-from trueup_service.registry.records import DecisionRecord, GateRecord, JobState
+from trueup_service.registry.records import NOTHING_CAME, DecisionRecord, GateRecord, JobState
 from trueup_service.registry.store import Reader
 
 DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingested"
@@ -21,11 +21,12 @@ DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingeste
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A gate's place in its plant's line: the one before it, what is looser in it than in that one, and whether it is in force."""
+    """A gate's place in its line: the one before it, what is looser in it than in that one and in every one, whether it is in force."""
 
     gate: GateRecord
     before: GateRecord | None
     looser: list[str]
+    looser_than: list[dict[str, Json]]
     in_force: bool
 
 
@@ -36,7 +37,9 @@ def place(reader: Reader, plant: str, digest: str | None = None) -> Place | None
     if at is None:
         return None
     before = line[at - 1] if at else None
-    return Place(line[at], before, [] if before is None else looser(before.document, line[at].document), at == len(line) - 1)
+    less = [] if before is None else looser(before.document, line[at].document)
+    than = looser_than([(gate.digest, gate.document) for gate in line[:at]], line[at].document)
+    return Place(line[at], before, less, than, at == len(line) - 1)
 
 
 def require_in_force(reader: Reader, plant: str, gate: GateRecord) -> None:
@@ -53,6 +56,16 @@ def known_at(reader: Reader, plant: str, gate: GateRecord, candidate: str, episo
     declared = reader.log_positions(plant, DECLARED, [gate.digest]).get(gate.digest, 0)
     made = reader.decisions_on(plant, candidate, episodes)
     return known(plant, candidate, episodes, _before(reader, made, gate, declared), _compared(reader, candidate, episodes, declared))
+
+
+def selection_of(reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]) -> dict[str, Json]:
+    """Of what the candidate and the episodes of a trial are selected, now that it is asked for."""
+    declared = reader.log_positions(plant, DECLARED, [gate.digest]).get(gate.digest, 0)
+    others = [d for d in reader.decisions_on(plant, candidate, episodes) if d.plant == plant and d.candidate != candidate]
+    at = reader.log_positions(plant, DECIDED, [d.digest for d in others])
+    outcomes = [d.accepted for d in others if at.get(d.digest, 0) > declared]
+    compared = [j for j in reader.jobs_reading(episodes, "compare") if j.plant == plant and j.state not in NOTHING_CAME]
+    return selection(reader.held_out(plant), outcomes.count(True), outcomes.count(False), len(compared))
 
 
 def _before(reader: Reader, made: Sequence[DecisionRecord], gate: GateRecord, declared: int) -> list[Past]:
@@ -78,15 +91,14 @@ def _compared(reader: Reader, candidate: str, episodes: Sequence[str], declared:
 
 
 def rejections(reader: Reader, made: DecisionRecord) -> list[DecisionRecord]:
-    """Decisions, whenever they were made, that rejected the candidate of a decision: itself, or the same model under another digest."""
+    """Decisions, whenever they were made, that rejected the candidate of a decision: itself, or what errs as it does."""
     document: Any = made.document
     scoring = find.gate(reader, made.plant, made.gate).document["scoring"]
-    found = []
-    for other in reader.decisions_on(made.plant, made.candidate, document["episodes"], rejecting=True):
-        own = other.plant == made.plant and other.candidate == made.candidate
-        if own or (find.gate(reader, other.plant, other.gate).document["scoring"] == scoring and same_model(other.document, document)):
-            found.append(other)
-    return found
+    return [
+        other
+        for other in reader.rejections_of(made.plant, [made.candidate, *alike(document)], document["episodes"])
+        if rejects(other.document, document, same_scoring=find.gate(reader, other.plant, other.gate).document["scoring"] == scoring)
+    ]
 
 
 def stale(reader: Reader, made: DecisionRecord, rejected: Sequence[DecisionRecord]) -> list[str]:
@@ -96,9 +108,10 @@ def stale(reader: Reader, made: DecisionRecord, rejected: Sequence[DecisionRecor
     since = reader.log_positions(made.plant, DECLARED, [made.gate]).get(made.gate, 0)
     for other in rejected:
         since = max(since, reader.log_positions(other.plant, DECIDED, [other.digest]).get(other.digest, 0))
-    came = reader.log_positions(made.plant, INGESTED, episodes)
+    twins = {e: reader.twins(e, made.plant) for e in episodes}
+    came = reader.log_positions(made.plant, INGESTED, sorted({twin for each in twins.values() for twin in each}))
     before = {e for other in rejected for e in _episodes(other)}
-    return [e for e in episodes if e in before or came.get(e, 0) <= since]
+    return [e for e, same in twins.items() if same & before or min(came.get(twin, 0) for twin in same) <= since]
 
 
 def _episodes(made: DecisionRecord) -> list[str]:

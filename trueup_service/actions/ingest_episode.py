@@ -20,9 +20,20 @@ def ingest_episode(
     if known is not None:
         return known, False
     record = EpisodeRecord(
-        plant, digest, size_bytes, inspected.role, inspected.start_ns, inspected.end_ns, inspected.summary, stamp.now, stamp.actor
+        plant,
+        digest,
+        size_bytes,
+        inspected.role,
+        inspected.start_ns,
+        inspected.end_ns,
+        inspected.summary,
+        stamp.now,
+        stamp.actor,
+        inspected.samples_digest,
     )
     writer.add_episode(record)
     facts: dict[str, Json] = {"role": record.role, "size_bytes": size_bytes, "conditions": inspected.summary["conditions"]}
+    if inspected.samples_digest is not None:
+        facts["samples_digest"] = inspected.samples_digest
     writer.append_audit(at=stamp.now, kind="episode:ingested", actor=stamp.actor, plant=plant, subject=digest, facts=facts)
     return record, True

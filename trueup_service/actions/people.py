@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from trueup.ledger.person import folded
+from trueup.ledger.person import folded, name_of
 from trueup_service.registry.store import Reader
 
-ADMIN = "admin"  # whose token stands in the settings, and in no row
 
+def person_of(reader: Reader, token: str, actor: str) -> str | None:
+    """The person behind a token's prefix, by name, however it is written; None where the token was revoked.
 
-def person_of(reader: Reader, token: str) -> str | None:
-    """The person behind a token's prefix, by name, however it is written; None where the token was revoked."""
+    A token that is not known here, as the admin's of the settings or one of the site where a plant comes from, is its actor's.
+    """
     found = reader.token(token)
     if found is None:
-        return ADMIN
+        return folded(name_of(actor))
     return None if found.revoked_at is not None else folded(found.name)

@@ -8,9 +8,9 @@ from typing import Any
 from trueup.canonical import Json
 from trueup.episode.role import HEALTHY, HELD_OUT, WATCHED, Role
 from trueup.errors import BadGate, NotIdentifiable, RoleRefused
-from trueup.gate.line import budget_of
+from trueup.gate.line import BESIDE, budget_of
 from trueup_service.actions import find
-from trueup_service.actions.gate_line import known_at, require_in_force
+from trueup_service.actions.gate_line import known_at, require_in_force, selection_of
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import HeldOutSpent
 from trueup_service.jobs import JobQueue
@@ -40,14 +40,15 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
     writer.lock_plant(plant)
     writer.lock_name("uses of held-out episodes")  # which are counted over all plants
     require_in_force(writer, plant, gate)
-    held_out = _episodes(writer, plant, request.get("episodes"), HELD_OUT)
+    named = request.get("episodes")
+    held_out = _not_fitted(writer, plant, _episodes(writer, plant, named, HELD_OUT), named=named is not None)
     if not held_out:
         raise BadGate("there is no held-out episode to judge on", hint="Upload one whose metadata says role = validation.")
     budget = budget_of(gate.document)
     uses = {e.digest: writer.uses(e.digest, "gate") for e in held_out}
     spent = [digest for digest, used in uses.items() if used >= budget]
     episodes = [e for e in held_out if e.digest not in spent]
-    if not episodes or (spent and request.get("episodes") is not None):
+    if not episodes or (spent and named is not None):
         raise HeldOutSpent(f"{len(spent)} held-out episodes were used {budget} times, as often as the gate allows", spent=spent[:10])
     digests = _digests(episodes)
     now = find.serving(writer, plant)
@@ -57,6 +58,8 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
         "episodes": digests,
         "uses": [uses[digest] + 1 for digest in digests],
         "known": known_at(writer, plant, gate, candidate.digest, digests),
+        "selection": selection_of(writer, plant, gate, candidate.digest, digests),
+        "beside": list(writer.not_accepted(plant, candidate.digest, BESIDE)),
         **({"scales": True} if request.get("scales") else {}),
         **({"spent": list(spent)} if spent else {}),
         "incumbent": now.artifact,
@@ -141,11 +144,14 @@ def submit_recomputation(writer: Writer, queue: JobQueue, job: str, plant: str, 
 
 def submit_comparison(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
     """Two versions side by side on some episodes, or on all that were held out. Raises NotFound, NotIdentifiable."""
+    writer.lock_plant(plant)
     both: dict[str, Json] = {which: find.artifact(writer, plant, str(request[which])).digest for which in ("first", "second")}
     episodes = _episodes(writer, plant, request.get("episodes"), tuple(Role) if request.get("episodes") is not None else HELD_OUT)
     if not episodes:
         raise NotIdentifiable("there is no held-out episode to compare on", hint="Upload one whose metadata says role = validation.")
-    return _submit(writer, queue, job, plant, "compare", {**both, "episodes": _digests(episodes)}, stamp)
+    record = _submit(writer, queue, job, plant, "compare", {**both, "episodes": _digests(episodes)}, stamp)
+    writer.add_reads(job, _digests(episodes), "compare")  # a gate's decision tells of it from now on
+    return record
 
 
 SUBMIT = {
@@ -172,6 +178,19 @@ def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) ->
                 digest=episode.digest,
             )
     return found
+
+
+def _not_fitted(writer: Writer, plant: str, episodes: list[EpisodeRecord], *, named: bool) -> list[EpisodeRecord]:
+    """Those whose samples are not in as an adaptation episode, too: a fit may have seen them. Raises RoleRefused for one that was named."""
+    adaptation = {e.samples_digest for e in writer.episodes_of_role(plant, (Role.ADAPTATION,))} - {None}
+    seen = [e for e in episodes if e.samples_digest in adaptation]
+    if seen and named:
+        raise RoleRefused(
+            f"episode {seen[0].digest[:12]} holds the samples of an adaptation episode, from which models are fitted",
+            role=seen[0].role,
+            digest=seen[0].digest,
+        )
+    return [e for e in episodes if e not in seen]
 
 
 def _digests(episodes: Sequence[EpisodeRecord]) -> list[str]:

@@ -164,12 +164,20 @@ class Gate(Answer):
     created_by: str
 
 
+class LooserThan(Answer):
+    """A gate before another one, and what is looser in that, in words."""
+
+    gate: Digest
+    looser: list[str]
+
+
 class GateInLine(Gate):
-    """A gate in its plant's line, in force or not, and what is looser in it than in the one before, in words."""
+    """A gate in its plant's line, in force or not, and what is looser in it than in the one before, in words; and than in every one."""
 
     in_force: bool
     follows: Digest | None = Field(description="The gate that was in force before; null for the first")
     looser: list[str]
+    looser_than: list[LooserThan] = Field(description="Each gate before it in which this one is looser, the newest first")
 
 
 class Job(Answer):

@@ -21,6 +21,7 @@ class JobState(StrEnum):
 
 
 FINAL = (JobState.SUCCEEDED, JobState.FAILED, JobState.CANCELLED)
+NOTHING_CAME = (JobState.FAILED, JobState.CANCELLED)
 
 
 class MoveKind(StrEnum):
@@ -93,7 +94,10 @@ class PlantRecord:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRecord:
-    """An ingested episode; its bytes are the blob of its digest."""
+    """An ingested episode; its bytes are the blob of its digest, and `samples_digest` names what was recorded, whatever the bytes are.
+
+    An episode that came in before samples were named has none.
+    """
 
     plant: str
     digest: str
@@ -104,6 +108,7 @@ class EpisodeRecord:
     summary: dict[str, Json]
     created_at: str
     created_by: str
+    samples_digest: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from sqlalchemy import insert, inspect, text
 from trueup_service.registry import tables as t
 from trueup_service.registry.database import Database
 
-HEAD = "0007"
+HEAD = "0008"
 MIGRATIONS = Path(__file__).parent.parent / "migrations"
 ADVISORY_LOCK = 0x7472756575  # "trueu": one migration at a time among many servers
 

@@ -33,6 +33,7 @@ from sqlalchemy import (
 from sqlalchemy.engine import RowMapping
 
 from trueup.canonical import Json, canonical_bytes
+from trueup.episode.role import HELD_OUT
 from trueup.errors import BrokenChain, PointerMoved
 from trueup.ledger.audit import AuditEntry, entry_bytes
 from trueup.ledger.merkle import Frontier, Node, leaf_hash, node_of, number_of
@@ -41,6 +42,7 @@ from trueup_service.registry import tables as t
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import (
     FINAL,
+    NOTHING_CAME,
     AlarmRecord,
     Approval,
     ArtifactRecord,
@@ -70,7 +72,6 @@ R = TypeVar("R")
 _JSON = {"document", "summary", "request", "result", "facts", "kept", "seen", "requires", "evidence", "rows", "roles"}
 
 AT_ONCE = 500  # digests that one statement names
-NOTHING_CAME = (JobState.FAILED, JobState.CANCELLED)
 
 # Statements of the busiest paths, built once: building one costs about as much as running it.
 _BY_PLANT: BindParameter[str] = bindparam("plant")
@@ -240,14 +241,30 @@ class Reader:
     def output(self, job: str, name: str) -> OutputRecord | None:
         return self._one(OutputRecord, select(t.outputs).where(t.outputs.c.job == job, t.outputs.c.name == name))
 
+    def held_out(self, plant: str) -> int:
+        """How many held-out episodes a plant has."""
+        query = select(func.count()).select_from(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.role.in_(HELD_OUT))
+        return int(self.connection.scalar(query) or 0)
+
     def uses(self, digest: str, purpose: str) -> int:
-        """How many jobs have read these bytes for this purpose, of whichever plant; those that came to nothing do not count."""
+        """How many jobs have read what these bytes hold for this purpose, of whichever plant; those that came to nothing do not count."""
         query = (
             select(func.count())
             .select_from(t.job_reads.join(t.jobs, t.jobs.c.id == t.job_reads.c.job))
-            .where(t.job_reads.c.digest == digest, t.job_reads.c.purpose == purpose, t.jobs.c.state.not_in(NOTHING_CAME))
+            .where(
+                t.job_reads.c.digest.in_(sorted(self.twins(digest))),
+                t.job_reads.c.purpose == purpose,
+                t.jobs.c.state.not_in(NOTHING_CAME),
+            )
         )
         return int(self.connection.scalar(query) or 0)
+
+    def twins(self, digest: str, plant: str | None = None) -> set[str]:
+        """The digests of the episodes that hold the samples of this one, of any plant or of one; itself among them."""
+        holds = select(t.episodes.c.samples_digest).where(t.episodes.c.digest == digest)
+        query = select(t.episodes.c.digest).where(t.episodes.c.samples_digest.in_(holds))
+        query = query if plant is None else query.where(t.episodes.c.plant == plant)
+        return {digest, *self.connection.scalars(query)}
 
     def jobs_reading(self, digests: Sequence[str], purpose: str) -> list[JobRecord]:
         """Every job that read any of these bytes for a purpose, in the order in which they were asked for."""
@@ -266,22 +283,39 @@ class Reader:
         query = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.created_at < before)
         return self._all(DecisionRecord, query.order_by(t.decisions.c.created_at.desc(), t.decisions.c.digest).limit(limit))
 
-    def decisions_on(self, plant: str, candidate: str, episodes: Sequence[str], *, rejecting: bool = False) -> list[DecisionRecord]:
-        """Decisions on a candidate, and those of the plant's whole project on any of these episodes, in the order of their making.
-
-        All of them, or those `rejecting` alone.
-        """
-        which = [t.decisions.c.accepted.is_(False)] if rejecting else []
+    def decisions_on(self, plant: str, candidate: str, episodes: Sequence[str]) -> list[DecisionRecord]:
+        """Decisions on a candidate, and those of the plant's whole project on any of these episodes, in the order of their making."""
         project = self.connection.scalar(select(t.plants.c.project).where(t.plants.c.name == plant))
         near = select(t.plants.c.name).where(t.plants.c.project.is_(None) if project is None else t.plants.c.project == project)
+        return self._decisions([candidate], plant, episodes, t.decisions.c.plant.in_(near))
+
+    def rejections_of(self, plant: str, candidates: Sequence[str], episodes: Sequence[str]) -> list[DecisionRecord]:
+        """Rejections of some candidates, and those of all plants, whichever their project, on any of these episodes, in order."""
+        return self._decisions(candidates, plant, episodes, t.decisions.c.accepted.is_(False))
+
+    def _decisions(self, candidates: Sequence[str], plant: str, episodes: Sequence[str], *which: Any) -> list[DecisionRecord]:
         reads = select(t.job_reads.c.job).where(
             t.job_reads.c.purpose == "gate", t.job_reads.c.digest.in_(bindparam("digests", expanding=True))
         )
-        on_them = select(t.decisions).where(t.decisions.c.job.in_(reads), t.decisions.c.plant.in_(near), *which)
-        own = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.candidate == candidate, *which)
+        on_them = select(t.decisions).where(t.decisions.c.job.in_(reads), *which)
+        own = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.candidate.in_(candidates), *which)
         found = self._all(DecisionRecord, own)
         found += [record_of(DecisionRecord, row._mapping) for row in self._in_parts(on_them, "digests", episodes)]
         return sorted({d.digest: d for d in found}.values(), key=lambda d: (d.created_at, d.digest))
+
+    def not_accepted(self, plant: str, besides: str, most: int) -> list[str]:
+        """Candidates of a plant, except for one, that wait for their verdict or were rejected: so many, those first and then the newest."""
+        of, candidate = t.decisions.c, t.decisions.c.candidate
+        refused = select(candidate).where(of.plant == plant, of.accepted.is_(False)).group_by(candidate)
+        query = select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.kind == "gate", t.jobs.c.state.not_in(FINAL))
+        waiting = [str(job.request["candidate"]) for job in self._all(JobRecord, query.order_by(t.jobs.c.created_at.desc(), t.jobs.c.id))]
+        newest = self.connection.scalars(refused.order_by(func.max(of.created_at).desc(), candidate).limit(most + 1))
+        return [c for c in dict.fromkeys([*waiting, *newest]) if c != besides][:most]
+
+    def is_judging(self, plant: str) -> bool:
+        """Whether a trial of the plant is under way or came to something."""
+        query = select(t.jobs.c.id).where(t.jobs.c.plant == plant, t.jobs.c.kind == "gate", t.jobs.c.state.not_in(NOTHING_CAME))
+        return self.connection.scalar(query.limit(1)) is not None
 
     def decisions_naming(self, plant: str, digest: str) -> list[str]:
         """Decisions that name an artifact as candidate or incumbent."""

@@ -88,7 +88,9 @@ episodes = Table(
     Column("summary", Text, nullable=False),
     Column("created_at", AT, nullable=False),
     Column("created_by", Text, nullable=False),
+    Column("samples_digest", DIGEST, nullable=True),
     Index(None, "plant", "role", "created_at"),
+    Index(None, "samples_digest"),
 )
 
 artifacts = Table(

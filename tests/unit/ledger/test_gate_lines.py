@@ -22,6 +22,7 @@ class Log:
             document = {
                 "gate": GATE, "candidate": CANDIDATE, "accepted": passed, "episodes": ["e" * 64],
                 "verdicts": [{"rule": "rollout_improves", "passed": passed}],
+                "figures": {"candidate": {"rollout": [1.0], "one_step": [1.0]}},
                 "known": {"candidate": [], "episodes": [], "compared": []}, "uses": [1],
             }  # fmt: skip
             self.add("decision:made", digest, {"decision": document, "job": "none"})

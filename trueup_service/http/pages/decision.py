@@ -8,7 +8,7 @@ from typing import Any
 from fastapi import Request, Response
 
 from trueup.canonical import digest_of
-from trueup.gate.line import budget_of, disclosure_of
+from trueup.gate.line import alike, budget_of, disclosure_of, selected
 from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import inclusion, leaf_hash, prove
 from trueup_service.actions import find
@@ -63,7 +63,8 @@ def _known(reader: Reader, gate: GateRecord, made: DecisionRecord) -> dict[str, 
     known = document.get("known") or known_at(reader, made.plant, gate, made.candidate, document["episodes"])
     return {
         "known": known,
-        "disclosure": disclosure_of(made.candidate, known),
+        "disclosure": " ".join([disclosure_of(made.candidate, known), *selected(document)]),
+        "told_badly": bool(known["candidate"] or known["compared"] or alike(document)),
         "place": place(reader, made.plant, gate.digest),
         "budget": budget_of(gate.document),
     }

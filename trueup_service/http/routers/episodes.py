@@ -43,7 +43,7 @@ async def upload(request: Request, parts: With, stamp: By, plant: PlantName, key
 def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
     with parts.database.read() as connection:
         found = Reader(connection).episode(plant, digest)
-    return None if found is None else Inspected(digest, found.role, found.start_ns, found.end_ns, found.summary)
+    return None if found is None else Inspected(digest, found.role, found.start_ns, found.end_ns, found.summary, found.samples_digest)
 
 
 @router.get("", summary="List episodes")

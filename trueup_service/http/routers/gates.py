@@ -12,7 +12,7 @@ from trueup_service.errors import NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Gate, GateInLine, Page, page
+from trueup_service.http.schemas import Gate, GateInLine, LooserThan, Page, page
 from trueup_service.registry.store import Reader
 
 router = guarded("/v1/plants/{plant}", ["gates"])
@@ -78,4 +78,5 @@ def _in_line(found: Place) -> GateInLine:
         in_force=found.in_force,
         follows=None if found.before is None else found.before.digest,
         looser=found.looser,
+        looser_than=[LooserThan.model_validate(less) for less in found.looser_than],
     )
