@@ -5,16 +5,25 @@ from __future__ import annotations
 import os
 import sys
 
-from cyclopts import App
+from cyclopts import App, CycloptsPanel
 
 from trueup import __version__
 from trueup_cli.exits import ASKS, HERE, HOLDS, HOLDS_HERE, INTERRUPTED, MEANING, PIPE_CLOSED, told
+
+
+def _misused(what: str) -> object:
+    """What is wrong with a command line, which may hold the name of somebody else's file."""
+    from trueup_cli.show import visible
+
+    return CycloptsPanel("\n".join(map(visible, what.split("\n"))))
+
 
 app = App(
     name="trueup",
     version=__version__,
     help="Find where a robot's dynamics model is wrong, correct it, and serve the correction only if it has earned it.",
     help_epilogue=told(tuple(MEANING)),
+    error_formatter=lambda error: _misused(str(error)),
 )
 
 _COMMANDS = {

@@ -9,11 +9,13 @@ from __future__ import annotations
 import hashlib
 import uuid
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import orjson
 from sqlalchemy import Table
+from sqlalchemy.exc import IntegrityError
 
 from trueup.canonical import Json
 from trueup.ledger.archive import (
@@ -25,6 +27,7 @@ from trueup.ledger.archive import (
     Archive,
     ArchiveWriter,
     Includes,
+    dangling,
     entry_line,
     lines,
     of_others,
@@ -110,6 +113,9 @@ def require_whole(archive: Archive, includes: Includes, told: Told) -> None:
         missing, others = unproven(archive, includes), of_others(archive)
         if missing:
             raise NotWhole(f"{len(missing)} entries are not proven to be in the log, entry {missing[0]} among them", entries=missing[:10])
+        hanging = dangling(archive)
+        if hanging:
+            raise NotWhole(f"{len(hanging)} rows name what the archive does not hold, {hanging[0]} among them", rows=hanging[:10])
         if others:
             raise NotWhole(f"{len(others)} rows are of another plant, {others[0]} among them", rows=others[:10])
         findings = verify_part(archive, (entry for entry, _ in archive.proven()), told).findings
@@ -151,7 +157,7 @@ def import_plant(parts: Parts, archive: Archive, project: str | None, stamp: Sta
     _take_blobs(parts, archive, told)
     _take(parts.blobs, parts.spool, entries, archive.part(entries))
     note = str(archive.config["checkpoint"])
-    with writing(parts.database) as writer:
+    with _taking_over(plant), writing(parts.database) as writer:
         writer.lock_name(f"plant {plant}")
         if project is not None:
             find.project(writer, project)
@@ -170,10 +176,19 @@ def import_plant(parts: Parts, archive: Archive, project: str | None, stamp: Sta
     return plant
 
 
+@contextmanager
+def _taking_over(plant: str) -> Iterator[None]:
+    """Say it in words where a row of the archive has the key of one that is here, as a job of another plant."""
+    try:
+        yield
+    except IntegrityError as error:
+        raise Conflict(f"a row of plant {plant!r} has the name of another one here", hint="Nothing was taken in.") from error
+
+
 def _note_uses(writer: Writer, table: Table, row: Mapping[str, Any]) -> None:
     """What a gate has judged on elsewhere counts here, too."""
-    if table is t.jobs and row["kind"] == "gate":
-        writer.add_reads(str(row["id"]), orjson.loads(row["request"])["episodes"], "gate")
+    if table is t.jobs and row["kind"] in ("gate", "compare"):
+        writer.add_reads(str(row["id"]), orjson.loads(row["request"])["episodes"], str(row["kind"]))
 
 
 def _take_blobs(parts: Parts, archive: Archive, told: Told) -> None:

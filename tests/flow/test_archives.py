@@ -69,6 +69,8 @@ def site(request, tmp_path_factory):
     candidate, decision = promoted(client, folder)
     client.register_plant(plant_document("other"))
     client.issue_token("secret", ["auditor"])
+    compared = client.wait(client.submit("p", {"kind": "compare", "first": client.version("p", 1)["digest"], "second": candidate})["id"])
+    assert compared["state"] == "succeeded"  # and left files behind
     kill(worker)
     waiting = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
     key = client.audit_key()

@@ -286,7 +286,13 @@ def test_the_command_names_what_it_follows_and_shows_intervals_uses_and_scales(b
     assert done.returncode == 1
     assert "gate-follows" in done.stderr
     done = command(service, "gate", shop.name, shop.b[:12], "--rules", str(rules), "--because", "learned", "--scales")
-    for said in ("accepted", "had failed one_step_no_worse", "Its reason: “learned”", "it drops the rule one_step_no_worse", "used 2 of 20"):
+    for said in (
+        "accepted",
+        "had failed one_step_no_worse",
+        "Its reason: “learned”",
+        "it drops the rule one_step_no_worse",
+        "used 2 of 20",
+    ):
         assert said in done.stdout
     assert "no scale moves the verdict" in done.stdout
     again = command(service, "gate", shop.name, shop.b[:12], "--rules", str(rules))  # in force: it needs no reason again

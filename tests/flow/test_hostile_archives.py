@@ -1,5 +1,6 @@
 """Archives that somebody made to do harm: what a few bytes unfold to, what is nested without end, and keys that nobody vouches for."""
 
+import base64
 import hashlib
 import io
 import json
@@ -16,12 +17,13 @@ from tests.support.made import episode_bytes, plant_document, save
 from tests.support.service import ROOT, Service
 from tests.support.storage import embedded
 from trueup.episode.role import Role
-from trueup.ledger.archive import ARTIFACT, MANIFEST, SIGNATURE, statement_of
+from trueup.ledger.archive import ARTIFACT, ENDORSEMENTS, ENTRIES, MANIFEST, SIGNATURE, ArchiveWriter, dangling, statement_of
 from trueup.ledger.note import Signer
 from trueup_client import Client
 
 LIMIT_BYTES = 2 << 30  # of address space, for a program that holds an archive of a few kilobytes
 UNFOLDED = 7 << 30
+ROOT_OF_NONE = base64.b64encode(bytes(32)).decode()
 FORGER = Signer("forger", b"1" * 32)
 
 
@@ -103,7 +105,92 @@ def cut_short(path):
     path.write_bytes(path.read_bytes()[:4000])
 
 
-@pytest.mark.parametrize("made", [bomb, nested, nested_index, negative, cut_short])
+def extended(path, kind, size):
+    """A header that only says something of the next one, or of all others, in so many bytes."""
+    info = tarfile.TarInfo("././@PaxHeader")
+    info.size, info.type = size, kind
+    path.write_bytes(info.tobuf(tarfile.USTAR_FORMAT) + bytes(2048))
+
+
+def long_extension(path):
+    extended(path, tarfile.XHDTYPE, 3 << 30)
+
+
+def long_name(path):
+    extended(path, tarfile.GNUTYPE_LONGNAME, 3 << 30)
+
+
+def extension_of_all(path):
+    extended(path, tarfile.XGLTYPE, 512)
+
+
+def endless_keys(path):
+    """A seal whose key was handed over so often that checking would take hours."""
+    index = json.loads(index_of("0" * 64, 2))
+    index["manifests"][0]["annotations"][ENDORSEMENTS] = json.dumps([FORGER.note("a\n")] * 3000)
+    tarred(path, {"index.json": json.dumps(index).encode()})
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device"])
+def test_what_is_no_regular_file_in_a_folder_is_not_read(kind, tmp_path):
+    (tmp_path / "archive" / "blobs" / "sha256").mkdir(parents=True)
+    index = tmp_path / "archive" / "index.json"
+    os.mkfifo(index) if kind == "pipe" else index.symlink_to("/dev/zero")
+    done = imported(tmp_path / "archive", embedded(tmp_path / "data"), "--any-key")
+    assert (done.returncode, "bad-archive" in done.stderr) == (1, True), done.stderr[-2000:]
+    done = limited([sys.executable, "-I", str(VERIFIER), str(tmp_path / "archive")])
+    assert (done.returncode, "no regular file" in done.stdout) == (4, True), done.stdout + done.stderr[-2000:]
+
+
+@pytest.mark.parametrize("size", [3 * 10**9, 10**30])
+def test_a_log_that_says_it_is_longer_than_memory_is_refused(size, tmp_path):
+    config = {"plant": None, "key": FORGER.verifier, "endorsements": [], "checkpoint": FORGER.note(f"forger\n{size}\n{ROOT_OF_NONE}\n")}
+    with ArchiveWriter(tmp_path / "long.tar") as archive:
+        archive.add("log/entries.jsonl", ENTRIES, b"")
+        archive.close(config, FORGER.note)
+    done = limited([sys.executable, "-I", str(VERIFIER), str(tmp_path / "long.tar")])
+    assert (done.returncode, f"signed for {size}" in done.stdout) == (4, True), done.stdout + done.stderr[-2000:]
+    data = embedded(tmp_path / "data")
+    restored = limited([sys.executable, "-m", "trueup_cli.main", "restore", str(tmp_path / "long.tar"), "--any-key"], **data.environment)
+    assert (restored.returncode, "not-whole" in restored.stderr) == (1, True), restored.stderr[-2000:]
+
+
+@pytest.mark.parametrize("spoilt", [{"sequence": "1"}, {"rows": []}, {"facts": [1]}, {"at": None}])
+def test_an_entry_of_another_form_is_refused(spoilt, tmp_path):
+    entry = {"sequence": 1, "at": "", "kind": "a:b", "actor": "", "plant": None, "subject": "", "facts": {}, "rows": {}} | spoilt
+    config = {"plant": None, "key": FORGER.verifier, "endorsements": [], "checkpoint": FORGER.note(f"forger\n1\n{ROOT_OF_NONE}\n")}
+    with ArchiveWriter(tmp_path / "odd.tar") as archive:
+        archive.add("log/entries.jsonl", ENTRIES, json.dumps({"entry": entry, "proof": []}).encode())
+        archive.close(config, FORGER.note)
+    done = run(embedded(tmp_path / "data"), "restore", tmp_path / "odd.tar", "--any-key", check=False)
+    assert done.returncode in (1, 4)
+    assert "another form" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert limited([sys.executable, "-I", str(VERIFIER), str(tmp_path / "odd.tar")]).returncode == 4
+
+
+class Rows:
+    """An archive of rows alone."""
+
+    def __init__(self, **rows):
+        self._rows = rows
+
+    def rows(self, table):
+        return self._rows.get(table, [])
+
+
+def test_a_row_that_hangs_on_another_plants_job_is_found():
+    output = {"plant": "q", "job": "of p", "name": "report"}
+    assert dangling(Rows(outputs=[output])) == ["outputs/of p/report"]
+    assert dangling(Rows(outputs=[output], jobs=[{"id": "of p"}])) == []
+    move = {"plant": "q", "generation": 2, "decision": "e"}
+    assert dangling(Rows(decisions=[{"digest": "d", "job": None}], moves=[move])) == ["moves/q/2"]
+
+
+ODD = [bomb, nested, nested_index, negative, cut_short, long_extension, long_name, extension_of_all, endless_keys]
+
+
+@pytest.mark.parametrize("made", ODD)
 def test_what_unfolds_or_is_nested_is_refused_within_little_memory(made, tmp_path):
     made(tmp_path / "archive.tar")
     for key in (["--any-key"], ["--key", FORGER.verifier]):

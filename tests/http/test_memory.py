@@ -16,8 +16,9 @@ from tests.support.made import identified, plant_document
 from tests.support.service import Service
 from trueup.canonical import canonical_bytes
 from trueup_client import Client
-from trueup_service.errors import MemoryFull
-from trueup_service.http.limiting import Limiting
+from trueup_service.errors import MemoryFull, TooLargeUpload
+from trueup_service.http.limiting import FORM_BYTES, Limiting
+from trueup_service.identity import Who
 
 LARGE = 96 << 20
 ROOM = 4 << 20
@@ -75,13 +76,41 @@ def test_arrays_over_the_limit_are_413_before_they_are_sent_and_where_they_were_
             assert "TRUEUP_ARRAYS_LIMIT_BYTES" in document["hint"]
 
 
-def asked(size):
-    """What a server receives of a request: its body at once."""
+def asked(size, token="t", path="/v1/plants"):
+    """What a server receives of a request: its body at once, with a token or without."""
 
     async def receive():
         return {"type": "http.request", "body": bytes(size), "more_body": False}
 
-    return {"type": "http", "path": "/v1/plants"}, receive
+    who = {} if token is None else {"who": Who(token, token, frozenset(), None, None)}
+    return {"type": "http", "path": path, **who}, receive
+
+
+def test_one_token_leaves_room_for_others_and_who_has_none_takes_no_room():
+    go_on = asyncio.Event()
+
+    async def app(scope, receive, send):
+        await receive()
+        if scope["path"] == "/held":
+            await go_on.wait()
+
+    async def all_of_them():
+        limiting = Limiting(app, 4 * ROOM)
+        greedy = [asyncio.create_task(limiting(*asked(4 << 20, "greedy", "/held"), None)) for _ in range(2)]
+        await asyncio.sleep(0)
+        with pytest.raises(MemoryFull, match="with this token"):
+            await limiting(*asked(1 << 20, "greedy"), None)
+        await limiting(*asked(4 << 20, "other"), None)
+        go_on.set()
+        await asyncio.gather(*greedy)
+        await limiting(*asked(1 << 20, "greedy"), None)
+        full = Limiting(app, ROOM)
+        full._room = 0
+        await full(*asked(FORM_BYTES, None, "/v1/session"), None)
+        with pytest.raises(TooLargeUpload):
+            await full(*asked(FORM_BYTES + 1, None, "/v1/session"), None)
+
+    asyncio.run(all_of_them())
 
 
 def test_bodies_have_a_limit_all_together_and_room_comes_back():

@@ -86,6 +86,15 @@ def test_nothing_that_a_terminal_obeys_comes_out_of_a_command(filled, tmp_path, 
     assert done.returncode == COMMANDS[line]
 
 
+@pytest.mark.parametrize(
+    "words", [["upload", "p", "--\x1b]0;x\x07"], ["\u202e"], ["look", "--data", "\x9b2J"], ["gc", "--older", "\x1b[2J"]]
+)
+def test_what_is_misused_is_shown_and_not_obeyed(words):
+    done = run("trueup_cli.main", words, {**os.environ, "NO_COLOR": "1", "COLUMNS": "200"}, ROOT)
+    assert done.returncode != 0
+    assert not OBEYED & set(done.stdout + done.stderr)
+
+
 @pytest.mark.parametrize("service", ["embedded"], indirect=True)
 @pytest.mark.parametrize("line", AS_JSON)
 def test_json_is_ascii_and_holds_what_others_wrote(filled, tmp_path, line):

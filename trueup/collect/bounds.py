@@ -20,6 +20,7 @@ from trueup.model.state import smoothed_states
 Array = NDArray[np.float64]
 SMOOTHED = 0.85  # of a random excitation, from sample to sample: at 0.05 s the chapter's
 DECLARED, RECORDED, GIVEN, BAND, UNBOUNDED = "declared", "recorded", "given", "band", "unbounded"  # where a bound comes from
+LONGEST_S = 3600.0  # of an excitation
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +83,8 @@ class Bounds:
 
         Raises BadPlant, and NotIdentifiable where nothing bounds the travel of a joint.
         """
-        if not 0.0 <= margin < 1.0 or not duration_s > 0.0:
-            raise BadPlant("an excitation needs a margin from 0 to below 1 and a positive duration", field="margin")
+        if not 0.0 <= margin < 1.0 or not 0.0 < duration_s <= LONGEST_S:
+            raise BadPlant("an excitation needs a margin from 0 to below 1 and a duration of an hour at most", field="margin")
         if not all(given is None or given > 0.0 for given in (rate, speed)):
             raise BadPlant("a rate and a speed are positive", field="rate")
         joints = len(plant.joints)
@@ -162,7 +163,12 @@ def _ranges(plant: Plant, been: Recorded, speed: float | None) -> tuple[Array, t
     sources = [RECORDED if found else UNBOUNDED for found in known]
     for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
         if channel.name in plant.envelope:
-            ranges[column], sources[column] = plant.envelope[channel.name], DECLARED
+            declared = np.array(plant.envelope[channel.name])
+            if sources[column] == DECLARED:  # two sensors of one motion: it keeps within both
+                declared = np.array([max(declared[0], ranges[column][0]), min(declared[1], ranges[column][1])])
+            if not declared[0] < declared[1]:
+                raise NotIdentifiable(f"the ranges of {channel.name} and of another channel of the same motion have nothing in common")
+            ranges[column], sources[column] = declared, DECLARED
     if speed is not None:
         for column in range(joints, 2 * joints):
             low, high = ranges[column] if sources[column] == DECLARED else (-np.inf, np.inf)

@@ -24,6 +24,7 @@ from trueup.model.series import Scheme
 
 Array = NDArray[np.float64]
 KINDS = {"<f8": np.float64, "<i8": np.int64}  # of the numbers that fits hold
+LARGEST = 256 << 20  # bytes of what a parcel unfolds to
 FAST = 1  # the level: a parcel is read once
 
 
@@ -162,7 +163,11 @@ class _Unpacking:
     @staticmethod
     def of(text: str) -> tuple[Any, _Unpacking]:
         """What was given, and what it refers to."""
-        line, _, data = zlib.decompress(base64.b64decode(text, validate=True)).partition(b"\n")
+        unfolding = zlib.decompressobj()
+        whole = unfolding.decompress(base64.b64decode(text, validate=True), LARGEST)
+        if not unfolding.eof:
+            raise ValueError(f"a parcel unfolds to more than {LARGEST} bytes, or is cut off")
+        line, _, data = whole.partition(b"\n")
         found = orjson.loads(line)
         counts = [int(np.prod(shape)) for _, shape in found["arrays"]]
         begins = [8 * sum(counts[:i]) for i in range(len(counts))]

@@ -163,9 +163,9 @@ def selected(document: Mapping[str, Any]) -> list[str]:
 
 def alike(document: Mapping[str, Any]) -> list[str]:
     """Candidates that had been judged before and were not accepted, and whose errors on a decision's episodes are its candidate's."""
-    figures, count = document["figures"], len(document["episodes"])
-    own = _by_episode(figures["candidate"], range(count))
-    return [name for name, beside in figures.get("beside", {}).items() if _all_near(own, _by_episode(beside, range(count)))]
+    figures, numbers = document.get("figures", {}), range(len(document["episodes"]))
+    others = {name: _by_episode(beside, numbers) for name, beside in figures.get("beside", {}).items()}
+    return [name for name, errors in others.items() if _all_near(_by_episode(figures["candidate"], numbers), errors)]
 
 
 def disclosure_of(candidate: str, known: Mapping[str, Any]) -> str:

@@ -31,6 +31,7 @@ from typing import Any, BinaryIO
 
 from trueup.canonical import Json, canonical_bytes, digest_of_bytes, is_digest
 from trueup.errors import TrueupError
+from trueup.files import regular
 from trueup.ledger.audit import AuditEntry, entry_bytes
 from trueup.ledger.merkle import leaf_hash
 from trueup.ledger.note import head_of
@@ -47,6 +48,16 @@ PART_BYTES = 1 << 20
 DOCUMENT_BYTES = 1 << 20
 LARGEST_MANIFEST = 4 << 30  # some 300 bytes for each episode
 LARGEST_UNSIGNED = 16 << 20  # of a manifest whose signature nobody could check before it was read
+LARGEST_EXTENSION = 8 << 10  # of a tar file's header that only names the next one, or tells its size
+HEADER_BYTES = 512
+MOST_KEYS, LONGEST_NOTE = 100, 4096  # how often a log's key may have been handed over, and the characters of the note that says so
+HELD = ("episodes/", "arrays/", "imported/", "outputs/")  # titles of what rows name
+NAMING = (  # columns of tables that name a row of another one
+    ("outputs", "job", "jobs"),
+    ("decisions", "job", "jobs"),
+    ("approvals", "decision", "decisions"),
+    ("moves", "decision", "decisions"),
+)
 LARGEST_LINE = 64 << 20  # of a row: a manifest or a document of 4 MiB, however it is escaped
 
 
@@ -216,6 +227,8 @@ class Archive:
     def __init__(self, path: Path, signed: Callable[[Seal], bool] = lambda _seal: False) -> None:
         self._path = path
         try:
+            if path.is_file():
+                require_plain_tar(path)
             self._tar = tarfile.open(path, "r:") if path.is_file() else None  # noqa: SIM115
             self._members = _members(self._tar, path.stat().st_size) if self._tar else {}
         except (OSError, tarfile.TarError) as error:
@@ -226,6 +239,8 @@ class Archive:
             self.digest = str(described["digest"]).removeprefix("sha256:")
             self.signature = str(described["annotations"][SIGNATURE])
             endorsed = self._document(str(described["annotations"].get(ENDORSEMENTS, "[]")).encode())
+            if len(endorsed) > MOST_KEYS or any(len(str(note)) > LONGEST_NOTE for note in endorsed):
+                raise BadArchive(f"it says that its key was handed over {len(endorsed)} times, or in a note beyond reason")
             known = signed(Seal(self.digest, self.signature, tuple(map(str, endorsed))))
             size = int(described["size"])
             if not 0 <= size <= (LARGEST_MANIFEST if known else LARGEST_UNSIGNED):
@@ -237,7 +252,7 @@ class Archive:
                 raise BadArchive(f"the archive is a {self.config['schema']}")
             self.plant: str | None = self.config["plant"]
             self.endorsements: list[str] = [str(note) for note in self.config.get("endorsements", ())]
-            self._held = {digest for title, digest in self._layers.items() if title.startswith(("episodes/", "arrays/", "imported/"))}
+            self._held = {digest for title, digest in self._layers.items() if title.startswith(HELD)}
         except (StopIteration, KeyError, TypeError, AttributeError, ValueError) as error:
             raise BadArchive(f"{path} does not describe itself as an archive") from error
 
@@ -260,7 +275,10 @@ class Archive:
         """Entries in order, each with its proof, which is empty where all entries are there."""
         for line in self._lines("log/entries.jsonl"):
             try:
-                yield AuditEntry(**line["entry"]), [base64.b64decode(h) for h in line["proof"]]
+                entry = AuditEntry(**line["entry"])
+                if not _is_entry(entry):
+                    raise BadArchive(f"an entry of the log has another form: {str(entry.sequence)[:20]}")
+                yield entry, [base64.b64decode(h) for h in line["proof"]]
             except (KeyError, TypeError, ValueError) as error:
                 raise BadArchive("an entry of the log has another form") from error
 
@@ -273,7 +291,10 @@ class Archive:
 
     def rows(self, table: str) -> Iterator[Mapping[str, Json]]:
         """Rows as they were stored."""
-        return self.documents(f"rows/{table}.jsonl")
+        for row in self.documents(f"rows/{table}.jsonl"):
+            if not isinstance(row, dict) or any(isinstance(value, dict | list) for value in row.values()):
+                raise BadArchive(f"a row of {table} has another form")
+            yield row
 
     def blob(self, digest: str) -> Iterator[bytes]:
         """An episode's or an artifact's bytes in parts."""
@@ -336,12 +357,46 @@ class Archive:
     def _member(self, name: str) -> BinaryIO:
         try:
             if self._tar is None:
-                return (self._path / name).open("rb")
+                return regular(self._path / name)
             found: Any = self._tar.extractfile(self._members[name])
         except (OSError, KeyError, tarfile.TarError) as error:
             raise BadArchive(f"the archive has no {name}") from error
         opened: BinaryIO = found
         return opened
+
+
+def _is_entry(entry: AuditEntry) -> bool:
+    texts = entry.at, entry.kind, entry.actor, entry.subject
+    return (
+        type(entry.sequence) is int
+        and all(isinstance(text, str) for text in texts)
+        and isinstance(entry.plant, str | None)
+        and isinstance(entry.facts, dict)
+        and isinstance(entry.rows, dict)
+        and all(isinstance(digest, str) for digest in entry.rows.values())
+    )
+
+
+def require_plain_tar(path: Path) -> None:
+    """Walk the headers of a tar file before anything makes members of them. Raises BadArchive for one that a reader would choke on: a long
+    extension, one for all members, or a size beyond the file.
+    """
+    whole = path.stat().st_size
+    with path.open("rb") as file:
+        at = 0
+        while at + HEADER_BYTES <= whole:
+            file.seek(at)
+            header = file.read(HEADER_BYTES)
+            if not any(header):
+                return
+            try:
+                size, kind = tarfile.nti(header[124:136]), header[156:157]  # type: ignore[attr-defined]
+            except tarfile.HeaderError as error:
+                raise BadArchive("a header of the tar file cannot be read") from error
+            extends = kind in (b"x", b"g", b"L", b"K", b"X")
+            if not 0 <= size <= (LARGEST_EXTENSION if extends else whole) or kind == b"g":
+                raise BadArchive(f"a header of the tar file says {size} bytes, or speaks for all others")
+            at += HEADER_BYTES * (1 - (-size // HEADER_BYTES))
 
 
 def _members(tar: tarfile.TarFile, size: int) -> dict[str, tarfile.TarInfo]:
@@ -388,4 +443,15 @@ def of_others(archive: Archive) -> list[str]:
         for table in KEYS
         for row in archive.rows(table)
         if row["name" if table == "plants" else "plant"] != archive.plant
+    ]
+
+
+def dangling(archive: Archive) -> list[str]:
+    """Rows that name a job or a decision which is not in the archive: whoever takes them in would hang them on another plant's."""
+    there = {table: {row[key] for row in archive.rows(table)} for table, key in (("jobs", "id"), ("decisions", "digest"))}
+    return [
+        row_name(table, row)
+        for table, column, of in NAMING
+        for row in archive.rows(table)
+        if row.get(column) is not None and row[column] not in there[of]
     ]

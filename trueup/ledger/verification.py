@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -196,7 +197,9 @@ def _read(registry: Registry, table: str) -> tuple[list[Mapping[str, Any]], list
 def _differing(log: _Log, table: str, rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
     """Hold a table's rows against the log."""
     there = {row_name(table, row): row for row in rows}
-    wrong = [Finding(name, what) for name, row in there.items() if (what := _differs(log, table, name, row))]
+    often = Counter(row_name(table, row) for row in rows)
+    wrong = [Finding(name, "it is there more than once") for name, count in often.items() if count > 1]
+    wrong += [Finding(name, what) for name, row in there.items() if (what := _differs(log, table, name, row))]
     wrong += [Finding(name, "the log names it, and it is not there") for name in log.named if _of(name) == table and name not in there]
     return wrong
 

@@ -56,6 +56,17 @@ class Plant:
         root.no_more("name", "nominal", "commands", "observations", "envelope", "evaluation", "topics")
         return Plant(root.name("name"), dynamics, joints, parameters, timestep, layout, bounds, horizon, root.value)
 
+    def require_envelope(self) -> None:
+        """Raises BadPlant where the envelope names what is no observed channel: it would bound nothing, in silence."""
+        names = [channel.name for channel in self.layout.observations]
+        unknown = [name for name in self.envelope if name not in names]
+        if unknown:
+            raise BadPlant(
+                f"the envelope names {unknown[0]!r}, which is no observation",
+                field=f"envelope.{unknown[0]}",
+                hint=f"Observations are {', '.join(names)}.",
+            )
+
     @cached_property
     def digest(self) -> str:
         """SHA-256 of the canonical document."""

@@ -21,7 +21,9 @@ def register_plant(writer: Writer, document: object, stamp: Stamp, project: str 
     known = writer.plant(plant.name)
     if known is not None and project is not None and known.project != project:
         raise Conflict(f"the name {plant.name!r} is taken", hint="Choose another name.")
-    if known is not None:
+    if known is None:
+        plant.require_envelope()
+    else:
         if known.digest != plant.digest:
             raise Conflict(f"plant {plant.name!r} is registered with another description", registered=known.digest, sent=plant.digest)
         return known, False

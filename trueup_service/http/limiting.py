@@ -1,14 +1,21 @@
-"""Bodies that are held in memory have a limit, each and all together; uploads, which stream to disk, have one of their own."""
+"""Bodies that are held in memory have a limit, each and all together; uploads, which stream to disk, have one of their own.
+
+Whoever shows no token may send a form to sign in, and takes no room from others; nobody with one may take more than a share of it.
+"""
 
 from __future__ import annotations
 
 import gc
 import re
+from collections import Counter
 
 from trueup_service.errors import MemoryFull, TooLargeUpload
 from trueup_service.http.observing import App, Message, Receive, Scope, Send
+from trueup_service.identity import Who
 
 LIMIT_BYTES = 4 << 20
+FORM_BYTES = 16 << 10  # of a body that needs no token
+SHARE = 0.5  # of the room: for the bodies of one token
 UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+)")
 
 
@@ -18,33 +25,50 @@ class Limiting:
     def __init__(self, app: App, room_bytes: int) -> None:
         self._app, self._room = app, room_bytes
         self._passed, self._limit = 0, room_bytes
+        self._held = Counter[str]()  # bytes of each token's bodies
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http" or UPLOADS.fullmatch(scope["path"]):
             await self._app(scope, receive, send)
             return
-        read = 0
+        read, taken, whose = 0, 0, ""
 
         async def counted() -> Message:
-            nonlocal read
+            nonlocal read, taken, whose
             message = await receive()
-            came = len(message.get("body", b""))
-            read += came
-            self._room -= came
-            if read > LIMIT_BYTES:
-                told = f"the body has more than {LIMIT_BYTES} bytes"
+            read += len(message.get("body", b""))
+            who: Who | None = scope.get("who")
+            limit = FORM_BYTES if who is None else LIMIT_BYTES
+            if read > limit:
+                told = f"the body has more than {limit} bytes"
                 raise TooLargeUpload(
-                    told, hint="Send less at once; long recordings and arrays have routes of their own.", limit_bytes=LIMIT_BYTES
+                    told, hint="Send less at once; long recordings and arrays have routes of their own.", limit_bytes=limit
                 )
-            if self._room < 0:
-                raise MemoryFull("other requests leave no room for this one's body")
+            if who is not None:
+                whose, more = who.token, read - taken
+                taken = read
+                self._take(whose, more)
             return message
 
         try:
             await self._app(scope, counted, send)
         finally:
-            self._room += read
+            self._give_back(whose, taken)
             self._passed += read
             if self._passed > self._limit:  # a refused body hangs on its error, in a circle that the collector is slow to see
                 self._passed = 0
                 gc.collect()
+
+    def _take(self, token: str, size: int) -> None:
+        self._room -= size
+        self._held[token] += size
+        if self._room < 0:
+            raise MemoryFull("other requests leave no room for this one's body")
+        if self._held[token] > max(SHARE * self._limit, LIMIT_BYTES):
+            raise MemoryFull("other requests with this token leave no room for this one's body")
+
+    def _give_back(self, token: str, size: int) -> None:
+        self._room += size
+        self._held[token] -= size
+        if not self._held[token]:
+            del self._held[token]

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 from trueup.canonical import is_digest
 from trueup.errors import TrueupError
+from trueup.files import regular
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
@@ -147,7 +148,8 @@ class FolderBlobs(Blobs):
 
     def get(self, digest: str) -> bytes:
         try:
-            return self._path(digest).read_bytes()
+            with regular(self._path(digest)) as file:
+                return file.read()
         except FileNotFoundError as error:
             raise BlobMissing(digest=digest) from error
 
@@ -160,6 +162,8 @@ class FolderBlobs(Blobs):
     @contextmanager
     def at_hand(self, digest: str, spool: Path) -> Iterator[Path]:
         path = spool / uuid.uuid4().hex
+        if not self.holds(digest):
+            raise BlobMissing(digest=digest)
         try:
             os.link(self._path(digest), path)
         except FileNotFoundError as error:
@@ -171,7 +175,7 @@ class FolderBlobs(Blobs):
 
     def stream(self, digest: str) -> Iterator[bytes]:
         try:
-            file = self._path(digest).open("rb")
+            file = regular(self._path(digest))
         except FileNotFoundError as error:
             raise BlobMissing(digest=digest) from error
         with file:

@@ -5,12 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from sqlalchemy import insert, inspect, text
+from sqlalchemy.exc import SQLAlchemyError
 
+from trueup_service.errors import NotWhole
 from trueup_service.registry import tables as t
 from trueup_service.registry.database import Database
 
 HEAD = "0008"
 MIGRATIONS = Path(__file__).parent.parent / "migrations"
+SQLITE_TRIGGERS = "SELECT name, tbl_name FROM sqlite_master WHERE type = 'trigger'"
+POSTGRES_TRIGGERS = "SELECT tgname, relname FROM pg_trigger JOIN pg_class ON pg_class.oid = tgrelid WHERE NOT tgisinternal"
 ADVISORY_LOCK = 0x7472756575  # "trueu": one migration at a time among many servers
 
 
@@ -27,7 +31,10 @@ def migrate(database: Database) -> None:
         if not database.is_sqlite:
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": ADVISORY_LOCK})
         config.attributes["connection"] = connection
-        command.upgrade(config, "head")
+        try:
+            command.upgrade(config, "head")
+        except SQLAlchemyError as error:
+            raise NotWhole("the database does not have the schema that it says it has", says=current(database)) from error
 
 
 def _made(database: Database) -> bool:
@@ -42,6 +49,23 @@ def _made(database: Database) -> bool:
         connection.execute(text("CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY)"))
         connection.execute(text("INSERT INTO alembic_version VALUES (:head)"), {"head": HEAD})
     return True
+
+
+def differences(database: Database) -> list[tuple[str, str]]:
+    """How the tables differ from those that were made here, each with what is wrong: a key that is gone lets two rows be one, and a trigger
+    writes what nobody asked for.
+    """
+    wrong = []
+    with database.read() as connection:
+        seen = inspect(connection)
+        for table in t.metadata.sorted_tables:
+            key = [column.name for column in table.primary_key.columns]
+            if not seen.has_table(table.name) or set(seen.get_pk_constraint(table.name)["constrained_columns"]) != set(key):
+                wrong.append((table.name, f"it is no table with the key {', '.join(key)}"))
+        for name, table_name in connection.execute(text(SQLITE_TRIGGERS if database.is_sqlite else POSTGRES_TRIGGERS)):
+            if table_name in t.metadata.tables:
+                wrong.append((str(table_name), f"it has a trigger, {name}"))
+    return wrong
 
 
 def current(database: Database) -> str | None:

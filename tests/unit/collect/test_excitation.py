@@ -17,7 +17,7 @@ from trueup.diagnose.diagnosis import diagnose
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
-from trueup.errors import NotAnEpisode, NotIdentifiable
+from trueup.errors import BadPlant, NotAnEpisode, NotIdentifiable
 from trueup.model.plant import Plant
 from trueup_cli.excite import excite
 
@@ -73,6 +73,28 @@ def test_a_slower_drive_and_a_narrower_envelope_are_kept():
     made = designed(narrow, rate=2.0, duration_s=6.0)
     assert np.abs(made.paths[:, :, 0]).max() <= 0.18 + 1e-12
     assert np.abs(np.diff(made.command[:, 0])).max() <= 0.1 + 1e-12
+
+
+def test_two_sensors_of_one_motion_are_kept_within_both_their_ranges():
+    channels = [{"name": name, "unit": "rad", "field": "position"} for name in ("q_motor", "q_link")]
+    envelope = {"q_motor": [-0.2, 0.9], "q_link": [-0.9, 0.3]}
+    plant = Plant.from_document({**DOCUMENT, "observations": channels, "envelope": envelope})
+    assert Bounds.of(plant, 6.0, margin=0.0).envelope[0] == pytest.approx([-0.2, 0.3])
+    apart = Plant.from_document({**plant.document, "envelope": {"q_motor": [-0.9, -0.5], "q_link": [0.5, 0.9]}})
+    with pytest.raises(NotIdentifiable, match="nothing in common"):
+        Bounds.of(apart, 6.0)
+
+
+def test_an_envelope_of_no_channel_is_told_and_not_passed_over(tmp_path):
+    (tmp_path / "plant.json").write_text(json.dumps({**DOCUMENT, "envelope": {"Q": [-0.1, 0.1]}}))
+    with pytest.raises(BadPlant, match="'Q', which is no observation"):
+        excite(tmp_path, out=tmp_path / "out")
+
+
+@pytest.mark.parametrize("duration_s", [0.0, float("inf"), float("nan")])
+def test_a_duration_without_end_is_refused(duration_s):
+    with pytest.raises(BadPlant, match="duration"):
+        Bounds.of(PLANT, duration_s)
 
 
 FREE = Plant.from_document({k: v for k, v in DOCUMENT.items() if k != "envelope"})

@@ -82,6 +82,13 @@ def test_a_candidate_is_worth_the_same_on_the_other_side(posed):
     assert (again.misfit, again.fit.by_episode, again.fit.parameters()) == (base.misfit, base.fit.by_episode, base.fit.parameters())
 
 
+@pytest.mark.parametrize("unpack", [unpack_tasks, unpack_answers])
+def test_a_parcel_unfolds_to_so_much_and_no_more(unpack, monkeypatch):
+    monkeypatch.setattr("trueup.diagnose.parcel.LARGEST", 1 << 16)
+    with pytest.raises(ValueError, match="unfolds to more than 65536 bytes"):
+        unpack(base64.b64encode(zlib.compress(bytes(1 << 20))).decode())
+
+
 @pytest.mark.parametrize(
     "text", ["", "no base64!", base64.b64encode(b"not compressed").decode(), base64.b64encode(zlib.compress(b"{")).decode()]
 )

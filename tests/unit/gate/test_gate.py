@@ -85,6 +85,28 @@ def test_a_gate_that_cannot_judge_is_refused(document):
         Gate.from_document(document)
 
 
+@pytest.mark.parametrize(
+    "field",
+    [
+        {"held_out_uses": True},
+        {"held_out_uses": 2.9},
+        {"conditions": "payload"},
+        {"because": ["a"], "vacuous": True},
+        {"vacuous": "true", "because": "a"},
+        {"follows": 7, "because": "a"},
+        {"scoring": {"horizon_s": True, "windows": "first"}},
+        {"scoring": {"horizon_s": 1.0, "windows": "first", "step": 2}},
+        {"rules": [{"rule": "one_step_no_worse", "slack": True}]},
+        {"rules": [{"rule": "one_step_no_worse", "slack": "2"}]},
+    ],
+)
+def test_a_gate_is_read_as_it_was_sent_and_nothing_is_made_of_another_kind(field):
+    document = {"schema": "trueup.gate/1", "rules": [{"rule": "rollout_improves"}], "scoring": {"horizon_s": 1.0, "windows": "first"}}
+    Gate.from_document(document)
+    with pytest.raises(BadGate):
+        Gate.from_document({**document, **field})
+
+
 def test_a_trial_without_episodes_is_an_error():
     with pytest.raises(BadGate):
         Trial(Score(np.array([]), np.array([])), Score(np.array([]), np.array([])), ())
