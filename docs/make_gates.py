@@ -54,7 +54,7 @@ plant's own horizon.
 - *Promote a candidate that was rejected before.* Refused (`rejected-before`), unless every episode of the accepted decision came in after
   its gate was declared and after the rejection, with samples of its own; or somebody else has approved it with a reason (`trueup approve
   PLANT DECISION --because REASON`). A policy with `"on_rejected": "forbid"` takes fresh episodes alone.
-- *Pack the same model anew, or nudge its numbers.* The newest eight candidates of the plant that were rejected, or still wait, are scored
+- *Pack the same model anew, or nudge its numbers.* The newest twenty candidates of the plant that were rejected, or still wait, are scored
   beside each new one, on its episodes and over its horizon. One whose errors differ by less than 1 % in every episode is the same model:
   the decision says so, and what holds for the one that was rejected holds for it.
 - *Register the plant anew, in another project, too.* On the same episodes a model is known by the errors that it makes: the same holds.

@@ -326,7 +326,7 @@ def test_what_a_gate_was_chosen_among_is_told(bench):
     shop.judge(shop.strict, far, others[:1])
     made = shop.judge(shop.strict, shop.b, others[:1])
     assert made["document"]["selection"] == {"held_out": 3, "accepted": 0, "rejected": 1, "comparisons": 1}
-    assert "other candidates had been judged on these episodes: 0 times accepted, 1 times rejected." in made["disclosure"]
+    assert "other candidates had been judged on these episodes: accepted never, rejected once." in made["disclosure"]
     assert "Errors on these episodes had been shown by 1 comparison of versions." in made["disclosure"]
 
 

@@ -24,8 +24,8 @@ SHORT = 12  # digits of a digest in a sentence
 LONGEST_NAME = 63  # characters of a plant's name
 TWICE = 2
 NAMED = 2  # digests that a sentence names, before it counts
-SAME = 0.01  # relative: whose errors are this near in every episode is the same model to a gate, which asks for twice that at least
-BESIDE = 8  # candidates not accepted that are scored beside a new one, the newest
+SAME = 0.01  # relative: who errs so nearly alike in every episode is the same model; the default gate asks for twice that
+BESIDE = 20  # candidates not accepted that are scored beside a new one, the newest; the log's verifier holds decisions to it
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,18 +147,25 @@ def selected(document: Mapping[str, Any]) -> list[str]:
             said.append(f"It was judged on {count} of the plant's {told['held_out']} held-out episodes.")
         others = told["accepted"] + told["rejected"]
         if others:
-            outcome = f"{told['accepted']} times accepted, {told['rejected']} times rejected"
+            outcome = _outcomes(told["accepted"], told["rejected"])
             said.append(f"Since the gate was declared, other candidates had been judged on these episodes: {outcome}.")
         if told["comparisons"]:
             times = f"{told['comparisons']} comparison{'s' * (told['comparisons'] != 1)}"
             said.append(f"Errors on these episodes had been shown by {times} of versions.")
     most = max(document.get("uses", ()), default=1)
     if most > 1:
-        often = "once" if most == TWICE else f"up to {most - 1} times"
-        said.append(f"Over all plants, its held-out episodes had been used {often} before.")
+        said.append(f"Over all plants, its held-out episodes had been used {'' if most == TWICE else 'up to '}{_often(most - 1)} before.")
     if any(control["accepted"] for control in document["figures"].get("controls", {}).values()):
         said.append("The gate accepts the incumbent itself, its copy or noise: it was declared as one that may.")
     return said
+
+
+def _outcomes(accepted: int, rejected: int) -> str:
+    return f"accepted {_often(accepted)}, rejected {_often(rejected)}"
+
+
+def _often(count: int) -> str:
+    return ("never", "once", "twice")[count] if count <= TWICE else f"{count} times"
 
 
 def alike(document: Mapping[str, Any]) -> list[str]:
@@ -179,11 +186,8 @@ def disclosure_of(candidate: str, known: Mapping[str, Any]) -> str:
     rejected, accepted = (sum(on[outcome] for on in known["episodes"]) for outcome in ("rejected", "accepted"))
     if rejected or accepted:
         number = len({on["episode"] for on in known["episodes"]})
-        which = f"{number} of its held-out episodes {'has' if number == 1 else 'have'}"
-        return (
-            f"This gate was declared before candidate {candidate[:SHORT]} was judged; {which} judged others before it: "
-            f"{accepted} times accepted, {rejected} times rejected{_elsewhere(known)}."
-        )
+        others = f"others had been judged on {number} of its held-out episodes: {_outcomes(accepted, rejected)}{_elsewhere(known)}"
+        return f"This gate was declared before candidate {candidate[:SHORT]} was judged; by then {others}."
     return "When this gate was declared, no gate had judged anything on its held-out episodes."
 
 

@@ -182,8 +182,8 @@ def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) ->
 
 def _not_fitted(writer: Writer, plant: str, episodes: list[EpisodeRecord], *, named: bool) -> list[EpisodeRecord]:
     """Those whose samples are not in as an adaptation episode, too: a fit may have seen them. Raises RoleRefused for one that was named."""
-    adaptation = {e.samples_digest for e in writer.episodes_of_role(plant, (Role.ADAPTATION,))} - {None}
-    seen = [e for e in episodes if e.samples_digest in adaptation]
+    fitted = writer.samples_of_role(plant, Role.ADAPTATION)
+    seen = [e for e in episodes if e.samples_digest in fitted]
     if seen and named:
         raise RoleRefused(
             f"episode {seen[0].digest[:12]} holds the samples of an adaptation episode, from which models are fitted",

@@ -168,6 +168,12 @@ class Reader:
         query = query if since_ns is None else query.where(t.episodes.c.start_ns >= since_ns)
         return self._all(EpisodeRecord, query.order_by(t.episodes.c.start_ns, t.episodes.c.digest))
 
+    def samples_of_role(self, plant: str, role: str) -> set[str]:
+        """The digests of the samples of every episode of a role that tells them."""
+        of = t.episodes.c
+        held = select(of.samples_digest).where(of.plant == plant, of.role == role, of.samples_digest.is_not(None))
+        return set(self.connection.scalars(held))
+
     def artifact(self, plant: str, digest: str) -> ArtifactRecord | None:
         return self._one(ArtifactRecord, _ARTIFACT, plant=plant, digest=digest)
 
