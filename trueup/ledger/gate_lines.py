@@ -45,11 +45,19 @@ class _Comparison:
 
 @dataclass(frozen=True, slots=True)
 class _Expected:
-    """What a gate job must have been told when it was asked for; of comparisons, which end when they end, at most so many."""
+    """What a gate job must have been told when it was asked for; of comparisons, which end when they end, at most so many.
+
+    Candidates that were `rejected` must be scored beside its own, and those that `wait`, whose jobs end when they end, may be.
+    """
 
     uses: list[int]
     selection: dict[str, Any]
-    beside: frozenset[str]
+    rejected: frozenset[str]
+    wait: frozenset[str]
+
+    def allows(self, beside: frozenset[str]) -> bool:
+        """Whether these candidates may have been scored beside the job's own, and no others had to be."""
+        return beside <= self.rejected | self.wait and (len(beside) == BESIDE or self.rejected <= beside)
 
 
 @dataclass
@@ -72,6 +80,7 @@ class GateLines:
     _rejected: dict[str, Mapping[str, Any]] = field(default_factory=dict)  # documents of decisions
     _accepted: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     _used: dict[str, int] = field(default_factory=dict)
+    _tried: dict[str, set[str]] = field(default_factory=dict)  # candidates of each plant's gate jobs
     _expected: dict[str, _Expected] = field(default_factory=dict)  # by job
     _comparisons: list[_Comparison] = field(default_factory=list)
     _approved: dict[str, list[AuditEntry]] = field(default_factory=dict)  # with a reason
@@ -134,7 +143,12 @@ class GateLines:
         if facts["kind"] == "gate":
             episodes = list(request["episodes"])
             uses = [1 + sum(self._used.get(twin, 0) for twin in self._twins(e)) for e in episodes]
-            self._expected[entry.subject] = _Expected(uses, self._selection(plant, request), self._not_accepted(plant, request))
+            own = {request["candidate"]}
+            refused = {self._past[d][1].candidate for d in self._by_plant.get(plant, ()) if d in self._rejected}
+            tried = self._tried.setdefault(plant, set())
+            selected_of = self._selection(plant, request)
+            self._expected[entry.subject] = _Expected(uses, selected_of, frozenset(refused - own), frozenset(tried - own))
+            tried |= own
             for episode in episodes:
                 self._used[episode] = self._used.get(episode, 0) + 1
             self._asked[entry.subject] = plant, request
@@ -151,12 +165,6 @@ class GateLines:
         others = [p.accepted for at, p in on_them if at > since and p.plant == plant and p.candidate != request["candidate"]]
         compared = {job for e in request["episodes"] for job in self._compared.get(f"{plant}/{e}", ())}
         return selection(self._held_out.get(plant, 0), others.count(True), others.count(False), len(compared))
-
-    def _not_accepted(self, plant: str, request: Mapping[str, Any]) -> frozenset[str]:
-        """Candidates of a plant, except for a request's, that were rejected or wait for their verdict."""
-        waiting = {asked["candidate"] for of, asked in self._asked.values() if of == plant and "gate" in asked}
-        refused = {self._past[d][1].candidate for d in self._by_plant.get(plant, ()) if d in self._rejected}
-        return frozenset(waiting | refused) - {request["candidate"]}
 
     def _finished(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
         if entry.subject not in self._asked:
@@ -216,8 +224,7 @@ class GateLines:
             told = document["selection"]
             if {**told, "comparisons": 0} != {**asked.selection, "comparisons": 0} or told["comparisons"] > asked.selection["comparisons"]:
                 found.append(f"decision {entry.subject[:12]} does not tell of what its candidate and its episodes were selected")
-            beside = frozenset(document["figures"].get("beside", ()))
-            if not beside <= asked.beside or len(beside) != min(BESIDE, len(asked.beside)):
+            if not asked.allows(frozenset(document["figures"].get("beside", ()))):
                 found.append(f"decision {entry.subject[:12]} does not show the candidates before it that were not accepted")
         return found
 

@@ -15,7 +15,7 @@ class Log:
     def __init__(self) -> None:
         self.lines, self.size = GateLines(), 0
         self.add("plant:registered", PLANT, {"project": None})
-        self.add("episode:ingested", "e" * 64, {})
+        self.add("episode:ingested", "e" * 64, {"role": "validation"})
         rules = {"rules": [], "scoring": {"horizon_s": 0.5, "windows": "every"}}
         self.add("gate:declared", GATE, {"gate": rules})
         for digest, passed in ((REJECTED, False), (ACCEPTED, True)):
@@ -75,3 +75,41 @@ def test_the_approval_of_a_revoked_token_does_not_count(log):
 def test_a_promotion_that_names_no_token_is_held_by_the_name_of_its_actor(log):
     log.approve("Ana  for Ben", "2")
     assert log.promote("ana")
+
+
+OTHER = "f" * 64
+
+
+def judged(log, candidate, *, accepted=True, beside=(), **told):
+    """A trial of a candidate on the log's only episode, asked for and decided; what is found in its decision."""
+    figures = {"rollout": [1.0], "one_step": [1.0]}
+    log.add("job:submitted", "job", {"kind": "gate", "request": {"gate": GATE, "candidate": candidate, "episodes": ["e" * 64]}})
+    document = {
+        "gate": GATE, "candidate": candidate, "accepted": accepted, "episodes": ["e" * 64],
+        "verdicts": [{"rule": "rollout_improves", "passed": accepted}],
+        "known": {"candidate": [], "episodes": [], "compared": []}, "uses": [1],
+        "figures": {"candidate": figures, "beside": dict.fromkeys(beside, figures)},
+        "selection": {"held_out": 1, "accepted": 1, "rejected": 1, "comparisons": 0, **told},
+    }  # fmt: skip
+    return [f.what for f in log.add("decision:made", "9" * 64, {"decision": document, "job": "job"})]
+
+
+def test_a_decision_that_tells_all_is_as_the_log_says(log):
+    assert judged(log, OTHER, beside=[CANDIDATE]) == []
+    assert "Its errors are within 1 % of those of candidate bbbb" in log.lines.notes[-1]
+
+
+@pytest.mark.parametrize("told", [{"held_out": 2}, {"rejected": 0}, {"accepted": 0}, {"comparisons": 1}])
+def test_a_decision_that_tells_another_selection_is_found(log, told):
+    assert "of what its candidate and its episodes were selected" in judged(log, OTHER, beside=[CANDIDATE], **told)[0]
+
+
+@pytest.mark.parametrize("beside", [(), (CANDIDATE, "0" * 64)])
+def test_a_decision_that_hides_who_was_rejected_before_or_makes_somebody_up_is_found(log, beside):
+    assert "the candidates before it that were not accepted" in judged(log, OTHER, beside=beside)[0]
+
+
+def test_what_errs_as_a_rejected_candidate_does_is_held_to_its_rejection(log):
+    judged(log, OTHER, beside=[CANDIDATE])
+    found = log.add("pointer:moved", OTHER, {"move": "promoted", "decision": "9" * 64, "token": "1"})
+    assert "with nobody else's approval" in found[0].what
