@@ -80,13 +80,13 @@ def test_a_promotion_that_names_no_token_is_held_by_the_name_of_its_actor(log):
 OTHER = "f" * 64
 
 
-def judged(log, candidate, *, accepted=True, beside=(), **told):
+def judged(log, candidate, *, beside=(), **told):
     """A trial of a candidate on the log's only episode, asked for and decided; what is found in its decision."""
     figures = {"rollout": [1.0], "one_step": [1.0]}
     log.add("job:submitted", "job", {"kind": "gate", "request": {"gate": GATE, "candidate": candidate, "episodes": ["e" * 64]}})
     document = {
-        "gate": GATE, "candidate": candidate, "accepted": accepted, "episodes": ["e" * 64],
-        "verdicts": [{"rule": "rollout_improves", "passed": accepted}],
+        "gate": GATE, "candidate": candidate, "accepted": True, "episodes": ["e" * 64],
+        "verdicts": [{"rule": "rollout_improves", "passed": True}],
         "known": {"candidate": [], "episodes": [], "compared": []}, "uses": [1],
         "figures": {"candidate": figures, "beside": dict.fromkeys(beside, figures)},
         "selection": {"held_out": 1, "accepted": 1, "rejected": 1, "comparisons": 0, **told},
