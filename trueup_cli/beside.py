@@ -15,7 +15,7 @@ from pathlib import Path
 from trueup_cli.show import progress
 from trueup_client import Client, Unreachable
 
-START_LIMIT_S, PAUSE_S = 60.0, 0.05
+START_LIMIT_S, PAUSE_S, STEP_S = 60.0, 0.05, 0.2
 LOG_FILE = "service.log"
 
 
@@ -28,7 +28,15 @@ def service_beside(data: Path, port: int | None = None) -> Iterator[tuple[str, s
     command = [sys.executable, "-m", "trueup_cli.main", "serve", "--port", url.rpartition(":")[2]]
     with (data / LOG_FILE).open("a") as log:
         child = subprocess.Popen(command, env={**os.environ, "TRUEUP_DATA_DIR": str(data)}, stderr=log)
-        signal.signal(signal.SIGTERM, _end)
+        ended: list[int] = []
+
+        def end(number: int, _: object) -> None:
+            """End as after an error, and the service beside at once, for the error may be lost on its way: in a finalizer, say."""
+            ended.append(128 + number)
+            child.terminate()
+            sys.exit(ended[0])
+
+        signal.signal(signal.SIGTERM, end)
         try:
             with progress("starting the service"):
                 _wait_until_ready(url, child, data)
@@ -36,11 +44,14 @@ def service_beside(data: Path, port: int | None = None) -> Iterator[tuple[str, s
         finally:
             child.terminate()
             child.wait(timeout=START_LIMIT_S)
+        if ended:
+            sys.exit(ended[0])
 
 
-def _end(number: int, _: object) -> None:
-    """End as after an error, so that the service beside ends, too."""
-    sys.exit(128 + number)
+def wait(child: subprocess.Popen[bytes]) -> None:
+    """Wait until a service beside ends, in steps: a signal that comes just before one long wait would go unheard."""
+    while child.poll() is None:
+        time.sleep(STEP_S)
 
 
 def _wait_until_ready(url: str, child: subprocess.Popen[bytes], data: Path) -> None:

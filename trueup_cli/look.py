@@ -11,7 +11,7 @@ from urllib.parse import quote, urlencode, urlsplit
 from cyclopts import Parameter
 from cyclopts.types import ExistingDirectory
 
-from trueup_cli.beside import service_beside
+from trueup_cli.beside import service_beside, wait
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, token_for
 from trueup_cli.show import as_json, err, say
 from trueup_client import Client
@@ -41,7 +41,7 @@ def look(
     with suppress(KeyboardInterrupt), service_beside(data, urlsplit(url).port) as (_, child):
         _open(url, plant, browser=browser, as_json_=as_json_)
         say("[dim]serving until Ctrl-C[/]", to=err)
-        child.wait()
+        wait(child)
 
 
 def _open(url: str, plant: str | None, *, browser: bool, as_json_: bool) -> None:
