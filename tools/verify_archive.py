@@ -239,9 +239,10 @@ class Archive:
     """A folder or a tar file in the form of an OCI image layout."""
 
     def __init__(self, path):
+        self.tar = None
         if path.is_file():
             require_plain_tar(path)
-        self.tar = tarfile.open(path, "r:") if path.is_file() else None
+            self.tar = tarfile.open(path, "r:")
         self.path = path
         for member in self.tar.getmembers() if self.tar else ():
             plain = member.isdir() or (member.isreg() and member.sparse is None)

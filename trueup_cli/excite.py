@@ -66,7 +66,7 @@ def excite(
         folder to write to
     """
     described = read_plant(plant)
-    described.require_envelope()
+    described.require_known_envelope()
     episodes = [e for e in read_episodes(plant, described) if e.role is Role.ADAPTATION]
     play, report = _in_play(described, model, spread)
     if split and len(play.ensembles) == 1:

@@ -16,14 +16,13 @@ def fsck(*, as_json_: Json = False) -> None:
     """
     from trueup.ledger.verification import verify
     from trueup_service.kept import Kept, lost_jobs, published, signing, unnamed
-    from trueup_service.registry.schema import differences
+    from trueup_service.registry.schema import altered
     from trueup_service.settings import Settings
     from trueup_service.wiring import reading
 
     with reading(Settings()) as parts, progress("checking") as bar:
         found = verify(Kept(parts.database, parts.blobs, signing(parts)), bar)
-        wrong = [(f.where, f.what) for f in [*found.findings, *published(parts), *lost_jobs(parts)]]
-        wrong += differences(parts.database)
+        wrong = [(f.where, f.what) for f in [*found.findings, *published(parts), *lost_jobs(parts), *altered(parts.database)]]
         left = unnamed(parts)
     if as_json_:
         as_json({"entries": found.size, "rows": found.rows, "bytes": found.bytes, "findings": wrong, "unnamed_blobs": len(left)})

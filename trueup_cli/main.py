@@ -5,17 +5,17 @@ from __future__ import annotations
 import os
 import sys
 
-from cyclopts import App, CycloptsPanel
+from cyclopts import App, CycloptsError, CycloptsPanel
 
 from trueup import __version__
 from trueup_cli.exits import ASKS, HERE, HOLDS, HOLDS_HERE, INTERRUPTED, MEANING, PIPE_CLOSED, told
 
 
-def _misused(what: str) -> object:
+def _misused(error: CycloptsError) -> object:
     """What is wrong with a command line, which may hold the name of somebody else's file."""
     from trueup_cli.show import visible
 
-    return CycloptsPanel("\n".join(map(visible, what.split("\n"))))
+    return CycloptsPanel("\n".join(map(visible, str(error).split("\n"))))
 
 
 app = App(
@@ -23,7 +23,7 @@ app = App(
     version=__version__,
     help="Find where a robot's dynamics model is wrong, correct it, and serve the correction only if it has earned it.",
     help_epilogue=told(tuple(MEANING)),
-    error_formatter=lambda error: _misused(str(error)),
+    error_formatter=_misused,
 )
 
 _COMMANDS = {

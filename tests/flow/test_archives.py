@@ -27,7 +27,12 @@ from trueup.ledger.archive import SIGNATURE, statement_of
 from trueup.ledger.note import Signer
 from trueup_client import Client, Problem
 from trueup_client import client as module
+from trueup_service.actions.register_plant import register_plant
+from trueup_service.actions.stamp import Stamp
+from trueup_service.registry.records import JobRecord, JobState
+from trueup_service.registry.store import writing
 
+STAMP = Stamp("tester", "2026-01-01T00:00:00.000000Z")
 VERIFIER = ROOT / "tools" / "verify_archive.py"
 
 
@@ -133,6 +138,22 @@ def test_a_plant_goes_to_another_site_with_its_whole_history(site, postgres, s3,
     again = tmp_path / "again.tar"
     run(there, "export", "p", again)
     assert verified(again)[0] == 0
+
+
+@pytest.mark.parametrize("site", ["embedded"], indirect=True)
+def test_a_plant_whose_job_has_the_name_of_another_ones_is_refused_whole(site, tmp_path):
+    storage, service, _, key, _ = site
+    run(storage, "export", "p", tmp_path / "p.tar")
+    with closing(Client(service.url)) as client:
+        job = next(job["id"] for job in client.jobs("p") if job["state"] == "succeeded")
+    there = embedded(tmp_path / "there")
+    parts = there.build()
+    with writing(parts.database) as writer:
+        register_plant(writer, plant_document("other"), STAMP)
+        writer.add_job(JobRecord(job, "other", "watch", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "tester", STAMP.now))
+    parts.close()
+    refused = run(there, "import", tmp_path / "p.tar", "--key", key, check=False)
+    assert (refused.returncode, "conflict" in refused.stderr, "Nothing was taken in" in refused.stderr) == (1, True, True)
 
 
 @pytest.mark.parametrize("site", ["embedded"], indirect=True)

@@ -19,7 +19,7 @@ from trueup_service.actions.once import Key, once
 from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.register_plant import register_plant
 from trueup_service.actions.stamp import Stamp
-from trueup_service.errors import Conflict, KeyReused
+from trueup_service.errors import Conflict, KeyReused, NotWhole
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import ArtifactRecord, JobRecord, JobState
 from trueup_service.registry.schema import HEAD, current, migrate
@@ -76,6 +76,13 @@ def promote(parts, plant, version, second):
 def test_a_fresh_database_is_at_the_head_and_migrating_again_changes_nothing(parts):
     assert current(parts.database) == HEAD
     migrate(parts.database)
+
+
+def test_a_database_that_says_another_schema_than_it_has_is_refused_in_words(parts):
+    with parts.database.write() as connection:
+        connection.execute(text("UPDATE alembic_version SET version_num = '0007'"))
+    with pytest.raises(NotWhole, match="says that its schema is 0007, and cannot be brought from there"):
+        migrate(parts.database)
 
 
 def test_registering_makes_the_nominal_model_serve_at_generation_1(parts, plant):

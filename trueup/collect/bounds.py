@@ -84,7 +84,7 @@ class Bounds:
         Raises BadPlant, and NotIdentifiable where nothing bounds the travel of a joint.
         """
         if not 0.0 <= margin < 1.0 or not 0.0 < duration_s <= LONGEST_S:
-            raise BadPlant("an excitation needs a margin from 0 to below 1 and a duration of an hour at most", field="margin")
+            raise BadPlant("an excitation needs a margin from 0 to below 1, and a duration above 0 and of an hour at most", field="margin")
         if not all(given is None or given > 0.0 for given in (rate, speed)):
             raise BadPlant("a rate and a speed are positive", field="rate")
         joints = len(plant.joints)

@@ -105,7 +105,7 @@ class Gate:
 
 
 def _read(given: Any, name: str, kind: type, called: str, *, optional: bool = False) -> Any:
-    """A field as it was sent: nothing is made of another kind than it is, but a whole number of a real one. Raises BadGate, KeyError."""
+    """A field of the kind that it must have, as it was sent; a whole number may stand for a real one. Raises BadGate, KeyError."""
     value = given.get(name) if optional else given[name]
     if optional and value is None:
         return None
@@ -150,7 +150,7 @@ class Decision:
 
     It holds every figure, so that it can be recomputed, and the generation, so that it cannot be replayed after a move. `known` is what
     was known when the gate was declared (`trueup.gate.line`), `uses` how often each episode has been judged on, this time included, and
-    `selection` of what candidate and episodes were selected; decisions of before that have none.
+    `selection` of what candidate and episodes were selected, which older decisions do not tell.
     """
 
     plant: str

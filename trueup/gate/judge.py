@@ -29,8 +29,8 @@ NOTHING_KNOWN: Mapping[str, Json] = MappingProxyType({"candidate": [], "episodes
 
 @dataclass(frozen=True)
 class Run:
-    """A trial that was run: its scores, what each model missed in each episode, the negative controls, and the scores of candidates
-    beside it that had been judged before and were not accepted, by digest.
+    """A trial that was run: its scores, what each model missed in each episode, the negative controls, and the scores of the models beside
+    it, by digest.
     """
 
     trial: Trial
@@ -64,17 +64,22 @@ def run_trial(
     named, cells = tuple(e.digest for e in episodes), cells_of(episodes, gate.conditions)
     scales = candidate.plant.scales
     against = tuple(missed(incumbent, e, gate.scoring) for e in episodes)
-    progress(share / 3.0)
+    stages = 3 + len(beside or {})
+    progress(share / stages)
     serving = score_of(against, scales)
     copied = serving if copy is None else score(copy, episodes, gate.scoring)
-    progress(share * 2.0 / 3.0)
+    progress(share * 2.0 / stages)
     alone = Trial(serving, serving, named, cells, gate.conditions, _still(driven))
     shown = controls(gate, alone, against, copied, scales, _spreads(episodes))
     by = tuple(missed(candidate, e, gate.scoring) for e in episodes)
+    others = {}
+    for count, (name, model) in enumerate((beside or {}).items(), 3):
+        progress(share * count / stages)
+        others[name] = score(model, episodes, gate.scoring)
     progress(share)
     tracking = _driven(candidate, incumbent, episodes, lambda done: progress(share + share * done)) if driven else None
-    others = None if beside is None else {name: score(model, episodes, gate.scoring) for name, model in beside.items()}
-    return Run(Trial(score_of(by, scales), serving, named, cells, gate.conditions, tracking), by, against, shown, others)
+    trial = Trial(score_of(by, scales), serving, named, cells, gate.conditions, tracking)
+    return Run(trial, by, against, shown, None if beside is None else others)
 
 
 def _spreads(episodes: Sequence[Episode]) -> Array:

@@ -6,7 +6,7 @@ People learn, so a plant may get another gate after candidates have been scored.
 - what is looser in it is worked out from the two documents;
 - every decision by it carries what was known when it was declared: how its candidate and its held-out episodes had been judged before;
 - every decision says how its candidate and its episodes were selected: of how many, after how many other trials, and whether the candidate
-  errs as one does that had been judged before and was not accepted.
+  errs as one does that had been rejected or waited for its verdict.
 
 Everything here is worked out from documents, so a server, an auditor's machine and whoever replays the log say the same.
 """
@@ -39,6 +39,14 @@ class Past:
     accepted: bool
     failed: tuple[str, ...]
     episodes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LooserThan:
+    """A gate, by its digest, and what is looser in another one, in words."""
+
+    gate: str
+    looser: list[str]
 
 
 def past_of(decision: str, plant: str, document: Mapping[str, Any]) -> Past:
@@ -111,10 +119,10 @@ def looser(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def looser_than(line: Sequence[tuple[str, Mapping[str, Any]]], document: Mapping[str, Any]) -> list[dict[str, Json]]:
-    """Every gate before one in which that one is looser, the newest first, and in what; a line is of digests and documents, in order."""
-    told = [(digest, looser(before, document)) for digest, before in reversed(line)]
-    return [{"gate": digest, "looser": list(said)} for digest, said in told if said]
+def looser_than(line: Sequence[tuple[str, Mapping[str, Any]]], document: Mapping[str, Any]) -> list[LooserThan]:
+    """Each gate of a line than which another one is looser, the newest first; the line is of digests and documents, in order."""
+    told = [LooserThan(digest, looser(before, document)) for digest, before in reversed(line)]
+    return [less for less in told if less.looser]
 
 
 def budget_of(document: Mapping[str, Any]) -> int:
@@ -140,7 +148,7 @@ def selected(document: Mapping[str, Any]) -> list[str]:
     """Sentences that say how a decision's candidate and episodes were selected, and what its gate lets pass; none where all is plain."""
     told = document.get("selection")
     near = f"Its errors are within {100 * SAME:g} % of those of candidate"
-    said = [f"{near} {name[:SHORT]}, which had been judged before and not accepted." for name in alike(document)]
+    said = [f"{near} {name[:SHORT]}, which had been rejected or waited for its verdict." for name in alike(document)]
     if told is not None:
         count = len(document["episodes"])
         if count < told["held_out"]:
@@ -148,10 +156,9 @@ def selected(document: Mapping[str, Any]) -> list[str]:
         others = told["accepted"] + told["rejected"]
         if others:
             outcome = _outcomes(told["accepted"], told["rejected"])
-            said.append(f"Since the gate was declared, other candidates had been judged on these episodes: {outcome}.")
+            said.append(f"Other candidates had been judged on these episodes since the gate was declared: {outcome}.")
         if told["comparisons"]:
-            times = f"{told['comparisons']} comparison{'s' * (told['comparisons'] != 1)}"
-            said.append(f"Errors on these episodes had been shown by {times} of versions.")
+            said.append(f"Comparisons had shown errors on these episodes {_often(told['comparisons'])}.")
     most = max(document.get("uses", ()), default=1)
     if most > 1:
         said.append(f"Over all plants, its held-out episodes had been used {'' if most == TWICE else 'up to '}{_often(most - 1)} before.")
@@ -169,7 +176,7 @@ def _often(count: int) -> str:
 
 
 def alike(document: Mapping[str, Any]) -> list[str]:
-    """Candidates that had been judged before and were not accepted, and whose errors on a decision's episodes are its candidate's."""
+    """Candidates scored beside a decision's own, for they had been rejected or waited for their verdict, that err as it does."""
     figures, numbers = document.get("figures", {}), range(len(document["episodes"]))
     others = {name: _by_episode(beside, numbers) for name, beside in figures.get("beside", {}).items()}
     return [name for name, errors in others.items() if _all_near(_by_episode(figures["candidate"], numbers), errors)]

@@ -227,9 +227,10 @@ class Archive:
     def __init__(self, path: Path, signed: Callable[[Seal], bool] = lambda _seal: False) -> None:
         self._path = path
         try:
+            self._tar = None
             if path.is_file():
                 require_plain_tar(path)
-            self._tar = tarfile.open(path, "r:") if path.is_file() else None  # noqa: SIM115
+                self._tar = tarfile.open(path, "r:")  # noqa: SIM115
             self._members = _members(self._tar, path.stat().st_size) if self._tar else {}
         except (OSError, tarfile.TarError) as error:
             raise BadArchive(f"{path} is neither a folder nor a tar file") from error

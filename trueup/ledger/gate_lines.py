@@ -76,7 +76,7 @@ class GateLines:
     _holds: dict[str, set[str]] = field(default_factory=dict)  # what each episode holds, by the digest of its samples
     _samples: dict[str, set[str]] = field(default_factory=dict)  # the digests of the episodes that hold the same samples
     _asked: dict[str, tuple[str, Mapping[str, Any]]] = field(default_factory=dict)  # what gate jobs and comparisons read, of which plant
-    _compared: dict[str, list[str]] = field(default_factory=dict)  # comparisons of each plant's episode, ended or not
+    _compared: dict[tuple[str, str], list[str]] = field(default_factory=dict)  # comparisons of each plant's episode, ended or not
     _rejected: dict[str, Mapping[str, Any]] = field(default_factory=dict)  # documents of decisions
     _accepted: dict[str, Mapping[str, Any]] = field(default_factory=dict)
     _used: dict[str, int] = field(default_factory=dict)
@@ -130,9 +130,9 @@ class GateLines:
         if document.get("vacuous"):
             self.notes.append(f"{name} says of itself that it may accept the incumbent, {why}")
         judging = any(of == plant and "gate" in asked for of, asked in self._asked.values())
-        if before is not None and (judging or any(past.plant == plant for _, past in self._past.values())):
+        if before is not None and (judging or plant in self._by_plant):
             less = looser_than([(gate.digest, gate.document) for gate in line[:-1]], document)
-            than: list[str] = [f"looser than {gate['gate'][:12]}: {'; '.join(gate['looser'])}" for gate in less]  # type: ignore[index,arg-type]
+            than = [f"looser than {each.gate[:12]}: {'; '.join(each.looser)}" for each in less]
             is_looser = ". It is ".join(than) or "nothing in it is looser"
             took = f"{name} took the place of {before.digest[:12]} after candidates had been judged, or while they were, {why}"
             self.notes.append(f"{took}; {is_looser}")
@@ -146,8 +146,8 @@ class GateLines:
             own = {request["candidate"]}
             refused = {self._past[d][1].candidate for d in self._by_plant.get(plant, ()) if d in self._rejected}
             tried = self._tried.setdefault(plant, set())
-            selected_of = self._selection(plant, request)
-            self._expected[entry.subject] = _Expected(uses, selected_of, frozenset(refused - own), frozenset(tried - own))
+            known = self._selection(plant, request), frozenset(refused - own), frozenset(tried - own)
+            self._expected[entry.subject] = _Expected(uses, *known)
             tried |= own
             for episode in episodes:
                 self._used[episode] = self._used.get(episode, 0) + 1
@@ -155,7 +155,7 @@ class GateLines:
         elif facts["kind"] == "compare":
             self._asked[entry.subject] = plant, request
             for episode in request["episodes"]:
-                self._compared.setdefault(f"{plant}/{episode}", []).append(entry.subject)
+                self._compared.setdefault((plant, episode), []).append(entry.subject)
         return []
 
     def _selection(self, plant: str, request: Mapping[str, Any]) -> dict[str, Any]:
@@ -163,7 +163,7 @@ class GateLines:
         since = next((g.at for g in reversed(self._lines.get(plant, [])) if g.digest == request["gate"]), 0)
         on_them = (self._past[d] for d in {d for e in request["episodes"] for d in self._by_episode.get(e, ())})
         others = [p.accepted for at, p in on_them if at > since and p.plant == plant and p.candidate != request["candidate"]]
-        compared = {job for e in request["episodes"] for job in self._compared.get(f"{plant}/{e}", ())}
+        compared = {job for e in request["episodes"] for job in self._compared.get((plant, e), ())}
         return selection(self._held_out.get(plant, 0), others.count(True), others.count(False), len(compared))
 
     def _finished(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:

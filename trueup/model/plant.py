@@ -56,7 +56,7 @@ class Plant:
         root.no_more("name", "nominal", "commands", "observations", "envelope", "evaluation", "topics")
         return Plant(root.name("name"), dynamics, joints, parameters, timestep, layout, bounds, horizon, root.value)
 
-    def require_envelope(self) -> None:
+    def require_known_envelope(self) -> None:
         """Raises BadPlant where the envelope names what is no observed channel: it would bound nothing, in silence."""
         names = [channel.name for channel in self.layout.observations]
         unknown = [name for name in self.envelope if name not in names]

@@ -60,12 +60,14 @@ def _require_follows(writer: Writer, plant: str, gate: Gate, line: Sequence[Gate
     if gate.follows is not None and (last is None or gate.follows != last.digest):
         in_force = "none is in force" if last is None else f"{last.digest[:12]} is in force"
         raise BadGate(f"it follows {gate.follows[:12]}, and {in_force}", field="follows", in_force=None if last is None else last.digest)
-    if last is None or gate.follows is not None or not (writer.is_judging(plant) or writer.decisions(plant, END_OF_TIME, 1)):
+    if last is None or gate.follows is not None:
         return
     scored: list[Any] = writer.decisions(plant, END_OF_TIME, TOLD)
+    if not scored and not writer.is_judging(plant):
+        return
     facts: dict[str, Any] = {
         "in_force": last.digest,
         "looser": looser(last.document, gate.document()),
         "decisions": [d.digest for d in scored],
     }
-    raise GateFollows(f"gate {last.digest[:12]} is in force, and candidates have been judged, or are, by this plant's gates", **facts)
+    raise GateFollows(f"gate {last.digest[:12]} is in force, and this plant's gates have judged candidates, or are about to", **facts)

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from trueup.canonical import Json
-from trueup.gate.line import Past, alike, known, looser, looser_than, past_of, rejects, selection
+from trueup.gate.line import LooserThan, alike, known, looser_than, past_of, rejects, selection
 from trueup_service.actions import find
 from trueup_service.errors import GateSuperseded
-from trueup_service.registry.records import NOTHING_CAME, DecisionRecord, GateRecord, JobState
+from trueup_service.registry.records import NOTHING_CAME, DecisionRecord, GateRecord, JobRecord, JobState
 from trueup_service.registry.store import Reader
 
 DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingested"
@@ -21,13 +21,17 @@ DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingeste
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A gate's place in its line: the one before it, what is looser in it than in that one and in every one, whether it is in force."""
+    """A gate's place in its line: the one before it, each one before in which it is looser and in what, and whether it is in force."""
 
     gate: GateRecord
     before: GateRecord | None
-    looser: list[str]
-    looser_than: list[dict[str, Json]]
+    looser_than: list[LooserThan]
     in_force: bool
+
+    @property
+    def looser(self) -> list[str]:
+        """What is looser in it than in the one before it."""
+        return next((less.looser for less in self.looser_than if self.before is not None and less.gate == self.before.digest), [])
 
 
 def place(reader: Reader, plant: str, digest: str | None = None) -> Place | None:
@@ -36,10 +40,8 @@ def place(reader: Reader, plant: str, digest: str | None = None) -> Place | None
     at = next((i for i, gate in reversed(list(enumerate(line))) if digest in (None, gate.digest)), None)
     if at is None:
         return None
-    before = line[at - 1] if at else None
-    less = [] if before is None else looser(before.document, line[at].document)
     than = looser_than([(gate.digest, gate.document) for gate in line[:at]], line[at].document)
-    return Place(line[at], before, less, than, at == len(line) - 1)
+    return Place(line[at], line[at - 1] if at else None, than, at == len(line) - 1)
 
 
 def require_in_force(reader: Reader, plant: str, gate: GateRecord) -> None:
@@ -53,37 +55,34 @@ def require_in_force(reader: Reader, plant: str, gate: GateRecord) -> None:
 
 def known_at(reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]) -> dict[str, Json]:
     """What was known of a candidate and its held-out episodes when a gate was declared."""
+    return disclosed(reader, plant, gate, candidate, episodes)["known"]
+
+
+def disclosed(reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]) -> dict[str, dict[str, Json]]:
+    """What the decision of a trial must tell: what was `known` of its candidate and its episodes when its gate was declared, and of what
+    both are selected now (`selection`).
+    """
     declared = reader.log_positions(plant, DECLARED, [gate.digest]).get(gate.digest, 0)
-    made = reader.decisions_on(plant, candidate, episodes)
-    return known(plant, candidate, episodes, _before(reader, made, gate, declared), _compared(reader, candidate, episodes, declared))
-
-
-def selection_of(reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]) -> dict[str, Json]:
-    """Of what the candidate and the episodes of a trial are selected, now that it is asked for."""
-    declared = reader.log_positions(plant, DECLARED, [gate.digest]).get(gate.digest, 0)
-    others = [d for d in reader.decisions_on(plant, candidate, episodes) if d.plant == plant and d.candidate != candidate]
-    at = reader.log_positions(plant, DECIDED, [d.digest for d in others])
-    outcomes = [d.accepted for d in others if at.get(d.digest, 0) > declared]
-    compared = [j for j in reader.jobs_reading(episodes, "compare") if j.plant == plant and j.state not in NOTHING_CAME]
-    return selection(reader.held_out(plant), outcomes.count(True), outcomes.count(False), len(compared))
-
-
-def _before(reader: Reader, made: Sequence[DecisionRecord], gate: GateRecord, declared: int) -> list[Past]:
-    """Those of some decisions that were made before the gate was declared, in the order of the log."""
+    made, comparisons = reader.decisions_on(plant, candidate, episodes), reader.jobs_reading(episodes, "compare")
     at: dict[str, int] = {}
-    for plant in {d.plant for d in made}:
-        at |= reader.log_positions(plant, DECIDED, [d.digest for d in made if d.plant == plant])
-    found = [d for d in made if at.get(d.digest, 0) < declared or (at.get(d.digest, 0) == declared == 0 and d.created_at < gate.created_at)]
-    return [past_of(d.digest, d.plant, d.document) for d in sorted(found, key=lambda d: (at.get(d.digest, 0), d.created_at, d.digest))]
-
-
-def _compared(reader: Reader, candidate: str, episodes: Sequence[str], declared: int) -> list[str]:
-    """Comparisons that had shown the candidate's errors on these episodes when the gate was declared."""
-    jobs = [
-        j
-        for j in reader.jobs_reading(episodes, "compare")
-        if j.state == JobState.SUCCEEDED and candidate in (j.request["first"], j.request["second"])
+    for other in {d.plant for d in made}:
+        at |= reader.log_positions(other, DECIDED, [d.digest for d in made if d.plant == other])
+    before = [
+        d for d in made if at.get(d.digest, 0) < declared or (at.get(d.digest, 0) == declared == 0 and d.created_at < gate.created_at)
     ]
+    before.sort(key=lambda d: (at.get(d.digest, 0), d.created_at, d.digest))
+    pasts = [past_of(d.digest, d.plant, d.document) for d in before]
+    outcomes = [d.accepted for d in made if d.plant == plant and d.candidate != candidate and at.get(d.digest, 0) > declared]
+    shown = sum(job.plant == plant and job.state not in NOTHING_CAME for job in comparisons)
+    return {
+        "known": known(plant, candidate, episodes, pasts, _compared(reader, candidate, comparisons, declared)),
+        "selection": selection(reader.held_out(plant), outcomes.count(True), outcomes.count(False), shown),
+    }
+
+
+def _compared(reader: Reader, candidate: str, comparisons: Sequence[JobRecord], declared: int) -> list[str]:
+    """Those of some comparisons that had shown the candidate's errors when the gate was declared."""
+    jobs = [j for j in comparisons if j.state == JobState.SUCCEEDED and candidate in (j.request["first"], j.request["second"])]
     ended: dict[str, int] = {}
     for plant in {j.plant for j in jobs}:
         ended |= reader.log_positions(plant, "job:finished", [j.id for j in jobs])

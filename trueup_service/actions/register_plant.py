@@ -21,12 +21,11 @@ def register_plant(writer: Writer, document: object, stamp: Stamp, project: str 
     known = writer.plant(plant.name)
     if known is not None and project is not None and known.project != project:
         raise Conflict(f"the name {plant.name!r} is taken", hint="Choose another name.")
-    if known is None:
-        plant.require_envelope()
-    else:
+    if known is not None:
         if known.digest != plant.digest:
             raise Conflict(f"plant {plant.name!r} is registered with another description", registered=known.digest, sent=plant.digest)
         return known, False
+    plant.require_known_envelope()
     record = PlantRecord(plant.name, plant.digest, dict(plant.document), stamp.now, stamp.actor, project)
     artifact = nominal_artifact(plant)
     writer.add_plant(record)

@@ -10,7 +10,7 @@ from trueup.episode.role import HEALTHY, HELD_OUT, WATCHED, Role
 from trueup.errors import BadGate, NotIdentifiable, RoleRefused
 from trueup.gate.line import BESIDE, budget_of
 from trueup_service.actions import find
-from trueup_service.actions.gate_line import known_at, require_in_force, selection_of
+from trueup_service.actions.gate_line import disclosed, require_in_force
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import HeldOutSpent
 from trueup_service.jobs import JobQueue
@@ -57,8 +57,7 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
         "gate": gate.digest,
         "episodes": digests,
         "uses": [uses[digest] + 1 for digest in digests],
-        "known": known_at(writer, plant, gate, candidate.digest, digests),
-        "selection": selection_of(writer, plant, gate, candidate.digest, digests),
+        **disclosed(writer, plant, gate, candidate.digest, digests),
         "beside": list(writer.not_accepted(plant, candidate.digest, BESIDE)),
         **({"scales": True} if request.get("scales") else {}),
         **({"spent": list(spent)} if spent else {}),

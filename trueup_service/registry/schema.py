@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from sqlalchemy import insert, inspect, text
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import OperationalError, ProgrammingError
 
+from trueup.ledger.verification import Finding
 from trueup_service.errors import NotWhole
 from trueup_service.registry import tables as t
 from trueup_service.registry.database import Database
@@ -14,13 +15,16 @@ from trueup_service.registry.database import Database
 HEAD = "0008"
 MIGRATIONS = Path(__file__).parent.parent / "migrations"
 SQLITE_TRIGGERS = "SELECT name, tbl_name FROM sqlite_master WHERE type = 'trigger'"
-POSTGRES_TRIGGERS = "SELECT tgname, relname FROM pg_trigger JOIN pg_class ON pg_class.oid = tgrelid WHERE NOT tgisinternal"
+POSTGRES_TRIGGERS = (
+    "SELECT tgname, relname FROM pg_trigger JOIN pg_class ON pg_class.oid = tgrelid WHERE NOT tgisinternal AND pg_table_is_visible(tgrelid)"
+)
 ADVISORY_LOCK = 0x7472756575  # "trueu": one migration at a time among many servers
 
 
 def migrate(database: Database) -> None:
     """Run the migrations that are missing. An up-to-date schema costs one query, for the migration tool loads slowly."""
-    if current(database) == HEAD or _made(database):
+    before = current(database)
+    if before == HEAD or _made(database):
         return
     from alembic import command  # noqa: PLC0415
     from alembic.config import Config  # noqa: PLC0415
@@ -33,8 +37,10 @@ def migrate(database: Database) -> None:
         config.attributes["connection"] = connection
         try:
             command.upgrade(config, "head")
-        except SQLAlchemyError as error:
-            raise NotWhole("the database does not have the schema that it says it has", says=current(database)) from error
+        except (OperationalError, ProgrammingError) as error:
+            raise NotWhole(
+                f"the database says that its schema is {before}, and cannot be brought from there to {HEAD}: {error.orig}"
+            ) from error
 
 
 def _made(database: Database) -> bool:
@@ -51,20 +57,20 @@ def _made(database: Database) -> bool:
     return True
 
 
-def differences(database: Database) -> list[tuple[str, str]]:
-    """How the tables differ from those that were made here, each with what is wrong: a key that is gone lets two rows be one, and a trigger
-    writes what nobody asked for.
+def altered(database: Database) -> list[Finding]:
+    """How the tables differ from those that were made here: without its key a table takes two rows of one name, and a trigger writes what
+    nobody asked for.
     """
-    wrong = []
+    wrong: list[Finding] = []
     with database.read() as connection:
         seen = inspect(connection)
         for table in t.metadata.sorted_tables:
             key = [column.name for column in table.primary_key.columns]
             if not seen.has_table(table.name) or set(seen.get_pk_constraint(table.name)["constrained_columns"]) != set(key):
-                wrong.append((table.name, f"it is no table with the key {', '.join(key)}"))
+                wrong.append(Finding(table.name, f"it is no table with the key {', '.join(key)}"))
         for name, table_name in connection.execute(text(SQLITE_TRIGGERS if database.is_sqlite else POSTGRES_TRIGGERS)):
             if table_name in t.metadata.tables:
-                wrong.append((str(table_name), f"it has a trigger, {name}"))
+                wrong.append(Finding(str(table_name), f"it has a trigger, {name}"))
     return wrong
 
 

@@ -258,7 +258,7 @@ class Reader:
             select(func.count())
             .select_from(t.job_reads.join(t.jobs, t.jobs.c.id == t.job_reads.c.job))
             .where(
-                t.job_reads.c.digest.in_(sorted(self.twins(digest))),
+                (t.job_reads.c.digest == digest) | t.job_reads.c.digest.in_(_twins(digest)),
                 t.job_reads.c.purpose == purpose,
                 t.jobs.c.state.not_in(NOTHING_CAME),
             )
@@ -267,8 +267,7 @@ class Reader:
 
     def twins(self, digest: str, plant: str | None = None) -> set[str]:
         """The digests of the episodes that hold the samples of this one, of any plant or of one; itself among them."""
-        holds = select(t.episodes.c.samples_digest).where(t.episodes.c.digest == digest)
-        query = select(t.episodes.c.digest).where(t.episodes.c.samples_digest.in_(holds))
+        query = _twins(digest)
         query = query if plant is None else query.where(t.episodes.c.plant == plant)
         return {digest, *self.connection.scalars(query)}
 
@@ -774,6 +773,11 @@ def writing(database: Database) -> Iterator[Writer]:
 
 def _text(document: Any) -> str:
     return canonical_bytes(document).decode()
+
+
+def _twins(digest: str) -> Select[Any]:
+    holds = select(t.episodes.c.samples_digest).where(t.episodes.c.digest == digest)
+    return select(t.episodes.c.digest).where(t.episodes.c.samples_digest.in_(holds))
 
 
 def record_of(kind: type[R], row: RowMapping) -> R:

@@ -64,7 +64,7 @@ def _known(reader: Reader, gate: GateRecord, made: DecisionRecord) -> dict[str, 
     return {
         "known": known,
         "disclosure": " ".join([disclosure_of(made.candidate, known), *selected(document)]),
-        "told_badly": bool(known["candidate"] or known["compared"] or alike(document)),
+        "warns": bool(known["candidate"] or known["compared"] or alike(document)),
         "place": place(reader, made.plant, gate.digest),
         "budget": budget_of(gate.document),
     }
