@@ -37,9 +37,9 @@ plant's own horizon.
   channel in units of the `scale` that plant.json declares for it. (A diagnosis counts in each channel's own standard deviations instead:
   its figures and a gate's are not to be compared.) A figure that is not a number never passes.
 - `conditions` make the cells of `retained_conditions`.
-- **Every verdict carries an interval**: 95 % of the ratio of both errors, by a paired bootstrap over blocks of neighbouring windows, or
-  over episodes where each has one window, or over paired runs in closed loop. A rule with `"require": "bound"` must stay within its bound
-  at the interval's upper end, not at the mean.
+- **Every verdict carries a 95 % confidence interval** of the candidate's error divided by the incumbent's, by a paired bootstrap over
+  blocks of neighbouring windows, or over episodes where each has one window, or over paired runs in closed loop. A rule with
+  `"require": "bound"` must stay within its bound at the interval's upper end, not at the mean.
 - `trueup gate … --scales` also says how the verdict moves when the reporting scale of each channel is halved and doubled. It should not
   hang on a unit of reporting.
 
@@ -47,7 +47,8 @@ plant's own horizon.
 
 - *Declare a gate that nothing can fail.* Refused (`vacuous-gate`): an equal candidate must be rejected, and one ten times as wrong must
   fail every rule. Before each trial the incumbent itself, a copy of it and the incumbent with noise added are judged, and stand in the
-  decision. With `"vacuous": true` and a reason in `because` (`--vacuous --because REASON`) it is taken; every decision by it says so.
+  decision. With `"vacuous": true` and a reason in `because` (`--vacuous --because REASON`) it is taken; a decision by it says that
+  a control was accepted.
 - *Declare another gate once a candidate was judged, or while one is.* Refused (`gate-follows`), unless it names the gate in force in
   `follows` and says why in `because` (`--because REASON`). What is looser in it than in any gate before it is worked out and told.
 - *Judge by an older gate.* Refused (`gate-superseded`): the last one declared judges.
@@ -61,13 +62,14 @@ plant's own horizon.
 - *Send the same recording in other bytes.* An episode is known by its samples: other metadata, another encoding or another start of the
   clock make no fresh one, and its uses count on.
 - *Judge on the same episodes again and again, or on those that suit.* Each is good for `held_out_uses` trials, 20 unless the gate says
-  otherwise, counted over all plants; then it is spent. The decision says of how many held-out episodes it was judged on how many, how many
-  other candidates had been judged on them since the gate was declared, and how many comparisons had shown errors on them (`selection`).
+  otherwise, counted over all plants; then it is spent. The decision gives the number of held-out episodes that it used and that there
+  were, of decisions on other candidates on them since the gate was declared, and of comparisons that showed errors on them (`selection`).
 
 Every decision carries in `known` how its candidate and its episodes had been judged when its gate was declared, in `uses` how often
-each episode had been used, in `selection` and in `figures.beside` what the list above says. The decision's page, `trueup gate`,
-`trueup replay` and the JSON (`disclosure`) say it in a few sentences; `trueup audit verify` works it out from the log again, and finds a
-decision that says something else.
+each episode has been used, this trial included, in `selection` and in `figures.beside` what the list above says. The decision's page,
+`trueup gate`, `trueup replay` and the JSON (`disclosure`) say it in a few sentences. `trueup audit verify` works it out from the log
+again, and finds a decision that says something else. In a registry that took in a plant from elsewhere it does not, for what was known
+there is not in this log; the page and the command say it all the same.
 
 What this does not keep:
 

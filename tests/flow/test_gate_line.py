@@ -108,7 +108,7 @@ def test_dropping_the_rule_that_failed_is_told_everywhere_and_promotes_nobody(be
     sentence = accepted["disclosure"]
     assert sentence == (
         f"This gate was declared after candidate {shop.b[:12]} had failed one_step_no_worse on episode {shop.episodes[0][:12]} "
-        f"by gate {shop.strict[:12]}. Over all plants, its held-out episodes had been used once before."
+        f"by gate {shop.strict[:12]}. Over all plants, the most used of its held-out episodes had been used once before."
     )
     assert accepted["document"]["known"]["candidate"][0]["decision"] == shop.rejected["digest"]
     assert accepted["document"]["uses"] == [2]
@@ -327,7 +327,7 @@ def test_what_a_gate_was_chosen_among_is_told(bench):
     shop.judge(shop.strict, far, others[:1])
     made = shop.judge(shop.strict, shop.b, others[:1])
     assert made["document"]["selection"] == {"held_out": 3, "accepted": 0, "rejected": 1, "comparisons": 1}
-    said = "Other candidates had been judged on these episodes since the gate was declared: accepted never, rejected once."
+    said = "Decisions on other candidates on these episodes since the gate was declared: accepted never, rejected once."
     assert said in made["disclosure"]
     assert "Comparisons had shown errors on these episodes once." in made["disclosure"]
 
@@ -358,7 +358,7 @@ def test_another_project_is_no_other_world(bench):
     job = shop.admin.wait(shop.admin.submit(name, {"kind": "gate", "candidate": b, "gate": gate})["id"])
     made = shop.admin.decision(name, job["result"]["decision"])
     assert made["accepted"]
-    assert "its held-out episodes had been used once before" in made["disclosure"]
+    assert "the most used of its held-out episodes had been used once before" in made["disclosure"]
     held = refused(lambda: shop.admin.promote(name, made["digest"], 1))
     assert (held.code, held.facts["rejected_by"]) == ("rejected-before", [shop.rejected["digest"]])
 

@@ -106,7 +106,7 @@ def looser(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
             found.append(f"{name} requires the mean, no longer the bound of its interval")
     scoring = [g["scoring"] for g in (before, after)]
     if scoring[0]["horizon_s"] != scoring[1]["horizon_s"]:
-        found.append(f"it scores over {scoring[1]['horizon_s']:g} s, no longer {scoring[0]['horizon_s']:g} s: figures do not compare")
+        found.append(f"its horizon is {scoring[1]['horizon_s']:g} s, was {scoring[0]['horizon_s']:g} s: which is stricter cannot be told")
     if scoring[0]["windows"] == "every" and scoring[1]["windows"] == "first":
         found.append("it scores the first window of each episode alone, no longer every one")
     gone = [c for c in before.get("conditions", ()) if c not in after.get("conditions", ())]
@@ -156,12 +156,12 @@ def selected(document: Mapping[str, Any]) -> list[str]:
         others = told["accepted"] + told["rejected"]
         if others:
             outcome = _outcomes(told["accepted"], told["rejected"])
-            said.append(f"Other candidates had been judged on these episodes since the gate was declared: {outcome}.")
+            said.append(f"Decisions on other candidates on these episodes since the gate was declared: {outcome}.")
         if told["comparisons"]:
             said.append(f"Comparisons had shown errors on these episodes {_often(told['comparisons'])}.")
     most = max(document.get("uses", ()), default=1)
     if most > 1:
-        said.append(f"Over all plants, its held-out episodes had been used {'' if most == TWICE else 'up to '}{_often(most - 1)} before.")
+        said.append(f"Over all plants, the most used of its held-out episodes had been used {_often(most - 1)} before.")
     if any(control["accepted"] for control in document["figures"].get("controls", {}).values()):
         said.append("The gate accepts the incumbent itself, its copy or noise: it was declared as one that may.")
     return said
@@ -193,9 +193,9 @@ def disclosure_of(candidate: str, known: Mapping[str, Any]) -> str:
     rejected, accepted = (sum(on[outcome] for on in known["episodes"]) for outcome in ("rejected", "accepted"))
     if rejected or accepted:
         number = len({on["episode"] for on in known["episodes"]})
-        others = f"others had been judged on {number} of its held-out episodes: {_outcomes(accepted, rejected)}{_elsewhere(known)}"
-        return f"This gate was declared before candidate {candidate[:SHORT]} was judged; by then {others}."
-    return "When this gate was declared, no gate had judged anything on its held-out episodes."
+        others = f"others had been judged on {number} of its held-out episodes ({_outcomes(accepted, rejected)}, counted for each episode)"
+        return f"This gate was declared before candidate {candidate[:SHORT]} was judged; by then {others}{_elsewhere(known)}."
+    return "When this gate was declared, no gate of this project had judged anything on the held-out episodes of this decision."
 
 
 def _elsewhere(known: Mapping[str, Any]) -> str:

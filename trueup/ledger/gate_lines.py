@@ -216,16 +216,16 @@ class GateLines:
             return []  # what came from elsewhere may be known, and is not in this log
         found = []
         if document["known"] != expected:
-            found.append(f"decision {entry.subject[:12]} does not tell what was known when its gate was declared")
+            found.append(f"what decision {entry.subject[:12]} says was known when its gate was declared is not what the log tells")
         asked = self._expected.get(str(facts.get("job")))
         if asked is not None and list(document["uses"]) != asked.uses:
-            found.append(f"decision {entry.subject[:12]} does not tell how often its episodes were used")
+            found.append(f"how often decision {entry.subject[:12]} says its episodes were used is not what the log tells")
         if asked is not None and "selection" in document:
             told = document["selection"]
             if {**told, "comparisons": 0} != {**asked.selection, "comparisons": 0} or told["comparisons"] > asked.selection["comparisons"]:
-                found.append(f"decision {entry.subject[:12]} does not tell of what its candidate and its episodes were selected")
+                found.append(f"the selection that decision {entry.subject[:12]} tells is not what the log tells")
             if not asked.allows(frozenset(document["figures"].get("beside", ()))):
-                found.append(f"decision {entry.subject[:12]} does not show the candidates before it that were not accepted")
+                found.append(f"the candidates scored beside that of decision {entry.subject[:12]} are not those that the log calls for")
         return found
 
     def _known(self, plant: str, document: Mapping[str, Any], before: int) -> dict[str, Any]:
@@ -257,9 +257,8 @@ class GateLines:
         rejected = self._rejections(plant, decision)
         if not rejected or self._fresh(plant, past, rejected):
             return []
-        said = (
-            f"candidate {past.candidate[:12]} of plant {plant} was promoted after decision {rejected[0][1].decision[:12]} had rejected it"
-        )
+        refused = f"decision {rejected[0][1].decision[:12]} had rejected it, or a candidate that errs as it does"
+        said = f"candidate {past.candidate[:12]} of plant {plant} was promoted after {refused}"
         nobody_else = {None, self._person(entry)}
         others = [approval.actor for approval in self._approved.get(decision, []) if self._person(approval) not in nobody_else]
         if others:

@@ -101,12 +101,13 @@ def test_a_decision_that_tells_all_is_as_the_log_says(log):
 
 @pytest.mark.parametrize("told", [{"held_out": 2}, {"rejected": 0}, {"accepted": 0}, {"comparisons": 1}])
 def test_a_decision_that_tells_another_selection_is_found(log, told):
-    assert "of what its candidate and its episodes were selected" in judged(log, OTHER, beside=[CANDIDATE], **told)[0]
+    assert "the selection that decision 999999999999 tells is not what the log tells" in judged(log, OTHER, beside=[CANDIDATE], **told)[0]
 
 
 @pytest.mark.parametrize("beside", [(), (CANDIDATE, "0" * 64)])
 def test_a_decision_that_hides_who_was_rejected_before_or_makes_somebody_up_is_found(log, beside):
-    assert "the candidates before it that were not accepted" in judged(log, OTHER, beside=beside)[0]
+    (found,) = judged(log, OTHER, beside=beside)
+    assert found == "the candidates scored beside that of decision 999999999999 are not those that the log calls for"
 
 
 def test_what_errs_as_a_rejected_candidate_does_is_held_to_its_rejection(log):
