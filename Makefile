@@ -6,6 +6,8 @@ BIN := $(VENV)/bin
 UV := $(BIN)/uv pip install --quiet --python $(BIN)/python
 RUN := $(VENV)/.run
 DEV := $(VENV)/.dev
+PARTS := library client pages migrations service worker cli
+PROJECTS := $(PARTS:%=%/pyproject.toml)
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo look demo-arm serve test advisories check laws flow bench docs site pictures lock clean
@@ -19,10 +21,10 @@ $(BIN)/uv:
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
 
-$(RUN): $(BIN)/uv requirements.txt pyproject.toml
+$(RUN): $(BIN)/uv requirements.txt $(PROJECTS)
 	@echo "installing what trueup needs to run …"
 	@$(UV) --require-hashes -r requirements.txt
-	@$(UV) --no-deps --editable .
+	@$(UV) --no-deps $(PARTS:%=--editable ./%)
 	@echo "compiling the rollout kernels …"
 	@$(BIN)/trueup kernels
 	@touch $@
@@ -85,9 +87,13 @@ site: $(DEV) ## build the documentation as a site in build/site
 pictures: $(DEV) ## take the pictures of the documentation anew, from a diagnosis that runs now
 	@PYTHONPATH=. $(BIN)/python docs/make_pictures.py
 
+OURS := trueup $(patsubst %,trueup-%,$(filter-out library,$(PARTS)))
+COMPILE := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header $(OURS:%=--no-emit-package %)
 lock: $(BIN)/uv ## pin the dependencies anew
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --extra mujoco --extra onnx pyproject.toml -o requirements.txt
-	@$(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header --group dev --extra mlflow --extra mujoco --extra onnx -c requirements.txt pyproject.toml -o requirements-dev.txt
+	@$(COMPILE) --extra mujoco --extra onnx --extra server $(PROJECTS) -o requirements.txt
+	@$(COMPILE) -c requirements.txt --extra server --extra mlflow --extra mujoco --extra onnx --group pyproject.toml:dev $(PROJECTS) -o requirements-dev.txt
+	@$(COMPILE) -c requirements.txt cli/pyproject.toml service/pyproject.toml -o deploy/server.txt
+	@$(COMPILE) -c requirements.txt --extra mujoco --extra onnx cli/pyproject.toml worker/pyproject.toml library/pyproject.toml -o deploy/worker.txt
 
 clean: ## remove the environment and everything that was made
 	@rm -rf $(VENV) .trueup build

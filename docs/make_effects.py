@@ -7,8 +7,9 @@ from trueup.model.effect import Effect, Port, effects
 
 HEAD = """# Effects
 
-The catalogue of what a diagnosis looks for. Each is one file in `trueup/model/effects/`; adding a file is all it takes to add an
-effect: it is found by itself, compiled into the rollout, tried by the search, and held to the laws in `trueup/checks/effect_laws.py`.
+The catalogue of what a diagnosis looks for. Each effect is one file in `library/trueup/model/effects/`. Adding a file is all it takes to
+add an effect: it is found by itself, compiled into the rollout, tried by the search, and held to the laws in
+`library/trueup/checks/effect_laws.py`.
 
 Signals: `u` command, `q` position, `v` velocity, `a` acceleration of the nominal form, `h` step.
 Within a port the effects act in the order given.

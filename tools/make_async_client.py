@@ -1,10 +1,10 @@
-"""Write trueup_client/asynchronous.py: the client for an event loop, method by method what the client has."""
+"""Write client/trueup_client/asynchronous.py: the client for an event loop, method by method what the client has."""
 
 import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-SOURCE, MADE = ROOT / "trueup_client" / "client.py", ROOT / "trueup_client" / "asynchronous.py"
+SOURCE, MADE = ROOT / "client" / "trueup_client" / "client.py", ROOT / "client" / "trueup_client" / "asynchronous.py"
 APART = ("close", "abort", "aborted")
 HEAD = '''"""The client for an event loop: every method of `Client`, awaited, or iterated over with `async for`.
 

@@ -1,11 +1,11 @@
-"""Write trueup_client/records.py: what the service answers with, from its OpenAPI document."""
+"""Write client/trueup_client/records.py: what the service answers with, from its OpenAPI document."""
 
 import json
 import sys
 import textwrap
 from pathlib import Path
 
-MADE = Path(__file__).parent.parent / "trueup_client" / "records.py"
+MADE = Path(__file__).parent.parent / "client" / "trueup_client" / "records.py"
 RECORDS = (
     "Plant", "Episode", "EpisodeContext", "Artifact", "Gate", "LooserThan", "GateInLine",
     "Output", "Job", "JobWithReads", "Decision", "Approval", "Evidence",

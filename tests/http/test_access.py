@@ -296,7 +296,7 @@ def test_tokens_are_random():
 def test_no_file_of_the_service_takes_an_address_or_a_path_from_a_request():
     """Names are never paths, and nothing that a user names is fetched: no module behind the door can open an address."""
     banned = ("urllib.request", "http.client", "httpx", "import requests", "pickle", "marshal", "importlib", "eval(", "exec(")
-    for path in [*(ROOT / "trueup_service").rglob("*.py"), *(ROOT / "trueup_worker").rglob("*.py")]:
+    for path in [*(ROOT / "service").rglob("*.py"), *(ROOT / "worker").rglob("*.py")]:
         lines = [line for line in Path(path).read_text().splitlines() if line.lstrip().startswith(("import ", "from ")) or "eval(" in line]
         assert not [line for line in lines for word in banned if word in line], path
 

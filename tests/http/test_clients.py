@@ -33,20 +33,20 @@ def plant(service):
 def test_records_are_what_the_service_says_it_answers_with(service):
     with urllib.request.urlopen(f"{service.url}/openapi.json") as answer:
         document = json.load(answer)
-    assert (ROOT / "trueup_client" / "records.py").read_text() == make_records.module(document), "run tools/make_records.py"
+    assert (ROOT / "client" / "trueup_client" / "records.py").read_text() == make_records.module(document), "run tools/make_records.py"
 
 
 def test_the_form_for_an_event_loop_is_made_from_the_client():
     ruff = Path(sys.executable).parent / "ruff"
     made = subprocess.run(
-        [ruff, "format", "--stdin-filename", "trueup_client/asynchronous.py", "-"],
+        [ruff, "format", "--stdin-filename", "client/trueup_client/asynchronous.py", "-"],
         input=make_async_client.module(),
         capture_output=True,
         text=True,
         check=True,
         cwd=ROOT,
     ).stdout
-    assert (ROOT / "trueup_client" / "asynchronous.py").read_text() == made, "run tools/make_async_client.py and format"
+    assert (ROOT / "client" / "trueup_client" / "asynchronous.py").read_text() == made, "run tools/make_async_client.py and format"
 
 
 def test_it_uploads_lists_and_waits(service, plant, tmp_path):

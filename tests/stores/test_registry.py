@@ -13,6 +13,7 @@ from trueup.canonical import digest_of
 from trueup.errors import PointerMoved
 from trueup.ledger.audit import rebuild
 from trueup.ledger.pointer import NothingToRollBackTo
+from trueup_migrations import HEAD
 from trueup_service.actions.declare_gate import declare_gate
 from trueup_service.actions.move_pointer import promote_decision, roll_back_pointer
 from trueup_service.actions.once import Key, once
@@ -22,7 +23,7 @@ from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import Conflict, KeyReused, NotWhole
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import ArtifactRecord, JobRecord, JobState
-from trueup_service.registry.schema import HEAD, current, migrate
+from trueup_service.registry.schema import current, migrate
 from trueup_service.registry.store import Reader, Writer
 
 STAMP = Stamp("tester", "2026-01-01T00:00:00.000000Z")
@@ -283,22 +284,16 @@ def test_documents_are_canonical_text_whose_digest_is_the_plants(parts, plant):
 
 
 def test_a_registry_from_before_the_tree_is_migrated_and_holds(storage):
-    from alembic import command
-    from alembic.config import Config
-
     from trueup.ledger.verification import verify
+    from trueup_migrations import upgrade
     from trueup_service.kept import Kept
     from trueup_service.registry.database import Database
-    from trueup_service.registry.schema import MIGRATIONS
 
     settings = storage.settings()
     settings.data_dir.mkdir(parents=True)
     old = Database(settings.sqlalchemy_url, 2)
-    config = Config()
-    config.set_main_option("script_location", str(MIGRATIONS))
     with old.write() as connection:
-        config.attributes["connection"] = connection
-        command.upgrade(config, "0002")
+        upgrade(connection, "0002")
         when = {"at": STAMP.now, "by": "tester", "d": digest_of({}), "doc": "{}"}
         connection.execute(text("INSERT INTO plants VALUES ('p', :d, :doc, :at, :by)"), when)
         connection.execute(text("INSERT INTO audit VALUES (1, :at, 'plant:registered', :by, 'p', 's', :doc, 'd', 'd')"), when)

@@ -10,6 +10,8 @@ import kubernetes_validate
 import pytest
 import yaml
 
+from tests.support.parts import PARTS
+from trueup import __version__
 from trueup_cli.main import _COMMANDS
 from trueup_service.settings import Settings
 
@@ -80,11 +82,16 @@ def test_workers_hold_neither_the_logs_key_nor_an_admins_token():
 def test_the_image_copies_what_there_is():
     lines = (DEPLOY / "Dockerfile").read_text().splitlines()
     copied = [source for line in lines if line.startswith("COPY ") and "--from" not in line for source in line.split()[1:-1]]
-    assert {"trueup", "trueup_service", "trueup_worker", "trueup_cli", "trueup_client", "requirements.txt"} <= set(copied)
+    assert set(copied) == {*PARTS, "deploy/server.txt", "deploy/worker.txt"}
     assert all((ROOT / source).exists() for source in copied)
 
 
 def test_the_image_has_the_version_that_this_is():
-    version = re.search(r'^version = "(.*)"', (ROOT / "pyproject.toml").read_text(), re.MULTILINE).group(1)
-    assert COMPOSE["x-trueup"]["image"] == f"trueup:{version}"
-    assert f"newTag: {version}" in (DEPLOY / "kubernetes" / "kustomization.yaml").read_text()
+    images = {name: service["image"] for name, service in COMPOSE["services"].items() if "build" in service}
+    ours = {"server": "trueup-server", "worker": "trueup-worker", "migrate": "trueup-server"}
+    assert images == {name: f"{image}:{__version__}" for name, image in ours.items()}
+    tags = {
+        image["name"]: image["newTag"] for image in yaml.safe_load((DEPLOY / "kubernetes" / "kustomization.yaml").read_text())["images"]
+    }
+    assert tags == dict.fromkeys(ours.values(), __version__)
+    assert {c["name"]: c["image"] for c in containers()} == ours

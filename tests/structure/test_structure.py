@@ -7,29 +7,29 @@ import pkgutil
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
-from alembic import command
 from alembic.autogenerate import compare_metadata
-from alembic.config import Config
 from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import text
 
 import trueup
+from tests.support.parts import PARTS, ROOT
 from trueup import errors
 from trueup.ledger.merkle import NOTHING
+from trueup_migrations import FOLDER, HEAD, upgrade
 from trueup_service.http import problems
 from trueup_service.registry.database import Database
-from trueup_service.registry.schema import HEAD, MIGRATIONS, current
+from trueup_service.registry.schema import current
 from trueup_service.registry.store import Reader
 from trueup_service.registry.tables import metadata
 from trueup_service.settings import Settings
 
-ROOT = Path(__file__).parents[2]
-PACKAGES = ("trueup", "trueup_pages", "trueup_service", "trueup_worker", "trueup_cli", "trueup_client")
-SOURCES = sorted(p for package in PACKAGES for p in (ROOT / package).rglob("*.py") if "migrations" not in p.parts)
+PACKAGES = ("trueup", "trueup_client", "trueup_pages", "trueup_service", "trueup_worker", "trueup_cli")
+SOURCES = sorted(p for part in PARTS for p in (ROOT / part).rglob("*.py") if "versions" not in p.parts)
 
 
 def tracked() -> list[Path]:
@@ -47,8 +47,8 @@ def run(*command: str) -> str:
 
 def all_errors() -> list[type[errors.TrueupError]]:
     for package in PACKAGES:
-        for module in pkgutil.walk_packages([str(ROOT / package)], f"{package}."):
-            if "migrations" not in module.name and not module.name.endswith(("cli.main", "worker.main")):
+        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+            if not module.name.endswith(("cli.main", "worker.main")):
                 importlib.import_module(module.name)
     found, left = [], [errors.TrueupError]
     while left:
@@ -75,11 +75,8 @@ def test_the_migrations_add_up_to_the_tables(storage):
     settings = storage.settings()
     settings.data_dir.mkdir(parents=True)
     database = Database(settings.sqlalchemy_url, 2)
-    config = Config()
-    config.set_main_option("script_location", str(MIGRATIONS))
     with database.write() as connection:
-        config.attributes["connection"] = connection
-        command.upgrade(config, "head")
+        upgrade(connection)
     with database.read() as connection:
         assert compare_metadata(MigrationContext.configure(connection, opts={"compare_type": True}), metadata) == []
         migrated = connection.execute(text("SELECT id, size, frontier FROM audit_head")).all()
@@ -92,7 +89,7 @@ def test_an_empty_database_is_made_as_the_migrations_would(storage):
     with parts.database.read() as connection:
         assert compare_metadata(MigrationContext.configure(connection, opts={"compare_type": True}), metadata) == []
         assert Reader(connection).audit_tree() == NOTHING
-    assert current(parts.database) == HEAD == ScriptDirectory(str(MIGRATIONS)).get_current_head()
+    assert current(parts.database) == HEAD == ScriptDirectory(str(FOLDER)).get_current_head()
     parts.close()
 
 
@@ -172,7 +169,7 @@ def test_no_path_of_the_machine_it_was_written_on_is_named():
 
 def test_a_command_prints_through_show_alone_in_forms_that_stand_in_its_code():
     """Else what others wrote could be taken for markup, or reach the terminal as it is."""
-    for path in sorted((ROOT / "trueup_cli").rglob("*.py")):
+    for path in sorted((ROOT / "cli").rglob("*.py")):
         if path.name == "show.py":
             continue
         for call in (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)):
@@ -199,9 +196,9 @@ def test_a_server_that_only_serves_loads_no_heavy_library():
 
 def test_the_job_engine_is_imported_in_one_place():
     """Whoever imports it elsewhere would have it unpickle what a row says is pickled."""
-    every = (path for package in ROOT.glob("trueup*") for path in package.rglob("*.py"))
+    every = (path for part in PARTS for path in (ROOT / part).rglob("*.py"))
     importing = [path for path in every if re.search(r"^\s*(from|import) dbos\b", path.read_text(), re.MULTILINE)]
-    assert [p.relative_to(ROOT).as_posix() for p in importing] == ["trueup_service/engine.py"]
+    assert [p.relative_to(ROOT).as_posix() for p in importing] == ["service/trueup_service/engine.py"]
 
 
 def test_links_in_the_documentation_lead_somewhere():
@@ -210,5 +207,9 @@ def test_links_in_the_documentation_lead_somewhere():
             assert (page.parent / link).exists(), f"{page.name}: {link}"
 
 
-def test_the_version_is_one():
-    assert f'version = "{trueup.__version__}"' in (ROOT / "pyproject.toml").read_text()
+@pytest.mark.parametrize("part", PARTS)
+def test_the_version_is_one_and_every_part_needs_the_others_of_its_own(part):
+    project = tomllib.loads((ROOT / part / "pyproject.toml").read_text())["project"]
+    needed = [*project["dependencies"], *(n for more in project.get("optional-dependencies", {}).values() for n in more)]
+    assert project["version"] == trueup.__version__
+    assert all(n.endswith(f"=={trueup.__version__}") for n in needed if n.startswith("trueup"))

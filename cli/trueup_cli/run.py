@@ -37,6 +37,8 @@ def serve(
     from trueup_service.settings import Settings
     from trueup_service.wiring import build
 
+    if worker:
+        import trueup_worker  # noqa: F401  (said now where it is missing, not by the process beside)
     settings = Settings() if host is None else Settings(host=host)
     configure_logs(settings.log_level)
     parts = build(settings)
@@ -104,8 +106,8 @@ def work(*, with_parent: Annotated[bool, Parameter(help="End when standard input
 
 def migrate(*, as_json_: Json = False) -> None:
     """Bring the database's schema up to date, the registry's and the job engine's; servers do it when they start."""
+    from trueup_migrations import HEAD
     from trueup_service.jobs import migrate_engine
-    from trueup_service.registry.schema import HEAD
     from trueup_service.settings import Settings
     from trueup_service.wiring import build
 

@@ -30,6 +30,8 @@ HINTS = {  # what to do at the command, where the service's words are for progra
     ),
 }
 NOT_AS_SAID = ("blob-damaged", "broken-chain")  # what the service finds wrong with what it keeps
+SERVER_PARTS = ("trueup_service", "trueup_worker", "trueup_migrations")
+NO_SERVER_HINT = "Install it with `pip install 'trueup-cli[server]'`, or use the command with a service that runs elsewhere (--url)."
 UNREACHABLE_HINT = "Start it with `trueup serve`, or name it with --url or TRUEUP_URL."
 
 
@@ -55,6 +57,8 @@ def complain(error: Exception) -> int | None:
         told = "unreachable", str(error), UNREACHABLE_HINT
     elif isinstance(error, TrueupError):
         told, facts = (error.code, error.message, error.hint), error.facts
+    elif isinstance(error, ModuleNotFoundError) and str(error.name).partition(".")[0] in SERVER_PARTS:
+        told = "not-installed", f"this command runs the service, and {error.name} is not installed", NO_SERVER_HINT
     elif isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
         told = "address-in-use", str(error.strerror), PORT_HINT
     elif isinstance(error, OSError) and error.filename is not None:

@@ -36,8 +36,8 @@ def findings() -> list[Finding]:
 PACKAGES = (
     ("numba", True, "rollouts, fits, diagnoses", "pip install trueup"),
     ("mcap", True, "reading recordings", "pip install trueup"),
-    ("dbos", True, "jobs of the service", "pip install trueup"),
-    ("psycopg", True, "storage in PostgreSQL", "pip install trueup"),
+    ("dbos", False, "running the service: its jobs", "pip install 'trueup-cli[server]'"),
+    ("psycopg", False, "running the service: storage in PostgreSQL", "pip install 'trueup-cli[server]'"),
     ("mujoco", False, "robots given as MJCF or URDF", "pip install 'trueup[mujoco]'"),
     ("mlflow", False, "versions to and from an MLflow registry", "pip install 'trueup[mlflow]'"),
     ("onnx", False, "models written as ONNX", "pip install 'trueup[onnx]'"),

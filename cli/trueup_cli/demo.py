@@ -30,7 +30,7 @@ from trueup_cli.show import answer, progress, say, table
 from trueup_client import Client
 from trueup_client.records import Decision
 
-EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "emps"
 FRICTION = ["1", "v", "u", "sign(v)", "abs(v)"]
 CANDIDATES: dict[str, dict[str, Any]] = {
     "identified parameters": {"kind": "fit", "method": "identify"},

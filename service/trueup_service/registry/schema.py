@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from sqlalchemy import insert, inspect, text
 from sqlalchemy.exc import OperationalError, ProgrammingError
 
 from trueup.ledger.verification import Finding
+from trueup_migrations import HEAD, upgrade
 from trueup_service.errors import NotWhole
 from trueup_service.registry import tables as t
 from trueup_service.registry.database import Database
 
-HEAD = "0008"
-MIGRATIONS = Path(__file__).parent.parent / "migrations"
 SQLITE_TRIGGERS = "SELECT name, tbl_name FROM sqlite_master WHERE type = 'trigger'"
 POSTGRES_TRIGGERS = (
     "SELECT tgname, relname FROM pg_trigger JOIN pg_class ON pg_class.oid = tgrelid WHERE NOT tgisinternal AND pg_table_is_visible(tgrelid)"
@@ -26,17 +23,11 @@ def migrate(database: Database) -> None:
     before = current(database)
     if before == HEAD or _made(database):
         return
-    from alembic import command  # noqa: PLC0415
-    from alembic.config import Config  # noqa: PLC0415
-
-    config = Config()
-    config.set_main_option("script_location", str(MIGRATIONS))
     with database.write() as connection:
         if not database.is_sqlite:
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": ADVISORY_LOCK})
-        config.attributes["connection"] = connection
         try:
-            command.upgrade(config, "head")
+            upgrade(connection)
         except (OperationalError, ProgrammingError) as error:
             raise NotWhole(
                 f"the database says that its schema is {before}, and cannot be brought from there to {HEAD}: {error.orig}"

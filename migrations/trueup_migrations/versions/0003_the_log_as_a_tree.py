@@ -6,11 +6,7 @@ from datetime import UTC, datetime
 import sqlalchemy as sa
 from alembic import op
 
-from trueup.canonical import canonical_bytes
-from trueup.ledger.audit import AuditEntry, entry_bytes
-from trueup.ledger.merkle import NOTHING, leaf_hash, number_of
-from trueup.ledger.rows import row_digest, row_name
-from trueup_service.registry.rows import plain
+from trueup_migrations.log_of_0003 import append, canonical, leaf, row_digest, row_name
 
 revision = "0003"
 down_revision = "0002"
@@ -55,29 +51,26 @@ def upgrade() -> None:
 
 def _grow(connection: sa.Connection) -> None:
     """Make the tree of the entries that there are, and one more for each plant that names its rows."""
-    found = sa.MetaData()
-    found.reflect(connection)
-    audit, tree = found.tables["audit"], found.tables["audit_tree"]
+    reflected = sa.MetaData()
+    reflected.reflect(connection)
+    audit, tree = reflected.tables["audit"], reflected.tables["audit_tree"]
     entries = [
-        AuditEntry(**{name: row[name] for name in FIELDS}, facts=json.loads(row["facts"]), rows={})
+        ({name: row[name] for name in FIELDS}, json.loads(row["facts"]), {})
         for row in connection.execute(sa.select(audit).order_by(audit.c.sequence)).mappings()
     ]
     of_plants: dict[str, dict[str, str]] = {}
-    for table in (found.tables[name] for name in NAMED):
+    for table in (reflected.tables[name] for name in NAMED):
         for row in connection.execute(sa.select(table)).mappings():
             if table.name != "jobs" or row["state"] in FINAL:
                 rows = of_plants.setdefault(row["name" if table.name == "plants" else "plant"], {})
-                rows[row_name(table.name, row)] = row_digest(table.name, plain(table, row))
+                rows[row_name(table.name, row)] = row_digest(table, row)
     at = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     for plant, rows in sorted(of_plants.items()):
-        last = AuditEntry(len(entries) + 1, at, "log:migrated", "migration", plant, revision, {}, rows)
-        told = {name: getattr(last, name) for name in FIELDS} | {"facts": "{}", "rows": canonical_bytes(rows).decode()}
-        connection.execute(sa.insert(audit), told)
-        entries.append(last)
-    frontier = NOTHING
-    for entry in entries:
-        frontier, completed = frontier.append(leaf_hash(entry_bytes(entry)))
-        nodes = [{"node": number_of(node), "hash": made} for node, made in completed.items()]
+        added = {"sequence": len(entries) + 1, "at": at, "kind": "log:migrated", "actor": "migration", "plant": plant, "subject": revision}
+        connection.execute(sa.insert(audit), added | {"facts": "{}", "rows": canonical(rows).decode()})
+        entries.append((added, {}, rows))
+    frontier: list[bytes] = []
+    for size, (entry, facts, rows) in enumerate(entries):
+        nodes = [{"node": number, "hash": hashed} for number, hashed in append(frontier, size, leaf(entry, facts, rows)).items()]
         connection.execute(sa.insert(tree), nodes)
-    head = {"id": 1, "size": frontier.size, "frontier": frontier.to_bytes()}
-    connection.execute(sa.insert(found.tables["audit_head"]), head)
+    connection.execute(sa.insert(reflected.tables["audit_head"]), {"id": 1, "size": len(entries), "frontier": b"".join(frontier)})
