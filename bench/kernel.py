@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.report import Figure, show
 from bench.servers import ROOT
-from trueup.model import compose
+from trueup.model import family_kernel as compose
 from trueup.model.family import families
 
 VECTORS, SAMPLES, ROUNDS = 256, 2000, 25

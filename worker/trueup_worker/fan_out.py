@@ -18,10 +18,10 @@ from types import TracebackType
 from typing import Any
 
 from trueup.canonical import digest_of_bytes
+from trueup.cores import cores
 from trueup.diagnose.parcel import pack_tasks, unpack_answers
 from trueup.diagnose.problem import Problem
 from trueup.diagnose.task import Share, Task, get_ready
-from trueup.model.compose import cores
 from trueup_service.jobs import Helped, JobQueue
 from trueup_worker.likeness import likeness
 

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.cores import cores
 from trueup.fit.normal_equations import NOTHING, RAN_AWAY, Errors, Gram, Kept
 from trueup.model.block import BLOCK, joint, kind
-from trueup.model.compose import cores
 from trueup.model.dynamics import CompiledFamily, Form
 from trueup.model.effect import Port, Scale, effects
 from trueup.model.family import families

@@ -117,7 +117,7 @@ class CompiledFamily(Dynamics):
         return np.stack([q + h_s * after, after], axis=1)
 
     def rollout(self, parameters: Array, initial: Array, applied: Array, h_s: Array, steps: NDArray[np.int64]) -> Array:
-        from trueup.model.compose import rollout  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
+        from trueup.model.family_kernel import rollout  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
         return rollout(self.family, parameters, initial, applied[:, :, 0], h_s, steps)
 
@@ -202,7 +202,7 @@ class CompiledTree(Dynamics):
         return np.concatenate([q + h * after, after], axis=1)
 
     def rollout(self, parameters: Array, initial: Array, applied: Array, h_s: Array, steps: NDArray[np.int64]) -> Array:
-        from trueup.model.composition import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
+        from trueup.model.kernel import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
         windows, samples, joints = applied.shape
         runs = steps.reshape(-1)

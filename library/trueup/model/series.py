@@ -192,7 +192,7 @@ def roll(s: Series, form: Form, p: Array, on: NDArray[np.uint8], init: Array, ga
     p `(rows, lanes)` and init `(windows, 2 x joints, lanes)`, whole blocks of lanes. So many as `starts` after the first differ from it
     in what windows start from alone, and begin each window with its hidden states.
     """
-    from trueup.model.composition import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
+    from trueup.model.kernel import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
     joints, lanes = len(s.u_scale), p.shape[1]
     out = np.empty((len(s.t_s), 2 * joints, lanes))

@@ -9,8 +9,8 @@ import pytest
 from tests.support.made import T0_NS, TRUE, episode_bytes, mcap_bytes, plant_document
 from trueup.episode.mcap import read_episode
 from trueup.errors import BadArtifact
-from trueup.model.compose import BLOCK, compile_all, rollout
 from trueup.model.family import families
+from trueup.model.family_kernel import BLOCK, compile_all, rollout
 from trueup.model.features import FRICTION, design, known_features
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, LinearMap, Nominal, Residual, predict_observations
@@ -158,7 +158,7 @@ def test_a_predictor_that_runs_away_says_so_in_its_numbers():
 
 def test_a_kernel_is_compiled_once_and_then_loaded_by_every_process():
     code = (
-        "import numpy as np; from trueup.model import compose; from trueup.model.family import families\n"
+        "import numpy as np; from trueup.model import family_kernel as compose; from trueup.model.family import families\n"
         "for name, family in families().items():\n"
         "    for width, vectors in ((compose.ALONE, 1), (compose.BLOCK, compose.BLOCK)):\n"
         "        z = np.zeros((1, 2)); p = np.ones((vectors, len(family.params)))\n"
