@@ -75,7 +75,7 @@ def arm_plant(folder, **more):
     return Plant.from_document(resolved(arm_document(**more), folder))
 
 
-def recorded(plant, change, seeds, roles, seconds=4.0, noise=(2e-4, 3e-3)):
+def recorded(plant, change, seeds, roles, seconds=3.0, noise=(2e-4, 3e-3)):
     """Episodes of a machine that `change(spec)` turned ARM into, under a controller that follows slow waves; MuJoCo at a fine step."""
     spec = mujoco.MjSpec.from_string(ARM)
     spec.option.timestep = PERIOD_S / FINE

@@ -31,9 +31,10 @@ def plant_of(bench: Bench, *, velocity: bool = True) -> Plant:
     )
 
 
-def episodes_of(plant: Plant, trial: Trial) -> list[Episode]:
+def episodes_of(plant: Plant, trial: Trial, runs: int | None = None) -> list[Episode]:
+    """The first runs of each role, or all."""
     roles = Role.ADAPTATION, Role.VALIDATION
-    return [episode_of(plant, run, role, f"{role}-{i}") for role in roles for i, run in enumerate(trial.of(role))]
+    return [episode_of(plant, run, role, f"{role}-{i}") for role in roles for i, run in enumerate(trial.of(role)[:runs])]
 
 
 def episode_of(plant: Plant, run: Run, role: Role, digest: str) -> Episode:
@@ -42,10 +43,10 @@ def episode_of(plant: Plant, run: Run, role: Role, digest: str) -> Episode:
 
 
 def recorded(
-    tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True, law: Noise = WHITE
+    tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True, law: Noise = WHITE, runs: int | None = 2
 ) -> tuple[Plant, list[Episode], Trial]:
     rng = np.random.default_rng(seed)
     bench = replace(draw_bench(tier, rng), law=law)
     trial = draw(bench, names, shifted, rng)
     plant = plant_of(bench, velocity=velocity)
-    return plant, episodes_of(plant, trial), trial
+    return plant, episodes_of(plant, trial, runs), trial

@@ -104,7 +104,7 @@ def test_a_delay_of_the_sensor_has_the_law_of_the_actuators():
 
 
 def test_a_bias_and_a_constant_force_are_one_on_a_linear_spring():
-    plant, episodes, _ = recorded("A1", ["sensor_bias"], 9)
+    plant, episodes, _ = recorded("A1", ["sensor_bias"], 9, runs=None)
     found = diagnose(plant, episodes)
     named_or_rival = {*named(found), *(e for other in found.document["indistinguishable"] for e in other)}
     assert named_or_rival == {"sensor_bias", "constant_force"}

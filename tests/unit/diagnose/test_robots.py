@@ -29,7 +29,7 @@ from trueup.model.windows import cut, starts_every
 from trueup.simulate.robot import Follow, RobotPlan, rotor, run
 from trueup_pages.diagnosis import report_page
 
-ROLES = ("adaptation", "adaptation", "adaptation", "validation", "validation")
+ROLES = ("adaptation", "adaptation", "validation", "validation")
 
 
 def rubs(spec):
@@ -47,7 +47,7 @@ def plant(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rubbing(plant):
-    episodes = recorded(plant, rubs, range(5), ROLES)
+    episodes = recorded(plant, rubs, range(4), ROLES)
     return episodes, diagnose(plant, episodes)
 
 
@@ -91,7 +91,7 @@ def test_report_and_page_name_the_joint(rubbing):
 
 
 def test_a_payload_is_parameters_only(plant):
-    document = diagnose(plant, recorded(plant, carries, range(5), ROLES)).document
+    document = diagnose(plant, recorded(plant, carries, range(4), ROLES)).document
     assert document["verdict"] == "parameters_only"
     assert document["effects"] == []
     assert document["gap"]["closed"] > 0.95
@@ -106,7 +106,7 @@ def test_what_the_motion_cannot_show_is_not_numbered(plant, rubbing):
 
 
 def test_identified_and_residual_predict_a_payload_better_than_the_nominal_model(plant):
-    episodes = recorded(plant, carries, range(4), (*ROLES[:3], "validation"))
+    episodes = recorded(plant, carries, range(4), ("adaptation",) * 3 + ("validation",))
     adaptation, test = episodes[:3], episodes[3]
     windows = cut(plant, test, starts_every(test.t_s, 0.5))
 
@@ -163,7 +163,7 @@ def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(plant):
     def sticks(spec):
         spec.joint("shoulder").frictionloss = 0.6
 
-    episodes = [late_elbow(e) for e in recorded(plant, sticks, range(5), ROLES)]
+    episodes = [late_elbow(e) for e in recorded(plant, sticks, range(4), ROLES)]
     found = diagnose(plant, episodes)
     assert {(e["effect"], e["joint"]) for e in found.document["effects"]} == {("coulomb_friction", "shoulder"), ("sensor_delay", "elbow")}
     delay = next(e for e in found.document["effects"] if e["effect"] == "sensor_delay")["estimate"]["delay"]["value"]
