@@ -16,7 +16,7 @@ from trueup.diagnose.remainder import looked_again
 from trueup.diagnose.search import Search
 from trueup.diagnose.task import Solve, in_threads
 from trueup.episode.episode import Episode
-from trueup.fit.rollout_fit import RolloutFit, Start, in_parallel
+from trueup.fit.rollout_fit import RolloutFit, Start
 from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
@@ -162,7 +162,7 @@ def _grow(plant: Plant, search: Search, generation: list[Candidate], by: Yardsti
         leaders = _leaders(search, generation, base, by, spent)
         if size > PAIR:  # one effect less than two is what the others began from
             leaders = _swapped(search, leaders, base, by, spent)
-            list(in_parallel(search.shrink, leaders[:2]))
+            search.at_once(Search.shrink, leaders[:2])
         left = _left(search, base)
         hopeless = left > HOPELESS if size > PAIR else left > HOPELESS_ON_MACHINE and not search.problem.exact
         if hopeless or any(enough(c, base, by) and c.misfit < by.far for c in search):
@@ -264,8 +264,8 @@ def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, b
     if spent is ONE_JOINT or any(enough(c, base, by) for c in leaders):
         return leaders
     best = list({tuple(kind(t).name for t in c.hypothesis.effects): c for c in reversed(leaders)}.values())[::-1][:SPREAD]
-    made = [c for c in in_parallel(search.everywhere, best) if c is not None]
-    list(in_parallel(search.peel, [c for c in made if enough(c, base, by)]))  # at how many of them does it act?
+    made = [c for c in search.at_once(Search.everywhere, best) if c is not None]
+    search.at_once(Search.peel, [c for c in made if enough(c, base, by)])  # at how many of them does it act?
     known = set(search.found)
     for c in leaders[:1]:
         search.mirror(c)  # of two that are nearly alike one may hide what else there is

@@ -6,7 +6,8 @@ Every term is tried on the nominal form, every other on the best of those, and s
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from trueup.model.block import kind, term
 from trueup.model.effect import Port, effects
 from trueup.model.hypothesis import Hypothesis
 
+Result = TypeVar("Result")
 NEARLY = 4.0  # times the misfit: a part of a composition that does about as well
 PARTNERS = 2  # terms that raced best, which other parents get, and so many of their own
 WON, BEATEN = 1.5, 30.0  # misfits of a race that is over: one that leaves noise, and those that need not be fitted to the end
@@ -132,6 +134,21 @@ class Search:
                 values = self.problem.without(values, name)
             self.keep(self.problem.fitter.fit(self.problem.adaptation, hypothesis, values, larger.fit.starts, iterations=SETTLE))
         return self.found[hypothesis]
+
+    def at_once(self, work: Callable[[Search, Candidate], Result], candidates: Sequence[Candidate]) -> list[Result]:
+        """Work on each candidate, in threads; the answers, and what is known afterwards, do not depend on which thread is faster.
+
+        Each works on a copy of what is known now. Of what they found the cheaper fit is kept, and of equal ones that of the candidate
+        that comes first.
+        """
+        copies = [replace(self, found=dict(self.found)) for _ in candidates]
+        answers = list(in_parallel(lambda pair: work(*pair), list(zip(copies, candidates, strict=True))))
+        for copy in copies:
+            for candidate in copy.found.values():
+                known = self.found.get(candidate.hypothesis)
+                if known is None or candidate.fit.cost < known.fit.cost:
+                    self.adopt(candidate)
+        return answers
 
     def shrink(self, candidate: Candidate) -> list[Candidate]:
         """Each composition with one effect less, fitted from where this one is; kept where that is better than what was found."""
