@@ -23,7 +23,7 @@ from bench.peers.environment import HERE, peers_python
 from tests.support.simulated import episode_of, episodes_of, plant_of
 from trueup.blindtrial.tally import Answer, judge
 from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import penalised, total
+from trueup.diagnose.decide import penalised, selection_criteria, total
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.explore import explore
 from trueup.diagnose.filtering import corrected
@@ -114,7 +114,8 @@ def house(machine: Hidden) -> dict[str, Given]:
     given = {"trueup": Given(Answer(dict(found.document), None, took), positions(found.predictor, machine.tests), took)}
     began = time.monotonic()
     admission = admit(plant, adaptation)
-    search, admission = explore(plant, admission, adaptation, validation, lambda *_: None)
+    criteria = selection_criteria(plant, [*adaptation, *validation])
+    search, admission = explore(plant, admission, adaptation, validation, criteria, lambda *_: None)
     took = time.monotonic() - began
     candidates = [c for c in search if np.isfinite(total(c))]
     spread = max(min(map(total, candidates)), 0.5)

@@ -25,6 +25,7 @@ from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
 from trueup.model.hypothesis import Hypothesis
+from trueup.model.plant import Plant
 
 LOG_LIKELIHOOD = 9.0  # units of log-likelihood that separate two candidates
 CERTAIN = 3.0  # times that, for windows that do not agree
@@ -40,7 +41,7 @@ FAR = 10.0  # times the noise's power: what a robot's law leaves of that size ma
 
 
 @dataclass(frozen=True, slots=True)
-class Yardstick:
+class SelectionCriteria:
     """How exact a law may be expected to be.
 
     `material` is the least part of the refitted gap that an effect must remove, `finishing` the same where it leaves FINISHED of the
@@ -49,7 +50,7 @@ class Yardstick:
     `most_effects` how many are looked for; `alike` the part of the best misfit on validation episodes within which two compositions of one
     size are alike; `indifferent` the part of the refitted gap by which integration alone may make one of two better; `far` the misfit
     beyond which the search goes on in any case. Where `alike` is not 0, what remains is no white noise, samples are no independent
-    witnesses, and only validation episodes rank.
+    witnesses, and only validation episodes rank. `of_machine` says whether the recordings are a machine's.
     """
 
     material: float
@@ -61,20 +62,42 @@ class Yardstick:
     alike: float
     indifferent: float
     far: float = np.inf
+    of_machine: bool = False
 
 
-SIMULATED = Yardstick(0.004, 0.001, 2e-4, 0.012, 0.015, 3, 0.0, 0.0)  # the laws' forms and the integration differ by about a thousandth
+SIMULATED = SelectionCriteria(  # the laws' forms and the integration differ by about a thousandth
+    material=0.004,
+    finishing=0.001,
+    overall=2e-4,
+    unexplained=0.012,
+    unexplained_by_more=0.015,
+    most_effects=3,
+    alike=0.0,
+    indifferent=0.0,
+)
 # A step of several joints knows an effect's force only when it is over.
 ROBOT = replace(SIMULATED, finishing=3e-3, unexplained_by_more=0.03, indifferent=4e-4, far=FAR)
-PHYSICAL = Yardstick(0.01, 0.01, 2e-3, 0.15, 0.6, 2, 0.25, 0.0)  # no textbook law holds on a machine to better than some per cent
+PHYSICAL = SelectionCriteria(  # no textbook law holds on a machine to better than some per cent
+    material=0.01,
+    finishing=0.01,
+    overall=2e-3,
+    unexplained=0.15,
+    unexplained_by_more=0.6,
+    most_effects=2,
+    alike=0.25,
+    indifferent=0.0,
+    of_machine=True,
+)
 
 
-def yardstick(episodes: Sequence[Episode]) -> Yardstick:
-    """By the stage that the episodes declare: a machine is measured by another yardstick than a simulator, and a robot by another than a
-    joint."""
+def selection_criteria(plant: Plant, episodes: Sequence[Episode]) -> SelectionCriteria:
+    """By the stage that the episodes declare: a machine is measured more coarsely than a simulator, and a robot than a joint.
+
+    Asked once in a diagnosis, of the episodes that it fits and compares on.
+    """
     if is_physical(episodes):
         return PHYSICAL
-    return ROBOT if any(len({c.joint for c in e.layout.observations}) > 1 for e in episodes) else SIMULATED
+    return ROBOT if len(plant.joints) > 1 else SIMULATED
 
 
 class Verdict(StrEnum):
@@ -97,7 +120,10 @@ class Choice:
 
 
 def decide(
-    candidates: Sequence[Candidate], nominal: RolloutFit, by: Yardstick = SIMULATED, level: Callable[[Candidate], float] = lambda _: 1.0
+    candidates: Sequence[Candidate],
+    nominal: RolloutFit,
+    criteria: SelectionCriteria = SIMULATED,
+    level: Callable[[Candidate], float] = lambda _: 1.0,
 ) -> Choice:
     """Choose among fitted candidates, the bare family among them. `nominal` is the nominal model on validation episodes.
 
@@ -106,27 +132,27 @@ def decide(
     sound = [c for c in candidates if np.isfinite(total(c))]
     spread = max(min(map(total, sound)), FLOOR)
     by_size: dict[float, list[Candidate]] = {}
-    for c in sorted(sound, key=lambda c: c.misfit if by.alike else penalised(c, spread)):
+    for c in sorted(sound, key=lambda c: c.misfit if criteria.alike else penalised(c, spread)):
         by_size.setdefault(complexity(c), []).append(c)
     base = by_size[0][0]
     gap = max(base.misfit - 1.0, nominal.misfit - 1.0 if np.isfinite(nominal.misfit) else 0.0, 0.0)
     winner = base
     found = {c.hypothesis: c for c in sound}
     for _, group in sorted(by_size.items())[1:]:
-        if _earns(group[0], winner, found.get(_common(group[0], winner), base), gap, by):
+        if _earns(group[0], winner, found.get(_common(group[0], winner), base), gap, criteria):
             winner = group[0]
     size = complexity(winner)
     left = max(winner.misfit - 1.0, 0.0) / max(base.misfit - 1.0 if size else gap, 1e-12)
     several = len(winner.hypothesis.effects) > 1
     numbers = len(winner.fit.free.rows) - len(base.fit.free.rows)
-    bearable = min(by.unexplained, by.unexplained_by_more / numbers) if several else by.unexplained
+    bearable = min(criteria.unexplained, criteria.unexplained_by_more / numbers) if several else criteria.unexplained
     if winner.misfit > ADEQUATE and left > bearable:
         noise = level(winner)
         left *= max(winner.misfit - noise, 0.0) / (winner.misfit - 1.0)
         if winner.misfit > ADEQUATE * noise and left > bearable:
             return Choice(Verdict.UNKNOWN, winner, (), left)
     if size:
-        rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner, base, by))
+        rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner, base, criteria))
         return Choice(Verdict.EFFECT, winner, rivals, left)
     moved = nominal.misfit - base.misfit > NOISE_POWER * max(base.misfit, FLOOR)
     better = moved and _certain(np.nan_to_num(nominal.costs - base.check.costs, nan=0.0), base.misfit)
@@ -163,9 +189,9 @@ def penalised(c: Candidate, spread: float) -> float:
     return (c.fit.cost + c.check.cost) / spread + numbers * float(np.log(c.fit.samples + c.check.samples))
 
 
-def enough(candidate: Candidate, base: Candidate, by: Yardstick) -> bool:
+def enough(candidate: Candidate, base: Candidate, criteria: SelectionCriteria) -> bool:
     """Whether nothing material is left for a larger composition to explain."""
-    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < by.finishing * (base.misfit - 1.0)
+    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < criteria.finishing * (base.misfit - 1.0)
 
 
 def _common(larger: Candidate, smaller: Candidate) -> Hypothesis:
@@ -174,25 +200,25 @@ def _common(larger: Candidate, smaller: Candidate) -> Hypothesis:
     return Hypothesis(kept if len(kept) < len(smaller.hypothesis.effects) else ())
 
 
-def _earns(larger: Candidate, smaller: Candidate, base: Candidate, gap: float, by: Yardstick) -> bool:
+def _earns(larger: Candidate, smaller: Candidate, base: Candidate, gap: float, criteria: SelectionCriteria) -> bool:
     """Whether a larger composition removes a material and certain part of the gap on validation episodes."""
     removed = smaller.misfit - larger.misfit
     rest = max(larger.misfit - 1.0, 0.0) / max(smaller.misfit - 1.0, 1e-12)
-    part = by.material if rest > FINISHED else by.finishing
+    part = criteria.material if rest > FINISHED else criteria.finishing
     material = NOISE_POWER * max(larger.misfit, FLOOR)
     finishes = larger.misfit < ADEQUATE or rest < SCRAPS
-    if by.alike or not finishes or removed < PLAIN * larger.misfit:  # else nothing is left of what plainly was
-        material = max(part * (base.misfit - 1.0), by.overall * gap, material)
+    if criteria.alike or not finishes or removed < PLAIN * larger.misfit:  # else nothing is left of what plainly was
+        material = max(part * (base.misfit - 1.0), criteria.overall * gap, material)
     return removed > material and _certain(smaller.check.costs - larger.check.costs, larger.misfit)
 
 
-def _told_apart(rival: Candidate, winner: Candidate, base: Candidate, by: Yardstick) -> bool:
+def _told_apart(rival: Candidate, winner: Candidate, base: Candidate, criteria: SelectionCriteria) -> bool:
     """Whether the windows of all episodes are certain that a rival of the same size is worse, numbers of parameters accounted for."""
-    if by.alike:
-        return rival.misfit > (1.0 + by.alike) * winner.misfit
+    if criteria.alike:
+        return rival.misfit > (1.0 + criteria.alike) * winner.misfit
     if are_twins(rival.hypothesis, winner.hypothesis) and total(rival) < NEXT_TO * total(winner):
         return False
-    if by.indifferent and total(rival) - total(winner) < by.indifferent * (total(base) - total(winner)):
+    if criteria.indifferent and total(rival) - total(winner) < criteria.indifferent * (total(base) - total(winner)):
         return False
     worse = np.concatenate([rival.fit.costs - winner.fit.costs, rival.check.costs - winner.check.costs])
     spread = max(total(winner), FLOOR)

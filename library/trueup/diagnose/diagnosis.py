@@ -9,7 +9,7 @@ from functools import partial
 from trueup.canonical import Json
 from trueup.collect.bounds import Recorded
 from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import Choice, Yardstick, agreeing, decide, yardstick
+from trueup.diagnose.decide import Choice, SelectionCriteria, agreeing, decide, selection_criteria
 from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
 from trueup.diagnose.explore import explore, polished
 from trueup.diagnose.filtering import corrected
@@ -55,12 +55,12 @@ class Diagnosis:
     nominal: RolloutFit
 
 
-def _decided(search: Search, nominal: RolloutFit, by: Yardstick) -> Choice:
+def _decided(search: Search, nominal: RolloutFit, criteria: SelectionCriteria) -> Choice:
     """The choice among what was found."""
-    return decide(list(search), nominal, by, partial(noise_level, search.problem))
+    return decide(list(search), nominal, criteria, partial(noise_level, search.problem))
 
 
-def _settled(search: Search, choice: Choice, nominal: RolloutFit, by: Yardstick) -> Choice:
+def _settled(search: Search, choice: Choice, nominal: RolloutFit, criteria: SelectionCriteria) -> Choice:
     """The choice once the fits of all that it names stand at their minima: a better fit of one may unseat another.
 
     Of a robot the alternatives' alone, for the answer is fitted once more anyway, on finer steps.
@@ -75,7 +75,7 @@ def _settled(search: Search, choice: Choice, nominal: RolloutFit, by: Yardstick)
         for converged in in_parallel(lambda c: search.problem.converged(c.fit), list({c.hypothesis: c for c in wanted}.values())):
             done.add(converged.hypothesis)
             search.adopt(converged)
-        choice = _decided(search, nominal, by)
+        choice = _decided(search, nominal, criteria)
     return choice
 
 
@@ -96,17 +96,18 @@ def diagnose(
         raise NotIdentifiable("there is no validation episode to compare on", hint="Give at least one episode the role validation.")
     progress("looking at the episodes", 0.0)
     admission = admit(plant, adaptation)
-    search, admission = explore(plant, admission, adaptation, validation, progress, solve)
+    criteria = selection_criteria(plant, [*adaptation, *validation])
+    search, admission = explore(plant, admission, adaptation, validation, criteria, progress, solve)
     problem = search.problem
     nominal = problem.nominal(plant.parameters)
-    choice = _decided(search, nominal, yardstick(episodes))
+    choice = _decided(search, nominal, criteria)
     for _ in range(TWICE):
         search.mirror(choice.winner)
-        choice = _decided(search, nominal, yardstick(episodes))
-    choice = _settled(search, choice, nominal, yardstick(episodes))
+        choice = _decided(search, nominal, criteria)
+    choice = _settled(search, choice, nominal, criteria)
     progress("measuring on held-out episodes", 0.0)
     base = search.found[Hypothesis()]
-    best, scheme, other = polished(plant, problem, choice.winner, adaptation, validation)
+    best, scheme, other = polished(plant, problem, choice.winner, adaptation, validation, criteria)
     predictor = corrected(plant, admission, best.fit, scheme, adaptation)
     refitted = corrected(plant, admission, base.fit, problem.scheme, adaptation)
     gap = measure(Nominal(plant), refitted, predictor, validation, Noise(admission.noise, admission.correlation), seed)

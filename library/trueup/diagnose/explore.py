@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from trueup.diagnose.admission import NUMERICAL, Admission
-from trueup.diagnose.decide import PHYSICAL, Yardstick, enough, total, yardstick
+from trueup.diagnose.decide import SelectionCriteria, enough, total
 from trueup.diagnose.laying_out import SHORTER, in_pieces, lay_out, sought
 from trueup.diagnose.problem import SETTLE, Candidate, Problem
 from trueup.diagnose.remainder import looked_again
@@ -70,12 +70,13 @@ def explore(
     admission: Admission,
     adaptation: Sequence[Episode],
     validation: Sequence[Episode],
+    criteria: SelectionCriteria,
     progress: Progress,
     solve: Solve = in_threads,
 ) -> tuple[Search, Admission]:
     """The search under the scheme of integration that explains the episodes best, and what the episodes are like, noise looked at again."""
     for _ in range(LOOKS):
-        search, again = _explored(plant, admission, adaptation, validation, progress, solve)
+        search, again = _explored(plant, admission, adaptation, validation, criteria, progress, solve)
         if again is None:
             break
         admission = again
@@ -87,18 +88,19 @@ def _explored(
     admission: Admission,
     adaptation: Sequence[Episode],
     validation: Sequence[Episode],
+    criteria: SelectionCriteria,
     progress: Progress,
     solve: Solve,
 ) -> tuple[Search, Admission | None]:
     """One search; and where its noise turns out to be another, what the episodes are like with that."""
 
     def laid_out(scheme: Scheme, parts: int) -> Search:
-        problem, base = lay_out(plant, admission, adaptation, validation, scheme, parts)
+        problem, base = lay_out(plant, admission, adaptation, validation, criteria, scheme, parts)
         progress("the nominal form refitted", 1.0)
         return Search(problem, sought(plant), solve, {Hypothesis(): base})
 
     schemes = [refined(plant), DECLARED]
-    if yardstick(adaptation) is PHYSICAL:
+    if criteria.of_machine:
         schemes = schemes[:1]  # a machine has no step
     elif quiet(admission):
         schemes.reverse()  # a log without noise is a simulator's, and its step is the declared one
@@ -116,10 +118,10 @@ def _explored(
             parts = SHORTER
             search = laid_out(scheme, parts)
             generation = _first(plant, search, progress)
-        _grow(plant, search, generation, yardstick(adaptation), progress)
+        _grow(plant, search, generation, criteria, progress)
         if best is None or min(map(total, search)) < min(map(total, best)):
             best = search
-        if any(enough(c, search.found[Hypothesis()], yardstick(adaptation)) for c in search):
+        if any(enough(c, search.found[Hypothesis()], criteria) for c in search):
             break
     assert best is not None
     return best, looked_again(admission, best.problem, min(best, key=total))
@@ -154,26 +156,26 @@ def _astray(search: Search) -> bool:
     return len(search.problem.pieces) > 0 and search.problem.exact and any(c.fit.cost > FAR_BEHIND * base.fit.cost for c in search)
 
 
-def _grow(plant: Plant, search: Search, generation: list[Candidate], by: Yardstick, progress: Progress) -> None:
+def _grow(plant: Plant, search: Search, generation: list[Candidate], criteria: SelectionCriteria, progress: Progress) -> None:
     """Compositions of ever more effects after those of one, until there is nothing left to explain."""
     alone, base, spent = len(plant.joints) == 1, search.found[Hypothesis()], effort(plant)
-    largest = by.most_effects if alone else PAIR
+    largest = criteria.most_effects if alone else PAIR
     for size in range(2, largest + 1):
-        leaders = _leaders(search, generation, base, by, spent)
+        leaders = _leaders(search, generation, base, criteria, spent)
         if size > PAIR:  # one effect less than two is what the others began from
-            leaders = _swapped(search, leaders, base, by, spent)
+            leaders = _swapped(search, leaders, base, criteria, spent)
             search.at_once(Search.shrink, leaders[:2])
         left = _left(search, base)
         hopeless = left > HOPELESS if size > PAIR else left > HOPELESS_ON_MACHINE and not search.problem.exact
-        if hopeless or any(enough(c, base, by) and c.misfit < by.far for c in search):
+        if hopeless or any(enough(c, base, criteria) and c.misfit < criteria.far for c in search):
             return
         near = [c for c in leaders if not total(c) > FAR_BEHIND * total(leaders[0])]
         many, says = spent.parents if size == PAIR else 2, partial(progress, f"{size} effects")
         others = near[many : many + spent.partners]
         generation = search.extend(near[:many], search.terms, says, most=spent.grown, settled=spent.settled, others=others)
-    leaders = _leaders(search, generation, base, by, spent)
+    leaders = _leaders(search, generation, base, criteria, spent)
     if largest == PAIR and search.problem.exact and not _left(search, base) > HOPELESS_PAIR:
-        leaders = _swapped(search, leaders, base, by, spent)
+        leaders = _swapped(search, leaders, base, criteria, spent)
     for c in leaders[: min(2, spent.parents)]:
         (search.shrink if alone else search.peel)(c)
 
@@ -184,7 +186,12 @@ def _left(search: Search, base: Candidate) -> float:
 
 
 def polished(
-    plant: Plant, problem: Problem, best: Candidate, adaptation: Sequence[Episode], validation: Sequence[Episode]
+    plant: Plant,
+    problem: Problem,
+    best: Candidate,
+    adaptation: Sequence[Episode],
+    validation: Sequence[Episode],
+    criteria: SelectionCriteria,
 ) -> tuple[Candidate, Scheme, RolloutFit]:
     """The answer fitted once more on every sample and on finer steps, so that integration leaves no mark on its estimates; its scheme, and
     the same fitted on other steps.
@@ -192,13 +199,13 @@ def polished(
     Where its cost on whole windows is so rough that no minimum can be proven, on shorter ones, in which errors grow less. A machine's
     windows are those of its predictions: there the search's own fit does, where it is proven, or where it predicts better.
     """
-    scheme, physical = problem.scheme, yardstick(adaptation) is PHYSICAL
+    scheme, physical = problem.scheme, criteria.of_machine
     if scheme.alpha == 0.0 and not physical:
         return best, scheme, best.fit
     finer = Scheme(scheme.alpha, FINER * scheme.parts) if scheme.alpha and problem.exact else scheme
     found: list[Candidate] = []
     for part in SHORTENED if len(plant.joints) == 1 and not physical else SHORTENED[:1]:
-        last = _last(plant, problem, adaptation, validation, finer, problem.length_s * part)
+        last = _last(plant, problem, adaptation, validation, criteria, finer, problem.length_s * part)
         done = _finished(last, problem, best)
         before = last.candidate(best.fit).misfit if physical else best.misfit  # from where the log says, or from where fits best
         if done is not None and done.misfit < WORSE * before:
@@ -212,7 +219,13 @@ def polished(
 
 
 def _last(
-    plant: Plant, problem: Problem, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme, length_s: float
+    plant: Plant,
+    problem: Problem,
+    adaptation: Sequence[Episode],
+    validation: Sequence[Episode],
+    criteria: SelectionCriteria,
+    scheme: Scheme,
+    length_s: float,
 ) -> Problem:
     """A problem of every sample in windows of a length [s] under a scheme.
 
@@ -220,7 +233,7 @@ def _last(
     """
     several = len(plant.joints) > 1 and problem.exact
     return Problem(
-        problem.fitter.holding() if yardstick(adaptation) is PHYSICAL else problem.fitter,
+        problem.fitter.holding() if criteria.of_machine else problem.fitter,
         [series(plant, e, scheme, length_s) for e in adaptation],
         [series(plant, e, scheme, length_s) for e in validation],
         problem.short,
@@ -256,16 +269,18 @@ def _refined(search: Search, generation: Sequence[Candidate], most: int) -> list
     return sorted((c for c in refined if c.resolved), key=total)
 
 
-def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, by: Yardstick, spent: Effort) -> list[Candidate]:
+def _leaders(
+    search: Search, generation: Sequence[Candidate], base: Candidate, criteria: SelectionCriteria, spent: Effort
+) -> list[Candidate]:
     """The best of a generation refined, with those in which their effects act at every joint where that is still wanted: drives of one
     make on one bus are late, weak or sticky alike.
     """
     leaders = _refined(search, generation, spent.refined)
-    if spent is ONE_JOINT or any(enough(c, base, by) for c in leaders):
+    if spent is ONE_JOINT or any(enough(c, base, criteria) for c in leaders):
         return leaders
     best = list({tuple(kind(t).name for t in c.hypothesis.effects): c for c in reversed(leaders)}.values())[::-1][:SPREAD]
     made = [c for c in search.at_once(Search.everywhere, best) if c is not None]
-    search.at_once(Search.peel, [c for c in made if enough(c, base, by)])  # at how many of them does it act?
+    search.at_once(Search.peel, [c for c in made if enough(c, base, criteria)])  # at how many of them does it act?
     known = set(search.found)
     for c in leaders[:1]:
         search.mirror(c)  # of two that are nearly alike one may hide what else there is
@@ -274,9 +289,9 @@ def _leaders(search: Search, generation: Sequence[Candidate], base: Candidate, b
     return sorted([*leaders, *(c for c in made if c.resolved)], key=total)
 
 
-def _swapped(search: Search, leaders: list[Candidate], base: Candidate, by: Yardstick, spent: Effort) -> list[Candidate]:
+def _swapped(search: Search, leaders: list[Candidate], base: Candidate, criteria: SelectionCriteria, spent: Effort) -> list[Candidate]:
     """The best, with those in which one of its effects gave way to another: one effect alone may look like what two together are not."""
-    if not leaders or any(enough(c, base, by) for c in leaders):
+    if not leaders or any(enough(c, base, criteria) for c in leaders):
         return leaders
     best = min(leaders, key=lambda c: (len(c.hypothesis.effects) > PAIR and len(search.problem.declared) > 0, total(c)))
     parts = [search.fitted(best.hypothesis.without(name), best) for name in best.hypothesis.effects]

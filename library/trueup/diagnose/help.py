@@ -9,6 +9,7 @@ import numpy as np
 
 from trueup.canonical import digest_of_bytes
 from trueup.diagnose.admission import admit
+from trueup.diagnose.decide import selection_criteria
 from trueup.diagnose.laying_out import by_role, laid_out
 from trueup.diagnose.parcel import Outline, pack_answers, unpack_tasks
 from trueup.diagnose.problem import Problem
@@ -24,6 +25,7 @@ class Helper:
         self._plant = plant
         self._adaptation, self._validation = by_role(episodes)
         self._admission = admit(plant, self._adaptation)
+        self._criteria = selection_criteria(plant, [*self._adaptation, *self._validation])
         self._known: tuple[str, Problem] | None = None
 
     def answer(self, parcel: str) -> str:
@@ -38,6 +40,8 @@ class Helper:
         if self._known is None or self._known[0] != name:
             sigma = np.where(np.isfinite(outline.sigma), outline.sigma, np.nan)
             admission = replace(self._admission, sigma=sigma, correlation=outline.correlation)
-            problem = laid_out(self._plant, admission, self._adaptation, self._validation, outline.scheme, outline.length_s, outline.base)
+            problem = laid_out(
+                self._plant, admission, self._adaptation, self._validation, self._criteria, outline.scheme, outline.length_s, outline.base
+            )
             self._known = name, problem
         return self._known[1]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from trueup.diagnose.admission import Admission
-from trueup.diagnose.decide import PHYSICAL, total, yardstick
+from trueup.diagnose.decide import SelectionCriteria, total
 from trueup.diagnose.periodicity import pitches
 from trueup.diagnose.problem import Candidate, Problem
 from trueup.diagnose.search import searchable
@@ -41,20 +41,26 @@ def by_role(episodes: Sequence[Episode]) -> tuple[list[Episode], list[Episode]]:
 
 
 def lay_out(
-    plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme, parts: int
+    plant: Plant,
+    admission: Admission,
+    adaptation: Sequence[Episode],
+    validation: Sequence[Episode],
+    criteria: SelectionCriteria,
+    scheme: Scheme,
+    parts: int,
 ) -> tuple[Problem, Candidate]:
     """A problem, and the nominal form refitted, on windows of which so many `parts` make one of full length, or more where the nominal
     form runs away.
     """
-    length_s = window_s(plant, [*adaptation, *validation]) / parts
+    length_s = window_s(plant, [*adaptation, *validation], criteria) / parts
     adaptation, validation = taken(admission, adaptation, validation, scheme)
     begins = _begins(plant, adaptation)
     for part_s in length_s / 2.0 ** np.arange(HALVED + 1):
-        problem = _in_windows(plant, admission, adaptation, validation, scheme, float(part_s))
+        problem = _in_windows(plant, admission, adaptation, validation, criteria, scheme, float(part_s))
         base = problem.refitted(begins)
         if np.isfinite(total(base)):
             break
-    return _furnished(plant, admission, adaptation, validation, problem, base.fit), base
+    return _furnished(plant, admission, adaptation, validation, criteria, problem, base.fit), base
 
 
 def laid_out(
@@ -62,14 +68,15 @@ def laid_out(
     admission: Admission,
     adaptation: Sequence[Episode],
     validation: Sequence[Episode],
+    criteria: SelectionCriteria,
     scheme: Scheme,
     length_s: float,
     base: RolloutFit,
 ) -> Problem:
     """The same problem once more, from what was found in laying it out: the windows' length [s] and the nominal form refitted."""
     adaptation, validation = taken(admission, adaptation, validation, scheme)
-    problem = _in_windows(plant, admission, adaptation, validation, scheme, length_s)
-    return _furnished(plant, admission, adaptation, validation, problem, base)
+    problem = _in_windows(plant, admission, adaptation, validation, criteria, scheme, length_s)
+    return _furnished(plant, admission, adaptation, validation, criteria, problem, base)
 
 
 def taken(
@@ -83,7 +90,13 @@ def taken(
 
 
 def _in_windows(
-    plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], scheme: Scheme, length_s: float
+    plant: Plant,
+    admission: Admission,
+    adaptation: Sequence[Episode],
+    validation: Sequence[Episode],
+    criteria: SelectionCriteria,
+    scheme: Scheme,
+    length_s: float,
 ) -> Problem:
     """What is fitted to windows of a length [s]."""
     return Problem(
@@ -93,7 +106,7 @@ def _in_windows(
             admission.scales,
             admission.sigma,
             admission.correlation,
-            held=len(plant.joints) == 1 and yardstick(adaptation) is PHYSICAL,
+            held=len(plant.joints) == 1 and criteria.of_machine,
         ),
         [series(plant, e, scheme, length_s) for e in adaptation],
         [series(plant, e, scheme, length_s) for e in validation],
@@ -103,7 +116,13 @@ def _in_windows(
 
 
 def _furnished(
-    plant: Plant, admission: Admission, adaptation: Sequence[Episode], validation: Sequence[Episode], problem: Problem, base: RolloutFit
+    plant: Plant,
+    admission: Admission,
+    adaptation: Sequence[Episode],
+    validation: Sequence[Episode],
+    criteria: SelectionCriteria,
+    problem: Problem,
+    base: RolloutFit,
 ) -> Problem:
     """The same with what a search of terms needs."""
     alone, scheme = len(plant.joints) == 1, problem.scheme
@@ -113,7 +132,7 @@ def _furnished(
         base=base,
         pitches={t: begins for t, (begins, _) in repeating.items()},
         evident=[t for t, (_, part) in repeating.items() if part > EVIDENT and not alone],
-        exact=alone or yardstick(adaptation) is not PHYSICAL,
+        exact=alone or not criteria.of_machine,
     )
     if alone:
         return problem
@@ -136,12 +155,12 @@ def sought(plant: Plant) -> list[str]:
     return searchable([bool(c >= 0) for c in plant.command_columns])
 
 
-def window_s(plant: Plant, episodes: Sequence[Episode]) -> float:
+def window_s(plant: Plant, episodes: Sequence[Episode], criteria: SelectionCriteria) -> float:
     """Length of the windows that are fitted [s]: the horizon of evaluation on a machine, whose disturbances no model foresees, and of a
     robot, which soon goes its own way; else two seconds at least.
     """
     shortest = min(float(e.t_s[-1]) for e in episodes)
-    given = len(plant.joints) > 1 or yardstick(episodes) is PHYSICAL
+    given = len(plant.joints) > 1 or criteria.of_machine
     return min(plant.horizon_s if given else max(WINDOW_S, plant.horizon_s), shortest)
 
 

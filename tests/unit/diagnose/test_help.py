@@ -10,6 +10,7 @@ import pytest
 from tests.support.simulated import recorded
 from trueup.canonical import digest_of
 from trueup.diagnose.admission import admit
+from trueup.diagnose.decide import selection_criteria
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.help import Helper
 from trueup.diagnose.laying_out import by_role, lay_out
@@ -29,7 +30,7 @@ def case():
 def posed(case):
     plant, episodes = case
     adaptation, validation = by_role(episodes)
-    return lay_out(plant, admit(plant, adaptation), adaptation, validation, refined(plant), 1)
+    return lay_out(plant, admit(plant, adaptation), adaptation, validation, selection_criteria(plant, adaptation), refined(plant), 1)
 
 
 def test_a_diagnosis_that_others_did_is_the_same(case):

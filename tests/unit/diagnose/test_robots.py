@@ -9,14 +9,17 @@ import pytest
 from tests.support.robots import PERIOD_S, arm_machine, arm_plant, recorded
 from trueup.artifact.artifact import pack, unpack
 from trueup.diagnose.admission import admit
+from trueup.diagnose.decide import selection_criteria
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.explore import _astray
 from trueup.diagnose.figures import figures
+from trueup.diagnose.laying_out import by_role
 from trueup.diagnose.locate import Strides, _pushed
 from trueup.diagnose.periodicity import pitches
 from trueup.diagnose.problem import Candidate, Problem
 from trueup.diagnose.search import Search
 from trueup.diagnose.words import sentence, warnings
+from trueup.episode.role import Role
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.residual import fit_residual
@@ -242,3 +245,11 @@ def test_a_robot_is_searched_in_shorter_windows_where_a_fit_ends_far_behind_none
     search.found[far.hypothesis] = Candidate(far, base.check)
     assert _astray(search) is astray
     assert not _astray(replace(search, problem=replace(problem, pieces={})))  # a joint's windows are as long as its motion is foretold
+
+
+@pytest.mark.parametrize("stage", ["SIL", "physical"])
+def test_a_recording_that_is_neither_fitted_nor_compared_on_changes_no_criterion(plant, stage):
+    used = [replace(e, conditions={"stage": stage}) for e in recorded(plant, rubs, (0, 1), ("adaptation", "validation"), seconds=1.0)]
+    reference = replace(used[0], role=Role.REFERENCE, conditions={"stage": "physical"}, digest="reference")
+    adaptation, validation = by_role([*used, reference])
+    assert selection_criteria(plant, [*adaptation, *validation]).of_machine is (stage == "physical")

@@ -9,6 +9,7 @@ import pytest
 import trueup_worker.fan_out as module
 from tests.support.simulated import recorded
 from trueup.diagnose.admission import admit
+from trueup.diagnose.decide import selection_criteria
 from trueup.diagnose.help import Helper
 from trueup.diagnose.laying_out import by_role, lay_out
 from trueup.diagnose.parcel import pack_answers
@@ -47,7 +48,9 @@ class Others:
 def case():
     plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21)
     adaptation, validation = by_role(episodes)
-    problem, base = lay_out(plant, admit(plant, adaptation), adaptation, validation, refined(plant), 1)
+    problem, base = lay_out(
+        plant, admit(plant, adaptation), adaptation, validation, selection_criteria(plant, adaptation), refined(plant), 1
+    )
     tasks = [Race(base.fit, term, np.zeros(1)) for term in TERMS]
     return Helper(plant, episodes), problem, tasks, pack_answers(in_threads(problem, tasks, lambda _: None))
 
