@@ -10,7 +10,7 @@ PARTS := library client pages migrations service worker cli
 PROJECTS := $(PARTS:%=%/pyproject.toml)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo look demo-arm serve test advisories check laws flow bench docs site pictures lock clean
+.PHONY: help setup demo look demo-arm serve test quick advisories check laws flow bench docs site pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -51,6 +51,9 @@ serve: $(RUN) ## run the service on embedded storage in .trueup, with a worker b
 test: $(DEV) ## run every test; brings its own PostgreSQL, S3 server and strace
 	@$(BIN)/python tools/advisories.py --tell
 	@$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+
+quick: $(DEV) ## run what answers in a minute: the units, laws and structure, without whole diagnoses
+	@$(BIN)/python -m pytest tests/unit tests/laws tests/structure -m 'not slow' -n 2 --dist loadfile
 
 advisories: $(DEV) ## look the pinned packages up among published advisories, where those can be reached; exit 1 if there are any
 	@$(BIN)/python tools/advisories.py

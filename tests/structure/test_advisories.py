@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 ROOT = Path(__file__).parent.parent.parent
 SPEC = importlib.util.spec_from_file_location("advisories", ROOT / "tools" / "advisories.py")
 advisories = importlib.util.module_from_spec(SPEC)

@@ -9,6 +9,8 @@ import pytest
 
 from tests.support.parts import PARTS, ROOT
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 UV = str(Path(sys.executable).parent / "uv")
 WEB = {"fastapi", "starlette", "uvicorn", "pydantic", "httptools"}
 DATABASE = {"sqlalchemy", "alembic", "psycopg", "psycopg-binary", "obstore", "dbos"}

@@ -14,7 +14,7 @@ class Line:
     """Passes bytes on to a port of this machine."""
 
     def __init__(self, port: int) -> None:
-        self._to, self.state, self.delay_s = port, "up", 0.0
+        self._to, self.state, self.delay_s, self.carried = port, "up", 0.0, 0
         self._open: set[socket.socket] = set()
         self._listening = socket.create_server(("127.0.0.1", 0))
         self.port = self._listening.getsockname()[1]
@@ -59,6 +59,7 @@ class Line:
     def _pass(self, source: socket.socket, to: socket.socket) -> None:
         with contextlib.suppress(OSError):
             while part := source.recv(1 << 16):
+                self.carried += len(part)
                 time.sleep(self.delay_s)
                 to.sendall(part)
         self._close(source)

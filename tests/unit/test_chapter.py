@@ -5,6 +5,8 @@ import pytest
 from trueup.chapter.figures import run_chapter
 from trueup.chapter.published import PUBLISHED, printed_like
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 DIGITS = [
     (table, row, column, digits) for table, rows in PUBLISHED.items() for row, columns in rows.items() for column, digits in columns.items()
 ]

@@ -25,6 +25,8 @@ from trueup_pages.blindtrial import page
 from trueup_worker import blind_trial
 from trueup_worker.blind_room import Room
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 SECRET = bytes(range(32))
 LABEL = {"kind": "single", "effects": {"coulomb_friction": {"level": 0.2}}, "moved": True, "bait": None, "gap": 0.1}
 COUNT = 10

@@ -21,6 +21,8 @@ from trueup.errors import BadPlant, NotAnEpisode, NotIdentifiable
 from trueup.model.plant import Plant
 from trueup_cli.excite import excite
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 DOCUMENT = {
     **plant_document(),
     "nominal": {"family": "oscillator", "parameters": dict(zip("kcb", TRUE, strict=True)), "timestep_s": 0.05},

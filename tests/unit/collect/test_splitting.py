@@ -24,6 +24,8 @@ from trueup.simulate.trial import draw, draw_bench
 from trueup_cli.diagnose import write
 from trueup_cli.excite import excite
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 
 @pytest.fixture(scope="module")
 def undecided():

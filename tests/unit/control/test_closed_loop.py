@@ -26,6 +26,8 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
 from trueup.model.series import DECLARED
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 PLANT = Plant.from_document(plant_document())
 
 

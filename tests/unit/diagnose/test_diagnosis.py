@@ -20,6 +20,8 @@ from trueup.model.known import Known, known
 from trueup.model.series import DECLARED, refined, series
 from trueup_pages.diagnosis import report_page
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 
 def named(found):
     return [e["effect"] for e in found.document["effects"]]

@@ -13,6 +13,8 @@ from trueup.diagnose.measure import Gap
 from trueup.diagnose.noise import FAR_STRIDES, Noise, gain, noise_of
 from trueup.simulate.noise import Noise as Law
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 NOTHING_OUT = np.zeros(4000, bool)
 
 

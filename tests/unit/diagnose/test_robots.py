@@ -32,6 +32,8 @@ from trueup.model.windows import cut, starts_every
 from trueup.simulate.robot import Follow, RobotPlan, rotor, run
 from trueup_pages.diagnosis import report_page
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 ROLES = ("adaptation", "adaptation", "validation", "validation")
 
 

@@ -18,6 +18,8 @@ from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, run
 from trueup.simulate.trial import Bench
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 BENCH = Bench("oscillator", 2.0, 0.5, 1.0, 1.0, 0.02, 20, 8.0, 0.01, None, 1.0)
 PLANT = plant_of(BENCH)
 SIGMA = (0.005, 0.01)

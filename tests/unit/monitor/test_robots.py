@@ -7,6 +7,8 @@ from trueup.episode.role import Role
 from trueup.model.predictor import Nominal
 from trueup.monitor.monitor import calibrate
 
+pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
+
 KINDS = ("likelihood_ratio_cusum", "effect_cusum")
 
 
