@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.made import T0_NS
-from tests.support.simulated import recorded
+from tests.support.simulated import recorded_twice as recorded
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
 
@@ -50,7 +50,7 @@ def test_it_writes_a_report_a_page_and_a_model(case):
     assert [e["effect"] for e in report["effects"]] == ["coulomb_friction"]
     assert (out / "report.html").read_text().startswith("<!doctype html>")
     assert "Coulomb friction" in done.stdout
-    assert len(report["evidence"]["episodes"]) == 6
+    assert len(report["evidence"]["episodes"]) == 4
 
 
 def test_its_model_predicts_an_episode_that_it_never_saw(case):

@@ -7,7 +7,7 @@ import pytest
 
 from tests.support.made import T0_NS
 from tests.support.service import command
-from tests.support.simulated import recorded
+from tests.support.simulated import recorded_twice as recorded
 from trueup.blindtrial.seal import require_as_committed
 from trueup.episode.writer import write_episode
 

@@ -8,7 +8,7 @@ import pytest
 from tests.flow.test_failures import until
 from tests.support.made import T0_NS
 from tests.support.service import Service, kill
-from tests.support.simulated import recorded
+from tests.support.simulated import recorded_twice as recorded
 from trueup.diagnose.diagnosis import diagnose
 from trueup.episode.mcap import read_episode
 from trueup.episode.writer import write_episode

@@ -43,10 +43,17 @@ def episode_of(plant: Plant, run: Run, role: Role, digest: str) -> Episode:
 
 
 def recorded(
-    tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True, law: Noise = WHITE, runs: int | None = 2
+    tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True, law: Noise = WHITE, runs: int | None = None
 ) -> tuple[Plant, list[Episode], Trial]:
     rng = np.random.default_rng(seed)
     bench = replace(draw_bench(tier, rng), law=law)
     trial = draw(bench, names, shifted, rng)
     plant = plant_of(bench, velocity=velocity)
     return plant, episodes_of(plant, trial, runs), trial
+
+
+def recorded_twice(
+    tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True, law: Noise = WHITE
+) -> tuple[Plant, list[Episode], Trial]:
+    """Two recordings of each role, which are enough to name an effect."""
+    return recorded(tier, names, seed, shifted=shifted, velocity=velocity, law=law, runs=2)

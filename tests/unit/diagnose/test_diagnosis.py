@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.simulated import recorded
+from tests.support.simulated import recorded as recorded_thrice
+from tests.support.simulated import recorded_twice as recorded
 from trueup.diagnose.admission import admit
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.figures import figures
@@ -106,7 +107,7 @@ def test_a_delay_of_the_sensor_has_the_law_of_the_actuators():
 
 
 def test_a_bias_and_a_constant_force_are_one_on_a_linear_spring():
-    plant, episodes, _ = recorded("A1", ["sensor_bias"], 9, runs=None)
+    plant, episodes, _ = recorded_thrice("A1", ["sensor_bias"], 9)
     found = diagnose(plant, episodes)
     named_or_rival = {*named(found), *(e for other in found.document["indistinguishable"] for e in other)}
     assert named_or_rival == {"sensor_bias", "constant_force"}

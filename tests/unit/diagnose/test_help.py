@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.simulated import recorded
+from tests.support.simulated import recorded_twice as recorded
 from trueup.canonical import digest_of
 from trueup.diagnose.admission import admit
 from trueup.diagnose.decide import selection_criteria

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.simulated import recorded
+from tests.support.simulated import recorded_twice as recorded
 from trueup.diagnose.admission import admit
 from trueup.diagnose.decide import Verdict, agreeing
 from trueup.diagnose.diagnosis import diagnose

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import trueup_worker.fan_out as module
-from tests.support.simulated import recorded
+from tests.support.simulated import recorded_twice as recorded
 from trueup.diagnose.admission import admit
 from trueup.diagnose.decide import selection_criteria
 from trueup.diagnose.help import Helper
