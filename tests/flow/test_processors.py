@@ -32,8 +32,10 @@ def answers(tmp_path_factory):
     for name, data in case_files(plant, trial, {"stage": "SIL"}).items():
         (case / name).write_bytes(data)
     model, names = folder / "0" / case.name, ("as the machine is", *OTHERS)
-    for i, name in enumerate(names):  # the first leaves its model where all of them look for it, itself included
-        _done(start(VARIANTS[name], folder / f"{i}.json", [case, model]))
+    begun = [lambda i=i, name=name: start(VARIANTS[name], folder / f"{i}.json", [case, model]) for i, name in enumerate(names)]
+    _done(begun[0]())  # it leaves its model where all of them look for it, itself included
+    for child in [begin() for begin in begun[1:]]:
+        _done(child)
     return {name: json.loads((folder / f"{i}.json").read_text()) for i, name in enumerate(names)}
 
 
