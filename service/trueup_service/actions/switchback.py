@@ -31,7 +31,7 @@ def load_artifact(blobs: Blobs, record: ArtifactRecord) -> Artifact:
     return Artifact(record.manifest.encode(), b"" if record.arrays is None else blobs.get(record.arrays))
 
 
-def test_switchback(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> dict[str, Json]:
+def rehearse_rollback(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> dict[str, Json]:
     """What held: it loads, its digests hold, it answers its recorded probe, it was made for the plant as it is. Raises SwitchbackFailed."""
     with AT_ONCE:
         _able(blobs, record, plant_digest)

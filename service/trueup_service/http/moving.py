@@ -67,10 +67,10 @@ def roll_back_tested(parts: Parts, stamp: Stamp, plant: str, expected_generation
 
 def tested_way_back(parts: Parts, plant: str, expected_generation: int) -> dict[str, Any]:
     """The record of the switchback test on what served before. Raises PointerMoved, SwitchbackFailed."""
-    from trueup_service.actions.switchback import test_switchback  # noqa: PLC0415  (numpy: a server that only serves needs none)
+    from trueup_service.actions.switchback import rehearse_rollback  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     with parts.database.read() as connection:
         reader = Reader(connection)
         registered = find.plant_digest(reader, plant)
         _, artifact = previous_artifact(reader, plant, expected_generation)
-    return test_switchback(parts.blobs, artifact, registered)
+    return rehearse_rollback(parts.blobs, artifact, registered)
