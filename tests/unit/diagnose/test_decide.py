@@ -46,9 +46,7 @@ def test_a_second_effect_that_removes_nothing_is_not_named():
 
 
 def test_what_fits_as_well_is_a_rival_and_what_fits_worse_is_not():
-    winner, alike, worse = (
-        candidate(e, misfit=m) for e, m in (("coulomb_friction", 1.0), ("cogging", 1.0005), ("quadratic_drag", 1.5))
-    )
+    winner, alike, worse = (candidate(e, misfit=m) for e, m in (("coulomb_friction", 1.0), ("cogging", 1.0005), ("quadratic_drag", 1.5)))
     choice = decide([BASE, winner, alike, worse], NOMINAL)
     assert choice.winner is winner
     assert choice.rivals == (alike,)
