@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.report import Figure, show
 from bench.servers import ROOT
-from trueup.model import family_kernel as compose
+from trueup.model import family_kernel
 from trueup.model.family import families
 
 VECTORS, SAMPLES, ROUNDS = 256, 2000, 25
@@ -77,7 +77,7 @@ def _one(name: str, folder: Path) -> list[Figure]:
         rest = [ctypes.c_void_p(a.ctypes.data) for a in (*arguments[1:], out)]
         getattr(library, function)(ctypes.c_long(VECTORS), ctypes.c_long(SAMPLES), *pointers, *state, *rest)
 
-    run = compose.kernel(family, compose.BLOCK)
+    run = family_kernel.kernel(family, family_kernel.BLOCK)
     tries = {
         "c": lambda: in_c("rollout"),
         "c in blocks": lambda: in_c("blocked"),
@@ -109,8 +109,8 @@ def _one(name: str, folder: Path) -> list[Figure]:
 
 def _whole(family, parameters, arguments, cores):
     """The call as fits make it, allocation included, on so many cores."""
-    compose.cores = lambda: cores
-    return compose.rollout(family, parameters, *arguments)
+    family_kernel.cores = lambda: cores
+    return family_kernel.rollout(family, parameters, *arguments)
 
 
 def _compile(name: str, folder: Path) -> ctypes.CDLL:

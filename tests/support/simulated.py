@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -52,8 +53,4 @@ def recorded(
     return plant, episodes_of(plant, trial, runs), trial
 
 
-def recorded_twice(
-    tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True, law: Noise = WHITE
-) -> tuple[Plant, list[Episode], Trial]:
-    """Two recordings of each role, which are enough to name an effect."""
-    return recorded(tier, names, seed, shifted=shifted, velocity=velocity, law=law, runs=2)
+recorded_twice = partial(recorded, runs=2)  # enough to name an effect

@@ -18,9 +18,9 @@ only where the effect acts. So a hypothesis costs what its own effects cost, not
     correct        hidden states that an observation corrects
     jump           hidden states that a window's start sets
 
-A port is called with a joint's number `j`, what flows: `signals` `(SIGNALS_AT_JOINT, joints, lanes)`, `common` to all joints
-`(SIGNALS_OF_ALL, lanes)` and the effects' hidden states `memory` `(states, joints, lanes)`; and what stands: which effects are `on`
-`(effects, joints)`, and their parameters `p` `(rows, lanes)`.
+Every port gets the number `j` of a joint; `signals` `(SIGNALS_AT_JOINT, joints, lanes)`; `common`, the signals that all joints share,
+`(SIGNALS_OF_ALL, lanes)`; `memory`, the effects' hidden states, `(states, joints, lanes)`; `on` `(effects, joints)`, which effects act;
+and `p` `(rows, lanes)`, their parameters.
 """
 
 from __future__ import annotations

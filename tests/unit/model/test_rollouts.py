@@ -158,12 +158,12 @@ def test_a_predictor_that_runs_away_says_so_in_its_numbers():
 
 def test_a_kernel_is_compiled_once_and_then_loaded_by_every_process():
     code = (
-        "import numpy as np; from trueup.model import family_kernel as compose; from trueup.model.family import families\n"
+        "import numpy as np; from trueup.model import family_kernel; from trueup.model.family import families\n"
         "for name, family in families().items():\n"
-        "    for width, vectors in ((compose.ALONE, 1), (compose.BLOCK, compose.BLOCK)):\n"
+        "    for width, vectors in ((family_kernel.ALONE, 1), (family_kernel.BLOCK, family_kernel.BLOCK)):\n"
         "        z = np.zeros((1, 2)); p = np.ones((vectors, len(family.params)))\n"
-        "        compose.rollout(family, p, z, z, z, np.zeros((1, 2), np.int64))\n"
-        "        assert compose.kernel(family, width).stats.cache_hits.total() == 1, name\n"
+        "        family_kernel.rollout(family, p, z, z, z, np.zeros((1, 2), np.int64))\n"
+        "        assert family_kernel.kernel(family, width).stats.cache_hits.total() == 1, name\n"
     )
     compile_all()
     subprocess.run([sys.executable, "-c", code], check=True)
