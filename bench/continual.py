@@ -1,7 +1,9 @@
-"""The cycle by itself: a machine whose friction grows to 1.8 times what it was between two builds, with a real server and worker.
+"""The cycle by itself: a machine whose friction grows to 1.8 times what it was between two builds,
+with a real server and worker.
 
-Nobody calls anything between the wear and the promotion. Beside it a planted update that has what wore and has lost what only long travel
-shows, which must be rejected. `--picture FILE` keeps what the monitors saw.
+Nobody calls anything between the wear and the promotion. Beside it a planted update that has what
+wore and has lost what only long travel shows, which must be rejected. `--picture FILE` keeps what
+the monitors saw.
 """
 
 from __future__ import annotations
@@ -22,11 +24,20 @@ REFERENCE, PROMISE_H = 40, 4.0
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as folder, Service(embedded(Path(folder) / "data")).running() as service:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Service(embedded(Path(folder) / "data")).running() as service,
+    ):
         client = Client(service.url, actor="fleet")
         figures = [*_cycle(client, Path(folder)), *_forgetting(client, Path(folder))]
         if "--picture" in sys.argv:
-            command(service, "monitor", "wearing", "--picture", sys.argv[sys.argv.index("--picture") + 1])
+            command(
+                service,
+                "monitor",
+                "wearing",
+                "--picture",
+                sys.argv[sys.argv.index("--picture") + 1],
+            )
         client.close()
     show("Continual correction", figures)
 
@@ -52,7 +63,11 @@ def _cycle(client: Client, folder: Path) -> list[Figure]:
     ratio = sum(errors["candidate"]["rollout"]) / sum(errors["incumbent"]["rollout"])
     driven = errors["closed_loop"]
     change, (low, high) = driven["change"], driven["change_ci95"]
-    moved = next(e for e in client.audit(fleet.name) if e["kind"] == "pointer:moved" and e["facts"]["generation"] == 3)
+    moved = next(
+        e
+        for e in client.audit(fleet.name)
+        if e["kind"] == "pointer:moved" and e["facts"]["generation"] == 3
+    )
     back_s = moved["facts"]["rehearsed"]["seconds"]
     while not client.monitor(fleet.name)["watches"] and fleet.recorded < recorded + 200:
         fleet.visit(Role.REFERENCE)
@@ -61,12 +76,27 @@ def _cycle(client: Client, folder: Path) -> list[Figure]:
     fleet.until(lambda: client.monitor(fleet.name)["episodes"] >= 10, "healthy episodes are seen")
     after = client.monitor(fleet.name)
     return [
-        Figure("false alarms before the wear, 10 episodes", f"{false_alarms}", "0", false_alarms == 0),
-        Figure("from the wear to a promoted correction, nobody calling", f"{used} episodes, {seconds:.0f} s", "promoted", True),
-        Figure("  what the alarm said", f"{next(iter(alarm['document']['detectors'].values()))['leading']}"),
-        Figure("  held-out rollout error, corrected / before", f"{ratio:.2f}", "< 0.98", ratio < 0.98),
         Figure(
-            "  closed loop, tracking error, change by the correction", f"{change:+.3f} [{low:+.3f}, {high:+.3f}]", "< +0.10", change < 0.1
+            "false alarms before the wear, 10 episodes", f"{false_alarms}", "0", false_alarms == 0
+        ),
+        Figure(
+            "from the wear to a promoted correction, nobody calling",
+            f"{used} episodes, {seconds:.0f} s",
+            "promoted",
+            True,
+        ),
+        Figure(
+            "  what the alarm said",
+            f"{next(iter(alarm['document']['detectors'].values()))['leading']}",
+        ),
+        Figure(
+            "  held-out rollout error, corrected / before", f"{ratio:.2f}", "< 0.98", ratio < 0.98
+        ),
+        Figure(
+            "  closed loop, tracking error, change by the correction",
+            f"{change:+.3f} [{low:+.3f}, {high:+.3f}]",
+            "< +0.10",
+            change < 0.1,
         ),
         Figure("  going back, rehearsed before [s]", f"{back_s:.3f}", "<= 1", back_s <= 1.0),
         Figure(
@@ -84,9 +114,16 @@ def _forgetting(client: Client, folder: Path) -> list[Figure]:
     fleet.friction *= WORN
     fleet.visit(Role.VALIDATION, Role.VALIDATION)
     decision = fleet.judge(fleet.forgetful())
-    said = next(v["because"] for v in decision["document"]["verdicts"] if v["rule"] == "retained_conditions")
+    said = next(
+        v["because"] for v in decision["document"]["verdicts"] if v["rule"] == "retained_conditions"
+    )
     return [
-        Figure("planted forgetting", f"{'accepted' if decision['accepted'] else 'rejected'}, {said}", "rejected", not decision["accepted"])
+        Figure(
+            "planted forgetting",
+            f"{'accepted' if decision['accepted'] else 'rejected'}, {said}",
+            "rejected",
+            not decision["accepted"],
+        )
     ]
 
 

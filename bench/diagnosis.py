@@ -1,9 +1,11 @@
 """Diagnosis beside peers and house baselines, on machines of the second simulator, all in one run.
 
-Peers run in an environment of their own under bench/.peers, made at first use; none is a dependency of trueup. They are helped: they are
-given the family's own terms and the terms of six effects that a linear regression can express, are told whether one or two effects are
-hidden, and are credited for their largest further term; trueup is told nothing. `expressible` counts only machines with one of those six.
-Every method predicts the same positions from the same samples, over windows of a horizon.
+Peers run in an environment of their own under bench/.peers, made at first use; none is a dependency
+of trueup. They are helped: they are given the family's own terms and the terms of six effects that
+a linear regression can express, are told whether one or two effects are hidden, and are credited
+for their largest further term; trueup is told nothing. `expressible` counts only machines with one
+of those six. Every method predicts the same positions from the same samples, over windows of a
+horizon.
 """
 
 from __future__ import annotations
@@ -37,7 +39,12 @@ from trueup.simulate.machine import BEYOND
 from trueup.simulate.trial import CATALOGUE, draw, draw_bench
 
 TIERS = ("A1", "B1", "B2")
-ON_INERTIA = ("sensor_bias", "sensor_drift", "k_modulated", "asymmetric_stiffness")  # nothing there shows them
+ON_INERTIA = (
+    "sensor_bias",
+    "sensor_drift",
+    "k_modulated",
+    "asymmetric_stiffness",
+)  # nothing there shows them
 PAIRS, NONE, OUTSIDE = 6, 6, 6
 SEED = 20260
 HORIZON_S = 1.0
@@ -65,7 +72,8 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Given:
-    """A method's answer: what it names, whether it abstains, its positions on the test recordings, how long it took."""
+    """A method's answer: what it names, whether it abstains, its positions on the test recordings,
+    how long it took."""
 
     answer: Answer
     positions: np.ndarray
@@ -73,11 +81,17 @@ class Given:
 
 
 def machines() -> list[Hidden]:
-    """Every effect of the catalogue once, then pairs, machines without effects, and machines beyond the catalogue."""
+    """Every effect of the catalogue once, then pairs, machines without effects, and machines beyond
+    the catalogue."""
     rng = np.random.default_rng(SEED)
     wanted = [("single", [name]) for name in CATALOGUE]
-    wanted += [("pair", [str(n) for n in rng.choice(CATALOGUE[:-2], 2, replace=False)]) for _ in range(PAIRS)]
-    wanted += [("none", [])] * NONE + [("outside", [str(n)]) for n in rng.permutation(BEYOND)[:OUTSIDE]]
+    wanted += [
+        ("pair", [str(n) for n in rng.choice(CATALOGUE[:-2], 2, replace=False)])
+        for _ in range(PAIRS)
+    ]
+    wanted += [("none", [])] * NONE + [
+        ("outside", [str(n)]) for n in rng.permutation(BEYOND)[:OUTSIDE]
+    ]
     found = []
     for i, (kind, names) in enumerate(wanted):
         tier = TIERS[i % 3] if not set(names) & set(ON_INERTIA) else TIERS[i % 2]
@@ -85,7 +99,9 @@ def machines() -> list[Hidden]:
         trial = draw(bench, names, True, rng)
         document = dict(plant_of(bench).document) | {"evaluation": {"horizon_s": HORIZON_S}}
         plant = type(plant_of(bench)).from_document(document)
-        tests = [episode_of(plant, run, Role.TEST, f"test-{j}") for j, run in enumerate(trial.of("test"))]
+        tests = [
+            episode_of(plant, run, Role.TEST, f"test-{j}") for j, run in enumerate(trial.of("test"))
+        ]
         label = {"kind": kind, "effects": {n: {} for n in names}, "moved": True, "bait": None}
         found.append(Hidden(f"{i:03d}", plant, episodes_of(plant, trial), tests, label))
     return found
@@ -111,7 +127,13 @@ def house(machine: Hidden) -> dict[str, Given]:
     began = time.monotonic()
     found = diagnose(plant, machine.episodes)
     took = time.monotonic() - began
-    given = {"trueup": Given(Answer(dict(found.document), None, took), positions(found.predictor, machine.tests), took)}
+    given = {
+        "trueup": Given(
+            Answer(dict(found.document), None, took),
+            positions(found.predictor, machine.tests),
+            took,
+        )
+    }
     began = time.monotonic()
     admission = admit(plant, adaptation)
     criteria = selection_criteria(plant, [*adaptation, *validation])
@@ -137,7 +159,15 @@ def house(machine: Hidden) -> dict[str, Given]:
 
 def _named(names, others=()) -> Answer:
     verdict = "effect" if names else "parameters_only"
-    return Answer({"verdict": verdict, "effects": [{"effect": e} for e in names], "indistinguishable": list(others)}, None, 0.0)
+    return Answer(
+        {
+            "verdict": verdict,
+            "effects": [{"effect": e} for e in names],
+            "indistinguishable": list(others),
+        },
+        None,
+        0.0,
+    )
 
 
 def peers(found: list[Hidden]) -> dict[str, dict[str, Given]]:
@@ -152,19 +182,33 @@ def peers(found: list[Hidden]) -> dict[str, dict[str, Given]]:
             out = Path(temporary) / module
             out.mkdir()
             print(f"{method} …", flush=True)
-            subprocess.run([python, "-m", f"bench.peers.{module}", cases, out], check=True, stdout=subprocess.DEVNULL, cwd=HERE.parent)
+            subprocess.run(
+                [python, "-m", f"bench.peers.{module}", cases, out],
+                check=True,
+                stdout=subprocess.DEVNULL,
+                cwd=HERE.parent,
+            )
             answers = {m.name: json.loads((out / f"{m.name}.json").read_text()) for m in found}
-            given[method] = {name: Given(_named(a["named"]), np.load(out / f"{name}.npy"), a["seconds"]) for name, a in answers.items()}
+            given[method] = {
+                name: Given(_named(a["named"]), np.load(out / f"{name}.npy"), a["seconds"])
+                for name, a in answers.items()
+            }
     return given
 
 
 def _write(file: Path, m: Hidden) -> None:
     plant, arrays, about = m.plant, {}, {}
-    groups = {role: [e for e in m.episodes if e.role == role] for role in ("adaptation", "validation")} | {"test": m.tests}
+    groups = {
+        role: [e for e in m.episodes if e.role == role] for role in ("adaptation", "validation")
+    } | {"test": m.tests}
     for role, episodes in groups.items():
         about[role] = len(episodes)
         for i, e in enumerate(episodes):
-            arrays |= {f"{role}{i}t": e.t_s, f"{role}{i}u": plant.applied(e.commands)[:, 0], f"{role}{i}y": e.observations}
+            arrays |= {
+                f"{role}{i}t": e.t_s,
+                f"{role}{i}u": plant.applied(e.commands)[:, 0],
+                f"{role}{i}y": e.observations,
+            }
     about |= {
         "family": plant.family,
         "parameters": dict(plant.nominal),
@@ -190,20 +234,38 @@ def main() -> None:
     """Print the table, and what each method was given."""
     found = machines()
     print(
-        f"{len(found)} machines: {len(CATALOGUE)} with one effect, {PAIRS} with two, {NONE} with none, {OUTSIDE} beyond the catalogue",
+        (
+            f"{len(found)} machines: {len(CATALOGUE)} with one effect, {PAIRS} with two, {NONE} "
+            f"with none, {OUTSIDE} beyond the catalogue"
+        ),
         flush=True,
     )
     given: dict[str, dict[str, Given]] = {}
     for m in found:
         for method, answer in house(m).items():
             given.setdefault(method, {})[m.name] = answer
-        print(f"  {m.name} {' + '.join(m.label['effects']) or 'none'}: {given['trueup'][m.name].seconds:.1f} s", flush=True)
+        print(
+            (
+                f"  {m.name} {' + '.join(m.label['effects']) or 'none'}: "
+                f"{given['trueup'][m.name].seconds:.1f} s"
+            ),
+            flush=True,
+        )
     given |= peers(found)
     print("\n" + __doc__.split("\n\n", 1)[1])
     for module in METHODS.values():
         about = ast.get_docstring(ast.parse((HERE / "peers" / f"{module}.py").read_text()))
         print(f"  {module}: {about}\n")
-    columns = ("one effect", "expressible", "two", "none", "beyond", "closed median", "worst tenth", "s, median")
+    columns = (
+        "one effect",
+        "expressible",
+        "two",
+        "none",
+        "beyond",
+        "closed median",
+        "worst tenth",
+        "s, median",
+    )
     print(f"{'':<30}" + "".join(f"{c:>15}" for c in columns))
     table = {}
     for method, answers in given.items():
@@ -213,7 +275,9 @@ def main() -> None:
         print(f"{method:<30}" + "".join(f"{x:>15}" for x in table[method]), flush=True)
     results = HERE / "results"
     results.mkdir(exist_ok=True)
-    (results / "diagnosis.json").write_text(json.dumps({"columns": columns, "methods": table}, indent=1))
+    (results / "diagnosis.json").write_text(
+        json.dumps({"columns": columns, "methods": table}, indent=1)
+    )
 
 
 def _line(found: list[Hidden], answers: dict[str, Given]) -> list[str]:
@@ -222,12 +286,15 @@ def _line(found: list[Hidden], answers: dict[str, Given]) -> list[str]:
     def share(chosen) -> str:
         return f"{sum(exact[m.name] for m in chosen)}/{len(chosen)}"
 
-    kinds = {k: [m for m in found if m.label["kind"] == k] for k in ("single", "pair", "none", "outside")}
+    kinds = {
+        k: [m for m in found if m.label["kind"] == k] for k in ("single", "pair", "none", "outside")
+    }
     expressible = [m for m in kinds["single"] if set(m.label["effects"]) <= set(TERMS)]
     parts = [closed(m, answers[m.name].positions) for m in [*kinds["single"], *kinds["pair"]]]
     seconds = float(np.median([a.seconds for a in answers.values()]))
     return [
-        share(kinds["single"]), share(expressible), share(kinds["pair"]), share(kinds["none"]), share(kinds["outside"]),
+        share(kinds["single"]), share(expressible), share(kinds["pair"]), share(kinds["none"]),
+        share(kinds["outside"]),
         f"{np.median(parts):.4f}", f"{np.quantile(parts, 0.1):.3f}", f"{seconds:.2f}",
     ]  # fmt: skip
 

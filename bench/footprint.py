@@ -1,4 +1,5 @@
-"""Start, memory at rest, environment, the client's import, and uploads of 16 MiB beside a raw write."""
+"""Start, memory at rest, environment, the client's import, and uploads of 16 MiB beside a raw
+write."""
 
 from __future__ import annotations
 
@@ -38,10 +39,28 @@ def main() -> None:
             Figure("start to first 200, median of 5", f"{start:.2f} s", "<= 1.5 s", start <= 1.5),
             Figure("… with an empty folder, migrations included", f"{first:.2f} s"),
             Figure("memory at rest", f"{rest:.0f} MiB", "<= 120 MiB", rest <= 120),
-            Figure("environment of server and worker", f"{environment:.0f} MiB", "<= 800 MiB", environment <= 800),
-            Figure("import of the robot's client, median of 9", f"{client:.3f} s", "<= 0.2 s", client <= 0.2),
-            Figure("upload of 16 MiB, verified and durable, median of 9", f"{upload:.0f} MiB/s", ">= 300 MiB/s", upload >= 300),
-            Figure("… beside a raw write and sync of the same bytes to a new file", f"{upload / raw:.2f} x"),
+            Figure(
+                "environment of server and worker",
+                f"{environment:.0f} MiB",
+                "<= 800 MiB",
+                environment <= 800,
+            ),
+            Figure(
+                "import of the robot's client, median of 9",
+                f"{client:.3f} s",
+                "<= 0.2 s",
+                client <= 0.2,
+            ),
+            Figure(
+                "upload of 16 MiB, verified and durable, median of 9",
+                f"{upload:.0f} MiB/s",
+                ">= 300 MiB/s",
+                upload >= 300,
+            ),
+            Figure(
+                "… beside a raw write and sync of the same bytes to a new file",
+                f"{upload / raw:.2f} x",
+            ),
         ],
     )
 
@@ -51,7 +70,9 @@ def _uploads(port: int, folder: Path) -> tuple[float, float]:
     sent, written = [], []
     for _ in range(ROUNDS):
         data = os.urandom(UPLOAD)
-        request = send("PUT", f"/v1/blobs/{hashlib.sha256(data).hexdigest()}", data, "application/octet-stream")
+        request = send(
+            "PUT", f"/v1/blobs/{hashlib.sha256(data).hexdigest()}", data, "application/octet-stream"
+        )
         load = run(port, [iter([request])], 60.0)
         assert load.statuses == {201: 1}
         sent.append(load.latencies[0])
@@ -65,7 +86,10 @@ def _uploads(port: int, folder: Path) -> tuple[float, float]:
 
 
 def _client_import() -> float:
-    bare, loaded = (float(np.median([_seconds(code) for _ in range(9)])) for code in ("pass", "import trueup_client"))
+    bare, loaded = (
+        float(np.median([_seconds(code) for _ in range(9)]))
+        for code in ("pass", "import trueup_client")
+    )
     return loaded - bare
 
 
@@ -76,7 +100,8 @@ def _seconds(code: str) -> float:
 
 
 def _environment_mib() -> float:
-    """Installed size of what server and worker need, in an environment without the tests' packages."""
+    """Installed size of what server and worker need, in an environment without the tests'
+    packages."""
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([sys.executable, "-m", "venv", "--without-pip", f"{folder}/v"], check=True)
         command = [
@@ -93,4 +118,8 @@ def _environment_mib() -> float:
             str(ROOT / "requirements.txt"),
         ]
         subprocess.run(command, check=True)
-        return int(subprocess.run(["du", "-sm", f"{folder}/v"], capture_output=True, text=True, check=True).stdout.split()[0])
+        return int(
+            subprocess.run(
+                ["du", "-sm", f"{folder}/v"], capture_output=True, text=True, check=True
+            ).stdout.split()[0]
+        )

@@ -1,4 +1,5 @@
-"""A load generator: one thread, many connections, each sending its next request when its answer is whole."""
+"""A load generator: one thread, many connections, each sending its next request when its answer is
+whole."""
 
 from __future__ import annotations
 
@@ -32,7 +33,10 @@ class Load:
         return 1e3 * float(np.quantile(self.latencies, q))
 
     def line(self) -> str:
-        return f"{self.rate:8.0f} req/s   p50 {self.quantile_ms(0.5):7.2f} ms   p99 {self.quantile_ms(0.99):7.2f} ms   {self.statuses}"
+        return (
+            f"{self.rate:8.0f} req/s   p50 {self.quantile_ms(0.5):7.2f} ms   p99 "
+            f"{self.quantile_ms(0.99):7.2f} ms   {self.statuses}"
+        )
 
 
 class _Connection:
@@ -69,21 +73,29 @@ class _Connection:
 
 def get(path: str, **headers: str) -> bytes:
     """A GET request's bytes."""
-    more = "".join(f"{k.replace('_', '-')}: {v}\r\n" for k, v in {"Authorization": f"Bearer {TOKEN}", **headers}.items())
+    more = "".join(
+        f"{k.replace('_', '-')}: {v}\r\n"
+        for k, v in {"Authorization": f"Bearer {TOKEN}", **headers}.items()
+    )
     return f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n{more}\r\n".encode()
 
 
-def send(method: str, path: str, body: bytes, kind: str = "application/json", token: str = TOKEN) -> bytes:
+def send(
+    method: str, path: str, body: bytes, kind: str = "application/json", token: str = TOKEN
+) -> bytes:
     """A request with a body."""
     head = f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {token}\r\n"
     return f"{head}Content-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n".encode() + body
 
 
 def run(ports: int | Sequence[int], streams: Sequence[Iterator[bytes]], seconds: float) -> Load:
-    """Send each stream on a connection of its own, to its own port where several are given, until it ends or the time is over."""
+    """Send each stream on a connection of its own, to its own port where several are given, until
+    it ends or the time is over."""
     load, ready = Load(), selectors.DefaultSelector()
     began = time.perf_counter()
-    for port, stream in zip([ports] * len(streams) if isinstance(ports, int) else ports, streams, strict=True):
+    for port, stream in zip(
+        [ports] * len(streams) if isinstance(ports, int) else ports, streams, strict=True
+    ):
         connection = _Connection(port, stream)
         if connection.send():
             ready.register(connection.socket, selectors.EVENT_READ, connection)
@@ -109,11 +121,14 @@ class Asked:
     request: bytes
 
 
-def pace(clients: Sequence[tuple[int, Iterator[Asked]]], seconds: float, look: Callable[[], None]) -> dict[str, Load]:
-    """Send what each client asks of its port when it is due, one request at a time on a connection of its own; loads by kind.
+def pace(
+    clients: Sequence[tuple[int, Iterator[Asked]]], seconds: float, look: Callable[[], None]
+) -> dict[str, Load]:
+    """Send what each client asks of its port when it is due, one request at a time on a connection
+    of its own; loads by kind.
 
-    A latency is counted from when the request was due, so that a slow answer is not hidden by what had to wait for it. `look` is called
-    once a second.
+    A latency is counted from when the request was due, so that a slow answer is not hidden by what
+    had to wait for it. `look` is called once a second.
     """
     loads: dict[str, Load] = {}
     ready, waiting = selectors.DefaultSelector(), []
@@ -135,7 +150,9 @@ def pace(clients: Sequence[tuple[int, Iterator[Asked]]], seconds: float, look: C
             ready.register(sending[number].connection.socket, selectors.EVENT_READ, number)
         if waiting and waiting[0][0] > seconds and not ready.get_map():
             break
-        for key, _ in ready.select(timeout=max(0.0, min(waiting[0][0] - now, 0.5)) if waiting else 0.5):
+        for key, _ in ready.select(
+            timeout=max(0.0, min(waiting[0][0] - now, 0.5)) if waiting else 0.5
+        ):
             client = sending[key.data]
             load = loads.setdefault(client.asked.kind, Load(seconds))
             if client.connection.receive(load):

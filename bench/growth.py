@@ -1,4 +1,5 @@
-"""What serving, listing and proofs cost as a registry grows from 10^2 to 10^6 versions: pairs of requests, one after the other."""
+"""What serving, listing and proofs cost as a registry grows from 10^2 to 10^6 versions: pairs of
+requests, one after the other."""
 
 from __future__ import annotations
 
@@ -57,7 +58,10 @@ def _paths(what: str, size: int) -> list[str]:
     some = np.random.default_rng(0).integers(1, size, REQUESTS)
     return {
         "GET serving": ["/v1/plants/p/serving"] * REQUESTS,
-        "list 100 versions": [f"/v1/plants/p/artifacts?limit=100&after={max(0, n - 100)}" for n in np.minimum(some, size - 100)],
+        "list 100 versions": [
+            f"/v1/plants/p/artifacts?limit=100&after={max(0, n - 100)}"
+            for n in np.minimum(some, size - 100)
+        ],
         "get a version": [f"/v1/plants/p/versions/{n}" for n in some],
         "prove an entry": [f"/v1/audit/inclusion?sequence={n}&size={size}" for n in some],
         "prove an extension": [f"/v1/audit/consistency?old={n}&size={size}" for n in some],
@@ -87,7 +91,9 @@ def fill(path: Path, size: int) -> None:
     """Versions 2 to `size`, with the entries and the tree that they would have."""
     kept = sqlite3.connect(path)
     kept.execute("PRAGMA synchronous=OFF")
-    frontier = Frontier.from_bytes(*kept.execute("SELECT size, frontier FROM audit_head").fetchone())
+    frontier = Frontier.from_bytes(
+        *kept.execute("SELECT size, frontier FROM audit_head").fetchone()
+    )
     versions: list[tuple] = []
     entries: list[tuple] = []
     nodes: list[tuple] = []
@@ -95,15 +101,33 @@ def fill(path: Path, size: int) -> None:
         frontier, completed = frontier.append(leaf_hash(entry_bytes(entry)))
         versions.append(tuple(row.values()))
         rows = f'{{"{next(iter(entry.rows))}":"{next(iter(entry.rows.values()))}"}}'
-        entries.append((entry.sequence, AT, entry.kind, BY, "p", entry.subject, f'{{"version":{row["version"]}}}', rows))
+        entries.append(
+            (
+                entry.sequence,
+                AT,
+                entry.kind,
+                BY,
+                "p",
+                entry.subject,
+                f'{{"version":{row["version"]}}}',
+                rows,
+            )
+        )
         nodes += [(number_of(node), made) for node, made in completed.items()]
         if len(versions) == ONCE or row["version"] == size:
-            kept.executemany(f"INSERT INTO artifacts ({', '.join(row)}) VALUES ({', '.join('?' * len(row))})", versions)
+            kept.executemany(
+                f"INSERT INTO artifacts ({', '.join(row)}) VALUES ({', '.join('?' * len(row))})",
+                versions,
+            )
             columns = 'sequence, at, kind, actor, plant, subject, facts, "rows"'
-            kept.executemany(f"INSERT INTO audit ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", entries)
+            kept.executemany(
+                f"INSERT INTO audit ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)", entries
+            )
             kept.executemany("INSERT INTO audit_tree (node, hash) VALUES (?, ?)", nodes)
             versions, entries, nodes = [], [], []
-    kept.execute("UPDATE audit_head SET size = ?, frontier = ?", (frontier.size, frontier.to_bytes()))
+    kept.execute(
+        "UPDATE audit_head SET size = ?, frontier = ?", (frontier.size, frontier.to_bytes())
+    )
     kept.commit()
     kept.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     kept.close()
@@ -122,4 +146,16 @@ def _made(size: int, sequence: int) -> Iterator[tuple[dict, AuditEntry]]:
             "created_by": BY,
         }
         named = {row_name("artifacts", row): row_digest("artifacts", row)}
-        yield row, AuditEntry(sequence + version - 1, AT, "artifact:added", BY, "p", digest, {"version": version}, named)
+        yield (
+            row,
+            AuditEntry(
+                sequence + version - 1,
+                AT,
+                "artifact:added",
+                BY,
+                "p",
+                digest,
+                {"version": version},
+                named,
+            ),
+        )

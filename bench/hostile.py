@@ -1,7 +1,8 @@
-"""A server under attack: large arrays at once, bodies at once, connections that are held open, while somebody asks it how it is.
+"""A server under attack: large arrays at once, bodies at once, connections that are held open,
+while somebody asks it how it is.
 
-What it costs others is the longest wait of /healthz, beside the same server left alone in the same run; what it costs the machine is the
-most memory that the server has ever held.
+What it costs others is the longest wait of /healthz, beside the same server left alone in the same
+run; what it costs the machine is the most memory that the server has ever held.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ class Asked:
     def once(self) -> None:
         began = time.perf_counter()
         try:
-            with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)) as connection:
+            with closing(
+                http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+            ) as connection:
                 connection.request("GET", "/healthz")
                 status = connection.getresponse().status
         except OSError:
@@ -109,10 +112,26 @@ def _attacked(service: Service, pid: int) -> list[Figure]:
         with asking(service.port) as asked:
             attack()
         worst, answered = max(asked.seconds), len(asked.seconds) - asked.refused
-        figures.append(Figure(f"{what}: longest wait", f"{1e3 * worst:.0f} ms", "< 1000 ms", worst < 1.0))
-        figures.append(Figure(f"{what}: /healthz answered", f"{answered} of {len(asked.seconds)}", "all", not asked.refused))
+        figures.append(
+            Figure(f"{what}: longest wait", f"{1e3 * worst:.0f} ms", "< 1000 ms", worst < 1.0)
+        )
+        figures.append(
+            Figure(
+                f"{what}: /healthz answered",
+                f"{answered} of {len(asked.seconds)}",
+                "all",
+                not asked.refused,
+            )
+        )
         grown = peak_bytes(pid) - before
-        figures.append(Figure(f"{what}: memory so far", f"+ {grown >> 20} MiB", f"< {GROWN >> 20} MiB", grown < GROWN))
+        figures.append(
+            Figure(
+                f"{what}: memory so far",
+                f"+ {grown >> 20} MiB",
+                f"< {GROWN >> 20} MiB",
+                grown < GROWN,
+            )
+        )
     return figures
 
 

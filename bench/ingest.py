@@ -1,4 +1,5 @@
-"""Ingest of a recording of about 100 MB, beside decoding it with the stock Python reader; and what the server's memory does meanwhile."""
+"""Ingest of a recording of about 100 MB, beside decoding it with the stock Python reader; and what
+the server's memory does meanwhile."""
 
 from __future__ import annotations
 
@@ -46,10 +47,16 @@ def main() -> None:
     ingest, stock = (float(np.median([p[i] for p in pairs])) for i in (0, 1))
     grown = peak[0] - before
     show(
-        f"ingest: {size:.0f} MB MCAP, {2 * SAMPLES} messages of {JOINTS} joints as ROS 2 CDR in chunks, "
+        f"ingest: {size:.0f} MB MCAP, {2 * SAMPLES} messages of {JOINTS} joints as ROS 2 CDR "
+        "in chunks, "
         f"over HTTP, verified, inspected, durable; median of {ROUNDS}",
         [
-            Figure("ingest beside decoding with the stock reader", f"{stock / ingest:.1f} x", ">= 5 x", stock / ingest >= 5),
+            Figure(
+                "ingest beside decoding with the stock reader",
+                f"{stock / ingest:.1f} x",
+                ">= 5 x",
+                stock / ingest >= 5,
+            ),
             Figure("ingest", f"{ingest:.2f} s, {size / ingest:.0f} MB/s"),
             Figure("server memory grows by", f"{grown:.1f} MiB", "< 64 MiB", grown < 64),
         ],
@@ -78,7 +85,12 @@ def _stock(path: Path) -> float:
 
     began = time.perf_counter()
     with path.open("rb") as stream:
-        count = sum(1 for _ in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages())
+        count = sum(
+            1
+            for _ in make_reader(
+                stream, decoder_factories=[DecoderFactory()]
+            ).iter_decoded_messages()
+        )
     assert count == 2 * SAMPLES
     return time.perf_counter() - began
 

@@ -1,4 +1,5 @@
-"""500 kills of server and worker, random in time and at every step towards disk and database, on both storages: is anything lost?
+"""500 kills of server and worker, random in time and at every step towards disk and database, on
+both storages: is anything lost?
 
 The checker is first shown a planted loss of each kind.
 """
@@ -69,7 +70,11 @@ class Killed:
     def start(self, name: str) -> None:
         self.faults[name].unlink(missing_ok=True)
         os.environ["FAULT_FILE"] = str(self.faults[name])
-        self.children[name] = self.service.start_server(module=FAULTY) if name == "server" else self.service.start_worker(FAULTY)
+        self.children[name] = (
+            self.service.start_server(module=FAULTY)
+            if name == "server"
+            else self.service.start_worker(FAULTY)
+        )
 
     def die(self, rng: random.Random) -> str:
         """Kill one of them, at a random time or at a random step; which way."""
@@ -93,7 +98,10 @@ class Killed:
 def _run(storage: Storage, folder: Path) -> Figure:
     rng, history, stop = random.Random(SEED), History(), threading.Event()
     killed = Killed(storage, folder)
-    users = [threading.Thread(target=_use, args=(killed.service.url, f"p{n}", history, stop)) for n in range(USERS)]
+    users = [
+        threading.Thread(target=_use, args=(killed.service.url, f"p{n}", history, stop))
+        for n in range(USERS)
+    ]
     for user in users:
         user.start()
     began, ways = time.monotonic(), {"in time": 0, "at a step": 0}
@@ -101,7 +109,13 @@ def _run(storage: Storage, folder: Path) -> Figure:
         ways[killed.die(rng)] += 1
         time.sleep(rng.uniform(0.1, 0.5))
         if count % 50 == 0:
-            print(f"{storage.name}: {count} kills, {len(history)} acknowledged, {time.monotonic() - began:.0f} s", flush=True)
+            print(
+                (
+                    f"{storage.name}: {count} kills, {len(history)} acknowledged, "
+                    f"{time.monotonic() - began:.0f} s"
+                ),
+                flush=True,
+            )
     stop.set()
     for user in users:
         user.join()
@@ -113,8 +127,16 @@ def _run(storage: Storage, folder: Path) -> Figure:
     print(*found, sep="\n")
     planted = _planted(history, parts)
     parts.close()
-    what = f"{storage.name}: lost, torn, doubled of {len(history)} acknowledged, {ways['at a step']} kills at a step"
-    return Figure(what, f"{len(found)} after {KILLS} kills", f"0; planted: {planted}", not found and planted == "3 of 3 found")
+    what = (
+        f"{storage.name}: lost, torn, doubled of {len(history)} acknowledged, "
+        f"{ways['at a step']} kills at a step"
+    )
+    return Figure(
+        what,
+        f"{len(found)} after {KILLS} kills",
+        f"0; planted: {planted}",
+        not found and planted == "3 of 3 found",
+    )
 
 
 def _use(url: str, plant: str, history: History, stop: threading.Event) -> None:
@@ -160,7 +182,9 @@ def _steps(plant: str, history: History) -> Iterator:
 
     def judge(client: Client) -> None:
         if candidate:
-            job = client.submit(plant, {"kind": "gate", "candidate": candidate[-1], "gate": gate(client)})["id"]
+            job = client.submit(
+                plant, {"kind": "gate", "candidate": candidate[-1], "gate": gate(client)}
+            )["id"]
             history.note("jobs", job)
             decided.append(client.wait(job)["result"]["decision"])
 
@@ -174,7 +198,18 @@ def _steps(plant: str, history: History) -> Iterator:
         history.note("moves", (plant, moved.generation, moved.artifact))
 
     while True:
-        yield from (register, upload, lambda c: upload(c, Role.VALIDATION), gate, fit, judge, promote, upload, back, gate)
+        yield from (
+            register,
+            upload,
+            lambda c: upload(c, Role.VALIDATION),
+            gate,
+            fit,
+            judge,
+            promote,
+            upload,
+            back,
+            gate,
+        )
 
 
 def _planted(history: History, parts: Parts) -> str:
@@ -194,12 +229,23 @@ def _planted(history: History, parts: Parts) -> str:
         obstore.put(parts.blobs._store, digest, kept)  # type: ignore[attr-defined]
     where = {"p": plant, "d": digest}
     with parts.database.engine.connect() as connection:
-        connection.execute(text("UPDATE episodes SET digest = 'gone' WHERE plant = :p AND digest = :d"), where)
+        connection.execute(
+            text("UPDATE episodes SET digest = 'gone' WHERE plant = :p AND digest = :d"), where
+        )
         connection.commit()
         seen += any(p.startswith("lost") for p in problems(history, parts))
-        connection.execute(text("UPDATE episodes SET digest = :d WHERE plant = :p AND digest = 'gone'"), where)
+        connection.execute(
+            text("UPDATE episodes SET digest = :d WHERE plant = :p AND digest = 'gone'"), where
+        )
         connection.commit()
     with writing(parts.database) as writer:
-        writer.append_audit(at="2026-01-01T00:00:00.000000Z", kind="episode:ingested", actor="bench", plant=plant, subject=digest, facts={})
+        writer.append_audit(
+            at="2026-01-01T00:00:00.000000Z",
+            kind="episode:ingested",
+            actor="bench",
+            plant=plant,
+            subject=digest,
+            facts={},
+        )
     seen += any(p.startswith("doubled") for p in problems(history, parts))
     return f"{seen} of 3 found"

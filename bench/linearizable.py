@@ -1,4 +1,5 @@
-"""50 seeds of 12 threads and 150 operations over two servers on one PostgreSQL: is every history that of one register?"""
+"""50 seeds of 12 threads and 150 operations over two servers on one PostgreSQL: is every history
+that of one register?"""
 
 from __future__ import annotations
 
@@ -26,7 +27,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name, start_postgres() as postgres, start_s3() as s3:
         folder = Path(name)
         storage = scaled(folder / "a", postgres, s3)
-        servers = [Service(storage), Service(Storage("scaled", storage.environment | {"TRUEUP_DATA_DIR": str(folder / "b")}))]
+        servers = [
+            Service(storage),
+            Service(
+                Storage("scaled", storage.environment | {"TRUEUP_DATA_DIR": str(folder / "b")})
+            ),
+        ]
         parts = storage.build()
         wrong, moves, operations, began = [], 0, 0, time.monotonic()
         try:
@@ -36,11 +42,16 @@ def main() -> None:
                 for seed in range(SEEDS):
                     plant = f"p{seed}"
                     decisions = prepare(parts, client, plant, folder, GENERATIONS)
-                    found = run([s.url for s in servers], TOKEN, plant, decisions, THREADS, OPERATIONS, seed)
+                    found = run(
+                        [s.url for s in servers], TOKEN, plant, decisions, THREADS, OPERATIONS, seed
+                    )
                     told = list(client.history(plant))
                     wrong += violations(found, told)
                     moves, operations = moves + len(told) - 1, operations + len(found)
-                    print(f"seed {seed}: {len(told) - 1} moves, {time.monotonic() - began:.0f} s", flush=True)
+                    print(
+                        f"seed {seed}: {len(told) - 1} moves, {time.monotonic() - began:.0f} s",
+                        flush=True,
+                    )
             problems = verify(Kept(parts.database, parts.blobs)).findings
         finally:
             parts.close()
@@ -48,7 +59,12 @@ def main() -> None:
                 server.stop()
     print(*wrong, *problems, sep="\n")
     figures = [
-        Figure(f"violations in {operations} operations, {moves} moves, {SEEDS} seeds", str(len(wrong)), "0", not wrong),
+        Figure(
+            f"violations in {operations} operations, {moves} moves, {SEEDS} seeds",
+            str(len(wrong)),
+            "0",
+            not wrong,
+        ),
         Figure("audit problems", str(len(problems)), "0", not problems),
     ]
     show("Linearizable", figures)

@@ -1,8 +1,10 @@
-"""A fleet of 1,000 robots on PostgreSQL: what serving, uploading and watching cost with one and two servers, one and two workers.
+"""A fleet of 1,000 robots on PostgreSQL: what serving, uploading and watching cost with one and two
+servers, one and two workers.
 
-Each robot has its own plant, token and connection. It asks every POLL_S whether its model has changed, and every UPLOAD_S sends a batch of
-telemetry, at times of its own that do not wait for answers: latencies are counted from when it meant to ask. Every tenth one wears: its
-monitor, which a worker runs, should say so. Blobs are in a folder that the servers share.
+Each robot has its own plant, token and connection. It asks every POLL_S whether its model has
+changed, and every UPLOAD_S sends a batch of telemetry, at times of its own that do not wait for
+answers: latencies are counted from when it meant to ask. Every tenth one wears: its monitor, which
+a worker runs, should say so. Blobs are in a folder that the servers share.
 """
 
 from __future__ import annotations
@@ -70,42 +72,75 @@ def main() -> None:
         for servers, workers in CONFIGURATIONS:
             with contextlib.ExitStack() as stack:
                 running = [stack.enter_context(ours(folder, **environment)) for _ in range(servers)]
-                ports, pids = [port for port, _, _ in running], [child.pid for _, child, _ in running]
+                ports, pids = (
+                    [port for port, _, _ in running],
+                    [child.pid for _, child, _ in running],
+                )
                 labour = [stack.enter_context(worker(folder, environment)) for _ in range(workers)]
                 figures += _measured(fleet, parts, ports, pids, labour)
         parts.close()
-    show("Load: a fleet on PostgreSQL, two cores for servers, workers, database and robots", figures)
+    show(
+        "Load: a fleet on PostgreSQL, two cores for servers, workers, database and robots", figures
+    )
 
 
-def _measured(fleet: Fleet, parts: Parts, ports: list[int], pids: list[int], labour: list[int]) -> list[Figure]:
+def _measured(
+    fleet: Fleet, parts: Parts, ports: list[int], pids: list[int], labour: list[int]
+) -> list[Figure]:
     name = f"{len(ports)} servers, {len(labour)} workers"
     figures = []
     for port in ports:  # a server loads the job engine when it is first asked to submit something
         assert run(port, [iter([fleet.upload(fleet.robots[1])])], 60.0).statuses == {201: 1}
     if len(labour) == 1:  # workers have nothing to do with these
         reads = [forever(get(f"/v1/plants/{fleet.robots[i].plant}/serving")) for i in range(16)]
-        uploads = [itertools.starmap(fleet.upload, itertools.repeat((fleet.robots[-1 - i],))) for i in range(8)]
+        uploads = [
+            itertools.starmap(fleet.upload, itertools.repeat((fleet.robots[-1 - i],)))
+            for i in range(8)
+        ]
         figures += [
             _closed(f"{name}: GET serving, 16 connections", _run_on(ports, reads)),
-            _closed(f"{name}: uploads of {fleet.size >> 10} KiB, 8 connections", _run_on(ports, uploads)),
+            _closed(
+                f"{name}: uploads of {fleet.size >> 10} KiB, 8 connections", _run_on(ports, uploads)
+            ),
         ]
         _drained(parts)
     alarms, watched = _counts(parts)
     peak = Peak(pids, labour)
-    asks = [list(fleet.asks(robot, i)) for i, robot in enumerate(fleet.robots)]  # made before, for whoever sends has no time to
-    found = pace([(ports[i % len(ports)], iter(of)) for i, of in enumerate(asks)], FLEET_S, peak.look)
+    asks = [
+        list(fleet.asks(robot, i)) for i, robot in enumerate(fleet.robots)
+    ]  # made before, for whoever sends has no time to
+    found = pace(
+        [(ports[i % len(ports)], iter(of)) for i, of in enumerate(asks)], FLEET_S, peak.look
+    )
     lag_s = _drained(parts)
     after = _counts(parts)
-    wrong = {status: n for load in found.values() for status, n in load.statuses.items() if status not in (200, 201, 304)}
+    wrong = {
+        status: n
+        for load in found.values()
+        for status, n in load.statuses.items()
+        if status not in (200, 201, 304)
+    }
     told = [
-        f"{kind} {load.rate:.0f}/s, p50 {load.quantile_ms(0.5):.1f}, p99 {load.quantile_ms(0.99):.1f} ms" for kind, load in found.items()
+        (
+            f"{kind} {load.rate:.0f}/s, p50 {load.quantile_ms(0.5):.1f}, p99 "
+            f"{load.quantile_ms(0.99):.1f} ms"
+        )
+        for kind, load in found.items()
     ]
-    figures += [Figure(f"{name}: the fleet {kind.split()[0]}s", kind.split(" ", 1)[1]) for kind in told]
+    figures += [
+        Figure(f"{name}: the fleet {kind.split()[0]}s", kind.split(" ", 1)[1]) for kind in told
+    ]
     figures += [
         Figure(f"{name}: answers other than 200, 201, 304", str(wrong or 0), "0", not wrong),
-        Figure(f"{name}: batches watched, then still waiting for", f"{after[1] - watched} by workers, {lag_s:.1f} s"),
+        Figure(
+            f"{name}: batches watched, then still waiting for",
+            f"{after[1] - watched} by workers, {lag_s:.1f} s",
+        ),
         Figure(f"{name}: alarms raised", str(after[0] - alarms)),
-        Figure(f"{name}: memory at most, servers and workers", f"{peak.servers:.0f} + {peak.workers:.0f} MiB"),
+        Figure(
+            f"{name}: memory at most, servers and workers",
+            f"{peak.servers:.0f} + {peak.workers:.0f} MiB",
+        ),
     ]
     return figures
 
@@ -116,14 +151,22 @@ def _run_on(ports: list[int], streams: list[Iterator[bytes]]) -> Load:
 
 def _closed(what: str, load: Load) -> Figure:
     assert set(load.statuses) <= {200, 201}, load.statuses
-    return Figure(what, f"{load.rate:.0f} req/s, p50 {load.quantile_ms(0.5):.1f}, p99 {load.quantile_ms(0.99):.1f} ms")
+    return Figure(
+        what,
+        (
+            f"{load.rate:.0f} req/s, p50 {load.quantile_ms(0.5):.1f}, p99 "
+            f"{load.quantile_ms(0.99):.1f} ms"
+        ),
+    )
 
 
 @contextlib.contextmanager
 def worker(data: Path, environment: dict[str, str]) -> Iterator[int]:
     """A worker; its process."""
     child = subprocess.Popen(
-        [sys.executable, "-m", "trueup_cli.main", "work"], env={**os.environ, "TRUEUP_DATA_DIR": str(data), **environment}, cwd=ROOT
+        [sys.executable, "-m", "trueup_cli.main", "work"],
+        env={**os.environ, "TRUEUP_DATA_DIR": str(data), **environment},
+        cwd=ROOT,
     )
     try:
         time.sleep(5.0)
@@ -156,7 +199,8 @@ class Robot:
 
 @dataclass
 class Fleet:
-    """Robots of one make, and what they record: each batch has a start of its own, so that no two are the same bytes."""
+    """Robots of one make, and what they record: each batch has a start of its own, so that no two
+    are the same bytes."""
 
     robots: list[Robot]
     plant: Plant
@@ -168,18 +212,26 @@ class Fleet:
     def commissioned(parts: Parts) -> Fleet:
         """Plants, tokens and monitors, the latter calibrated once, for all of them are alike."""
         plant, rng = Plant.from_document(plant_document("robot-0000")), np.random.default_rng(5)
-        healthy, worn = ([recorded(friction, i, rng) for i in range(RUNS)] for friction in (0.0, WORN))
+        healthy, worn = (
+            [recorded(friction, i, rng) for i in range(RUNS)] for friction in (0.0, WORN)
+        )
         fleet = Fleet([], plant, healthy, worn, itertools.count(1))
         reference = [fleet.episode(recorded(0.0, i, rng), Role.REFERENCE) for i in range(REFERENCE)]
         artifact = nominal_artifact(plant)
-        monitor = calibrate(unpack(artifact, artifact.digest), artifact.digest, reference, PROMISE_H)
+        monitor = calibrate(
+            unpack(artifact, artifact.digest), artifact.digest, reference, PROMISE_H
+        )
         for i in range(ROBOTS):
-            fleet.robots.append(_commissioned(parts, monitor, f"robot-{i:04d}", wears=i % WEARS == 0))
+            fleet.robots.append(
+                _commissioned(parts, monitor, f"robot-{i:04d}", wears=i % WEARS == 0)
+            )
         return fleet
 
     def episode(self, run: Recorded, role: Role) -> Episode:
         columns = run.observed.copy(), self.plant.layout
-        return Episode(run.t_s.copy(), run.issued.copy(), *columns, role, {"stage": "SIL"}, 0, f"run-{id(run)}")
+        return Episode(
+            run.t_s.copy(), run.issued.copy(), *columns, role, {"stage": "SIL"}, 0, f"run-{id(run)}"
+        )
 
     @property
     def size(self) -> int:
@@ -189,22 +241,41 @@ class Fleet:
         """Telemetry as MCAP."""
         stamps = T0_NS + next(self.batches) * 10**11 + np.rint(run.t_s * 1e9).astype(np.int64)
         file = io.BytesIO()
-        columns = {"observations": run.observed, "commands": run.issued, "layout": self.plant.layout}
-        write_episode(file, stamps_ns=stamps, role=Role.TELEMETRY, conditions={"stage": "SIL"}, **columns)
+        columns = {
+            "observations": run.observed,
+            "commands": run.issued,
+            "layout": self.plant.layout,
+        }
+        write_episode(
+            file, stamps_ns=stamps, role=Role.TELEMETRY, conditions={"stage": "SIL"}, **columns
+        )
         return file.getvalue()
 
     def upload(self, robot: Robot) -> bytes:
         """The next batch of a robot, as a request."""
         runs = self.worn if robot.wears else self.healthy
         number = next(self.batches)
-        return send("POST", f"/v1/plants/{robot.plant}/episodes", self.batch(runs[number % RUNS]), "application/octet-stream", robot.token)
+        return send(
+            "POST",
+            f"/v1/plants/{robot.plant}/episodes",
+            self.batch(runs[number % RUNS]),
+            "application/octet-stream",
+            robot.token,
+        )
 
     def asks(self, robot: Robot, number: int) -> Iterator[Asked]:
         """When a robot asks what, from now on."""
-        poll = get(f"/v1/plants/{robot.plant}/serving", Authorization=f"Bearer {robot.token}", If_None_Match='"1"')
+        poll = get(
+            f"/v1/plants/{robot.plant}/serving",
+            Authorization=f"Bearer {robot.token}",
+            If_None_Match='"1"',
+        )
         phase = (number * 0.6180339887) % 1.0
         times = [(phase * POLL_S + i * POLL_S, "poll") for i in range(int(FLEET_S / POLL_S))]
-        times += [(((number * 0.7548776662) % 1.0) * UPLOAD_S + i * UPLOAD_S, "upload") for i in range(1 + int(FLEET_S / UPLOAD_S))]
+        times += [
+            (((number * 0.7548776662) % 1.0) * UPLOAD_S + i * UPLOAD_S, "upload")
+            for i in range(1 + int(FLEET_S / UPLOAD_S))
+        ]
         for due_s, kind in sorted(times):
             yield Asked(due_s, kind, poll if kind == "poll" else self.upload(robot))
 
@@ -234,15 +305,24 @@ def _commissioned(parts: Parts, monitor: Monitor, name: str, *, wears: bool) -> 
         artifact = nominal_artifact(Plant.from_document(plant_document(name))).digest
         mine = replace(monitor, plant=record.digest, artifact=artifact)
         kept = {detector: list(state) for detector, state in mine.begin().items()}
-        add_monitor(writer, name, json.loads(json.dumps(mine.document())), kept, None, STAMP.now, STAMP)
-        issue_token(writer, TokenRecord(prefix, secret, name, [Of.ROBOT], None, name, STAMP.now, STAMP.actor, None), STAMP)
+        add_monitor(
+            writer, name, json.loads(json.dumps(mine.document())), kept, None, STAMP.now, STAMP
+        )
+        issue_token(
+            writer,
+            TokenRecord(prefix, secret, name, [Of.ROBOT], None, name, STAMP.now, STAMP.actor, None),
+            STAMP,
+        )
     return Robot(name, token, wears)
 
 
 def _counts(parts: Parts) -> tuple[int, int]:
     """Alarms raised and batches watched so far."""
     with parts.database.read() as connection:
-        alarms, watched = (connection.exec_driver_sql(f"SELECT count(*) FROM {table}").scalar_one() for table in ("alarms", "watches"))
+        alarms, watched = (
+            connection.exec_driver_sql(f"SELECT count(*) FROM {table}").scalar_one()
+            for table in ("alarms", "watches")
+        )
     return alarms, watched
 
 
@@ -251,7 +331,9 @@ def _drained(parts: Parts) -> float:
     began = time.monotonic()
     while time.monotonic() - began < DRAIN_S:
         with parts.database.read() as connection:
-            if not connection.exec_driver_sql("SELECT count(*) FROM jobs WHERE result IS NULL").scalar_one():
+            if not connection.exec_driver_sql(
+                "SELECT count(*) FROM jobs WHERE result IS NULL"
+            ).scalar_one():
                 break
         time.sleep(0.1)
     return time.monotonic() - began

@@ -1,4 +1,5 @@
-"""Damaged recordings, bombs and other files: is each refused with a code within a second, and does the server's memory stay?"""
+"""Damaged recordings, bombs and other files: is each refused with a code within a second, and does
+the server's memory stay?"""
 
 from __future__ import annotations
 
@@ -46,9 +47,21 @@ def main() -> None:
     slow = sum(s > LIMIT_S for s in seconds)
     p50, worst = np.median(seconds), max(seconds)
     figures = [
-        Figure(f"malformed uploads not refused with 4xx and a code, of {UPLOADS - good}", str(len(wrong)), "0", not wrong),
-        Figure(f"… answered later than {LIMIT_S:g} s; p50 {p50:.2f} s, worst {worst:.2f} s", str(slow), "0", not slow),
-        Figure("… server memory grows by", f"{grown:.0f} MiB", f"< {LIMIT_MIB} MiB", grown < LIMIT_MIB),
+        Figure(
+            f"malformed uploads not refused with 4xx and a code, of {UPLOADS - good}",
+            str(len(wrong)),
+            "0",
+            not wrong,
+        ),
+        Figure(
+            f"… answered later than {LIMIT_S:g} s; p50 {p50:.2f} s, worst {worst:.2f} s",
+            str(slow),
+            "0",
+            not slow,
+        ),
+        Figure(
+            "… server memory grows by", f"{grown:.0f} MiB", f"< {LIMIT_MIB} MiB", grown < LIMIT_MIB
+        ),
     ]
     show("Malformed", figures)
 
@@ -66,7 +79,8 @@ VARIANTS = [v.data for v in variants()]
 
 
 def _damaged(rng: random.Random, n: int) -> bytes:
-    """A file that is no episode: flipped, cut, doubled, grown, a bomb, another format, or sound MCAP of something else."""
+    """A file that is no episode: flipped, cut, doubled, grown, a bomb, another format, or sound
+    MCAP of something else."""
     sound = episode_bytes(n % 20, 120)
     at = rng.randrange(9, len(sound) - 9)
     made = (
@@ -96,7 +110,15 @@ def _bomb(size: int) -> bytes:
         for _ in range(size // 10**6):
             writer.write(bytes(10**6))
     packed = stream.getvalue()
-    head = (0).to_bytes(24, "little") + (0).to_bytes(4, "little") + (4).to_bytes(4, "little") + b"zstd"
-    chunk = head[:16] + (1000).to_bytes(8, "little") + head[24:] + len(packed).to_bytes(8, "little") + packed
+    head = (
+        (0).to_bytes(24, "little") + (0).to_bytes(4, "little") + (4).to_bytes(4, "little") + b"zstd"
+    )
+    chunk = (
+        head[:16]
+        + (1000).to_bytes(8, "little")
+        + head[24:]
+        + len(packed).to_bytes(8, "little")
+        + packed
+    )
     header = b"\1" + (8).to_bytes(8, "little") + bytes(8)
     return MAGIC + header + b"\6" + len(chunk).to_bytes(8, "little") + chunk + MAGIC

@@ -1,4 +1,5 @@
-"""Requests drawn from the OpenAPI document, well-formed and not, alone and in chains: does any answer differ from what it says?"""
+"""Requests drawn from the OpenAPI document, well-formed and not, alone and in chains: does any
+answer differ from what it says?"""
 
 from __future__ import annotations
 
@@ -38,7 +39,10 @@ CHECKS = (
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder, start_postgres() as postgres, start_s3() as s3:
         data = Path(folder)
-        figures = [_run(storage, data / storage.name) for storage in (embedded(data / "a"), scaled(data / "b", postgres, s3))]
+        figures = [
+            _run(storage, data / storage.name)
+            for storage in (embedded(data / "a"), scaled(data / "b", postgres, s3))
+        ]
     show("OpenAPI", figures)
 
 
@@ -48,17 +52,50 @@ def _run(storage: Storage, folder: Path) -> Figure:
         with closing(Client(service.url, token=TOKEN)) as client:
             _tell(folder, _filled(client, folder))
         said = folder / "said.json"
-        options = ["--phases", PHASES, "--max-examples", EXAMPLES, "--seed", "1", "--continue-on-failure", "--no-color"]
-        known = [*(f"-c{check}" for check in CHECKS), "-H", f"Authorization: Bearer {TOKEN}", "--report-json-path", str(said)]
-        command = [sys.executable, "-m", "schemathesis.cli", "run", f"{service.url}/openapi.json", *options, *known]
-        done = subprocess.run(command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False)
+        options = [
+            "--phases",
+            PHASES,
+            "--max-examples",
+            EXAMPLES,
+            "--seed",
+            "1",
+            "--continue-on-failure",
+            "--no-color",
+        ]
+        known = [
+            *(f"-c{check}" for check in CHECKS),
+            "-H",
+            f"Authorization: Bearer {TOKEN}",
+            "--report-json-path",
+            str(said),
+        ]
+        command = [
+            sys.executable,
+            "-m",
+            "schemathesis.cli",
+            "run",
+            f"{service.url}/openapi.json",
+            *options,
+            *known,
+        ]
+        done = subprocess.run(
+            command,
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
     report = json.loads(said.read_text())
     cases, failures = report["test_cases"]["generated"], report["failures"]
     for failure in failures:
         print(json.dumps(failure)[:1000])
     unseen = report["warnings"]["missing_test_data"]
     print(f"{storage.name}: answered with nothing but 404: {', '.join(unseen)}")
-    what = f"{storage.name}: answers that differ from the document, of {cases} over {report['operations']['tested']} operations"
+    what = (
+        f"{storage.name}: answers that differ from the document, of {cases} over "
+        f"{report['operations']['tested']} operations"
+    )
     return Figure(what, str(len(failures)), "0", done.returncode == 0 and not failures)
 
 
@@ -81,6 +118,11 @@ def _filled(client: Client, folder: Path) -> dict[str, list[str]]:
 
 def _tell(folder: Path, known: dict[str, list[str]]) -> None:
     """What there is, as dictionaries: nine of ten names are drawn from them."""
-    lines = [f"[dictionaries.{name}]\nvalues = {json.dumps(words)}" for name, words in known.items()]
-    lines += ["[parameters]", *(f'"path.{name}" = {{ dictionary = "{name}", probability = 0.9 }}' for name in known)]
+    lines = [
+        f"[dictionaries.{name}]\nvalues = {json.dumps(words)}" for name, words in known.items()
+    ]
+    lines += [
+        "[parameters]",
+        *(f'"path.{name}" = {{ dictionary = "{name}", probability = 0.9 }}' for name in known),
+    ]
     (folder / "schemathesis.toml").write_text("\n".join(lines) + "\n")

@@ -1,4 +1,5 @@
-"""What pages cost: the server's time for each at 10^5 plants and 10^5 versions of one, and a diagnosis in a real browser."""
+"""What pages cost: the server's time for each at 10^5 plants and 10^5 versions of one, and a
+diagnosis in a real browser."""
 
 from __future__ import annotations
 
@@ -48,13 +49,22 @@ def _many(data: Path) -> list[Figure]:
         }.items():
             seconds = []
             for _ in range(LOOKS):
-                request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers={"Authorization": f"Bearer {TOKEN}"})
+                request = urllib.request.Request(
+                    f"http://127.0.0.1:{port}{path}", headers={"Authorization": f"Bearer {TOKEN}"}
+                )
                 began = time.perf_counter()
                 with urllib.request.urlopen(request) as answer:
                     answer.read()
                 seconds.append(time.perf_counter() - began)
             ms = 1e3 * np.quantile(seconds[1:], [0.5, 0.99])
-            figures.append(Figure(f"{what}, p50 / p99", f"{ms[0]:.0f} / {ms[1]:.0f} ms", f"< {SLOWEST_MS:g} ms", bool(ms[0] < SLOWEST_MS)))
+            figures.append(
+                Figure(
+                    f"{what}, p50 / p99",
+                    f"{ms[0]:.0f} / {ms[1]:.0f} ms",
+                    f"< {SLOWEST_MS:g} ms",
+                    bool(ms[0] < SLOWEST_MS),
+                )
+            )
     return figures
 
 
@@ -64,21 +74,55 @@ def _add_plants(path: Path) -> None:
         row = to.execute("select digest, document from plants").fetchone()
         artifact = to.execute("select digest, kind, manifest from artifacts limit 1").fetchone()
         names = [f"many-{i:06d}" for i in range(PLANTS)]
-        to.executemany("insert into plants values (?, ?, ?, ?, ?, null)", [(n, *row, AT, BY) for n in names])
-        to.executemany("insert into artifacts values (?, 1, ?, ?, ?, null, null, ?, ?)", [(n, *artifact, AT, BY) for n in names])
-        to.executemany("insert into moves values (?, 1, 'registered', ?, 1, null, null, ?, ?)", [(n, artifact[0], AT, BY) for n in names])
+        to.executemany(
+            "insert into plants values (?, ?, ?, ?, ?, null)", [(n, *row, AT, BY) for n in names]
+        )
+        to.executemany(
+            "insert into artifacts values (?, 1, ?, ?, ?, null, null, ?, ?)",
+            [(n, *artifact, AT, BY) for n in names],
+        )
+        to.executemany(
+            "insert into moves values (?, 1, 'registered', ?, 1, null, null, ?, ?)",
+            [(n, artifact[0], AT, BY) for n in names],
+        )
         to.executemany("insert into serving values (?, 1)", [(n,) for n in names])
-        seen = json.dumps({"channels": {"q": {"mean": 0.1, "rms": 1.1}, "v": {"mean": 0.0, "rms": 0.9}}})
+        seen = json.dumps(
+            {"channels": {"q": {"mean": 0.1, "rms": 1.1}, "v": {"mean": 0.0, "rms": 0.9}}}
+        )
         for n in names[::10]:
-            to.execute("insert into monitors values (?, ?, ?, '{}', null, ?, ?)", (n, "0" * 64, artifact[0], AT, BY))
+            to.execute(
+                "insert into monitors values (?, ?, ?, '{}', null, ?, ?)",
+                (n, "0" * 64, artifact[0], AT, BY),
+            )
             to.execute("insert into watching values (?, ?, ?, 40, '{}')", (n, "0" * 64, AT))
-            to.executemany("insert into watches values (?, ?, ?, ?, ?, ?)", [(n, "0" * 64, i, f"{i:064d}", seen, AT) for i in range(1, 41)])
+            to.executemany(
+                "insert into watches values (?, ?, ?, ?, ?, ?)",
+                [(n, "0" * 64, i, f"{i:064d}", seen, AT) for i in range(1, 41)],
+            )
         for i, n in enumerate(names[::7]):
             to.execute("insert into gates values (?, ?, '{}', ?, ?)", (n, "1" * 64, AT, BY))
-            decision = (f"{i:064d}", n, "1" * 64, artifact[0], artifact[0], 1, True, "{}", None, AT, BY)
+            decision = (
+                f"{i:064d}",
+                n,
+                "1" * 64,
+                artifact[0],
+                artifact[0],
+                1,
+                True,
+                "{}",
+                None,
+                AT,
+                BY,
+            )
             to.execute(f"insert into decisions values ({', '.join('?' * len(decision))})", decision)
             alarm = (f"{i:032d}", n, artifact[0], "2" * 64, AT)
-            to.execute("insert into alarms (id, plant, artifact, episode, document, raised_at) values (?, ?, ?, ?, '{}', ?)", alarm)
+            to.execute(
+                (
+                    "insert into alarms (id, plant, artifact, episode, document, raised_at) "
+                    "values (?, ?, ?, ?, '{}', ?)"
+                ),
+                alarm,
+            )
         to.execute("analyze")
 
 
@@ -86,9 +130,22 @@ def _diagnosis(data: Path) -> list[Figure]:
     """A diagnosis of the real recordings, opened by a browser that has seen nothing of it yet."""
     with ours(data, worker=True) as (port, _, _):
         url, case = f"http://127.0.0.1:{port}", str(ROOT / "examples" / "emps")
-        for command in (["plant", "register", case], ["upload", "emps", case], ["diagnosis", "emps"]):
-            subprocess.run([sys.executable, "-m", "trueup_cli.main", *command, "--url", url], cwd=ROOT, check=True, capture_output=True)
-        job = next(j["id"] for j in call(port, "GET", "/v1/plants/emps/jobs")["items"] if j["kind"] == "diagnose")
+        for command in (
+            ["plant", "register", case],
+            ["upload", "emps", case],
+            ["diagnosis", "emps"],
+        ):
+            subprocess.run(
+                [sys.executable, "-m", "trueup_cli.main", *command, "--url", url],
+                cwd=ROOT,
+                check=True,
+                capture_output=True,
+            )
+        job = next(
+            j["id"]
+            for j in call(port, "GET", "/v1/plants/emps/jobs")["items"]
+            if j["kind"] == "diagnose"
+        )
         seconds, weight = [], 0
         with browsing() as browser:
             for _ in range(OPENED):
@@ -109,6 +166,13 @@ def _diagnosis(data: Path) -> list[Figure]:
     middle, worst = float(np.median(seconds)), max(seconds)
     drawn = "a diagnosis, from asking to drawn and movable, p50 / worst"
     return [
-        Figure(drawn, f"{middle:.2f} / {worst:.2f} s", f"< {INTERACTIVE_S:g} s", worst < INTERACTIVE_S),
-        Figure("all that it loads, uncompressed", f"{weight / 1e3:.0f} kB", f"< {LIGHTEST / 1e3:.0f} kB", weight < LIGHTEST),
+        Figure(
+            drawn, f"{middle:.2f} / {worst:.2f} s", f"< {INTERACTIVE_S:g} s", worst < INTERACTIVE_S
+        ),
+        Figure(
+            "all that it loads, uncompressed",
+            f"{weight / 1e3:.0f} kB",
+            f"< {LIGHTEST / 1e3:.0f} kB",
+            weight < LIGHTEST,
+        ),
     ]

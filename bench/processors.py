@@ -1,7 +1,9 @@
-"""The same recordings diagnosed as ten kinds of processor would: kernels of linear algebra, threads, vector instructions, compiled code.
+"""The same recordings diagnosed as ten kinds of processor would: kernels of linear algebra,
+threads, vector instructions, compiled code.
 
-Each kind is a child process with an environment of its own, two at a time; the first is this machine as it is, and the others' reports are
-held against its. `CASES` names case folders, `examples/emps` and `examples/so101` without; `VARIANTS` a part of the kinds, by numbers;
+Each kind is a child process with an environment of its own, two at a time; the first is this
+machine as it is, and the others' reports are held against its. `CASES` names case folders,
+`examples/emps` and `examples/so101` without; `VARIANTS` a part of the kinds, by numbers;
 `PUBLISH=1` keeps the table for the pages.
 """
 
@@ -14,7 +16,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from bench.report import Figure, publish, show
-from tests.support.processors import ERROR, MOVED, VARIANTS, WIDTH, Difference, difference, processor, start
+from tests.support.processors import (
+    ERROR,
+    MOVED,
+    VARIANTS,
+    WIDTH,
+    Difference,
+    difference,
+    processor,
+    start,
+)
 
 CASES = [Path(c).resolve() for c in os.environ.get("CASES", "examples/emps examples/so101").split()]
 CHOSEN = [int(i) for i in os.environ.get("VARIANTS", "").split()] or range(len(VARIANTS))
@@ -37,16 +48,28 @@ def main() -> None:
     first, *others = found
     figures, table = [Figure(f"cases diagnosed on {processor()}", str(len(found[first])))], []
     for name in others:
-        differences = {case: difference(found[first][case], found[name][case]) for case in found[first]}
+        differences = {
+            case: difference(found[first][case], found[name][case]) for case in found[first]
+        }
         missed = {case: d for case, d in differences.items() if not d.met}
         target = f"moved {MOVED:g}, width {WIDTH:g}, error {ERROR:g}"
         figures.append(
-            Figure(f"{name}: cases that answer alike", f"{len(differences) - len(missed)} of {len(differences)}", target, not missed)
+            Figure(
+                f"{name}: cases that answer alike",
+                f"{len(differences) - len(missed)} of {len(differences)}",
+                target,
+                not missed,
+            )
         )
-        figures.append(Figure("  largest: moved, width, error", " ".join(largest := _largest(differences))))
+        figures.append(
+            Figure("  largest: moved, width, error", " ".join(largest := _largest(differences)))
+        )
         table.append([name, f"{len(differences) - len(missed)} of {len(differences)}", *largest])
         figures += [
-            Figure(f"  {case}", f"{'' if d.alike else 'another answer '}{d.moved:.3g} {d.width:.3g} {d.error:.3g}")
+            Figure(
+                f"  {case}",
+                f"{'' if d.alike else 'another answer '}{d.moved:.3g} {d.width:.3g} {d.error:.3g}",
+            )
             for case, d in missed.items()
         ]
     show("processors: one log, one answer", figures)
@@ -54,4 +77,6 @@ def main() -> None:
 
 
 def _largest(of: dict[str, Difference]) -> list[str]:
-    return [f"{max(getattr(d, what) for d in of.values()):.2g}" for what in ("moved", "width", "error")]
+    return [
+        f"{max(getattr(d, what) for d in of.values()):.2g}" for what in ("moved", "width", "error")
+    ]

@@ -35,22 +35,54 @@ STAMP = Stamp("bench", "2026-01-01T00:00:00.000000Z")
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as folder, ours(Path(folder) / "ours") as (port, _, _), peer(Path(folder) / "peer") as other:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        ours(Path(folder) / "ours") as (port, _, _),
+        peer(Path(folder) / "peer") as other,
+    ):
         created, peer_created = _create(port, other)
         promoted, aliased = _promote(port, Path(folder) / "ours", other)
         many = _resolve(port, Path(folder) / "ours")
-    for name, load in (("create", created), ("peer creates", peer_created), ("promote", promoted), ("peer sets alias", aliased)):
+    for name, load in (
+        ("create", created),
+        ("peer creates", peer_created),
+        ("promote", promoted),
+        ("peer sets alias", aliased),
+    ):
         print(f"{name:>16}: {load.line()}")
     ratio = created.rate / peer_created.rate
     show(
-        "registry: one server process, embedded storage, 16 connections, interleaved with the peer (one worker)",
+        (
+            "registry: one server process, embedded storage, 16 connections, interleaved with "
+            "the peer (one worker)"
+        ),
         [
-            Figure("durable version creation with its audit entry", f"{created.rate:.0f} req/s", ">= 500 req/s", created.rate >= 500),
+            Figure(
+                "durable version creation with its audit entry",
+                f"{created.rate:.0f} req/s",
+                ">= 500 req/s",
+                created.rate >= 500,
+            ),
             Figure("… beside the peer's", f"{ratio:.1f} x", ">= 5 x", ratio >= 5),
-            Figure("… p99", f"{created.quantile_ms(0.99):.1f} ms", "<= 60 ms", created.quantile_ms(0.99) <= 60),
-            Figure("promotion p99", f"{promoted.quantile_ms(0.99):.1f} ms", "<= 60 ms", promoted.quantile_ms(0.99) <= 60),
+            Figure(
+                "… p99",
+                f"{created.quantile_ms(0.99):.1f} ms",
+                "<= 60 ms",
+                created.quantile_ms(0.99) <= 60,
+            ),
+            Figure(
+                "promotion p99",
+                f"{promoted.quantile_ms(0.99):.1f} ms",
+                "<= 60 ms",
+                promoted.quantile_ms(0.99) <= 60,
+            ),
             Figure("promotion beside the peer's alias", f"{promoted.rate / aliased.rate:.1f} x"),
-            Figure(f"resolve at {MANY} versions beside at {FEW}, median of {PAIRS} pairs", f"{many:.3f} x", "<= 1.1 x", many <= 1.1),
+            Figure(
+                f"resolve at {MANY} versions beside at {FEW}, median of {PAIRS} pairs",
+                f"{many:.3f} x",
+                "<= 1.1 x",
+                many <= 1.1,
+            ),
         ],
     )
 
@@ -60,12 +92,24 @@ def _create(port: int, other: Peer) -> tuple[Load, Load]:
     call(port, "POST", "/v1/plants", plant_document("creating"))
     with other.awake() as where:
         call(where, "POST", "/api/2.0/mlflow/registered-models/create", {"name": "creating"})
-    manifests = iter([pack(Identified(plant, (1.0 + i / VERSIONS, 0.6, 0.8)), {}).manifest for i in range(VERSIONS)])
+    manifests = iter(
+        [
+            pack(Identified(plant, (1.0 + i / VERSIONS, 0.6, 0.8)), {}).manifest
+            for i in range(VERSIONS)
+        ]
+    )
     found: tuple[list[Load], list[Load]] = ([], [])
     body = json.dumps({"name": "creating", "source": "s3://bucket/m"}).encode()
     for _ in range(ROUNDS):
         found[0].append(
-            run(port, [(send("POST", "/v1/plants/creating/artifacts", m) for m in manifests) for _ in range(CONNECTIONS)], SECONDS)
+            run(
+                port,
+                [
+                    (send("POST", "/v1/plants/creating/artifacts", m) for m in manifests)
+                    for _ in range(CONNECTIONS)
+                ],
+                SECONDS,
+            )
         )
         assert set(found[0][-1].statuses) == {201}, found[0][-1].statuses
         with other.awake() as where:
@@ -100,9 +144,18 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
     plant = Plant.from_document(plant_document(name))
     artifacts = [pack(Identified(plant, (k, 0.6, 0.8)), {}) for k in (1.1, 1.2)]
     for artifact in artifacts:
-        assert run(port, [iter([send("POST", f"/v1/plants/{name}/artifacts", artifact.manifest)])], 10.0).statuses == {201: 1}
-    held_out = send("POST", f"/v1/plants/{name}/episodes", episode_bytes(9, 60, role=Role.VALIDATION), "application/octet-stream")
-    assert run(port, [iter([held_out])], 60.0).statuses == {201: 1}  # on which the way back is rehearsed before each move
+        assert run(
+            port, [iter([send("POST", f"/v1/plants/{name}/artifacts", artifact.manifest)])], 10.0
+        ).statuses == {201: 1}
+    held_out = send(
+        "POST",
+        f"/v1/plants/{name}/episodes",
+        episode_bytes(9, 60, role=Role.VALIDATION),
+        "application/octet-stream",
+    )
+    assert run(port, [iter([held_out])], 60.0).statuses == {
+        201: 1
+    }  # on which the way back is rehearsed before each move
     episode = call(port, "GET", f"/v1/plants/{name}/episodes")["items"][0]["digest"]
     serving = call(port, "GET", f"/v1/plants/{name}/serving")["artifact"]
     parts, requests = build(Settings(data_dir=data)), []
@@ -121,7 +174,9 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
                 "plant": plant.digest,
             }
             record_decision(writer, name, document, None, STAMP)
-            body = json.dumps({"decision": digest_of(document), "expected_generation": generation}).encode()
+            body = json.dumps(
+                {"decision": digest_of(document), "expected_generation": generation}
+            ).encode()
             requests.append(send("POST", f"/v1/plants/{name}/serving/promote", body))
             serving = candidate
     parts.close()
@@ -129,7 +184,8 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
 
 
 def _resolve(port: int, data: Path) -> float:
-    """Time to resolve what serves and to get a version, at many versions beside at few: pairs, one after the other."""
+    """Time to resolve what serves and to get a version, at many versions beside at few: pairs, one
+    after the other."""
     for name, versions in (("few", FEW), ("many", MANY)):
         call(port, "POST", "/v1/plants", plant_document(name))
         parts = build(Settings(data_dir=data))
@@ -137,13 +193,25 @@ def _resolve(port: int, data: Path) -> float:
             writer = Writer(connection)
             for version in range(2, versions + 1):
                 writer.add_artifact(
-                    ArtifactRecord(name, version, digest_of([name, version]), "identified", "{}", None, None, STAMP.now, "bench")
+                    ArtifactRecord(
+                        name,
+                        version,
+                        digest_of([name, version]),
+                        "identified",
+                        "{}",
+                        None,
+                        None,
+                        STAMP.now,
+                        "bench",
+                    )
                 )
         parts.close()
     ratios = []
     for _ in range(PAIRS):
         seconds = {
-            name: _time(port, [f"/v1/plants/{name}/serving", f"/v1/plants/{name}/versions/{versions // 2}"])
+            name: _time(
+                port, [f"/v1/plants/{name}/serving", f"/v1/plants/{name}/versions/{versions // 2}"]
+            )
             for name, versions in (("few", FEW), ("many", MANY))
         }
         ratios.append(seconds["many"] / seconds["few"])

@@ -1,4 +1,5 @@
-"""One line for each figure: what, how much, and what it should be; and tables that the pages show."""
+"""One line for each figure: what, how much, and what it should be; and tables that the pages
+show."""
 
 from __future__ import annotations
 
@@ -29,11 +30,16 @@ def show(title: str, figures: list[Figure]) -> None:
         mark = {True: "met ", False: "MISS", None: "    "}[f.met]
         print(f"  {mark}  {f.what:<62} {f.value:>22}   {f.target}", flush=True)
     RESULTS.mkdir(exist_ok=True)
-    (RESULTS / f"{title.split(maxsplit=1)[0].lower()}.json").write_text(json.dumps([asdict(f) for f in figures], indent=1))
+    (RESULTS / f"{title.split(maxsplit=1)[0].lower()}.json").write_text(
+        json.dumps([asdict(f) for f in figures], indent=1)
+    )
 
 
 def publish(name: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Keep a table for the pages, into which `make docs` writes it, where PUBLISH is set: a part of a bench is nothing to publish."""
+    """Keep a table for the pages, into which `make docs` writes it, where PUBLISH is set: a part of
+    a bench is nothing to publish."""
     if not os.environ.get("PUBLISH"):
         return
-    (MEASURED / f"{name}.json").write_text(json.dumps({"head": head, "rows": rows}, indent=1, ensure_ascii=False) + "\n")
+    (MEASURED / f"{name}.json").write_text(
+        json.dumps({"head": head, "rows": rows}, indent=1, ensure_ascii=False) + "\n"
+    )

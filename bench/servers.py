@@ -19,7 +19,9 @@ PEER = ROOT / "build" / "peer"
 PEER_PACKAGE = "mlflow>=3.17,<4"
 
 
-TOKEN = os.environ["TRUEUP_TOKEN"] = os.environ["TRUEUP_ADMIN_TOKEN"] = "an-admins-token-that-the-bench-knows"
+TOKEN = os.environ["TRUEUP_TOKEN"] = os.environ["TRUEUP_ADMIN_TOKEN"] = (
+    "an-admins-token-that-the-bench-knows"
+)
 
 
 def free_port() -> int:
@@ -42,12 +44,27 @@ def first_200(url: str, child: subprocess.Popen, limit_s: float = 90.0) -> None:
 
 
 @contextmanager
-def ours(data: Path, worker: bool = False, **environment: str) -> Iterator[tuple[int, subprocess.Popen, float]]:
+def ours(
+    data: Path, worker: bool = False, **environment: str
+) -> Iterator[tuple[int, subprocess.Popen, float]]:
     """Port, process and time to the first answer [s]."""
     port = free_port()
-    command = [sys.executable, "-m", "trueup_cli.main", "serve", "--port", str(port), *([] if worker else ["--no-worker"])]
+    command = [
+        sys.executable,
+        "-m",
+        "trueup_cli.main",
+        "serve",
+        "--port",
+        str(port),
+        *([] if worker else ["--no-worker"]),
+    ]
     began = time.perf_counter()
-    child = subprocess.Popen(command, env={**os.environ, "TRUEUP_DATA_DIR": str(data), **environment}, cwd=ROOT, stderr=subprocess.DEVNULL)
+    child = subprocess.Popen(
+        command,
+        env={**os.environ, "TRUEUP_DATA_DIR": str(data), **environment},
+        cwd=ROOT,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         first_200(f"http://127.0.0.1:{port}/healthz", child)
         yield port, child, time.perf_counter() - began
@@ -63,12 +80,22 @@ def install_peer() -> None:
     print("installing the peer registry into build/peer …", flush=True)
     subprocess.run([sys.executable, "-m", "venv", str(PEER)], check=True)
     subprocess.run(
-        [str(ROOT / ".venv/bin/uv"), "pip", "install", "--quiet", "--python", str(PEER / "bin/python"), PEER_PACKAGE], check=True
+        [
+            str(ROOT / ".venv/bin/uv"),
+            "pip",
+            "install",
+            "--quiet",
+            "--python",
+            str(PEER / "bin/python"),
+            PEER_PACKAGE,
+        ],
+        check=True,
     )
 
 
 class Peer:
-    """The running peer. It is stopped while ours is measured: even at rest its processes take a share of the cores."""
+    """The running peer. It is stopped while ours is measured: even at rest its processes take a
+    share of the cores."""
 
     def __init__(self, port: int, group: int, start_s: float) -> None:
         self.port, self._group, self.start_s = port, group, start_s
@@ -89,10 +116,29 @@ def peer(data: Path, workers: int = 1) -> Iterator[Peer]:
     install_peer()
     port = free_port()
     data.mkdir(parents=True)
-    store = ["--backend-store-uri", f"sqlite:///{data}/peer.db", "--artifacts-destination", str(data / "artifacts")]
-    command = [str(PEER / "bin/mlflow"), "server", *store, "--port", str(port), "--workers", str(workers)]
+    store = [
+        "--backend-store-uri",
+        f"sqlite:///{data}/peer.db",
+        "--artifacts-destination",
+        str(data / "artifacts"),
+    ]
+    command = [
+        str(PEER / "bin/mlflow"),
+        "server",
+        *store,
+        "--port",
+        str(port),
+        "--workers",
+        str(workers),
+    ]
     began = time.perf_counter()
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=data, start_new_session=True)
+    child = subprocess.Popen(
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        cwd=data,
+        start_new_session=True,
+    )
     try:
         first_200(f"http://127.0.0.1:{port}/health", child)
         started = time.perf_counter() - began
@@ -108,7 +154,9 @@ def call(port: int, method: str, path: str, body: object = None) -> dict:
     """One JSON request."""
     data = None if body is None else json.dumps(body).encode()
     headers = {"Content-Type": "application/json", "Authorization": f"Bearer {TOKEN}"}
-    request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", method=method, data=data, headers=headers)
+    request = urllib.request.Request(
+        f"http://127.0.0.1:{port}{path}", method=method, data=data, headers=headers
+    )
     with urllib.request.urlopen(request) as answer:
         return json.load(answer)
 

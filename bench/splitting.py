@@ -1,7 +1,9 @@
-"""Splitting: recordings too short and too noisy for one answer, then the experiment that `trueup excite --split` designs.
+"""Splitting: recordings too short and too noisy for one answer, then the experiment that `trueup
+excite --split` designs.
 
-Machines of the second simulator with one effect each; of those whose diagnosis left alternatives that a command could part, each plays
-the designed excitation twice, and beside it random ones of the same energy and length, and is diagnosed again with either.
+Machines of the second simulator with one effect each; of those whose diagnosis left alternatives
+that a command could part, each plays the designed excitation twice, and beside it random ones of
+the same energy and length, and is diagnosed again with either.
 """
 
 from __future__ import annotations
@@ -49,7 +51,9 @@ def main() -> None:
         tried += 1
         designed = [made.command[:, 0]] * 2
         random = [_random(plant, made, rng) for _ in designed]
-        answers = [_again(bench, plant, trial, episodes, commands, rng) for commands in (designed, random)]
+        answers = [
+            _again(bench, plant, trial, episodes, commands, rng) for commands in (designed, random)
+        ]
         unique += _is(found, effect)
         right += _is(found, effect, among=True)
         ours += _is(answers[0][0], effect)
@@ -61,7 +65,12 @@ def main() -> None:
         Figure("machines with alternatives that a command could part", str(tried)),
         Figure("  the effect among the alternatives", f"{right}"),
         Figure("  left by themselves: no command parts them", f"{alike}"),
-        Figure("named alone after the designed excitation", f"{ours} of {tried}", f"> {theirs}, random", ours > theirs),
+        Figure(
+            "named alone after the designed excitation",
+            f"{ours} of {tried}",
+            f"> {theirs}, random",
+            ours > theirs,
+        ),
         Figure("  after random ones of the same energy and length", f"{theirs} of {tried}"),
         Figure("  before", f"{unique} of {tried}"),
         Figure("  machines that left their envelope", f"{breached}", "0", breached == 0),
@@ -94,9 +103,15 @@ def _random(plant: Plant, made: Excitation, rng: np.random.Generator) -> np.ndar
 
 
 def _again(
-    bench: Bench, plant: Plant, trial: Trial, episodes: list[Episode], commands: list[np.ndarray], rng: np.random.Generator
+    bench: Bench,
+    plant: Plant,
+    trial: Trial,
+    episodes: list[Episode],
+    commands: list[np.ndarray],
+    rng: np.random.Generator,
 ) -> tuple[Diagnosis, bool]:
-    """The diagnosis with two more recordings, and whether the machine left its envelope in one of them."""
+    """The diagnosis with two more recordings, and whether the machine left its envelope in one of
+    them."""
     low, high = plant.envelope["q"]
     more, outside = [], False
     for role, command in zip((Role.ADAPTATION, Role.VALIDATION), commands, strict=True):
@@ -107,7 +122,8 @@ def _again(
 
 
 def _is(found: Diagnosis, effect: str, *, among: bool = False) -> bool:
-    """Whether a diagnosis names the effect, alone or among its alternatives; twins by law are one."""
+    """Whether a diagnosis names the effect, alone or among its alternatives; twins by law are
+    one."""
     twin = {"sensor_delay": "actuator_delay"}
     named = {e["effect"] for e in found.document["effects"]}
     others = [set(o) for o in found.document["indistinguishable"]]

@@ -52,7 +52,12 @@ def _flips(parts: Parts) -> Figure:
     assert not _found(parts)
     print(*missed, sep="\n")
     each_ms = (time.perf_counter() - began) / FLIPS * 1000
-    return Figure(f"flipped bytes found, {each_ms:.0f} ms each", f"{found} of {FLIPS}", f"{FLIPS}", found == FLIPS)
+    return Figure(
+        f"flipped bytes found, {each_ms:.0f} ms each",
+        f"{found} of {FLIPS}",
+        f"{FLIPS}",
+        found == FLIPS,
+    )
 
 
 def _cuts(parts: Parts) -> Figure:

@@ -12,13 +12,30 @@ from numpy.typing import NDArray
 from trueup.model.effect import Effect, Port, effects
 from trueup.model.families.inertia import Inertia
 from trueup.model.stepping import Joint
-from trueup_cli.pictures.drawing import PALE, SERIES, WIDTH, Panel, legend, nice, range_of, sheet, text
+from trueup_cli.pictures.drawing import (
+    PALE,
+    SERIES,
+    WIDTH,
+    Panel,
+    legend,
+    nice,
+    range_of,
+    sheet,
+    text,
+)
 
 Array = NDArray[np.float64]
 PERIOD_S, SECONDS = 0.01, 8.0
 TOP, HEIGHT_PX = 104, 230
 FOLDER = Path(__file__).parent / "pictures" / "effects"
-LOOPS = ("backlash", "command_quantization", "deadband", "gain_asymmetry", "quadratic_gain", "saturation")  # drawn as output over input
+LOOPS = (
+    "backlash",
+    "command_quantization",
+    "deadband",
+    "gain_asymmetry",
+    "quadratic_gain",
+    "saturation",
+)  # drawn as output over input
 OVER_POSITION = ("cogging", "cubic_stiffness", "hard_stop", "hysteresis")
 # numbers that show the effect in a motion and a command of size 1
 NUMBERS: dict[str, tuple[float, ...]] = {
@@ -63,7 +80,10 @@ def picture(effect: type[Effect]) -> str:
     parts = [
         legend([(name, colour) for (name, _), colour in zip(lines, colours, strict=True)], 80),
         panel.frame(label[1], times=True),
-        *(panel.line(x, values, colour, width=2.4) for (_, values), colour in zip(lines, colours, strict=True)),
+        *(
+            panel.line(x, values, colour, width=2.4)
+            for (_, values), colour in zip(lines, colours, strict=True)
+        ),
         text(WIDTH / 2, TOP + HEIGHT_PX + 42, label[0], PALE, anchor="middle"),
     ]
     return sheet(effect.name.replace("_", " "), title, TOP + HEIGHT_PX + 56, parts) + "\n"
@@ -75,53 +95,103 @@ Drawn = tuple[str, Array, list[tuple[str, Array]], tuple[str, str]]
 def _drawn(effect: type[Effect]) -> Drawn:
     values = dict(zip((n.name for n in effect.params), NUMBERS[effect.name], strict=True))
     told = ", ".join(f"{name.replace('_', ' ')} {x:g}" for name, x in values.items())
-    of_port: dict[Port, Callable[[type[Effect], dict[str, float]], tuple[Array, list[tuple[str, Array]], tuple[str, str]]]] = {
+    of_port: dict[
+        Port,
+        Callable[
+            [type[Effect], dict[str, float]], tuple[Array, list[tuple[str, Array]], tuple[str, str]]
+        ],
+    ] = {
         Port.TIMING: _clock,
         Port.COMMAND: _command,
         Port.FORCE: _force,
         Port.FRICTION: _force,
         Port.OBSERVATION: _seen,
     }
-    return (told, *(_rung if effect.name == "elastic_transmission" else of_port[effect.port])(effect, values))
+    return (
+        told,
+        *(_rung if effect.name == "elastic_transmission" else of_port[effect.port])(effect, values),
+    )
 
 
 def _times() -> Array:
     return np.arange(0.0, SECONDS, PERIOD_S)
 
 
-def _clock(_: type[Effect], values: dict[str, float]) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
+def _clock(
+    _: type[Effect], values: dict[str, float]
+) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
     t = _times()
-    lines = [("by the log's clock", np.sin(2.0 * t)), ("by the machine's", np.sin(2.0 * (1.0 + values["skew"]) * t))]
+    lines = [
+        ("by the log's clock", np.sin(2.0 * t)),
+        ("by the machine's", np.sin(2.0 * (1.0 + values["skew"]) * t)),
+    ]
     return t, lines, ("time [s]", "position")
 
 
-def _command(effect: type[Effect], values: dict[str, float]) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
+def _command(
+    effect: type[Effect], values: dict[str, float]
+) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
     t = _times()
     steps = np.where(np.mod(t, 4.0) < 2.0, 1.0, -1.0)  # noqa: PLR2004
-    issued = np.sin(2.0 * np.pi * t / 4.0) if effect.name in LOOPS or effect.name == "thermal_derating" else steps
+    issued = (
+        np.sin(2.0 * np.pi * t / 4.0)
+        if effect.name in LOOPS or effect.name == "thermal_derating"
+        else steps
+    )
     if effect.delays():
         late = round(values["delay"] / PERIOD_S)
-        return t, [("issued", issued), ("applied", np.concatenate([np.full(late, issued[0]), issued[:-late]]))], ("time [s]", "command")
-    memory = {state: issued[0] if begins == "u" else 0.0 for state, begins in zip(effect.states, effect.begins, strict=True)}
+        return (
+            t,
+            [
+                ("issued", issued),
+                ("applied", np.concatenate([np.full(late, issued[0]), issued[:-late]])),
+            ],
+            ("time [s]", "command"),
+        )
+    memory = {
+        state: issued[0] if begins == "u" else 0.0
+        for state, begins in zip(effect.states, effect.begins, strict=True)
+    }
     applied = []
     for u in issued:
-        given: dict[str, Any] = {"u": u, "h": PERIOD_S, "u_scale": 1.0, "implicit": 1.0, **values, **memory}
+        given: dict[str, Any] = {
+            "u": u,
+            "h": PERIOD_S,
+            "u_scale": 1.0,
+            "implicit": 1.0,
+            **values,
+            **memory,
+        }
         found = effect.apply(*(given[name] for name in effect.arguments()))
         applied.append(found[0] if effect.states else found)
         memory = dict(zip(effect.states, found[1:], strict=True)) if effect.states else memory
     if effect.name in LOOPS:
         settled = slice(round(4.0 / PERIOD_S), None)
-        return issued[settled], [("as issued", issued[settled]), ("applied", np.array(applied)[settled])], ("issued command", "command")
+        return (
+            issued[settled],
+            [("as issued", issued[settled]), ("applied", np.array(applied)[settled])],
+            ("issued command", "command"),
+        )
     return t, [("issued", issued), ("applied", np.array(applied))], ("time [s]", "command")
 
 
-def _force(effect: type[Effect], values: dict[str, float]) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
+def _force(
+    effect: type[Effect], values: dict[str, float]
+) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
     t = _times()
     q, v = np.sin(np.pi * t / 2.0), np.cos(np.pi * t / 2.0)
     memory, found = dict.fromkeys(effect.states, 0.0), []
     for at, speed in zip(q, v, strict=True):
         drive = 0.6 + 0.4 * at  # the load of a drive that lifts
-        given: dict[str, Any] = {"a": 0.0, "q": at, "v": speed, "h": PERIOD_S, "implicit": 1.0, "mobility": 1.0, "drive": drive}
+        given: dict[str, Any] = {
+            "a": 0.0,
+            "q": at,
+            "v": speed,
+            "h": PERIOD_S,
+            "implicit": 1.0,
+            "mobility": 1.0,
+            "drive": drive,
+        }
         given |= {"passive": -0.2 * speed, "spring": -0.4 * at, **values, **memory}
         answer = effect.apply(*(given[name] for name in effect.arguments()))
         memory = dict(zip(effect.states, answer[1:], strict=True)) if effect.states else memory
@@ -132,7 +202,9 @@ def _force(effect: type[Effect], values: dict[str, float]) -> tuple[Array, list[
     return x[settled], [("force of the effect", np.array(found)[settled])], (label, "acceleration")
 
 
-def _rung(effect: type[Effect], values: dict[str, float]) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
+def _rung(
+    effect: type[Effect], values: dict[str, float]
+) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
     """A drive that jumps, and how the load's speed answers."""
     t, speeds = _times(), []
     for acting in ((), ((effect, values),)):
@@ -140,26 +212,53 @@ def _rung(effect: type[Effect], values: dict[str, float]) -> tuple[Array, list[t
         memory, found = joint.begin(0.0, 0.0), []
         for now in t:
             found.append(v)
-            q, v, memory = joint.advance(q, v, memory, 1.0 if now < SECONDS / 2.0 else -1.0, PERIOD_S)
+            q, v, memory = joint.advance(
+                q, v, memory, 1.0 if now < SECONDS / 2.0 else -1.0, PERIOD_S
+            )
         speeds.append(np.array(found))
-    return t, [("stiff", speeds[0]), ("elastic", speeds[1])], ("time [s]", "velocity under a drive that jumps")
+    return (
+        t,
+        [("stiff", speeds[0]), ("elastic", speeds[1])],
+        ("time [s]", "velocity under a drive that jumps"),
+    )
 
 
-def _seen(effect: type[Effect], values: dict[str, float]) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
+def _seen(
+    effect: type[Effect], values: dict[str, float]
+) -> tuple[Array, list[tuple[str, Array]], tuple[str, str]]:
     t = _times()
     q, v = np.sin(1.5 * t), 1.5 * np.cos(1.5 * t)
     if effect.counted and effect.delays():  # lost frames repeat the last one
         arrived = np.random.default_rng(1).random(len(t)) >= 0.9  # noqa: PLR2004
-        return t, [("true", q), ("logged", q[np.maximum.accumulate(np.where(arrived, np.arange(len(t)), 0))])], ("time [s]", "position")
+        return (
+            t,
+            [
+                ("true", q),
+                ("logged", q[np.maximum.accumulate(np.where(arrived, np.arange(len(t)), 0))]),
+            ],
+            ("time [s]", "position"),
+        )
     if effect.delays():
-        return t, [("true", q), ("logged", np.sin(1.5 * np.maximum(t - values["delay"], 0.0)))], ("time [s]", "position")
-    joint, memory, shown = Joint(Inertia, (0.0, 1.0), [(effect, values)], 0.0, 1.0, PERIOD_S), {}, []
+        return (
+            t,
+            [("true", q), ("logged", np.sin(1.5 * np.maximum(t - values["delay"], 0.0)))],
+            ("time [s]", "position"),
+        )
+    joint, memory, shown = (
+        Joint(Inertia, (0.0, 1.0), [(effect, values)], 0.0, 1.0, PERIOD_S),
+        {},
+        [],
+    )
     memory = joint.begin(v[0], 0.0)
     for at, speed, now in zip(q, v, t, strict=True):
         *both, memory = joint.shown(at, speed, memory, now)
         shown.append(both)
     column, label = (1, "velocity") if effect.hides_velocity else (0, "position")
-    return t, [("true", (q, v)[column]), ("logged", np.array(shown)[:, column])], ("time [s]", label)
+    return (
+        t,
+        [("true", (q, v)[column]), ("logged", np.array(shown)[:, column])],
+        ("time [s]", label),
+    )
 
 
 if __name__ == "__main__":

@@ -7,9 +7,10 @@ from trueup_service.registry.records import Role
 
 HEAD = """# Who may do what
 
-Every request but those marked *everybody* carries a token (`Authorization: Bearer trueup_…`), or a browser's session cookie. A token has
-one or several roles, and is of one project or of all, a robot's of one plant. What a token does not see answers as what does not exist.
-The service refuses every route that has no row here, and the tests hold each row against the running service.
+Every request but those marked *everybody* carries a token (`Authorization: Bearer trueup_…`), or a
+browser's session cookie. A token has one or several roles, and is of one project or of all, a
+robot's of one plant. What a token does not see answers as what does not exist. The service refuses
+every route that has no row here, and the tests hold each row against the running service.
 
 | role | is for |
 |---|---|
@@ -23,16 +24,17 @@ The service refuses every route that has no row here, and the tests hold each ro
 trueup token issue cell-7 robot --plant emps            # printed once; the robot's TRUEUP_TOKEN
 trueup token issue ada engineer operator --project lab
 trueup token revoke 0123456789ab
-trueup login                                            # keep a token for an address; trueup whoami says whose it is
+trueup login                           # keep a token for an address; trueup whoami says whose it is
 ```
 
-On its first start a service listens on loopback alone and makes an admin's token in `.trueup/admin.token`, which the command reads when
-it asks a service on this machine. Tokens are random, kept as hashes, found by their public prefix (the twelve digits), compared in constant
-time; they expire, by default after a year, and can be revoked. Another server of the same database refuses a revoked token within
-`TRUEUP_TOKEN_MEMORY_S`.
+On its first start a service listens on loopback alone and makes an admin's token in
+`.trueup/admin.token`, which the command reads when it asks a service on this machine. Tokens are
+random, kept as hashes, found by their public prefix (the twelve digits), compared in constant time;
+they expire, by default after a year, and can be revoked. Another server of the same database
+refuses a revoked token within `TRUEUP_TOKEN_MEMORY_S`.
 
-Where a plant's policy says `"approvals": 2`, a promotion takes two people: one approves the decision (`trueup approve`), another, with
-another token, promotes it. Going back takes one.
+Where a plant's policy says `"approvals": 2`, a promotion takes two people: one approves the
+decision (`trueup approve`), another, with another token, promotes it. Going back takes one.
 
 """
 
@@ -43,7 +45,12 @@ def page() -> str:
     rows = ["| route | " + " | ".join(roles) + " |", "|---|" + "---|" * len(roles)]
     for (method, path), rule in ACCESS.items():
         marks = [
-            "everybody" if rule.public else ("all projects" if rule.everywhere else "yes") if role in rule.roles else "" for role in roles
+            "everybody"
+            if rule.public
+            else ("all projects" if rule.everywhere else "yes")
+            if role in rule.roles
+            else ""
+            for role in roles
         ]
         rows.append(f"| `{method} {path}` | " + " | ".join(marks) + " |")
     return HEAD + "\n".join(rows) + "\n"

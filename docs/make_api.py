@@ -12,8 +12,9 @@ from trueup_service.wiring import build
 
 HEAD = """# REST
 
-What `GET /openapi.json` says, to be read. Every request but those that [everybody](access.md) may make carries a token, every POST takes an
-`Idempotency-Key`, lists come in pages: `items`, and `next` for the cursor of the following one. The [client](python.md) does all of that.
+What `GET /openapi.json` says, to be read. Every request but those that [everybody](access.md) may
+make carries a token, every POST takes an `Idempotency-Key`, lists come in pages: `items`, and
+`next` for the cursor of the following one. The [client](python.md) does all of that.
 
 ```python
 import json
@@ -21,7 +22,8 @@ import os
 import urllib.request
 
 asked = urllib.request.Request(
-    "http://127.0.0.1:8321/v1/plants/emps/serving", headers={"Authorization": f"Bearer {os.environ['TRUEUP_TOKEN']}"}
+    "http://127.0.0.1:8321/v1/plants/emps/serving",
+    headers={"Authorization": f"Bearer {os.environ['TRUEUP_TOKEN']}"},
 )
 with urllib.request.urlopen(asked) as answer:
     print(json.load(answer)["artifact"], answer.headers["ETag"])
@@ -29,8 +31,9 @@ with urllib.request.urlopen(asked) as answer:
 
 ## Errors
 
-An error is `application/problem+json`: `status`, a stable `code`, `detail` in words, what to do next in `hint`, values for programs in
-`facts`, and `request_id`, which stands in the service's log, too.
+An error is `application/problem+json`: `status`, a stable `code`, `detail` in words, what to do
+next in `hint`, values for programs in `facts`, and `request_id`, which stands in the service's log,
+too.
 
 | code | status | what it says | what to do, unless `hint` knows better |
 |---|---|---|---|
@@ -51,7 +54,16 @@ def page() -> str:
     told = document()
     return (
         HEAD
-        + "\n".join([*_errors(), "", *_routes(told), "## What is sent and answered", "", *_schemas(told["components"]["schemas"])]).rstrip()
+        + "\n".join(
+            [
+                *_errors(),
+                "",
+                *_routes(told),
+                "## What is sent and answered",
+                "",
+                *_schemas(told["components"]["schemas"]),
+            ]
+        ).rstrip()
         + "\n"
     )
 
@@ -68,7 +80,12 @@ def _routes(told: Mapping[str, Any]) -> Iterator[str]:
             if route["tags"][0] != tag:
                 tag = route["tags"][0]
                 yield from (f"## Routes of {tag}", "")
-            yield from (f"### `{method.upper()} {path}`", "", f"**{route['summary']}.** {_line(route.get('description'))}".rstrip(), "")
+            yield from (
+                f"### `{method.upper()} {path}`",
+                "",
+                f"**{route['summary']}.** {_line(route.get('description'))}".rstrip(),
+                "",
+            )
             yield from _parameters(route.get("parameters", []))
             yield from (f"- {_body(route)}answers {_answers(route['responses'])}", "")
 
@@ -79,12 +96,17 @@ def _parameters(parameters: list[Mapping[str, Any]]) -> Iterator[str]:
             marks = [p["in"], *(["needed"] if p.get("required") else [])]
             default = p["schema"].get("default")
             kind = _type(p["schema"]) + ("" if default in (None, "") else f", default `{default}`")
-            yield f"- `{p['name']}` ({', '.join(marks)}): {kind}. {_line(p.get('description'))}".rstrip()
+            meaning = _line(p.get("description"))
+            yield f"- `{p['name']}` ({', '.join(marks)}): {kind}. {meaning}".rstrip()
 
 
 def _body(route: Mapping[str, Any]) -> str:
     content = route.get("requestBody", {}).get("content", {})
-    return f"takes {', or '.join(_content(media, x['schema']) for media, x in content.items())}, " if content else ""
+    return (
+        f"takes {', or '.join(_content(media, x['schema']) for media, x in content.items())}, "
+        if content
+        else ""
+    )
 
 
 def _answers(responses: Mapping[str, Any]) -> str:
@@ -92,9 +114,16 @@ def _answers(responses: Mapping[str, Any]) -> str:
     for status, response in responses.items():
         if not status.endswith("XX"):
             content = response.get("content", {})
-            said = ", or ".join(_content(media, x.get("schema", {})) for media, x in content.items())
+            said = ", or ".join(
+                _content(media, x.get("schema", {})) for media, x in content.items()
+            )
             found.append(
-                f"{status} {said}".rstrip() + (", where it was there already" if response["description"].endswith("already") else "")
+                f"{status} {said}".rstrip()
+                + (
+                    ", where it was there already"
+                    if response["description"].endswith("already")
+                    else ""
+                )
             )
     return "; ".join(found)
 
@@ -115,8 +144,14 @@ def _schemas(schemas: Mapping[str, Any]) -> Iterator[str]:
             needed = schema.get("required", ())
             for field, kind in schema["properties"].items():
                 told = _line(kind.get("description"))
-                default = "" if field in needed or kind.get("default") is None else f"default `{kind['default']}`"
-                yield f"| `{field}` | {_type(kind)} | {'; '.join(x for x in (told, default) if x)} |"
+                default = (
+                    ""
+                    if field in needed or kind.get("default") is None
+                    else f"default `{kind['default']}`"
+                )
+                yield (
+                    f"| `{field}` | {_type(kind)} | {'; '.join(x for x in (told, default) if x)} |"
+                )
             yield ""
 
 
@@ -135,9 +170,18 @@ def _type(schema: Mapping[str, Any]) -> str:
         return " or ".join(f"`{x}`" for x in schema.get("enum", [schema.get("const")]))
     if schema.get("type") == "array":
         return f"list of {_type(schema.get('items', {}))}"
-    words = {"object": "object", "string": "text", "integer": "integer", "number": "number", "boolean": "true or false", "null": "null"}
+    words = {
+        "object": "object",
+        "string": "text",
+        "integer": "integer",
+        "number": "number",
+        "boolean": "true or false",
+        "null": "null",
+    }
     bounds = [
-        f"{word} {schema[key]:g}" for key, word in (("minimum", "from"), ("exclusiveMinimum", "above"), ("maximum", "to")) if key in schema
+        f"{word} {schema[key]:g}"
+        for key, word in (("minimum", "from"), ("exclusiveMinimum", "above"), ("maximum", "to"))
+        if key in schema
     ]
     return " ".join([words.get(schema.get("type", ""), "anything"), *bounds])
 

@@ -7,8 +7,9 @@ from trueup.model.effect import Effect, Port, effects
 
 HEAD = """# Effects
 
-The catalogue of what a diagnosis looks for. Each effect is one file in `library/trueup/model/effects/`. Adding a file is all it takes to
-add an effect: it is found by itself, compiled into the rollout, tried by the search, and held to the laws in
+The catalogue of what a diagnosis looks for. Each effect is one file in
+`library/trueup/model/effects/`. Adding a file is all it takes to add an effect: it is found by
+itself, compiled into the rollout, tried by the search, and held to the laws in
 `library/trueup/checks/effect_laws.py`.
 
 Signals: `u` command, `q` position, `v` velocity, `a` acceleration of the nominal form, `h` step.
@@ -48,7 +49,10 @@ def _entry(effect: type[Effect]) -> str:
     rows = [
         f"\n### `{effect.name}`\n",
         " ".join(what.split()),
-        f"\n![{effect.name.replace('_', ' ')}: what it does to a motion, a command or a log](pictures/effects/{effect.name}.svg)",
+        (
+            f"\n![{effect.name.replace('_', ' ')}: what it does to a motion, a command or a "
+            f"log](pictures/effects/{effect.name}.svg)"
+        ),
         f"\n- Equation: `{fields['Equation']}`",
         f"- Numbers, in units of the plant's own: {numbers}",
         f"- Category: {effect.category}",

@@ -1,4 +1,5 @@
-"""Write the tables that benches measured into figures.md, each between `<!-- table NAME -->` and `<!-- /table -->`."""
+"""Write the tables that benches measured into figures.md, each between `<!-- table NAME -->` and
+`<!-- /table -->`."""
 
 import json
 import re

@@ -8,8 +8,8 @@ from trueup.gate.rule import rules
 
 HEAD = """# Gates
 
-A gate says, before it judges anything, what a candidate must show. Its digest freezes it; the decision holds every figure, so that
-anybody can [recompute](audit.md) it.
+A gate says, before it judges anything, what a candidate must show. Its digest freezes it; the
+decision holds every figure, so that anybody can [recompute](audit.md) it.
 
 ```json
 {
@@ -25,58 +25,72 @@ anybody can [recompute](audit.md) it.
 }
 ```
 
-`trueup gate PLANT CANDIDATE --rules gate.json` declares it and judges. Every rule must pass. Without a file the plant's gate in force
-judges, or where there is none the default: `rollout_improves` and `one_step_no_worse` as they stand below, over every window of the
-plant's own horizon.
+`trueup gate PLANT CANDIDATE --rules gate.json` declares it and judges. Every rule must pass.
+Without a file the plant's gate in force judges, or where there is none the default:
+`rollout_improves` and `one_step_no_worse` as they stand below, over every window of the plant's own
+horizon.
 
-- **What is scored**: held-out episodes (the roles validation and retained). One whose samples are in as an adaptation episode, too, is
-  refused: a fit may have seen them. The candidate and the incumbent, which
-  is what serves at that moment, roll out from the start of each window over `horizon_s` on commands alone. `windows` is `every`, or
-  `first` for the first of each episode alone, which says nothing of what comes after it.
-- **The error** of a rollout is the mean over its samples of the Euclidean distance of what is predicted from what was observed, each
-  channel in units of the `scale` that plant.json declares for it. (A diagnosis counts in each channel's own standard deviations instead:
-  its figures and a gate's are not to be compared.) A figure that is not a number never passes.
+- **What is scored**: held-out episodes (the roles validation and retained). One whose samples are
+  in as an adaptation episode, too, is refused: a fit may have seen them. The candidate and the
+  incumbent, which is what serves at that moment, roll out from the start of each window over
+  `horizon_s` on commands alone. `windows` is `every`, or `first` for the first of each episode
+  alone, which says nothing of what comes after it.
+- **The error** of a rollout is the mean over its samples of the Euclidean distance of what is
+  predicted from what was observed, each channel in units of the `scale` that plant.json declares
+  for it. (A diagnosis counts in each channel's own standard deviations instead: its figures and a
+  gate's are not to be compared.) A figure that is not a number never passes.
 - `conditions` make the cells of `retained_conditions`.
-- **Every verdict carries a 95 % confidence interval** of the candidate's error divided by the incumbent's, by a paired bootstrap over
-  blocks of neighbouring windows, or over episodes where each has one window, or over paired runs in closed loop. A rule with
-  `"require": "bound"` must stay within its bound at the interval's upper end, not at the mean.
-- `trueup gate … --scales` also says how the verdict moves when the reporting scale of each channel is halved and doubled. It should not
-  hang on a unit of reporting.
+- **Every verdict carries a 95 % confidence interval** of the candidate's error divided by the
+  incumbent's, by a paired bootstrap over blocks of neighbouring windows, or over episodes where
+  each has one window, or over paired runs in closed loop. A rule with `"require": "bound"` must
+  stay within its bound at the interval's upper end, not at the mean.
+- `trueup gate … --scales` also says how the verdict moves when the reporting scale of each channel
+  is halved and doubled. It should not hang on a unit of reporting.
 
 ## A gate cannot be shopped for
 
-- *Declare a gate that nothing can fail.* Refused (`vacuous-gate`): an equal candidate must be rejected, and one ten times as wrong must
-  fail every rule. Before each trial the incumbent itself, a copy of it and the incumbent with noise added are judged, and stand in the
-  decision. With `"vacuous": true` and a reason in `because` (`--vacuous --because REASON`) it is taken; a decision by it says that
-  a control was accepted.
-- *Declare another gate once a candidate was judged, or while one is.* Refused (`gate-follows`), unless it names the gate in force in
-  `follows` and says why in `because` (`--because REASON`). What is looser in it than in any gate before it is worked out and told.
+- *Declare a gate that nothing can fail.* Refused (`vacuous-gate`): an equal candidate must be
+  rejected, and one ten times as wrong must fail every rule. Before each trial the incumbent itself,
+  a copy of it and the incumbent with noise added are judged, and stand in the decision. With
+  `"vacuous": true` and a reason in `because` (`--vacuous --because REASON`) it is taken; a decision
+  by it says that a control was accepted.
+- *Declare another gate once a candidate was judged, or while one is.* Refused (`gate-follows`),
+  unless it names the gate in force in `follows` and says why in `because` (`--because REASON`).
+  What is looser in it than in any gate before it is worked out and told.
 - *Judge by an older gate.* Refused (`gate-superseded`): the last one declared judges.
-- *Promote a candidate that was rejected before.* Refused (`rejected-before`), unless every episode of the accepted decision came in after
-  its gate was declared and after the rejection, with samples of its own; or somebody else has approved it with a reason (`trueup approve
-  PLANT DECISION --because REASON`). A policy with `"on_rejected": "forbid"` takes fresh episodes alone.
-- *Pack the same model anew, or nudge its numbers.* The newest twenty candidates of the plant that were rejected, or still wait, are scored
-  beside each new one, on its episodes and over its horizon. One whose errors differ by less than 1 % in every episode is the same model:
-  the decision says so, and what holds for the one that was rejected holds for it.
-- *Register the plant anew, in another project, too.* On the same episodes a model is known by the errors that it makes: the same holds.
-- *Send the same recording in other bytes.* An episode is known by its samples: other metadata, another encoding or another start of the
-  clock make no fresh one, and its uses count on.
-- *Judge on the same episodes again and again, or on those that suit.* Each is good for `held_out_uses` trials, 20 unless the gate says
-  otherwise, counted over all plants; then it is spent. The decision gives the number of held-out episodes that it used and that there
-  were, of decisions on other candidates on them since the gate was declared, and of comparisons that showed errors on them (`selection`).
+- *Promote a candidate that was rejected before.* Refused (`rejected-before`), unless every episode
+  of the accepted decision came in after its gate was declared and after the rejection, with samples
+  of its own; or somebody else has approved it with a reason (`trueup approve PLANT DECISION
+  --because REASON`). A policy with `"on_rejected": "forbid"` takes fresh episodes alone.
+- *Pack the same model anew, or nudge its numbers.* The newest twenty candidates of the plant that
+  were rejected, or still wait, are scored beside each new one, on its episodes and over its
+  horizon. One whose errors differ by less than 1 % in every episode is the same model: the decision
+  says so, and what holds for the one that was rejected holds for it.
+- *Register the plant anew, in another project, too.* On the same episodes a model is known by the
+  errors that it makes: the same holds.
+- *Send the same recording in other bytes.* An episode is known by its samples: other metadata,
+  another encoding or another start of the clock make no fresh one, and its uses count on.
+- *Judge on the same episodes again and again, or on those that suit.* Each is good for
+  `held_out_uses` trials, 20 unless the gate says otherwise, counted over all plants; then it is
+  spent. The decision gives the number of held-out episodes that it used and that there were, of
+  decisions on other candidates on them since the gate was declared, and of comparisons that showed
+  errors on them (`selection`).
 
-Every decision carries in `known` how its candidate and its episodes had been judged when its gate was declared, in `uses` how often
-each episode has been used, this trial included, in `selection` and in `figures.beside` what the list above says. The decision's page,
-`trueup gate`, `trueup replay` and the JSON (`disclosure`) say it in a few sentences. `trueup audit verify` works it out from the log
-again, and finds a decision that says something else. In a registry that took in a plant from elsewhere it does not, for what was known
-there is not in this log; the page and the command say it all the same.
+Every decision carries in `known` how its candidate and its episodes had been judged when its gate
+was declared, in `uses` how often each episode has been used, this trial included, in `selection`
+and in `figures.beside` what the list above says. The decision's page, `trueup gate`, `trueup
+replay` and the JSON (`disclosure`) say it in a few sentences. `trueup audit verify` works it out
+from the log again, and finds a decision that says something else. In a registry that took in a
+plant from elsewhere it does not, for what was known there is not in this log; the page and the
+command say it all the same.
 
 What this does not keep:
 
-- Whoever records a new episode for each attempt may go on until one passes; every attempt is told. Recordings are what was sent, and the
-  log says whose token sent them: a recording that was cut in two or changed in one sample is another one.
-- A model that errs by more than 1 % otherwise is another candidate. So is one that somebody tuned on a copy of the held-out episodes at
-  home, which nobody here can see.
+- Whoever records a new episode for each attempt may go on until one passes; every attempt is told.
+  Recordings are what was sent, and the log says whose token sent them: a recording that was cut in
+  two or changed in one sample is another one.
+- A model that errs by more than 1 % otherwise is another candidate. So is one that somebody tuned
+  on a copy of the held-out episodes at home, which nobody here can see.
 - Two names that an admin gave to one person are two people here.
 - A channel may be moved back to a version that has served, also where a later decision rejected it.
 
@@ -91,7 +105,11 @@ def page() -> str:
     """The page."""
     rows = []
     for name, kind in sorted(rules().items()):
-        bounds = ", ".join(f"`{f.name}` = {f.default:g}" for f in fields(kind) if f.default is not MISSING and f.name != "require")
+        bounds = ", ".join(
+            f"`{f.name}` = {f.default:g}"
+            for f in fields(kind)
+            if f.default is not MISSING and f.name != "require"
+        )
         rows.append(f"| `{name}` | {' '.join((inspect.getdoc(kind) or '').split())} | {bounds} |")
     return HEAD + "\n".join(rows) + "\n"
 

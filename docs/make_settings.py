@@ -6,8 +6,8 @@ from trueup_service.settings import Settings
 
 HEAD = """# Settings
 
-Server and worker read them from the environment. The defaults are embedded storage: SQLite and a folder, one server
-with a worker beside it.
+Server and worker read them from the environment. The defaults are embedded storage: SQLite and a
+folder, one server with a worker beside it.
 
 | setting | default | meaning |
 |---|---|---|
@@ -16,7 +16,10 @@ with a worker beside it.
 
 def page() -> str:
     """The page's text."""
-    rows = (f"| `TRUEUP_{name.upper()}` | {_shown(s.default)} | {s.description} |" for name, s in Settings.model_fields.items())
+    rows = (
+        f"| `TRUEUP_{name.upper()}` | {_shown(s.default)} | {s.description} |"
+        for name, s in Settings.model_fields.items()
+    )
     return HEAD + "\n".join(rows) + "\n"
 
 

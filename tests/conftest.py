@@ -39,15 +39,22 @@ def storage(request: pytest.FixtureRequest, tmp_path: Path) -> Storage:
     """A fresh storage: SQLite and a folder, then PostgreSQL and S3."""
     if request.param == "embedded":
         return embedded(tmp_path / "data")
-    return scaled(tmp_path / "data", request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
+    return scaled(
+        tmp_path / "data", request.getfixturevalue("postgres"), request.getfixturevalue("s3")
+    )
 
 
 @pytest.fixture(scope="session", params=["embedded", "scaled"])
-def service(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A running server with a worker, shared by the tests of a session: each uses plants of its own."""
+def service(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Service]:
+    """A running server with a worker, shared by the tests of a session: each uses plants of its
+    own."""
     data = tmp_path_factory.mktemp("service")
     storage = (
-        embedded(data) if request.param == "embedded" else scaled(data, request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
+        embedded(data)
+        if request.param == "embedded"
+        else scaled(data, request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
     )
     with Service(storage).running() as found:
         yield found

@@ -1,9 +1,10 @@
-"""Look the pinned packages up among published advisories, and say so where their source does not answer.
+"""Look the pinned packages up among published advisories, and say so where their source does not
+answer.
 
     python tools/advisories.py [--tell]
 
-Exit 1 if an advisory is known for a package, 3 if not one package could be looked up; always 0 with --tell, for tests, which say the same
-of one commit today and in a year.
+Exit 1 if an advisory is known for a package, 3 if not one package could be looked up; always 0 with
+--tell, for tests, which say the same of one commit today and in a year.
 """
 
 from __future__ import annotations
@@ -18,7 +19,16 @@ from typing import Any
 PINNED = ("requirements.txt", "requirements-dev.txt")
 LIMIT_S = 120.0
 NONE, KNOWN, AWAY = 0, 1, 3
-OPTIONS = ("--disable-pip", "--no-deps", "--progress-spinner", "off", "--format", "json", "--timeout", "5")
+OPTIONS = (
+    "--disable-pip",
+    "--no-deps",
+    "--progress-spinner",
+    "off",
+    "--format",
+    "json",
+    "--timeout",
+    "5",
+)
 
 
 def looked_up(root: Path) -> list[dict[str, Any]]:
@@ -37,12 +47,19 @@ def told(packages: Sequence[Mapping[str, Any]]) -> tuple[list[str], int]:
     """The same in words, and how it ends."""
     known = [p for p in packages if "skip_reason" not in p]
     if not known:
-        return ["advisories: not one pinned package could be looked up, their source does not answer here"], AWAY
+        return [
+            (
+                "advisories: not one pinned package could be looked up, their source does "
+                "not answer here"
+            )
+        ], AWAY
     lines = [f"advisories: {len(known)} of {len(packages)} pinned packages looked up"]
     for package in known:
         for advisory in package["vulns"]:
             mended = ", ".join(advisory["fix_versions"]) or "no version yet"
-            lines.append(f"  {package['name']} {package['version']}: {advisory['id']}, mended in {mended}")
+            lines.append(
+                f"  {package['name']} {package['version']}: {advisory['id']}, mended in {mended}"
+            )
     if len(lines) == 1:
         return [f"{lines[0]}, none is known"], NONE
     return lines, KNOWN

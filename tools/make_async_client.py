@@ -1,12 +1,16 @@
-"""Write client/trueup_client/asynchronous.py: the client for an event loop, method by method what the client has."""
+"""Write client/trueup_client/asynchronous.py: the client for an event loop, method by method what
+the client has."""
 
 import ast
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-SOURCE, MADE = ROOT / "client" / "trueup_client" / "client.py", ROOT / "client" / "trueup_client" / "asynchronous.py"
+SOURCE, MADE = (
+    ROOT / "client" / "trueup_client" / "client.py",
+    ROOT / "client" / "trueup_client" / "asynchronous.py",
+)
 APART = ("close", "abort", "aborted")
-HEAD = '''"""The client for an event loop: every method of `Client`, awaited, or iterated over with `async for`.
+HEAD = '''"""The client for an event loop: the methods of `Client`, to be awaited or iterated over.
 
     async with AsyncClient("http://127.0.0.1:8321") as client:
         serving = await client.serving("emps")
@@ -30,10 +34,13 @@ from trueup_client.witness import Witness
 
 
 class AsyncClient:
-    """Talks to one service, with at most `at_once` requests on their way; arguments as `Client` takes them.
+    """Talks to one service, with at most `at_once` requests on their way.
 
-    `progress` and `confirmed` are called in the thread that asks. A call that is cancelled is broken off, and what it asked for may
-    have been done: ask, or repeat it with its key. A watch holds one of the requests for as long as it lasts.
+    The other arguments are those of `Client`.
+
+    `progress` and `confirmed` are called in the thread that asks. A call that is cancelled is
+    broken off, and what it asked for may have been done: ask, or repeat it with its key. A watch
+    holds one of the requests for as long as it lasts.
     """
 
     def __init__(
@@ -54,7 +61,7 @@ class AsyncClient:
         await self.close()
 
     async def close(self) -> None:
-        """Close every connection; whatever still asks, or waits for its turn, ends with Unreachable."""
+        """Close every connection; what still asks or waits for its turn ends with Unreachable."""
         await self._pool.close()
 '''
 
@@ -62,10 +69,18 @@ class AsyncClient:
 def module() -> str:
     """The module's text."""
     tree = ast.parse(SOURCE.read_text())
-    client = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Client")
-    records = next(n for n in tree.body if isinstance(n, ast.ImportFrom) and n.module == "trueup_client.records")
+    client = next(
+        node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Client"
+    )
+    records = next(
+        n
+        for n in tree.body
+        if isinstance(n, ast.ImportFrom) and n.module == "trueup_client.records"
+    )
     return HEAD.replace("{records}", ast.unparse(records)) + "".join(
-        method(node) for node in client.body if isinstance(node, ast.FunctionDef) and node.name not in APART
+        method(node)
+        for node in client.body
+        if isinstance(node, ast.FunctionDef) and node.name not in APART
     )
 
 
@@ -79,8 +94,14 @@ def method(node: ast.FunctionDef) -> str:
     answer, doc = ast.unparse(node.returns), ast.get_docstring(node, clean=False)
     told = f'        """{doc}"""\n' if doc else ""
     if answer.startswith("Iterator["):
-        return f"\n    def {node.name}({ast.unparse(node.args)}) -> Async{answer}:\n{told}        return self._pool.each({given})\n"
-    return f"\n    async def {node.name}({ast.unparse(node.args)}) -> {answer}:\n{told}        return await self._pool.run({given})\n"
+        return (
+            f"\n    def {node.name}({ast.unparse(node.args)}) -> Async{answer}:\n{told}      "
+            f"  return self._pool.each({given})\n"
+        )
+    return (
+        f"\n    async def {node.name}({ast.unparse(node.args)}) -> {answer}:\n{told}        "
+        f"return await self._pool.run({given})\n"
+    )
 
 
 if __name__ == "__main__":

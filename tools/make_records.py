@@ -1,4 +1,5 @@
-"""Write client/trueup_client/records.py: what the service answers with, from its OpenAPI document."""
+"""Write client/trueup_client/records.py: what the service answers with, from its OpenAPI
+document."""
 
 import json
 import sys
@@ -10,11 +11,19 @@ RECORDS = (
     "Plant", "Episode", "EpisodeContext", "Artifact", "Gate", "LooserThan", "GateInLine",
     "Output", "Job", "JobWithReads", "Decision", "Approval", "Evidence",
     "Channel",
-    "ChannelPosition", "Policy", "Monitor", "Watch", "Alarm", "MonitorState", "Project", "Token", "IssuedToken", "Identity", "AuditEntry",
+    "ChannelPosition", "Policy", "Monitor", "Watch", "Alarm", "MonitorState", "Project", "Token",
+    "IssuedToken", "Identity", "AuditEntry",
     "Envelope",
 )  # fmt: skip
-PLAIN = {"string": "str", "integer": "int", "number": "float", "boolean": "bool", "object": "Document", "null": "None"}
-HEAD = '''"""What the service answers with, as its OpenAPI document describes it. Made by tools/make_records.py."""
+PLAIN = {
+    "string": "str",
+    "integer": "int",
+    "number": "float",
+    "boolean": "bool",
+    "object": "Document",
+    "null": "None",
+}
+HEAD = '''"""What the service answers with. Made by tools/make_records.py from its OpenAPI."""
 
 from __future__ import annotations
 
@@ -34,13 +43,19 @@ class Serving:
 def module(document):
     """The module's text."""
     schemas = document["components"]["schemas"]
-    fields = [f"    {name}: {kind(schema)}" for name, schema in schemas["Serving"]["properties"].items()]
-    return HEAD + "\n".join(fields) + "\n" + "".join(record(name, schemas[name]) for name in RECORDS)
+    fields = [
+        f"    {name}: {kind(schema)}" for name, schema in schemas["Serving"]["properties"].items()
+    ]
+    return (
+        HEAD + "\n".join(fields) + "\n" + "".join(record(name, schemas[name]) for name in RECORDS)
+    )
 
 
 def record(name, schema):
     """One record."""
-    told = textwrap.fill(" ".join((schema.get("description") or f"{name}, as the service keeps it.").split()), 130)
+    told = textwrap.fill(
+        " ".join((schema.get("description") or f"{name}, as the service keeps it.").split()), 130
+    )
     told = told.replace("\n", "\n    ") + ("\n    " if "\n" in told else "")
     fields = [f"    {key}: {kind(value)}" for key, value in schema["properties"].items()]
     return f'\n\nclass {name}(TypedDict):\n    """{told}"""\n\n' + "\n".join(fields) + "\n"

@@ -3,19 +3,24 @@
 
     python verify_archive.py ARCHIVE [KEY]
 
-ARCHIVE is what `trueup export` or `trueup backup` wrote, a folder or a tar file; KEY is the log's public key as its operator gave it to you
-(<name>+<hash>+<base64>). Without it the archive is believed to name its own, which shows that it is whole and not whose it is, and this
-program says so. Exit 0 if all of this holds, 4 with a list otherwise:
+ARCHIVE is what `trueup export` or `trueup backup` wrote, a folder or a tar file; KEY is the log's
+public key as its operator gave it to you (<name>+<hash>+<base64>). Without it the archive is
+believed to name its own, which shows that it is whole and not whose it is, and this program says
+so. Exit 0 if all of this holds, 4 with a list otherwise:
 
 - every part of the archive is what its digest names;
 - the head of the log, and the archive itself, are signed by the key (Ed25519, C2SP signed note);
-- every entry is in that log (RFC 9162): a plant's by its proof, a whole registry's by rebuilding the tree;
-- every row is as the last entry that names it left it, every row is named, and every named row is there;
-- artifacts, gates, decisions and episodes have the content that names them, and every byte that a row names is there;
+- every entry is in that log (RFC 9162): a plant's by its proof, a whole registry's by rebuilding
+  the tree;
+- every row is as the last entry that names it left it, every row is named, and every named row is
+  there;
+- artifacts, gates, decisions and episodes have the content that names them, and every byte that a
+  row names is there;
 - every move of a pointer is told by an entry that may tell of one.
 
-Whatever holds, it lists on standard error what a reader should know of the gates: which took the place of another, and which decisions were
-made by a gate that was declared after their candidate had been judged.
+Whatever holds, it lists on standard error what a reader should know of the gates: which took the
+place of another, and which decisions were made by a gate that was declared after their candidate
+had been judged.
 
 Written apart from the service and its library, so that one mistake is not made twice.
 """
@@ -32,21 +37,40 @@ from pathlib import Path
 MANIFEST_TYPE = "application/vnd.trueup.archive.v1"
 TITLE = "org.opencontainers.image.title"
 KEYS = {
-    "projects": "name", "tokens": "prefix", "plants": "name", "episodes": "plant digest", "artifacts": "plant version",
+    "projects": "name", "tokens": "prefix", "plants": "name", "episodes": "plant digest",
+    "artifacts": "plant version",
     "gates": "plant digest",
     "jobs": "id", "outputs": "job name",
-    "decisions": "digest", "serving": "plant", "moves": "plant generation", "approvals": "plant decision token",
-    "imports": "plant", "monitors": "plant digest", "watching": "plant", "watches": "plant monitor sequence", "alarms": "id",
-    "policies": "plant sequence", "evidence": "plant digest", "channels": "plant name", "channel_moves": "plant channel generation",
+    "decisions": "digest", "serving": "plant", "moves": "plant generation",
+    "approvals": "plant decision token",
+    "imports": "plant", "monitors": "plant digest", "watching": "plant",
+    "watches": "plant monitor sequence", "alarms": "id",
+    "policies": "plant sequence", "evidence": "plant digest", "channels": "plant name",
+    "channel_moves": "plant channel generation",
 }  # fmt: skip
 ENDORSEMENT = "trueup: the log is signed from here on by"
 APART = ("projects", "tokens")
 BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")
-TELL_OF_MOVES = {"moves": ("pointer:moved", "plant:registered"), "channel_moves": ("channel:moved",)}
+TELL_OF_MOVES = {
+    "moves": ("pointer:moved", "plant:registered"),
+    "channel_moves": ("channel:moved",),
+}
 TELL_OF_ALL = ("log:migrated", "plant:imported")
-NAMES_BYTES = {"episodes": "digest", "artifacts": "arrays", "imports": "entries", "outputs": "digest"}
-LONGEST_NOTE, MOST_SIGNERS, MOST_KEYS = 4096, 8, 100  # checking a signature takes this program a hundredth of a second
-HEADER, LARGEST_EXTENSION = 512, 8192  # bytes of a tar file's header, and of one that only names the next or tells its size
+NAMES_BYTES = {
+    "episodes": "digest",
+    "artifacts": "arrays",
+    "imports": "entries",
+    "outputs": "digest",
+}
+LONGEST_NOTE, MOST_SIGNERS, MOST_KEYS = (
+    4096,
+    8,
+    100,
+)  # checking a signature takes this program a hundredth of a second
+HEADER, LARGEST_EXTENSION = (
+    512,
+    8192,
+)  # bytes of a tar file's header, and of one that only names the next or tells its size
 FINAL = ("succeeded", "failed", "cancelled")
 
 
@@ -70,7 +94,8 @@ def canonical(value):
 
 
 def number(value):
-    """A number as ECMAScript writes it: the shortest digits that give it back, plain from 1e-6 to below 1e21."""
+    """A number as ECMAScript writes it: the shortest digits that give it back, plain from 1e-6 to
+    below 1e21."""
     if value == 0:
         return "0"
     sign, text = ("-" if value < 0 else ""), repr(abs(value))
@@ -83,7 +108,11 @@ def number(value):
     if -6 < shift <= 0:
         return f"{sign}0.{'0' * -shift}{digits}"
     if 0 < shift <= 21:
-        return sign + (digits.ljust(shift, "0") if len(digits) <= shift else f"{digits[:shift]}.{digits[shift:]}")
+        return sign + (
+            digits.ljust(shift, "0")
+            if len(digits) <= shift
+            else f"{digits[:shift]}.{digits[shift:]}"
+        )
     rest = f".{digits[1:]}" if len(digits) > 1 else ""
     return f"{sign}{digits[0]}{rest}e{'+' if shift > 0 else '-'}{abs(shift - 1)}"
 
@@ -147,13 +176,20 @@ def opened(note, key):
         return None
     name, named, encoded = key.strip().split("+", 2)
     public = base64.b64decode(encoded)
-    if public[:1] != b"\x01" or hashlib.sha256(name.encode() + b"\n" + public).hexdigest()[:8] != named:
+    if (
+        public[:1] != b"\x01"
+        or hashlib.sha256(name.encode() + b"\n" + public).hexdigest()[:8] != named
+    ):
         return None
     text, _, lines = note.rpartition("\n\n")
     for line in lines.splitlines()[:MOST_SIGNERS]:
         signer, _, signature = line.removeprefix("— ").partition(" ")
         data = base64.b64decode(signature)
-        if signer == name and data[:4].hex() == named and signed(public[1:], data[4:], f"{text}\n".encode()):
+        if (
+            signer == name
+            and data[:4].hex() == named
+            and signed(public[1:], data[4:], f"{text}\n".encode())
+        ):
             return text
     return None
 
@@ -191,7 +227,8 @@ def root_of(leaves):
 
 
 def root_by(proof, found, position, size):
-    """The root that a leaf's proof leads to, None where the proof has another length than it must."""
+    """The root that a leaf's proof leads to, None where the proof has another length than it
+    must."""
     if size == 1:
         return found if not proof else None
     if not proof:
@@ -221,7 +258,8 @@ def regular(path):
 
 
 def require_plain_tar(path):
-    """Walk the headers of a tar file before anything makes members of them: no long extension, none for all members."""
+    """Walk the headers of a tar file before anything makes members of them: no long extension, none
+    for all members."""
     whole, at = path.stat().st_size, 0
     with path.open("rb") as file:
         while at + HEADER <= whole:
@@ -230,8 +268,12 @@ def require_plain_tar(path):
             if not any(header):
                 return
             size, kind = tarfile.nti(header[124:136]), header[156:157]
-            if kind == b"g" or not 0 <= size <= (LARGEST_EXTENSION if kind in (b"x", b"L", b"K", b"X") else whole):
-                raise Broken(f"a header of the tar file says {size} bytes, or speaks for all others")
+            if kind == b"g" or not 0 <= size <= (
+                LARGEST_EXTENSION if kind in (b"x", b"L", b"K", b"X") else whole
+            ):
+                raise Broken(
+                    f"a header of the tar file says {size} bytes, or speaks for all others"
+                )
             at += HEADER * (1 - (-size // HEADER))
 
 
@@ -250,7 +292,10 @@ class Archive:
                 raise Broken(f"{member.name} is no plain file that lies in the tar file whole")
         index = json.loads(self.read("index.json"))
         described = next(m for m in index["manifests"] if m["artifactType"] == MANIFEST_TYPE)
-        self.digest, self.signature = described["digest"], described["annotations"][f"{MANIFEST_TYPE}.signature"]
+        self.digest, self.signature = (
+            described["digest"],
+            described["annotations"][f"{MANIFEST_TYPE}.signature"],
+        )
         manifest = json.loads(self.blob(described["digest"]))
         self.config = json.loads(self.blob(manifest["config"]["digest"]))
         self.layers = {layer["annotations"][TITLE]: layer["digest"] for layer in manifest["layers"]}
@@ -258,7 +303,9 @@ class Archive:
     def read(self, name):
         """A file of the layout."""
         try:
-            return regular(self.path / name) if self.tar is None else self.tar.extractfile(name).read()
+            return (
+                regular(self.path / name) if self.tar is None else self.tar.extractfile(name).read()
+            )
         except (OSError, KeyError) as error:
             raise Broken(f"{name} is missing") from error
 
@@ -271,7 +318,11 @@ class Archive:
 
     def lines(self, title):
         """The documents of a layer."""
-        return [json.loads(line) for line in self.blob(self.layers[title]).splitlines()] if title in self.layers else []
+        return (
+            [json.loads(line) for line in self.blob(self.layers[title]).splitlines()]
+            if title in self.layers
+            else []
+        )
 
 
 def findings(archive, key):
@@ -288,13 +339,25 @@ def findings(archive, key):
     for line in told:
         named |= {name: (digest, line["entry"]) for name, digest in line["entry"]["rows"].items()}
     if plant is None:
-        in_order = len(told) == size and all(line["entry"]["sequence"] == at for at, line in enumerate(told, 1))
+        in_order = len(told) == size and all(
+            line["entry"]["sequence"] == at for at, line in enumerate(told, 1)
+        )
         whole = in_order and root_of([leaf(line["entry"]) for line in told]) == root
-        found = [] if whole else [f"{len(told)} entries do not have the root that was signed for {size}"]
+        found = (
+            []
+            if whole
+            else [f"{len(told)} entries do not have the root that was signed for {size}"]
+        )
     else:
         proofs = [(line["entry"], [base64.b64decode(h) for h in line["proof"]]) for line in told]
-        found = [f"entry {e['sequence']} is not proven" for e, p in proofs if root_by(p, leaf(e), e["sequence"] - 1, size) != root]
-        found += [f"entry {e['sequence']} is of another plant" for e, _ in proofs if e["plant"] != plant]
+        found = [
+            f"entry {e['sequence']} is not proven"
+            for e, p in proofs
+            if root_by(p, leaf(e), e["sequence"] - 1, size) != root
+        ]
+        found += [
+            f"entry {e['sequence']} is of another plant" for e, _ in proofs if e["plant"] != plant
+        ]
         order = [e["sequence"] for e, _ in proofs]
         found += [] if order == sorted(set(order)) else ["the entries are not in order"]
     return found + rows_that_differ(archive, named, plant) + bytes_that_are_missing(archive)
@@ -314,19 +377,32 @@ def rows_that_differ(archive, named, plant):
                     found.append(f"{name}: no entry tells of it")
                 continue
             digest, entry = named[name]
-            if sha256({"table": table, "row": {k: v for k, v in row.items() if v is not None}}) != digest:
+            if (
+                sha256({"table": table, "row": {k: v for k, v in row.items() if v is not None}})
+                != digest
+            ):
                 found.append(f"{name}: it is not as entry {entry['sequence']} left it")
             if entry["kind"] not in (*TELL_OF_MOVES.get(table, (entry["kind"],)), *TELL_OF_ALL):
                 found.append(f"{name}: entry {entry['sequence']} cannot tell of a move")
-            content = row["manifest"] if table == "artifacts" else row["document"] if table in BY_DOCUMENT else None
+            content = (
+                row["manifest"]
+                if table == "artifacts"
+                else row["document"]
+                if table in BY_DOCUMENT
+                else None
+            )
             if content is not None and sha256(content.encode()) != row["digest"]:
                 found.append(f"{name}: it is not what its digest names")
     jobs = {row["id"] for row in archive.lines("rows/jobs.jsonl")}
     strays = [row for row in archive.lines("rows/outputs.jsonl") if row["job"] not in jobs]
-    found += [f"outputs/{row['job']}/{row['name']}: its job is not in the archive" for row in strays]
+    found += [
+        f"outputs/{row['job']}/{row['name']}: its job is not in the archive" for row in strays
+    ]
     left_out = APART if plant else ()
     return found + [
-        f"{name}: the log names it, and it is not there" for name in sorted(set(named) - seen) if name.split("/")[0] not in left_out
+        f"{name}: the log names it, and it is not there"
+        for name in sorted(set(named) - seen)
+        if name.split("/")[0] not in left_out
     ]
 
 
@@ -341,22 +417,36 @@ def bytes_that_are_missing(archive):
             found.append(f"{title}: {error}")
     for table, column in NAMES_BYTES.items():
         rows = archive.lines(f"rows/{table}.jsonl")
-        found += [f"{table} {row[column]}: its bytes are not there" for row in rows if row[column] and row[column] not in held]
+        found += [
+            f"{table} {row[column]}: its bytes are not there"
+            for row in rows
+            if row[column] and row[column] not in held
+        ]
     return found
 
 
 def to_know(archive):
-    """Gates that took the place of another, and decisions by a gate that was declared after their candidate had been judged."""
+    """Gates that took the place of another, and decisions by a gate that was declared after their
+    candidate had been judged."""
     said = []
     for row in archive.lines("rows/gates.jsonl"):
         gate = json.loads(row["document"])
         if "follows" in gate:
-            said.append(f"gate {row['digest'][:12]} took the place of {gate['follows'][:12]}: {gate['because']}")
+            said.append(
+                f"gate {row['digest'][:12]} took the place of {gate['follows'][:12]}: "
+                f"{gate['because']}"
+            )
     for row in archive.lines("rows/decisions.jsonl"):
         known = json.loads(row["document"]).get("known", {})
         if known.get("candidate") or known.get("compared"):
-            before = ", ".join(f"{'passed' if d['accepted'] else 'failed'} by gate {d['gate'][:12]}" for d in known["candidate"])
-            said.append(f"decision {row['digest'][:12]}: its gate was declared after its candidate had been judged: {before or 'compared'}")
+            before = ", ".join(
+                f"{'passed' if d['accepted'] else 'failed'} by gate {d['gate'][:12]}"
+                for d in known["candidate"]
+            )
+            said.append(
+                f"decision {row['digest'][:12]}: its gate was declared after its candidate "
+                f"had been judged: {before or 'compared'}"
+            )
     return said
 
 
@@ -374,7 +464,13 @@ def main(arguments):
         archive = Archive(Path(arguments[0]))
         if len(arguments) == 1:
             own = visible(archive.config["key"])
-            print(f"whose it is, nobody has shown: no key was given, and the archive names its own, {own}", file=sys.stderr)
+            print(
+                (
+                    "whose it is, nobody has shown: no key was given, and the archive names its "
+                    f"own, {own}"
+                ),
+                file=sys.stderr,
+            )
         found = findings(archive, arguments[1] if len(arguments) > 1 else None)
         for line in to_know(archive):
             print(visible(line), file=sys.stderr)

@@ -1,7 +1,8 @@
-"""A black-box residual with memory: the refitted family, and scikit-learn's MLPRegressor on what it misses; it cannot name.
+"""A black-box residual with memory: the refitted family, and scikit-learn's MLPRegressor on what it
+misses; it cannot name.
 
-Inputs: position, velocity and command now and a sample ago, standardised. Documented defaults. Searched: penalty in PENALTIES, by
-validation.
+Inputs: position, velocity and command now and a sample ago, standardised. Documented defaults.
+Searched: penalty in PENALTIES, by validation.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ PENALTIES = (1e-4, 1e-2, 1.0)
 def solve(case: Case):
     warnings.simplefilter("ignore")
     slope = np.concatenate([np.diff(r.y[:, 1]) / np.diff(r.t) for r in case.adaptation])
-    own = np.concatenate([own_terms(case.family, r.y[:-1, 0], r.y[:-1, 1], r.u[:-1]) for r in case.adaptation])
+    own = np.concatenate(
+        [own_terms(case.family, r.y[:-1, 0], r.y[:-1, 1], r.u[:-1]) for r in case.adaptation]
+    )
     weights = np.linalg.lstsq(own, slope, rcond=None)[0]
     seen = np.concatenate([_inputs(r.y[:-1], r.u[:-1]) for r in case.adaptation])
     mean, size = seen.mean(axis=0), seen.std(axis=0) + 1e-12
@@ -59,7 +62,9 @@ def _predictor(case: Case, weights, net, mean, size, scale):
             for step in range(case.window - 1):
                 at = np.minimum(begins + step, len(r.t) - 1)
                 u = r.u[at]
-                a = own_terms(case.family, y[:, 0], y[:, 1], u) @ weights + residual(np.column_stack([y, u, before_y, before_u]))
+                a = own_terms(case.family, y[:, 0], y[:, 1], u) @ weights + residual(
+                    np.column_stack([y, u, before_y, before_u])
+                )
                 before_y, before_u = y, u
                 v = y[:, 1] + case.dt * a
                 y = np.column_stack([y[:, 0] + case.dt * v, v])

@@ -1,7 +1,8 @@
 """A case as a peer sees it, what its terms mean, and rollouts of its model. numpy only.
 
-A peer gets the recordings of adaptation and validation, the family's own terms, and further terms with the effect that each stands for.
-Its answer is a list of effects and the positions that it predicts on the test recordings, from the samples at the windows' starts on.
+A peer gets the recordings of adaptation and validation, the family's own terms, and further terms
+with the effect that each stands for. Its answer is a list of effects and the positions that it
+predicts on the test recordings, from the samples at the windows' starts on.
 """
 
 from __future__ import annotations
@@ -46,10 +47,20 @@ def read(file: Path) -> Case:
     z = np.load(file)
     about = json.loads(str(z["about"]))
     parts = {
-        role: [Recording(z[f"{role}{i}t"], z[f"{role}{i}u"], z[f"{role}{i}y"]) for i in range(about[role])]
+        role: [
+            Recording(z[f"{role}{i}t"], z[f"{role}{i}u"], z[f"{role}{i}y"])
+            for i in range(about[role])
+        ]
         for role in ("adaptation", "validation", "test")
     }
-    return Case(about["family"], about["parameters"], about["dt"], about["window"], hidden=about["hidden"], **parts)
+    return Case(
+        about["family"],
+        about["parameters"],
+        about["dt"],
+        about["window"],
+        hidden=about["hidden"],
+        **parts,
+    )
 
 
 def own_terms(family: str, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -79,8 +90,14 @@ def starts(recording: Recording, window: int) -> range:
     return range(0, len(recording.t) - 1, window)
 
 
-def roll(acceleration: Callable[[float, float, float], float], recording: Recording, window: int, dt: float) -> np.ndarray:
-    """Positions and velocities `(n, 2)`: Runge-Kutta from the observed state at each window's start, the command held."""
+def roll(
+    acceleration: Callable[[float, float, float], float],
+    recording: Recording,
+    window: int,
+    dt: float,
+) -> np.ndarray:
+    """Positions and velocities `(n, 2)`: Runge-Kutta from the observed state at each window's
+    start, the command held."""
     found = recording.y.copy()
     h = dt / PARTS
     with np.errstate(over="ignore", invalid="ignore"):
@@ -93,7 +110,10 @@ def roll(acceleration: Callable[[float, float, float], float], recording: Record
                     a2 = acceleration(q + 0.5 * h * v, v + 0.5 * h * a1, u)
                     a3 = acceleration(q + 0.5 * h * (v + 0.5 * h * a1), v + 0.5 * h * a2, u)
                     a4 = acceleration(q + h * (v + 0.5 * h * a2), v + h * a3, u)
-                    q, v = q + h * v + h * h * (a1 + a2 + a3) / 6.0, v + h * (a1 + 2 * a2 + 2 * a3 + a4) / 6.0
+                    q, v = (
+                        q + h * v + h * h * (a1 + a2 + a3) / 6.0,
+                        v + h * (a1 + 2 * a2 + 2 * a3 + a4) / 6.0,
+                    )
                 if i + 1 < begin + window:
                     found[i + 1] = q, v
     return found
@@ -101,7 +121,10 @@ def roll(acceleration: Callable[[float, float, float], float], recording: Record
 
 def linear(case: Case, weights: np.ndarray) -> Callable[[float, float, float], float]:
     """An acceleration that is linear in all terms."""
-    own, further = len(weights) - len(TERMS), list(zip(TERMS.values(), weights[len(weights) - len(TERMS) :], strict=True))
+    own, further = (
+        len(weights) - len(TERMS),
+        list(zip(TERMS.values(), weights[len(weights) - len(TERMS) :], strict=True)),
+    )
     spring = {"oscillator": lambda q: q, "pendulum": np.sin, "inertia": None}[case.family]
     active = [(f, w) for f, w in further if w != 0.0]
 
@@ -116,7 +139,9 @@ def linear(case: Case, weights: np.ndarray) -> Callable[[float, float, float], f
     return acceleration
 
 
-def error(case: Case, recordings: list[Recording], predict: Callable[[Recording], np.ndarray]) -> float:
+def error(
+    case: Case, recordings: list[Recording], predict: Callable[[Recording], np.ndarray]
+) -> float:
     """Mean squared error of the positions, what ran away as inf."""
     with np.errstate(over="ignore", invalid="ignore"):
         found = float(np.mean([np.mean((predict(r)[:, 0] - r.y[:, 0]) ** 2) for r in recordings]))
@@ -124,12 +149,17 @@ def error(case: Case, recordings: list[Recording], predict: Callable[[Recording]
 
 
 def largest(case: Case, weights: np.ndarray, recordings: list[Recording]) -> list[str]:
-    """Effects of the largest further terms, as many as are hidden where any are (one where none is)."""
+    """Effects of the largest further terms, as many as are hidden where any are (one where none
+    is)."""
     rows = np.concatenate([terms(case.family, r.y[:, 0], r.y[:, 1], r.u) for r in recordings])
     size = np.abs(weights) * rows.std(axis=0)
-    size[-len(TERMS) + list(TERMS).index("constant_force")] = abs(weights[-len(TERMS) + list(TERMS).index("constant_force")])
+    size[-len(TERMS) + list(TERMS).index("constant_force")] = abs(
+        weights[-len(TERMS) + list(TERMS).index("constant_force")]
+    )
     further = dict(zip(TERMS, size[-len(TERMS) :], strict=True))
-    return [n for n in sorted(further, key=lambda n: -further[n]) if further[n] > 0.0][: max(case.hidden, 1)]
+    return [n for n in sorted(further, key=lambda n: -further[n]) if further[n] > 0.0][
+        : max(case.hidden, 1)
+    ]
 
 
 def answer(solve: Callable[[Case], tuple[list[str], Callable[[Recording], np.ndarray]]]) -> None:

@@ -1,4 +1,5 @@
-"""The peers' own environment under bench/.peers, made at first use; none of them is a dependency of trueup."""
+"""The peers' own environment under bench/.peers, made at first use; none of them is a dependency of
+trueup."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""NARMAX as in SysIdentPy: FROLS on positions and commands, terms by BIC, least squares; it predicts and cannot name.
+"""NARMAX as in SysIdentPy: FROLS on positions and commands, terms by BIC, least squares; it
+predicts and cannot name.
 
-Searched: polynomial degree in DEGREES and lags in LAGS; what predicts the validation recordings best is kept. Recordings are joined, as the
-package fits one series.
+Searched: polynomial degree in DEGREES and lags in LAGS; what predicts the validation recordings
+best is kept. Recordings are joined, as the package fits one series.
 """
 
 from __future__ import annotations
@@ -25,10 +26,16 @@ def solve(case: Case):
     best = None
     for degree in DEGREES:
         for lag in LAGS:
-            model = FROLS(ylag=lag, xlag=lag, info_criteria="bic", estimator=LeastSquares(), basis_function=Polynomial(degree=degree)).fit(
-                X=u, y=y
+            model = FROLS(
+                ylag=lag,
+                xlag=lag,
+                info_criteria="bic",
+                estimator=LeastSquares(),
+                basis_function=Polynomial(degree=degree),
+            ).fit(X=u, y=y)
+            missed = error(
+                case, case.validation, lambda r, model=model, lag=lag: _predict(case, model, lag, r)
             )
-            missed = error(case, case.validation, lambda r, model=model, lag=lag: _predict(case, model, lag, r))
             if best is None or missed < best[0]:
                 best = missed, model, lag
     _, model, lag = best
@@ -40,7 +47,11 @@ def _predict(case: Case, model: FROLS, lag: int, r: Recording) -> np.ndarray:
     for begin in starts(r, case.window):
         end = min(begin + case.window, len(r.t))
         first = max(begin - lag + 1, 0)  # the past that a model with lags needs, where there is one
-        path = model.predict(X=r.u[first:end, None], y=r.y[first : first + lag, :1]) if end - first > lag else r.y[first:end, :1]
+        path = (
+            model.predict(X=r.u[first:end, None], y=r.y[first : first + lag, :1])
+            if end - first > lag
+            else r.y[first:end, :1]
+        )
         found[begin:end, 0] = path[begin - first : end - first, 0]
     return found
 

@@ -43,7 +43,13 @@ def issue(
         return
     say("{}", made["token"])
     until = f"until {moment(made['expires_at'])}" if made["expires_at"] else "without an end"
-    say("[dim]{}: {}, {}; kept nowhere: give it to its owner now[/]", name, ", ".join(made["roles"]), until, to=err)
+    say(
+        "[dim]{}: {}, {}; kept nowhere: give it to its owner now[/]",
+        name,
+        ", ".join(made["roles"]),
+        until,
+        to=err,
+    )
 
 
 @tokens.command(name="list")
@@ -54,7 +60,16 @@ def list_tokens(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
         as_json(found)
         return
     rows = [
-        (t["prefix"], t["name"], ", ".join(t["roles"]), t["project"], t["plant"], moment(t["expires_at"] or ""), _state(t)) for t in found
+        (
+            t["prefix"],
+            t["name"],
+            ", ".join(t["roles"]),
+            t["project"],
+            t["plant"],
+            moment(t["expires_at"] or ""),
+            _state(t),
+        )
+        for t in found
     ]
     table("", ["prefix", "name", "roles", "project", "plant", "expires", "state"], rows)
 
@@ -111,7 +126,13 @@ def login(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     if as_json_:
         as_json({**who, "kept_in": str(path)})
         return
-    say("{} knows you as [bold]{}[/] ({}); the token is in {}", url, who["name"], ", ".join(who["roles"]), path)
+    say(
+        "{} knows you as [bold]{}[/] ({}); the token is in {}",
+        url,
+        who["name"],
+        ", ".join(who["roles"]),
+        path,
+    )
 
 
 def whoami(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:

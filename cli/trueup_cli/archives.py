@@ -1,4 +1,5 @@
-"""Commands that take a registry or a plant out, and bring it in: backup, restore, export, import, gc. They work on the storage itself."""
+"""Commands that take a registry or a plant out, and bring it in: backup, restore, export, import,
+gc. They work on the storage itself."""
 
 from __future__ import annotations
 
@@ -21,12 +22,21 @@ if TYPE_CHECKING:
 
 LogKey = Annotated[
     str | None,
-    Parameter(name="--key", env_var="TRUEUP_LOG_KEY", help="Public key of the log that it comes from; default: that of this installation"),
+    Parameter(
+        name="--key",
+        env_var="TRUEUP_LOG_KEY",
+        help="Public key of the log that it comes from; default: that of this installation",
+    ),
 ]
 AnyKey = Annotated[
     bool,
     Parameter(
-        name="--any-key", negative=(), help="Believe the key that the archive names itself, which shows that it is whole, not whose it is"
+        name="--any-key",
+        negative=(),
+        help=(
+            "Believe the key that the archive names itself, which shows that it is whole, "
+            "not whose it is"
+        ),
     ),
 ]
 
@@ -50,7 +60,8 @@ def _now() -> str:
 
 
 def backup(to: Path, *, as_json_: Json = False) -> None:
-    """Write all that is kept, as it is at one moment, while the service runs; the signing key is not in it.
+    """Write all that is kept, as it is at one moment, while the service runs; the signing key is
+    not in it.
 
     Parameters
     ----------
@@ -61,7 +72,8 @@ def backup(to: Path, *, as_json_: Json = False) -> None:
 
 
 def export(plant: PlantName, to: Path, *, as_json_: Json = False) -> None:
-    """Write a plant with its whole history: episodes, artifacts, gates, decisions, moves, and its part of the log with proofs.
+    """Write a plant with its whole history: episodes, artifacts, gates, decisions, moves, and its
+    part of the log with proofs.
 
     Parameters
     ----------
@@ -77,11 +89,16 @@ def _write(to: Path, plant: str | None, *, as_json_: bool) -> None:
 
     with _parts() as parts, progress(f"writing {to}") as bar:
         digest = write(parts, open_log(parts.settings, parts.database), to, plant, _now(), bar)
-    as_json({"archive": str(to), "digest": f"sha256:{digest}"}) if as_json_ else say("{} is sha256:{}", to, digest)
+    as_json({"archive": str(to), "digest": f"sha256:{digest}"}) if as_json_ else say(
+        "{} is sha256:{}", to, digest
+    )
 
 
-def restore(source: Path, *, key: LogKey = None, any_key: AnyKey = False, as_json_: Json = False) -> None:
-    """Bring a backup back into empty storage, once it holds against its own log; jobs that were under way go on.
+def restore(
+    source: Path, *, key: LogKey = None, any_key: AnyKey = False, as_json_: Json = False
+) -> None:
+    """Bring a backup back into empty storage, once it holds against its own log; jobs that were
+    under way go on.
 
     Parameters
     ----------
@@ -90,13 +107,20 @@ def restore(source: Path, *, key: LogKey = None, any_key: AnyKey = False, as_jso
     """
     from trueup_service.archives import restore as bring
 
-    with _whole(source, key, any_key=any_key) as archive, _parts() as parts, progress("restoring") as bar:
+    with (
+        _whole(source, key, any_key=any_key) as archive,
+        _parts() as parts,
+        progress("restoring") as bar,
+    ):
         jobs = bring(parts, archive, bar)
     if as_json_:
         as_json({"as_of": archive.config["created_at"], "jobs": jobs})
         return
     say("restored as it was {}; {} jobs go on", archive.config["created_at"], jobs)
-    say("Its log is signed with the key that it had: give it back as TRUEUP_SIGNING_KEY, or as signing.key.")
+    say(
+        "Its log is signed with the key that it had: give it back as TRUEUP_SIGNING_KEY, or "
+        "as signing.key."
+    )
 
 
 def import_(
@@ -117,16 +141,23 @@ def import_(
     from trueup_service.actions.stamp import Stamp
     from trueup_service.archives import import_plant
 
-    with _whole(source, key, any_key=any_key) as archive, _parts() as parts, progress("importing") as bar:
+    with (
+        _whole(source, key, any_key=any_key) as archive,
+        _parts() as parts,
+        progress("importing") as bar,
+    ):
         actor = os.environ.get("TRUEUP_ACTOR") or getpass.getuser()
         plant = import_plant(parts, archive, project, Stamp(f"command for {actor}", _now()), bar)
     log = archive.config["checkpoint"].splitlines()[0]
-    as_json({"plant": plant, "from": log}) if as_json_ else say("plant [bold]{}[/] is here, from {}", plant, log)
+    as_json({"plant": plant, "from": log}) if as_json_ else say(
+        "plant [bold]{}[/] is here, from {}", plant, log
+    )
 
 
 @contextmanager
 def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]:
-    """An archive whose head is signed by a key that is believed, and that holds against it: the seal is looked at before anything else.
+    """An archive whose head is signed by a key that is believed, and that holds against it: the
+    seal is looked at before anything else.
 
     Raises KeyNotGiven, NotSigned, NotWhole, BadArchive.
     """
@@ -138,15 +169,21 @@ def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]
     from trueup_service.settings import Settings
     from trueup_service.signed_log import own_key
 
-    given, own = (None if text is None else Key.from_text(text) for text in (key, own_key(Settings())))
+    given, own = (
+        None if text is None else Key.from_text(text) for text in (key, own_key(Settings()))
+    )
 
     def signers(endorsements: Iterable[str]) -> list[Key]:
-        """The keys that may have signed, of which the last one does now: what was given and its heirs, else ours and its own."""
+        """The keys that may have signed, of which the last one does now: what was given and its
+        heirs, else ours and its own."""
         first = given or own
         return [] if first is None else [first, *first.followed(endorsements)]
 
     def signed(seal: Seal) -> bool:
-        return any(k.signed(seal.signature, statement_of(f"sha256:{seal.digest}")) for k in signers(seal.endorsements))
+        return any(
+            k.signed(seal.signature, statement_of(f"sha256:{seal.digest}"))
+            for k in signers(seal.endorsements)
+        )
 
     archive = Archive(source, signed)
     try:
@@ -154,8 +191,15 @@ def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]
         believed = signers(archive.endorsements)[-1:]
         if given is None and not any(k.signed(archive.signature, statement) for k in believed):
             if not any_key:
-                raise KeyNotGiven(f"the archive says that it is signed with {named}, and nobody else does", key=named)
-            say("[bold]Whose it is, nobody has shown[/]: the archive names its own key, {}", named, to=err)
+                raise KeyNotGiven(
+                    f"the archive says that it is signed with {named}, and nobody else does",
+                    key=named,
+                )
+            say(
+                "[bold]Whose it is, nobody has shown[/]: the archive names its own key, {}",
+                named,
+                to=err,
+            )
             believed = [Key.from_text(named)]
             believed += believed[0].followed(archive.endorsements)
         Checkpoint.of(str(archive.config["checkpoint"]), believed[-1])
@@ -170,18 +214,29 @@ def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]
 
 def gc(
     *,
-    older_than_h: Annotated[float, Parameter(help="Leave what came in later than this alone [h]")] = 24.0,
+    older_than_h: Annotated[
+        float, Parameter(help="Leave what came in later than this alone [h]")
+    ] = 24.0,
     dry_run: Annotated[bool, Parameter(negative=(), help="Only say what would be removed")] = False,
     as_json_: Json = False,
 ) -> None:
-    """Remove bytes that no row names: what uploads left that never ended. What was registered is never removed."""
+    """Remove bytes that no row names: what uploads left that never ended. What was registered is
+    never removed."""
     from trueup_service.leftovers import remove_leftovers
 
     with _parts() as parts, progress("looking for what is left over") as bar:
-        removed: dict[str, Any] = remove_leftovers(parts, older_than_h * 3600.0, dry_run=dry_run, told=bar)
+        removed: dict[str, Any] = remove_leftovers(
+            parts, older_than_h * 3600.0, dry_run=dry_run, told=bar
+        )
     if as_json_:
         as_json({**removed, "dry_run": dry_run})
         return
     what = "would be" if dry_run else "were"
     megabytes = removed["bytes"] / 1e6
-    say("{} blobs and {} files of uploads {} removed, {:.1f} MB", removed["blobs"], removed["files"], what, megabytes)
+    say(
+        "{} blobs and {} files of uploads {} removed, {:.1f} MB",
+        removed["blobs"],
+        removed["files"],
+        what,
+        megabytes,
+    )

@@ -14,7 +14,16 @@ from cyclopts import App, Parameter
 from trueup.errors import TrueupError
 from trueup_cli.digests import whole
 from trueup_cli.exits import DISAGREES, HOLDS, told
-from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, seen, witness_file, witnessed
+from trueup_cli.options import (
+    DEFAULT_URL,
+    Json,
+    PlantName,
+    Url,
+    connect,
+    seen,
+    witness_file,
+    witnessed,
+)
 from trueup_cli.show import as_json, err, lines, moment, progress, say, table
 from trueup_client import Client, Witness
 from trueup_client.problem import ClientError
@@ -25,7 +34,9 @@ app = App(name="audit", help="Print or verify the audit log.", help_epilogue=tol
 
 
 @app.default
-def audit(plant: PlantName | None = None, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def audit(
+    plant: PlantName | None = None, *, url: Url = DEFAULT_URL, as_json_: Json = False
+) -> None:
     """Print the audit log.
 
     Parameters
@@ -35,7 +46,9 @@ def audit(plant: PlantName | None = None, *, url: Url = DEFAULT_URL, as_json_: J
     """
     client = connect(url)
     if plant is not None:
-        client.plant(plant)  # raises where there is none: nothing done to it would read as nothing done
+        client.plant(
+            plant
+        )  # raises where there is none: nothing done to it would read as nothing done
     entries = list(client.audit(plant))
     if as_json_:
         as_json(entries)
@@ -44,7 +57,14 @@ def audit(plant: PlantName | None = None, *, url: Url = DEFAULT_URL, as_json_: J
             "Audit log",
             ["#", "at", "what", "operation", "subject", "actor"],
             [
-                (e["sequence"], moment(e["at"]), e["kind"], e["facts"].get("operation") or "", e["subject"][:12], e["actor"])
+                (
+                    e["sequence"],
+                    moment(e["at"]),
+                    e["kind"],
+                    e["facts"].get("operation") or "",
+                    e["subject"][:12],
+                    e["actor"],
+                )
                 for e in entries
             ],
         )
@@ -69,8 +89,11 @@ def key(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
 
 
 @app.command
-def provenance(plant: PlantName, digest: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Print where an artifact comes from, or what a gate said, as an in-toto statement; --json for its signed envelope.
+def provenance(
+    plant: PlantName, digest: str, *, url: Url = DEFAULT_URL, as_json_: Json = False
+) -> None:
+    """Print where an artifact comes from, or what a gate said, as an in-toto statement; --json for
+    its signed envelope.
 
     Parameters
     ----------
@@ -79,8 +102,14 @@ def provenance(plant: PlantName, digest: str, *, url: Url = DEFAULT_URL, as_json
     """
     client, witness = seen(url)
     of_decision = any(d["digest"].startswith(digest) for d in client.decisions(plant))
-    records, found = (client.decisions, client.decision_provenance) if of_decision else (client.artifacts, client.artifact_provenance)
-    envelope = found(plant, whole(digest, records(plant), "artifact or decision", f"trueup versions {plant}"))
+    records, found = (
+        (client.decisions, client.decision_provenance)
+        if of_decision
+        else (client.artifacts, client.artifact_provenance)
+    )
+    envelope = found(
+        plant, whole(digest, records(plant), "artifact or decision", f"trueup versions {plant}")
+    )
     assert witness.key is not None
     statement = witness.key.payload(envelope, envelope["payloadType"])
     as_json(envelope if as_json_ else statement)
@@ -89,11 +118,14 @@ def provenance(plant: PlantName, digest: str, *, url: Url = DEFAULT_URL, as_json
 @app.command
 def verify(
     *,
-    replays: Annotated[bool, Parameter(negative="--no-replay", help="Recompute every decision from its bytes")] = True,
+    replays: Annotated[
+        bool, Parameter(negative="--no-replay", help="Recompute every decision from its bytes")
+    ] = True,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Hold the service against its log: every entry, every row, every byte, every decision; exit 4 with a list if anything differs."""
+    """Hold the service against its log: every entry, every row, every byte, every decision; exit 4
+    with a list if anything differs."""
     from trueup.ledger.gate_lines import GateLines
     from trueup.ledger.verification import verify as hold
 
@@ -101,13 +133,24 @@ def verify(
     with progress("verifying") as bar:
         labels, lines = _Labels(), GateLines()
         looks = lambda entry: [*labels(entry), *lines(entry)]  # noqa: E731
-        found = hold(_Service(client, witness), lambda share, stage: bar(0.5 * share if replays else share, stage), looks)
+        found = hold(
+            _Service(client, witness),
+            lambda share, stage: bar(0.5 * share if replays else share, stage),
+            looks,
+        )
         wrong = [(f.where, f.what) for f in found.findings]
         for count, decision in enumerate(found.decisions if replays and not wrong else [], 1):
             bar(0.5 + 0.5 * count / len(found.decisions), f"replaying decision {decision[:12]}")
-            wrong += [(f"decisions/{decision}", difference) for difference in _replayed(client, decision)]
+            wrong += [
+                (f"decisions/{decision}", difference) for difference in _replayed(client, decision)
+            ]
     if as_json_:
-        whole = {"entries": found.size, "root": found.root.hex(), "rows": found.rows, "bytes": found.bytes}
+        whole = {
+            "entries": found.size,
+            "root": found.root.hex(),
+            "rows": found.rows,
+            "bytes": found.bytes,
+        }
         as_json({**whole, "findings": wrong, "notes": lines.notes})
     elif wrong:
         table("", ["where", "what does not agree"], wrong)
@@ -115,7 +158,10 @@ def verify(
         replayed = f", {len(found.decisions)} decisions recomputed" if replays else ""
         root, megabytes = base64.b64encode(found.root).decode(), found.bytes / 1e6
         say(
-            "[bold green]holds[/]: {} entries under the signed root {}, {} rows, {:.1f} MB of episodes and artifacts{}",
+            (
+                "[bold green]holds[/]: {} entries under the signed root {}, {} rows, {:.1f} MB "
+                "of episodes and artifacts{}"
+            ),
             found.size,
             root,
             found.rows,
@@ -186,7 +232,9 @@ class _Labels:
             self._committed.setdefault(entry.subject, []).append(entry.facts["commitments"])
         if entry.kind != "job:finished" or "opening" not in entry.facts["result"].get("report", {}):
             return []
-        for commitments in self._committed.get(entry.subject, []):  # of a worker that was killed before it opened them, another drew anew
+        for commitments in self._committed.get(
+            entry.subject, []
+        ):  # of a worker that was killed before it opened them, another drew anew
             try:
                 require_as_committed(entry.facts["result"]["report"], commitments)
             except NotAsCommitted:
@@ -202,7 +250,10 @@ def _replayed(client: Client, decision: str) -> list[str]:
     found = client.find_decision(decision)
     try:
         with tempfile.TemporaryDirectory() as folder:
-            return differences(found["document"], recompute(client, found["plant"], found["document"], Path(folder), lambda *_: None))
+            return differences(
+                found["document"],
+                recompute(client, found["plant"], found["document"], Path(folder), lambda *_: None),
+            )
     except (TrueupError, ClientError) as error:
         return [f"cannot be recomputed: {error}"]
 
@@ -213,16 +264,21 @@ def _disagree(what: str) -> NoReturn:
 
 
 def _told(record: Decision) -> dict[str, Any] | None:
-    """A decision's document, if it is the one that its digest names and the columns beside it say the same."""
+    """A decision's document, if it is the one that its digest names and the columns beside it say
+    the same."""
     from trueup.canonical import digest_of
 
     document: dict[str, Any] = record["document"]
-    same = all(record[name] == document[name] for name in ("gate", "candidate", "incumbent", "generation", "accepted"))
+    same = all(
+        record[name] == document[name]
+        for name in ("gate", "candidate", "incumbent", "generation", "accepted")
+    )
     return document if same and digest_of(document) == record["digest"] else None
 
 
 def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Recompute a decision from its gate, its artifacts and its episodes, here, and say whether it agrees; exit 4 if not.
+    """Recompute a decision from its gate, its artifacts and its episodes, here, and say whether it
+    agrees; exit 4 if not.
 
     Parameters
     ----------
@@ -235,7 +291,10 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
     found = client.find_decision(decision)
     recorded = _told(found)
     if recorded is None or found["digest"] != decision:
-        _disagree("the decision's document is not the one that its digest names, or its columns say something else")
+        _disagree(
+            "the decision's document is not the one that its digest names, or its columns "
+            "say something else"
+        )
     try:
         with progress("replay") as bar, tempfile.TemporaryDirectory() as folder:
             recomputed = recompute(client, found["plant"], recorded, Path(folder), bar)
@@ -243,14 +302,23 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
         _disagree(f"{error.code}: {error.message}")
     wrong = differences(recorded, recomputed)
     if as_json_:
-        as_json({"decision": decision, "agrees": not wrong, "differences": wrong, "recomputed": recomputed})
+        as_json(
+            {
+                "decision": decision,
+                "agrees": not wrong,
+                "differences": wrong,
+                "recomputed": recomputed,
+            }
+        )
     else:
         _show(recorded, recomputed, wrong)
     if wrong:
         sys.exit(DISAGREES)
 
 
-def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path, progress: Any) -> dict[str, Any]:
+def recompute(
+    client: Client, plant: str, recorded: dict[str, Any], folder: Path, progress: Any
+) -> dict[str, Any]:
     """The decision's document, from verified bytes."""
     from trueup.artifact.model import load
     from trueup.canonical import digest_of
@@ -258,7 +326,10 @@ def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path
     from trueup.gate import recompute as made_anew
 
     named = made_anew.models(recorded)
-    predictors = {name: load(client.fetch(plant, digest, folder / name), digest).predictor for name, digest in named.items()}
+    predictors = {
+        name: load(client.fetch(plant, digest, folder / name), digest).predictor
+        for name, digest in named.items()
+    }
     layout = predictors["candidate"].plant.layout
     episodes = []
     for count, digest in enumerate(recorded["episodes"]):
@@ -266,8 +337,18 @@ def recompute(client: Client, plant: str, recorded: dict[str, Any], folder: Path
         client.download_episode(plant, digest, path)
         episodes.append(read_episode(path.read_bytes(), layout))
         progress(0.5 * (count + 1) / len(recorded["episodes"]), "fetching episodes")
-    gate, digest = client.gate(plant, recorded["gate"])["document"], digest_of(client.plant(plant)["document"])
-    return made_anew.recompute(recorded, gate, predictors, episodes, digest, lambda share: progress(0.5 + 0.5 * share, "scoring"))
+    gate, digest = (
+        client.gate(plant, recorded["gate"])["document"],
+        digest_of(client.plant(plant)["document"]),
+    )
+    return made_anew.recompute(
+        recorded,
+        gate,
+        predictors,
+        episodes,
+        digest,
+        lambda share: progress(0.5 + 0.5 * share, "scoring"),
+    )
 
 
 def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: list[str]) -> None:
@@ -279,7 +360,18 @@ def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: lis
         ["rule", "recorded", "recomputed", "threshold", "passed"],
         [(a["rule"], a["value"], b["value"], b["threshold"], b["passed"]) for a, b in pairs],
     )
-    say("[bold red]disagrees[/]" if differences else "[bold green]agrees[/]: every figure and the verdict")
+    say(
+        "[bold red]disagrees[/]"
+        if differences
+        else "[bold green]agrees[/]: every figure and the verdict"
+    )
     for difference in differences:
         say("{}", difference)
-    say("{}", disclosure(recorded) or "It does not tell what was known when its gate was declared: trueup audit verify works it out.")
+    say(
+        "{}",
+        disclosure(recorded)
+        or (
+            "It does not tell what was known when its gate was declared: trueup audit "
+            "verify works it out."
+        ),
+    )

@@ -20,18 +20,26 @@ LOG_FILE = "service.log"
 
 
 @contextmanager
-def service_beside(data: Path, port: int | None = None) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Its address and process; its log is `service.log` in the folder. Without a port it takes a free one. Raises OSError, Unreachable."""
-    with socket.create_server(("127.0.0.1", port or 0)) as free:  # raises where another service listens: it would be taken for ours
+def service_beside(
+    data: Path, port: int | None = None
+) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
+    """Its address and process; its log is `service.log` in the folder. Without a port it takes a
+    free one. Raises OSError, Unreachable."""
+    with socket.create_server(
+        ("127.0.0.1", port or 0)
+    ) as free:  # raises where another service listens: it would be taken for ours
         url = f"http://127.0.0.1:{free.getsockname()[1]}"
     data.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "trueup_cli.main", "serve", "--port", url.rpartition(":")[2]]
     with (data / LOG_FILE).open("a") as log:
-        child = subprocess.Popen(command, env={**os.environ, "TRUEUP_DATA_DIR": str(data)}, stderr=log)
+        child = subprocess.Popen(
+            command, env={**os.environ, "TRUEUP_DATA_DIR": str(data)}, stderr=log
+        )
         ended: list[int] = []
 
         def end(number: int, _: object) -> None:
-            """End as after an error, and the service beside at once, for the error may be lost on its way: in a finalizer, say."""
+            """End as after an error, and the service beside at once, for the error may be lost on
+            its way: in a finalizer, say."""
             ended.append(128 + number)
             child.terminate()
             sys.exit(ended[0])
@@ -49,7 +57,8 @@ def service_beside(data: Path, port: int | None = None) -> Iterator[tuple[str, s
 
 
 def wait(child: subprocess.Popen[bytes]) -> None:
-    """Wait until a service beside ends, in steps: a signal that comes just before one long wait would go unheard."""
+    """Wait until a service beside ends, in steps: a signal that comes just before one long wait
+    would go unheard."""
     while child.poll() is None:
         time.sleep(STEP_S)
 
@@ -64,5 +73,9 @@ def _wait_until_ready(url: str, child: subprocess.Popen[bytes], data: Path) -> N
         except Unreachable:
             pass
         time.sleep(PAUSE_S)
-    said = "another service may be there: give --url with another port, or see" if child.poll() is not None else "see"
+    said = (
+        "another service may be there: give --url with another port, or see"
+        if child.poll() is not None
+        else "see"
+    )
     raise Unreachable(f"the service did not start at {url}; {said} {data / LOG_FILE}")

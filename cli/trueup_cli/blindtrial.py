@@ -25,19 +25,30 @@ def run(
     *,
     out: Path | None = None,
     trials: Annotated[
-        int, Parameter(help="Machines to draw; each takes as long as a diagnosis", validator=Number(gte=1, lte=2000))
+        int,
+        Parameter(
+            help="Machines to draw; each takes as long as a diagnosis",
+            validator=Number(gte=1, lte=2000),
+        ),
     ] = TRIALS,
     secret_file: Annotated[
-        Path | None, Parameter(help="Holds 64 hexadecimal digits: draw again what a report has opened; CASE only")
+        Path | None,
+        Parameter(
+            help="Holds 64 hexadecimal digits: draw again what a report has opened; CASE only"
+        ),
     ] = None,
-    verify: Annotated[bool, Parameter(negative=(), help="TARGET is a trial's folder: hold its report against its log")] = False,
+    verify: Annotated[
+        bool,
+        Parameter(negative=(), help="TARGET is a trial's folder: hold its report against its log"),
+    ] = False,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Hide effects in machines like a user's, diagnose them blindly, and say how often the verdict was right.
+    """Hide effects in machines like a user's, diagnose them blindly, and say how often the verdict
+    was right.
 
-    Writes report.json and report.html to a folder; for a case also audit.jsonl, where the labels are committed before the
-    first diagnosis, and the recordings under cases/.
+    Writes report.json and report.html to a folder; for a case also audit.jsonl, where the labels
+    are committed before the first diagnosis, and the recordings under cases/.
 
     Parameters
     ----------
@@ -53,20 +64,29 @@ def run(
     out = out or Path(f"blindtrial-{Path(target).resolve().name}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise NotEmpty(
-            f"{out} is not an empty folder", hint="Name a folder that is not there yet: labels are committed into a log of its own."
+            f"{out} is not an empty folder",
+            hint="Name a folder that is not there yet: labels are committed into a log of its own.",
         )
     if (Path(target) / "plant.json").is_file():
         document = _local(Path(target), out, trials, _secret(secret_file))
     else:
         from trueup_cli.registry import result_of, run_job
 
-        document = result_of(run_job(connect(url), target, {"kind": "blindtrial", "trials": trials}, "blind trial"))["report"]
+        document = result_of(
+            run_job(connect(url), target, {"kind": "blindtrial", "trials": trials}, "blind trial")
+        )["report"]
         out.mkdir(parents=True, exist_ok=True)
     write(document, out)
     from trueup_pages.blindtrial import sentence
 
     if as_json_:
-        as_json({"sentence": sentence(document), "report": document, "files": {"report": str(out / "report.html")}})
+        as_json(
+            {
+                "sentence": sentence(document),
+                "report": document,
+                "files": {"report": str(out / "report.html")},
+            }
+        )
         return
     say("{}", sentence(document))
     say("report: {}", out / "report.html")
@@ -82,7 +102,8 @@ def _verify(trial: Path) -> str:
     report, log = trial / "report.json", trial / "audit.jsonl"
     if not (report.is_file() and log.is_file()):
         raise NotAsCommitted(
-            f"{trial} holds no report.json with an audit.jsonl", hint="Name the folder that a trial of a case was written to."
+            f"{trial} holds no report.json with an audit.jsonl",
+            hint="Name the folder that a trial of a case was written to.",
         )
     try:
         lines = [json.loads(line) for line in log.read_text().splitlines()]
@@ -90,15 +111,22 @@ def _verify(trial: Path) -> str:
         entries = [AuditEntry(**line) for line in lines]
         document = json.loads(report.read_text())
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise NotAsCommitted(f"{trial} holds a report or a log that was damaged: {error}") from error
+        raise NotAsCommitted(
+            f"{trial} holds a report or a log that was damaged: {error}"
+        ) from error
     tree = NOTHING
     for entry, root in zip(entries, roots, strict=True):
         tree = append(tree, entry)
         if tree.root().hex() != root:
-            raise BrokenChain(f"entry {entry.sequence} is not what was written", sequence=entry.sequence)
+            raise BrokenChain(
+                f"entry {entry.sequence} is not what was written", sequence=entry.sequence
+            )
     committed = entries[0].facts.get("commitments", []) if entries else []
     require_as_committed(document, list(committed))  # type: ignore[arg-type]
-    return f"{len(document['rows'])} labels are those committed at {moment(entries[0].at)}, before the first diagnosis."
+    return (
+        f"{len(document['rows'])} labels are those committed at {moment(entries[0].at)}, "
+        "before the first diagnosis."
+    )
 
 
 class NotEmpty(TrueupError):
@@ -134,7 +162,9 @@ def _local(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str
 
     def note(kind: str, facts: dict[str, Any]) -> None:
         at = datetime.now(UTC).isoformat()
-        entry = AuditEntry(len(trees), at, f"blindtrial:{kind}", "local", plant.name, plant.digest, facts, {})
+        entry = AuditEntry(
+            len(trees), at, f"blindtrial:{kind}", "local", plant.name, plant.digest, facts, {}
+        )
         trees.append(append(trees[-1], entry))
         with (out / "audit.jsonl").open("a") as log:
             log.write(json.dumps({**asdict(entry), "root": trees[-1].root().hex()}) + "\n")
@@ -151,7 +181,13 @@ def _local(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str
             lambda stage, share: bar(share, stage),
             keep=out / "cases",
         )
-    note("opened", {"labels": [{"label": r["label"], "salt": r["salt"]} for r in document["rows"]], "opening": document["opening"]})
+    note(
+        "opened",
+        {
+            "labels": [{"label": r["label"], "salt": r["salt"]} for r in document["rows"]],
+            "opening": document["opening"],
+        },
+    )
     return document
 
 

@@ -1,4 +1,5 @@
-"""`trueup chapter`: the experiment that trueup grew from, from a run, beside the digits that were published."""
+"""`trueup chapter`: the experiment that trueup grew from, from a run, beside the digits that were
+published."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ from trueup_cli.show import as_json, progress, say, table
 
 
 def chapter(*, as_json_: Json = False) -> None:
-    """Run the chapter and print every table beside the published digits; with --json all figures, unrounded."""
+    """Run the chapter and print every table beside the published digits; with --json all figures,
+    unrounded."""
     with progress("chapter") as bar:
         tables = run_chapter(lambda what, share: bar(share, what))
     if as_json_:
@@ -19,9 +21,15 @@ def chapter(*, as_json_: Json = False) -> None:
         return
     for found in tables:
         _show(found)
-    compared = [_agrees(t, r, c, v) for t in tables for r, row in t.rows.items() for c, v in row.items()]
+    compared = [
+        _agrees(t, r, c, v) for t in tables for r, row in t.rows.items() for c, v in row.items()
+    ]
     agree = sum(x is True for x in compared)
-    say("\n{} of {} published figures agree to the printed digit", agree, sum(x is not None for x in compared))
+    say(
+        "\n{} of {} published figures agree to the printed digit",
+        agree,
+        sum(x is not None for x in compared),
+    )
 
 
 def _show(found: Table) -> None:
@@ -32,7 +40,12 @@ def _show(found: Table) -> None:
         digits = PUBLISHED.get(found.title, {}).get(name, {})
         rows.append([name, *(_cell(row[c], digits.get(c)) if c in row else "" for c in columns)])
         if digits:
-            rows.append([Text("  published", "dim"), *(_published(row[c], digits[c]) if c in digits else "" for c in columns)])
+            rows.append(
+                [
+                    Text("  published", "dim"),
+                    *(_published(row[c], digits[c]) if c in digits else "" for c in columns),
+                ]
+            )
     say("")
     table(found.title, ["", *columns], rows)
 

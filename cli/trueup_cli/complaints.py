@@ -12,9 +12,12 @@ from trueup_cli.exits import DISAGREES, REFUSED, UNREACHABLE
 from trueup_cli.show import as_json, err, lines, say
 from trueup_client.problem import ClientError, NotSigned, Problem, Rewritten, Untrue
 
-UNTRUE_HINT = "The bytes are not what their digest names: the stored copy is damaged, or was changed."
+UNTRUE_HINT = (
+    "The bytes are not what their digest names: the stored copy is damaged, or was changed."
+)
 REWRITTEN_HINT = (
-    "Ask whoever runs the service what happened to its database, and compare mirrors of its checkpoint; if it was made anew on purpose, "
+    "Ask whoever runs the service what happened to its database, and compare mirrors of its "
+    "checkpoint; if it was made anew on purpose, "
     "remove the named file."
 )
 SHOWN = 200  # characters of a value that a program may want
@@ -25,18 +28,23 @@ HINTS = {  # what to do at the command, where the service's words are for progra
     ("not-found", "artifact"): "`trueup versions PLANT` lists them.",
     ("not-found", "decision"): "`trueup decisions PLANT` lists them.",
     ("unauthenticated", ""): (
-        "Sign in with `trueup login`, set TRUEUP_TOKEN, or run the command in the folder in which the service was started (or with its "
+        "Sign in with `trueup login`, set TRUEUP_TOKEN, or run the command in the folder in "
+        "which the service was started (or with its "
         "TRUEUP_DATA_DIR), where it finds the first admin's token."
     ),
 }
 NOT_AS_SAID = ("blob-damaged", "broken-chain")  # what the service finds wrong with what it keeps
 SERVER_PARTS = ("trueup_service", "trueup_worker", "trueup_migrations")
-NO_SERVER_HINT = "Install it with `pip install 'trueup-cli[server]'`, or use the command with a service that runs elsewhere (--url)."
+NO_SERVER_HINT = (
+    "Install it with `pip install 'trueup-cli[server]'`, or use the command with a service "
+    "that runs elsewhere (--url)."
+)
 UNREACHABLE_HINT = "Start it with `trueup serve`, or name it with --url or TRUEUP_URL."
 
 
 def trace(error: Exception) -> int:
-    """Print an error that nobody expected and where it came from, for its message may quote others; the exit code is Python's own."""
+    """Print an error that nobody expected and where it came from, for its message may quote others;
+    the exit code is Python's own."""
     lines("".join(traceback.format_exception(error)), to=err)
     return REFUSED
 
@@ -47,18 +55,34 @@ def complain(error: Exception) -> int | None:
     facts: Mapping[str, object] = {}
     if isinstance(error, Problem):
         code = DISAGREES if error.code in NOT_AS_SAID else REFUSED
-        noun, facts = str(error.facts.get("noun", "")), {k: x for k, x in error.facts.items() if k != "noun"}
+        noun, facts = (
+            str(error.facts.get("noun", "")),
+            {k: x for k, x in error.facts.items() if k != "noun"},
+        )
         told = error.code, error.detail, HINTS.get((error.code, noun), error.hint)
     elif isinstance(error, Untrue):
         told, code = ("untrue", str(error), UNTRUE_HINT), DISAGREES
     elif isinstance(error, NotSigned | Rewritten):
-        told, code = ("not-signed" if isinstance(error, NotSigned) else "rewritten", str(error), REWRITTEN_HINT), DISAGREES
+        told, code = (
+            (
+                "not-signed" if isinstance(error, NotSigned) else "rewritten",
+                str(error),
+                REWRITTEN_HINT,
+            ),
+            DISAGREES,
+        )
     elif isinstance(error, ClientError):
         told = "unreachable", str(error), UNREACHABLE_HINT
     elif isinstance(error, TrueupError):
         told, facts = (error.code, error.message, error.hint), error.facts
-    elif isinstance(error, ModuleNotFoundError) and str(error.name).partition(".")[0] in SERVER_PARTS:
-        told = "not-installed", f"this command runs the service, and {error.name} is not installed", NO_SERVER_HINT
+    elif (
+        isinstance(error, ModuleNotFoundError) and str(error.name).partition(".")[0] in SERVER_PARTS
+    ):
+        told = (
+            "not-installed",
+            f"this command runs the service, and {error.name} is not installed",
+            NO_SERVER_HINT,
+        )
     elif isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
         told = "address-in-use", str(error.strerror), PORT_HINT
     elif isinstance(error, OSError) and error.filename is not None:
@@ -69,11 +93,15 @@ def complain(error: Exception) -> int | None:
     return code
 
 
-def _print(code: str, detail: str, hint: str, facts: Mapping[str, object], request_id: str | None) -> None:
+def _print(
+    code: str, detail: str, hint: str, facts: Mapping[str, object], request_id: str | None
+) -> None:
     """In words; for a program that asked for JSON as a problem document on standard output."""
     known = {name: x for name, x in facts.items() if x is not None}
     if "--json" in sys.argv:
-        as_json({"code": code, "detail": detail, "hint": hint, "facts": known, "request_id": request_id})
+        as_json(
+            {"code": code, "detail": detail, "hint": hint, "facts": known, "request_id": request_id}
+        )
         return
     say("[bold red]{}[/] {}", code, detail, to=err)
     if hint:

@@ -23,10 +23,18 @@ class NoShell(TrueupError):
 def completion(
     shell: Shell | None = None,
     *,
-    install: Annotated[bool, Parameter(negative=(), help="Put it where the shell finds it, and load it when the shell starts")] = False,
-    to: Annotated[Path | None, Parameter(help="Write it to this file; no start-up file is changed")] = None,
+    install: Annotated[
+        bool,
+        Parameter(
+            negative=(), help="Put it where the shell finds it, and load it when the shell starts"
+        ),
+    ] = False,
+    to: Annotated[
+        Path | None, Parameter(help="Write it to this file; no start-up file is changed")
+    ] = None,
 ) -> None:
-    """Print what a shell needs to complete commands, options and plants: `eval "$(trueup completion bash)"`, or --install it.
+    """Print what a shell needs to complete commands, options and plants: `eval "$(trueup completion
+    bash)"`, or --install it.
 
     Names of plants come from the service at TRUEUP_URL when they are asked for.
 
@@ -46,5 +54,9 @@ def completion(
         written = app.install_completion(shell=shell, output=to, add_to_startup=to is None)
     except ShellDetectionError as error:
         raise NoShell(str(error)) from error
-    says = "completes trueup in every shell that is started from now on" if to is None else "completes trueup in a shell that reads it"
+    says = (
+        "completes trueup in every shell that is started from now on"
+        if to is None
+        else "completes trueup in a shell that reads it"
+    )
     say("{} {}", written, says)

@@ -23,7 +23,8 @@ from trueup_cli.show import as_json, progress, say
 
 
 def convert(model: Path, to: Path, *, mjcf: Path | None = None, as_json_: Json = False) -> None:
-    """Write a fetched model as ONNX (`*.onnx`: its step, for any runtime) or as MJCF (`*.xml`: what of it MuJoCo has elements for).
+    """Write a fetched model as ONNX (`*.onnx`: its step, for any runtime) or as MJCF (`*.xml`: what
+    of it MuJoCo has elements for).
 
     Parameters
     ----------
@@ -38,7 +39,13 @@ def convert(model: Path, to: Path, *, mjcf: Path | None = None, as_json_: Json =
     with progress(f"writing {to.name}"):
         left = WRITERS[to.suffix](found, to, mjcf) if to.suffix in WRITERS else _of_no_form(to)
     if as_json_:
-        as_json({"file": str(to), "artifact": found.digest, "not_expressed": [x.document() for x in left]})
+        as_json(
+            {
+                "file": str(to),
+                "artifact": found.digest,
+                "not_expressed": [x.document() for x in left],
+            }
+        )
         return
     say("{}: {}, artifact {}", to, found.plant.name, found.digest[:12])
     for x in left:
@@ -46,7 +53,10 @@ def convert(model: Path, to: Path, *, mjcf: Path | None = None, as_json_: Json =
 
 
 def _of_no_form(to: Path) -> Sequence[Left]:
-    raise NotExportable(f"{to.name} is of no form that is known", hint=f"End the file's name with {' or '.join(WRITERS)}.")
+    raise NotExportable(
+        f"{to.name} is of no form that is known",
+        hint=f"End the file's name with {' or '.join(WRITERS)}.",
+    )
 
 
 def _onnx(model: Model, to: Path, _: Path | None) -> Sequence[Left]:
@@ -68,8 +78,13 @@ def _mjcf(model: Model, source: Path | None) -> Written:
     if isinstance(predictor, Physical):
         predictor = Corrected.of_numbers(predictor.plant, predictor.parameters)
     if not isinstance(predictor, Corrected):
-        raise NotExportable(f"a predictor of the kind {predictor.kind!r} is no machine that MJCF can describe", hint="Write it as ONNX.")
-    heading = [f"{model.plant.name}, artifact {model.digest}, written by trueup {trueup.__version__}"]
+        raise NotExportable(
+            f"a predictor of the kind {predictor.kind!r} is no machine that MJCF can describe",
+            hint="Write it as ONNX.",
+        )
+    heading = [
+        f"{model.plant.name}, artifact {model.digest}, written by trueup {trueup.__version__}"
+    ]
     if isinstance(model.plant.dynamics, CompiledFamily):
         with tempfile.TemporaryDirectory() as folder:
             return mjcf_of_joint(predictor, Path(folder), heading)
@@ -77,7 +92,10 @@ def _mjcf(model: Model, source: Path | None) -> Written:
     if source is None:
         raise NotExportable(
             "the model of a robot is written into the file that it was declared by",
-            hint=f"Name that file with --mjcf; its SHA-256 is {nominal.get('sha256') or 'not known'}.",
+            hint=(
+                "Name that file with --mjcf; its SHA-256 is "
+                f"{nominal.get('sha256') or 'not known'}."
+            ),
         )
     found = compile_file(source).sha256
     if found != nominal.get("sha256"):

@@ -1,4 +1,5 @@
-"""`trueup demo`: the main job on a real recording, with a real server and worker on embedded storage."""
+"""`trueup demo`: the main job on a real recording, with a real server and worker on embedded
+storage."""
 
 from __future__ import annotations
 
@@ -60,13 +61,14 @@ class Case:
 
 
 def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
-    """Register a plant, upload recordings, fit candidates and diagnose, gate, promote, predict, roll back, and show the audit trail.
+    """Register a plant, upload recordings, fit candidates and diagnose, gate, promote, predict,
+    roll back, and show the audit trail.
 
     Parameters
     ----------
     case
-        case folder with plant.json, gate.json and *.mcap; the recordings of a linear axis that trueup brings, unless given
-    work
+        case folder with plant.json, gate.json and *.mcap; the recordings of a linear axis that
+    trueup brings, unless given work
         folder for the demo's own storage, model and picture; emptied first
     """
     began = time.monotonic()
@@ -74,7 +76,9 @@ def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
     folder = case or EXAMPLE
     told = Case(folder, work, resolved(json.loads((folder / "plant.json").read_text()), folder))
     with service_beside(work / "data") as (url, _):
-        client = Client(url, actor="demo", token=(work / "data" / "admin.token").read_text().strip())
+        client = Client(
+            url, actor="demo", token=(work / "data" / "admin.token").read_text().strip()
+        )
         _upload(client, told)
         best = _fit_and_gate(client, told)
         if best is None:
@@ -83,8 +87,15 @@ def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
             _promote_and_predict(client, told, best)
             _roll_back(client, told)
         _audit(client)
-    say("\n[dim]done in {:.0f} s; storage, model and picture are in {}[/]", time.monotonic() - began, work)
-    say("[dim]look at it in a browser: {}[/]", "make look" if work == DEMO else f"trueup look --data {work}/data")
+    say(
+        "\n[dim]done in {:.0f} s; storage, model and picture are in {}[/]",
+        time.monotonic() - began,
+        work,
+    )
+    say(
+        "[dim]look at it in a browser: {}[/]",
+        "make look" if work == DEMO else f"trueup look --data {work}/data",
+    )
 
 
 def _say(step: int, what: str) -> None:
@@ -94,7 +105,12 @@ def _say(step: int, what: str) -> None:
 def _upload(client: Client, case: Case) -> None:
     nominal = case.plant["nominal"]
     described = f"in {nominal['mjcf']}" if case.is_robot else f"of the family {nominal['family']}"
-    say("[bold]{}[/]: {} recordings, a nominal model {}", case.name, len(list(case.folder.glob("*.mcap"))), described)
+    say(
+        "[bold]{}[/]: {} recordings, a nominal model {}",
+        case.name,
+        len(list(case.folder.glob("*.mcap"))),
+        described,
+    )
     _say(1, "Register the plant, upload the recordings")
     client.register_plant(case.plant)
     found = []
@@ -106,17 +122,30 @@ def _upload(client: Client, case: Case) -> None:
     table(
         "",
         ["episode", "role", "samples", "seconds"],
-        [(e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"]) for e in found],
+        [
+            (e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"])
+            for e in found
+        ],
     )
 
 
 def _fit_and_gate(client: Client, case: Case) -> Decision | None:
-    """The decision on the candidate with the smallest rollout error among those accepted, if any."""
+    """The decision on the candidate with the smallest rollout error among those accepted, if
+    any."""
     _say(2, "Declare the gate, before anything is scored")
     gate = client.declare_gate(case.name, json.loads((case.folder / "gate.json").read_text()))
-    rules, horizon_s = ", ".join(r["rule"] for r in gate["document"]["rules"]), gate["document"]["scoring"]["horizon_s"]
+    rules, horizon_s = (
+        ", ".join(r["rule"] for r in gate["document"]["rules"]),
+        gate["document"]["scoring"]["horizon_s"],
+    )
     say("gate {}: {}, over windows of {:g} s", gate["digest"][:12], rules, horizon_s)
-    _say(3, "Fit candidates from the adaptation episodes and diagnose the gap; judge each on the validation episodes")
+    _say(
+        3,
+        (
+            "Fit candidates from the adaptation episodes and diagnose the gap; judge each "
+            "on the validation episodes"
+        ),
+    )
     rows, decisions = [], []
     for name, request in CANDIDATES.items():
         if case.is_robot and name not in OF_ROBOTS:
@@ -125,7 +154,12 @@ def _fit_and_gate(client: Client, case: Case) -> Decision | None:
         artifact = result["artifact"]
         if "report" in result:
             answer(result["report"])
-        judged = run_job(client, case.name, {"kind": "gate", "candidate": artifact, "gate": gate["digest"]}, "judge")
+        judged = run_job(
+            client,
+            case.name,
+            {"kind": "gate", "candidate": artifact, "gate": gate["digest"]},
+            "judge",
+        )
         decisions.append(client.decision(case.name, result_of(judged)["decision"]))
         figures = {v["rule"]: v["value"] for v in decisions[-1]["document"]["verdicts"]}
         rows.append(
@@ -141,10 +175,23 @@ def _fit_and_gate(client: Client, case: Case) -> Decision | None:
     table(
         "",
         ["candidate", "artifact", "rollout", "one step", ""],
-        [("nominal (serving)", "", float(np.mean(nominal["rollout"])), float(np.mean(nominal["one_step"])), "baseline"), *rows],
+        [
+            (
+                "nominal (serving)",
+                "",
+                float(np.mean(nominal["rollout"])),
+                float(np.mean(nominal["one_step"])),
+                "baseline",
+            ),
+            *rows,
+        ],
     )
     accepted = [d for d in decisions if d["accepted"]]
-    return min(accepted, key=lambda d: float(np.mean(d["document"]["figures"]["candidate"]["rollout"])), default=None)
+    return min(
+        accepted,
+        key=lambda d: float(np.mean(d["document"]["figures"]["candidate"]["rollout"])),
+        default=None,
+    )
 
 
 def _promote_and_predict(client: Client, case: Case, decision: Decision) -> None:
@@ -159,8 +206,13 @@ def _promote_and_predict(client: Client, case: Case, decision: Decision) -> None
     _show_errors(case, load(before).predictor, load(after, serving.artifact).predictor, episodes)
     _say(6, "A gate must be able to reject: judge the weaker candidate against the new incumbent")
     weaker = client.version(case.name, 2)["digest"]
-    judged = run_job(client, case.name, {"kind": "gate", "candidate": weaker, "gate": decision["gate"]}, "judge")
-    show_decision(client.decision(case.name, result_of(judged)["decision"]), client.gate_in_line(case.name, decision["gate"]))
+    judged = run_job(
+        client, case.name, {"kind": "gate", "candidate": weaker, "gate": decision["gate"]}, "judge"
+    )
+    show_decision(
+        client.decision(case.name, result_of(judged)["decision"]),
+        client.gate_in_line(case.name, decision["gate"]),
+    )
 
 
 def _held_out(client: Client, case: Case, predictor: Predictor) -> list[Episode]:
@@ -168,7 +220,10 @@ def _held_out(client: Client, case: Case, predictor: Predictor) -> list[Episode]
     for record in client.episodes(case.name, role="validation"):
         paths.append(case.work / f"{record['digest'][:12]}.mcap")
         client.download_episode(case.name, record["digest"], paths[-1])
-    return sorted((read_episode(p.read_bytes(), predictor.plant.layout) for p in paths), key=lambda e: e.start_ns)
+    return sorted(
+        (read_episode(p.read_bytes(), predictor.plant.layout) for p in paths),
+        key=lambda e: e.start_ns,
+    )
 
 
 def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list[Episode]) -> None:
@@ -179,18 +234,36 @@ def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list
     table(
         f"RMS of {channel.name} over windows of {horizon_s:g} s [m{channel.unit}]",
         ["held-out episode", "nominal", "serving", "less by"],
-        [(e.digest[:12], 1e3 * b, 1e3 * a, f"{1 - a / b:.1%}") for e, b, a in zip(episodes, *errors, strict=True)],
+        [
+            (e.digest[:12], 1e3 * b, 1e3 * a, f"{1 - a / b:.1%}")
+            for e, b, a in zip(episodes, *errors, strict=True)
+        ],
     )
-    most = int(np.argmax([np.ptp(e.observations[:, worst]) for e in episodes]))  # the one that moves furthest is looked at
+    most = int(
+        np.argmax([np.ptp(e.observations[:, worst]) for e in episodes])
+    )  # the one that moves furthest is looked at
     episode = episodes[most]
     traces = [
-        Trace(name, predict_episode(p, episode, horizon_s)[:, worst], f"{1e3 * rms[most]:.2f} m{channel.unit}", colour)
-        for name, p, rms, colour in (("nominal", before, errors[0], BEFORE), ("serving", after, errors[1], AFTER))
+        Trace(
+            name,
+            predict_episode(p, episode, horizon_s)[:, worst],
+            f"{1e3 * rms[most]:.2f} m{channel.unit}",
+            colour,
+        )
+        for name, p, rms, colour in (
+            ("nominal", before, errors[0], BEFORE),
+            ("serving", after, errors[1], AFTER),
+        )
     ]
-    skip = int(np.searchsorted(episode.t_s, horizon_s))  # the first window starts where no past shows the velocity
+    skip = int(
+        np.searchsorted(episode.t_s, horizon_s)
+    )  # the first window starts where no past shows the velocity
     shown = [Trace(t.name, t.values[skip:], t.rms, t.colour) for t in traces]
     starts = episode.t_s[starts_every(episode.t_s, horizon_s)]
-    subtitle = f"held-out episode {episode.digest[:12]}, rollouts of {horizon_s:g} s; RMS errors over the whole episode in brackets"
+    subtitle = (
+        f"held-out episode {episode.digest[:12]}, rollouts of {horizon_s:g} s; RMS errors "
+        "over the whole episode in brackets"
+    )
     name = case.name if len(before.plant.joints) == 1 else f"{case.name}, {channel.name}"
     svg = before_and_after(
         f"{name}: the same commands, before and after",
@@ -217,10 +290,22 @@ def _roll_back(client: Client, case: Case) -> None:
 def _audit(client: Client) -> None:
     _say(8, "The audit trail, and its decisions recomputed from the recorded bytes")
     entries = list(client.audit())
-    table("", ["#", "what", "subject", "actor"], [(e["sequence"], e["kind"], e["subject"][:12], e["actor"]) for e in entries])
+    table(
+        "",
+        ["#", "what", "subject", "actor"],
+        [(e["sequence"], e["kind"], e["subject"][:12], e["actor"]) for e in entries],
+    )
     for entry in entries:
         if entry["kind"] == "decision:made":
             recorded = entry["facts"]["decision"]
-            with progress(f"replay {entry['subject'][:12]}") as bar, tempfile.TemporaryDirectory() as folder:
+            with (
+                progress(f"replay {entry['subject'][:12]}") as bar,
+                tempfile.TemporaryDirectory() as folder,
+            ):
                 recomputed = recompute(client, str(entry["plant"]), recorded, Path(folder), bar)
-            say("{} [red]disagrees[/]" if differences(recorded, recomputed) else "{} [green]agrees[/]", entry["subject"][:12])
+            say(
+                "{} [red]disagrees[/]"
+                if differences(recorded, recomputed)
+                else "{} [green]agrees[/]",
+                entry["subject"][:12],
+            )

@@ -23,13 +23,14 @@ from trueup_pages.diagnosis import report_page
 def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> None:
     """Diagnose the gap between a case's nominal model and its recordings.
 
-    Writes report.json, report.html and the corrected model to a folder; of a robot also its MJCF, corrected, and the difference as a patch.
+    Writes report.json, report.html and the corrected model to a folder; of a robot also its MJCF,
+    corrected, and the difference as a patch.
 
     Parameters
     ----------
     case
-        folder with plant.json and *.mcap episodes; or a recording or a ROS 2 bag, of which a case is made first
-    out
+        folder with plant.json and *.mcap episodes; or a recording or a ROS 2 bag, of which a case
+    is made first out
         folder to write to
     """
     if not (case / "plant.json").is_file() and (case.is_file() or any(case.glob("*.mcap"))):
@@ -57,7 +58,12 @@ def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> Non
         return
     answer(found.document)
     if found.choice.rivals:
-        say("What would part the explanations: trueup excite {} --model {} --split --out {}", case, out, out / "experiment")
+        say(
+            "What would part the explanations: trueup excite {} --model {} --split --out {}",
+            case,
+            out,
+            out / "experiment",
+        )
     say("{}", "   ".join(f"{what}: {where}" for what, where in files.items()))
 
 
@@ -66,7 +72,12 @@ def write(found: Diagnosis, episodes: list[Episode], out: Path) -> None:
     model = out / "model"
     model.mkdir(parents=True, exist_ok=True)
     artifact = pack(
-        found.predictor, {"origin": "diagnosis", "episodes": [e.digest for e in episodes], "verdict": str(found.document["verdict"])}
+        found.predictor,
+        {
+            "origin": "diagnosis",
+            "episodes": [e.digest for e in episodes],
+            "verdict": str(found.document["verdict"]),
+        },
     )
     (model / "manifest.json").write_bytes(artifact.manifest)
     (model / "arrays.safetensors").write_bytes(artifact.arrays)
@@ -77,13 +88,17 @@ def write(found: Diagnosis, episodes: list[Episode], out: Path) -> None:
 
 
 def write_mjcf(found: Diagnosis, case: Path, out: Path) -> dict[str, Path]:
-    """A robot's MJCF with what was found written into it, and the difference as a patch; nothing where the model is no file."""
+    """A robot's MJCF with what was found written into it, and the difference as a patch; nothing
+    where the model is no file."""
     nominal = json.loads((case / "plant.json").read_bytes())["nominal"]
     if "mjcf" not in nominal or not (case / nominal["mjcf"]).is_file():
         return {}
     source, report = case / nominal["mjcf"], (out / "report.json").read_bytes()
     heading = [
-        f"{source.name} (sha256 {hashlib.sha256(source.read_bytes()).hexdigest()}), corrected by trueup {trueup.__version__}",
+        (
+            f"{source.name} (sha256 {hashlib.sha256(source.read_bytes()).hexdigest()}), "
+            f"corrected by trueup {trueup.__version__}"
+        ),
         f"from the diagnosis report.json (sha256 {hashlib.sha256(report).hexdigest()}):",
         sentence(found.document),
     ]

@@ -15,7 +15,14 @@ from trueup.canonical import digest_of
 from trueup.collect.bounds import Bounds, Recorded
 from trueup.collect.checklist import checks, command_table
 from trueup.collect.ensemble import Ensemble, InPlay
-from trueup.collect.excitation import DETECTABLE, Excitation, Setting, identification, resting, splitting
+from trueup.collect.excitation import (
+    DETECTABLE,
+    Excitation,
+    Setting,
+    identification,
+    resting,
+    splitting,
+)
 from trueup.collect.goal import Separation
 from trueup.diagnose.admission import admit
 from trueup.diagnose.case import read_episodes, read_plant
@@ -40,23 +47,45 @@ def excite(
     plant: Path,
     *,
     out: Path,
-    model: Annotated[Path | None, Parameter(help="What `trueup diagnose` wrote: its model, as uncertain as it says")] = None,
-    split: Annotated[bool, Parameter(help="Tell the model's effects from the alternatives that the diagnosis left", negative="")] = False,
-    spread: Annotated[float, Parameter(help="Without a model: 95 %% interval of each nominal number, relatively")] = 0.3,
-    duration_s: Annotated[float, Parameter(help="Of the excitation, without the hold at its end [s]")] = 12.0,
-    band_hz: Annotated[
-        tuple[float, float] | None, Parameter(help="Lowest and highest frequency [Hz]; default: by duration and step")
+    model: Annotated[
+        Path | None,
+        Parameter(help="What `trueup diagnose` wrote: its model, as uncertain as it says"),
     ] = None,
-    rate: Annotated[float | None, Parameter(help="Largest change of a command [its unit / s]; default: as recorded")] = None,
-    speed: Annotated[float | None, Parameter(help="Largest speed of a joint [its unit / s]; default: as recorded")] = None,
+    split: Annotated[
+        bool,
+        Parameter(
+            help="Tell the model's effects from the alternatives that the diagnosis left",
+            negative="",
+        ),
+    ] = False,
+    spread: Annotated[
+        float, Parameter(help="Without a model: 95 %% interval of each nominal number, relatively")
+    ] = 0.3,
+    duration_s: Annotated[
+        float, Parameter(help="Of the excitation, without the hold at its end [s]")
+    ] = 12.0,
+    band_hz: Annotated[
+        tuple[float, float] | None,
+        Parameter(help="Lowest and highest frequency [Hz]; default: by duration and step"),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        Parameter(help="Largest change of a command [its unit / s]; default: as recorded"),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        Parameter(help="Largest speed of a joint [its unit / s]; default: as recorded"),
+    ] = None,
     margin: Annotated[float, Parameter(help="Of the envelope, kept free under every model")] = 0.1,
     seed: Seed = 0,
     as_json_: Json = False,
 ) -> None:
-    """Design a bounded excitation that identifies a plant's numbers, or splits explanations, safe under every model still in play.
+    """Design a bounded excitation that identifies a plant's numbers, or splits explanations, safe
+    under every model still in play.
 
-    It keeps the envelope that plant.json declares, and where it declares none the range of the recordings in the case folder. Writes
-    excitation.csv, .mcap (commands alone), .json and .svg; what to check before it is played stands first in each that can say it.
+    It keeps the envelope that plant.json declares, and where it declares none the range of the
+    recordings in the case folder. Writes excitation.csv, .mcap (commands alone), .json and .svg;
+    what to check before it is played stands first in each that can say it.
 
     Parameters
     ----------
@@ -78,11 +107,16 @@ def excite(
         setting = Setting(play, bounds, _noise(described, episodes, report), rest, hold)
         act = splitting if split else identification
         found = act(setting, np.random.default_rng(seed), lambda stage, part: bar(part, stage))
-    if isinstance(found.information, Separation) and max(found.information.standard_errors) < DETECTABLE:
+    if (
+        isinstance(found.information, Separation)
+        and max(found.information.standard_errors) < DETECTABLE
+    ):
         raise NotIdentifiable(
-            f"no command that was tried within the bounds parts the alternatives by {DETECTABLE:g} standard errors, at best "
+            "no command that was tried within the bounds parts the alternatives by "
+            f"{DETECTABLE:g} standard errors, at best "
             f"{max(found.information.standard_errors):.1f}",
-            hint="; or ".join(_otherwise(play, found.information)) + "; or allow a longer duration, a wider band or envelope.",
+            hint="; or ".join(_otherwise(play, found.information))
+            + "; or allow a longer duration, a wider band or envelope.",
         )
     goal = "split" if split else "identify"
     first = checks(described, found, diagnosed=model is not None)
@@ -112,9 +146,14 @@ def _in_play(plant: Plant, folder: Path | None, spread: float) -> tuple[InPlay, 
         return InPlay((Ensemble.prior(plant, spread),)), {}
     found = load(folder / "model").predictor
     if not isinstance(found, Corrected):
-        raise BadArtifact("the folder holds no corrected model", hint="Give the folder that `trueup diagnose --out` wrote.")
+        raise BadArtifact(
+            "the folder holds no corrected model",
+            hint="Give the folder that `trueup diagnose --out` wrote.",
+        )
     report = json.loads((folder / "report.json").read_text())
-    return InPlay((Ensemble.posterior(found, report), *Ensemble.alternatives(found.plant, report))), report
+    return InPlay(
+        (Ensemble.posterior(found, report), *Ensemble.alternatives(found.plant, report))
+    ), report
 
 
 def _otherwise(play: InPlay, told: Separation) -> list[str]:
@@ -127,7 +166,10 @@ def _otherwise(play: InPlay, told: Separation) -> list[str]:
 
 def _nothing_to_split(report: dict[str, Any]) -> NotIdentifiable:
     if not report:
-        return NotIdentifiable("there are no alternatives to split without a diagnosis", hint="Give its folder with --model.")
+        return NotIdentifiable(
+            "there are no alternatives to split without a diagnosis",
+            hint="Give its folder with --model.",
+        )
     why = (report.get("next_experiment") or {}).get("why")
     if report["indistinguishable"] and "alternatives" not in report["evidence"]:
         why = "Its report does not keep the alternatives as they were fitted: diagnose again."
@@ -138,9 +180,11 @@ def _nothing_to_split(report: dict[str, Any]) -> NotIdentifiable:
 
 
 def _candidates(plant: Plant, episodes: list[Episode], bounds: Bounds) -> list[tuple[Array, Array]]:
-    """Commands to hold and states to seek rest from: none in the middle of the envelope, and what was recorded at first and on the mean.
+    """Commands to hold and states to seek rest from: none in the middle of the envelope, and what
+    was recorded at first and on the mean.
 
-    A robot's rest is not known without a recording: what holds it against its weight is no middle of anything.
+    A robot's rest is not known without a recording: what holds it against its weight is no middle
+    of anything.
     """
     joints = len(plant.joints)
     middle = np.concatenate([bounds.envelope[:joints].mean(axis=1), np.zeros(joints)])
@@ -153,16 +197,20 @@ def _candidates(plant: Plant, episodes: list[Episode], bounds: Bounds) -> list[t
         found += [(commands[0], states[0]), (commands.mean(axis=0), states.mean(axis=0))]
     if not found:
         raise NotIdentifiable(
-            "a robot's rest is not known without a recording", hint="Put an adaptation episode that begins at rest into the case folder."
+            "a robot's rest is not known without a recording",
+            hint="Put an adaptation episode that begins at rest into the case folder.",
         )
     return found
 
 
 def _noise(plant: Plant, episodes: list[Episode], report: dict[str, Any]) -> Array:
-    """Noise of each observation: as the diagnosis found it, with what its answer leaves unexplained; else as recorded, or QUIET."""
+    """Noise of each observation: as the diagnosis found it, with what its answer leaves
+    unexplained; else as recorded, or QUIET."""
     quiet = QUIET * plant.scales
     if report:
-        found = np.array([report["evidence"]["noise"][c.name] for c in plant.layout.observations], float)
+        found = np.array(
+            [report["evidence"]["noise"][c.name] for c in plant.layout.observations], float
+        )
         left = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0))
         return np.asarray(left * np.where(np.isfinite(found) & (found > 0.0), found, quiet))
     if not episodes:
@@ -173,7 +221,9 @@ def _noise(plant: Plant, episodes: list[Episode], report: dict[str, Any]) -> Arr
 
 def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    (out / "excitation.csv").write_text(command_table(plant, found.t_s, found.command, document["check_first"]), newline="")
+    (out / "excitation.csv").write_text(
+        command_table(plant, found.t_s, found.command, document["check_first"]), newline=""
+    )
     with (out / "excitation.mcap").open("wb") as mcap:
         write_episode(
             mcap,
@@ -193,6 +243,20 @@ def _show(found: Excitation, first: list[str]) -> None:
     for number, line in enumerate(first, 1):
         say("  {}. {}", number, line)
     others = dict(found.random.rows())
-    table(found.title, ["", "designed", "random, same energy"], [(name, value, others[name]) for name, value in found.information.rows()])
-    length, models, share = f"{len(found.t_s)} samples, {found.t_s[-1]:.4g} s", len(found.paths), 100 * found.used
-    say("{}; under {} models at most {:.0f} % of the envelope is used, breaches: {}", length, models, share, found.breaches)
+    table(
+        found.title,
+        ["", "designed", "random, same energy"],
+        [(name, value, others[name]) for name, value in found.information.rows()],
+    )
+    length, models, share = (
+        f"{len(found.t_s)} samples, {found.t_s[-1]:.4g} s",
+        len(found.paths),
+        100 * found.used,
+    )
+    say(
+        "{}; under {} models at most {:.0f} % of the envelope is used, breaches: {}",
+        length,
+        models,
+        share,
+        found.breaches,
+    )

@@ -17,7 +17,10 @@ MEANING = {
 HERE = (DONE, REFUSED, MISUSED)  # a command that asks nobody
 ASKS = (*HERE, UNREACHABLE)  # one that asks the service
 HOLDS_HERE = (*HERE, DISAGREES)  # one that holds bytes against what names them, here
-HOLDS = (*ASKS, DISAGREES)  # one that holds what the service answers against what was seen of it before
+HOLDS = (
+    *ASKS,
+    DISAGREES,
+)  # one that holds what the service answers against what was seen of it before
 
 
 def told(codes: Sequence[int]) -> str:

@@ -10,7 +10,8 @@ from trueup_cli.show import as_json, err, progress, say, table
 
 
 def fsck(*, as_json_: Json = False) -> None:
-    """Check the storage that the settings name, without a server or beside a running one; exit 4 with a list if anything is wrong.
+    """Check the storage that the settings name, without a server or beside a running one; exit 4
+    with a list if anything is wrong.
 
     A data folder that cannot be written, such as a mounted snapshot, is read as it is.
     """
@@ -22,16 +23,50 @@ def fsck(*, as_json_: Json = False) -> None:
 
     with reading(Settings()) as parts, progress("checking") as bar:
         found = verify(Kept(parts.database, parts.blobs, signing(parts)), bar)
-        wrong = [(f.where, f.what) for f in [*found.findings, *published(parts), *lost_jobs(parts), *altered(parts.database)]]
+        wrong = [
+            (f.where, f.what)
+            for f in [
+                *found.findings,
+                *published(parts),
+                *lost_jobs(parts),
+                *altered(parts.database),
+            ]
+        ]
         left = unnamed(parts)
     if as_json_:
-        as_json({"entries": found.size, "rows": found.rows, "bytes": found.bytes, "findings": wrong, "unnamed_blobs": len(left)})
+        as_json(
+            {
+                "entries": found.size,
+                "rows": found.rows,
+                "bytes": found.bytes,
+                "findings": wrong,
+                "unnamed_blobs": len(left),
+            }
+        )
     elif wrong:
         table("", ["where", "what is wrong"], wrong)
     else:
-        say("[bold green]whole[/]: {} entries, {} rows, {:.1f} MB", found.size, found.rows, found.bytes / 1e6)
+        say(
+            "[bold green]whole[/]: {} entries, {} rows, {:.1f} MB",
+            found.size,
+            found.rows,
+            found.bytes / 1e6,
+        )
     if left and not as_json_:
-        say("{} blobs are named by no row: uploads under way, or left over; `trueup gc` removes old ones.", len(left))
+        say(
+            (
+                "{} blobs are named by no row: uploads under way, or left over; `trueup gc` "
+                "removes old ones."
+            ),
+            len(left),
+        )
     if wrong:
-        say("[bold red]wrong[/] {} things: restore them from a backup (`trueup restore`), or from a mirror.", len(wrong), to=err)
+        say(
+            (
+                "[bold red]wrong[/] {} things: restore them from a backup (`trueup restore`), "
+                "or from a mirror."
+            ),
+            len(wrong),
+            to=err,
+        )
         sys.exit(DISAGREES)

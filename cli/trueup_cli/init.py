@@ -30,16 +30,24 @@ class Wanted:
     """What a person says of a recording; the rest is found."""
 
     name: Annotated[str | None, Parameter(help="Of the plant; default: the log's")] = None
-    family: Annotated[str | None, Parameter(help="inertia, pendulum or oscillator; default: the simplest that the data allow")] = None
+    family: Annotated[
+        str | None,
+        Parameter(
+            help="inertia, pendulum or oscillator; default: the simplest that the data allow"
+        ),
+    ] = None
     joint: Annotated[str | None, Parameter(help="Which one, where several move")] = None
     observation: Annotated[str | None, Parameter(help="Topic of the observed JointState")] = None
     command: Annotated[str | None, Parameter(help="Topic of the commanded JointState")] = None
-    stage: Annotated[str, Parameter(help="MIL, SIL, PIL, HIL or physical: where it was recorded")] = "physical"
+    stage: Annotated[
+        str, Parameter(help="MIL, SIL, PIL, HIL or physical: where it was recorded")
+    ] = "physical"
 
 
 @dataclass(frozen=True)
 class Made:
-    """A case folder that was written: its plant.json, its episodes' roles, and what was found and assumed for it."""
+    """A case folder that was written: its plant.json, its episodes' roles, and what was found and
+    assumed for it."""
 
     folder: Path
     document: dict[str, Any]
@@ -49,11 +57,20 @@ class Made:
     declared: bool
 
 
-def init(log: Path, *, out: Path, wanted: Wanted | None = None, force: Force = False, as_json_: Json = False) -> None:
-    """Make a case folder from recordings: an MCAP file, or what `ros2 bag record -s mcap` left behind.
+def init(
+    log: Path,
+    *,
+    out: Path,
+    wanted: Wanted | None = None,
+    force: Force = False,
+    as_json_: Json = False,
+) -> None:
+    """Make a case folder from recordings: an MCAP file, or what `ros2 bag record -s mcap` left
+    behind.
 
-    Finds topics, joint, fields and rates, holds the last part of the recordings out, and identifies the numbers of the simplest model that
-    they allow. What it assumed is printed, and stands in plant.json to be corrected.
+    Finds topics, joint, fields and rates, holds the last part of the recordings out, and identifies
+    the numbers of the simplest model that they allow. What it assumed is printed, and stands in
+    plant.json to be corrected.
 
     Parameters
     ----------
@@ -63,7 +80,10 @@ def init(log: Path, *, out: Path, wanted: Wanted | None = None, force: Force = F
         case folder to write
     """
     if (out / "plant.json").exists() and not force:
-        raise BadPlant(f"{out} holds a plant.json already", hint="Name another folder with --out, or write over it with --force.")
+        raise BadPlant(
+            f"{out} holds a plant.json already",
+            hint="Name another folder with --out, or write over it with --force.",
+        )
     made = make_case(log, out, wanted or Wanted())
     if as_json_:
         as_json({"case": str(out), "plant": made.document})
@@ -76,9 +96,13 @@ def make_case(log: Path, out: Path, wanted: Wanted) -> Made:
     """The same, for a command that goes on. Raises NotAnEpisode, BadPlant, NotIdentifiable."""
     files = sorted(log.glob("*.mcap")) if log.is_dir() else [log]
     if not files:
-        raise NotAnEpisode(f"{log} holds no *.mcap", rule="samples", hint="Record with `ros2 bag record -s mcap`.")
+        raise NotAnEpisode(
+            f"{log} holds no *.mcap", rule="samples", hint="Record with `ros2 bag record -s mcap`."
+        )
     if out.resolve() in {file.resolve().parent for file in files}:
-        raise BadPlant("the case would be written among the recordings", hint="Name another folder with --out.")
+        raise BadPlant(
+            "the case would be written among the recordings", hint="Name another folder with --out."
+        )
     out.mkdir(parents=True, exist_ok=True)
     for left in out.glob("*.mcap"):  # of a case that was made here before
         left.unlink()
@@ -86,19 +110,34 @@ def make_case(log: Path, out: Path, wanted: Wanted) -> Made:
         bar(0.0, "looking through the recordings")
         with files[0].open("rb") as stream:
             found = survey(stream, files[0].stat().st_size)
-        chosen = choose(found, observation=wanted.observation, command=wanted.command, joint=wanted.joint)
+        chosen = choose(
+            found, observation=wanted.observation, command=wanted.command, joint=wanted.joint
+        )
         bar(0.3, "writing episodes")
-        episodes = [read_episode(path.read_bytes(), chosen.layout) for path in _write_parts(files, chosen, out, wanted.stage)]
+        episodes = [
+            read_episode(path.read_bytes(), chosen.layout)
+            for path in _write_parts(files, chosen, out, wanted.stage)
+        ]
         bar(0.6, "identifying a first model")
         named = wanted.name or (log.stem if log.is_file() else log.resolve().name)
         plain = re.sub(r"[^a-z0-9_-]+", "-", named.lower()).strip("-_") or "robot"
-        document = describe(plain[:63], chosen, [e for e in episodes if e.role is Role.ADAPTATION], wanted.family)
+        document = describe(
+            plain[:63], chosen, [e for e in episodes if e.role is Role.ADAPTATION], wanted.family
+        )
     (out / "plant.json").write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    return Made(out, document, chosen, wanted.stage, Counter(e.role for e in episodes), found.role is not None)
+    return Made(
+        out,
+        document,
+        chosen,
+        wanted.stage,
+        Counter(e.role for e in episodes),
+        found.role is not None,
+    )
 
 
 def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> list[Path]:
-    """Episodes of the case: each file is one, the last ones held out; the end of a single one. Roles that files declare are kept."""
+    """Episodes of the case: each file is one, the last ones held out; the end of a single one.
+    Roles that files declare are kept."""
     topics, written = {chosen.observed.topic, chosen.commanded.topic}, list[Path]()
     held_out = max(1, round(HELD_OUT * len(files)))
     for at, file in enumerate(files):
@@ -109,7 +148,9 @@ def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> li
         if found.role is not None:
             parts: list[tuple[Role | None, int | None, int | None]] = [(None, None, None)]
         elif len(files) > 1:
-            parts = [(Role.VALIDATION if at >= len(files) - held_out else Role.ADAPTATION, None, None)]
+            parts = [
+                (Role.VALIDATION if at >= len(files) - held_out else Role.ADAPTATION, None, None)
+            ]
         else:
             first, last = chosen.observed.first_ns, chosen.observed.last_ns
             cut = last - int(HELD_OUT * (last - first))
@@ -137,17 +178,38 @@ def tell(made: Made) -> None:
             (
                 "episodes",
                 ", ".join(f"{count} {role}" for role, count in made.roles.items()),
-                "roles as recorded" if made.declared else "the last of what was recorded is held out",
+                "roles as recorded"
+                if made.declared
+                else "the last of what was recorded is held out",
             ),
-            ("observed", chosen.observed.topic, f"{', '.join(chosen.observed.fields)} of {chosen.joint or 'the first joint'}"),
-            ("commanded", chosen.commanded.topic, f"{chosen.command_field}, within {limits[0]:g} and {limits[1]:g} so far"),
-            ("step", f"{1e3 * nominal['timestep_s']:g} ms", f"rollouts over {document['evaluation']['horizon_s']:g} s"),
+            (
+                "observed",
+                chosen.observed.topic,
+                f"{', '.join(chosen.observed.fields)} of {chosen.joint or 'the first joint'}",
+            ),
+            (
+                "commanded",
+                chosen.commanded.topic,
+                f"{chosen.command_field}, within {limits[0]:g} and {limits[1]:g} so far",
+            ),
+            (
+                "step",
+                f"{1e3 * nominal['timestep_s']:g} ms",
+                f"rollouts over {document['evaluation']['horizon_s']:g} s",
+            ),
             (
                 "first model",
                 nominal["family"],
-                f"{numbers}: identified here, without friction or delay; a start, which a diagnosis corrects",
+                (
+                    f"{numbers}: identified here, without friction or delay; a start, which "
+                    "a diagnosis corrects"
+                ),
             ),
             ("units", "rad, rad/s, N·m", "assumed; correct them where they are others"),
-            ("stage", stage, "assumed: recorded on a machine" if stage == "physical" else "as given"),
+            (
+                "stage",
+                stage,
+                "assumed: recorded on a machine" if stage == "physical" else "as given",
+            ),
         ],
     )

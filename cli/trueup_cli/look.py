@@ -20,8 +20,13 @@ from trueup_client import Client
 def look(
     plant: PlantName | None = None,
     *,
-    data: Annotated[ExistingDirectory | None, Parameter(help="Serve this data folder until Ctrl-C, and look at that")] = None,
-    browser: Annotated[bool, Parameter(help="Open a browser; else the link is printed alone")] = True,
+    data: Annotated[
+        ExistingDirectory | None,
+        Parameter(help="Serve this data folder until Ctrl-C, and look at that"),
+    ] = None,
+    browser: Annotated[
+        bool, Parameter(help="Open a browser; else the link is printed alone")
+    ] = True,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
@@ -49,7 +54,9 @@ def _open(url: str, plant: str | None, *, browser: bool, as_json_: bool) -> None
     client.whoami()
     to = _best_page(client, plant)
     token = token_for(url)
-    link = f"{url}/sign-in?{urlencode({'next': to})}" + (f"#token={quote(token, safe='')}" if token else "")
+    link = f"{url}/sign-in?{urlencode({'next': to})}" + (
+        f"#token={quote(token, safe='')}" if token else ""
+    )
     as_json({"url": link, "page": to}) if as_json_ else say("{}", link)
     if browser:
         webbrowser.open(link)

@@ -21,14 +21,24 @@ LATEST = 12  # episodes in the table
 def calibrate(
     plant: PlantName,
     *,
-    promise_h: Annotated[float, Parameter(help="Operating hours in which one false alarm is allowed, of all joints together")] = 100.0,
+    promise_h: Annotated[
+        float,
+        Parameter(
+            help="Operating hours in which one false alarm is allowed, of all joints together"
+        ),
+    ] = 100.0,
     detectors: Annotated[str | None, Parameter(help="Comma-separated; default: all")] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Calibrate a monitor of what serves, on the plant's reference episodes; from then on it watches."""
+    """Calibrate a monitor of what serves, on the plant's reference episodes; from then on it
+    watches."""
     client = connect(url)
-    request: dict[str, Any] = {"kind": "calibrate", "promise_h": promise_h, **({"detectors": detectors.split(",")} if detectors else {})}
+    request: dict[str, Any] = {
+        "kind": "calibrate",
+        "promise_h": promise_h,
+        **({"detectors": detectors.split(",")} if detectors else {}),
+    }
     found = run_job(client, plant, request, "calibrate")
     if as_json_:
         as_json(found)
@@ -45,25 +55,60 @@ def show_calibration(document: dict[str, Any]) -> None:
         f = of[d["detector"]]
         low, high = f["alarms_per_h_ci95"]
         said = f"{f['alarms_per_h']:.3g} [{low:.3g}, {high:.3g}]"
-        rows.append((d["detector"], d["level"], f"{f['promised_per_h']:.3g}", said, f"{f['exceedance']:.4f}", _delays(f["delays"])))
-    table("Monitor", ["detector", "level", "promised/h", "held out/h", "exceedance", "drifts found, median delay"], rows)
+        rows.append(
+            (
+                d["detector"],
+                d["level"],
+                f"{f['promised_per_h']:.3g}",
+                said,
+                f"{f['exceedance']:.4f}",
+                _delays(f["delays"]),
+            )
+        )
+    table(
+        "Monitor",
+        [
+            "detector",
+            "level",
+            "promised/h",
+            "held out/h",
+            "exceedance",
+            "drifts found, median delay",
+        ],
+        rows,
+    )
     hours = document["figures"]["reference_h"]
     promise_h = document["promise_h"]
-    say("reference: {:.2f} h; one false alarm in {:g} h is promised, of all detectors and joints together", hours, promise_h)
+    say(
+        (
+            "reference: {:.2f} h; one false alarm in {:g} h is promised, of all detectors and "
+            "joints together"
+        ),
+        hours,
+        promise_h,
+    )
     if not document["figures"]["promise_shown"]:
-        say("[yellow]The reference is shorter than the promise: the levels rest on what is assumed of the tail.[/]")
+        say(
+            "[yellow]The reference is shorter than the promise: the levels rest on what is "
+            "assumed of the tail.[/]"
+        )
     for d in document["detectors"]:
         say("[dim]{}: {}[/]", d["detector"], d["rests_on"])
 
 
 def _delays(delays: dict[str, Any]) -> str:
-    return "; ".join(f"{100 * d['found']:.0f} %" + (f", {d['median_s']:.0f} s" if d["median_s"] else "") for d in delays.values())
+    return "; ".join(
+        f"{100 * d['found']:.0f} %" + (f", {d['median_s']:.0f} s" if d["median_s"] else "")
+        for d in delays.values()
+    )
 
 
 def monitor(
     plant: PlantName,
     *,
-    picture: Annotated[Path | None, Parameter(help="Write what the monitor saw as an SVG file")] = None,
+    picture: Annotated[
+        Path | None, Parameter(help="Write what the monitor saw as an SVG file")
+    ] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
@@ -81,7 +126,10 @@ def monitor(
     watches = [w for w in watches if "channels" in w["seen"]]
     if watches:
         names = list(watches[0]["seen"]["channels"])
-        rows = [(w["sequence"], w["episode"][:12], moment(w["at"]), *_row(w["seen"], names)) for w in watches[-LATEST:]]
+        rows = [
+            (w["sequence"], w["episode"][:12], moment(w["at"]), *_row(w["seen"], names))
+            for w in watches[-LATEST:]
+        ]
         table("", ["", "episode", "seen", *(f"{n} error" for n in names), "alarms"], rows)
     if state["alarm"]:
         show_alarm(state["alarm"])
@@ -92,7 +140,12 @@ def _draw(client: Client, plant: str, to: Path) -> None:
 
     monitors = reversed(list(client.monitors(plant)))
     found = [
-        Watched(client.artifact(plant, m["artifact"])["version"], m["document"], list(client.watches(plant, m["digest"]))) for m in monitors
+        Watched(
+            client.artifact(plant, m["artifact"])["version"],
+            m["document"],
+            list(client.watches(plant, m["digest"])),
+        )
+        for m in monitors
     ]
     if any("channels" in one["seen"] for w in found for one in w.watches):
         to.write_text(watch_picture(plant, found))
@@ -101,7 +154,9 @@ def _draw(client: Client, plant: str, to: Path) -> None:
 
 
 def _row(seen: dict[str, Any], names: list[str]) -> tuple[object, ...]:
-    return *(round(seen["channels"][n]["rms"], 2) for n in names), "; ".join(f"{d}: {a['leading']}" for d, a in seen["alarms"].items())
+    return *(round(seen["channels"][n]["rms"], 2) for n in names), "; ".join(
+        f"{d}: {a['leading']}" for d, a in seen["alarms"].items()
+    )
 
 
 def alarms(
@@ -114,7 +169,11 @@ def alarms(
 ) -> None:
     """List a plant's alarms, or close one."""
     client: Client = connect(url)
-    found = [client.close_alarm(plant, close, because or "no reason was given")] if close is not None else list(client.alarms(plant))
+    found = (
+        [client.close_alarm(plant, close, because or "no reason was given")]
+        if close is not None
+        else list(client.alarms(plant))
+    )
     if as_json_:
         as_json(found)
         return
@@ -136,18 +195,40 @@ def policy(
     Parameters
     ----------
     file
-        policy as JSON: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h, reference_episodes, validate_every_h
+        policy as JSON: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h,
+        reference_episodes, validate_every_h
     """
     client = connect(url)
-    found = _policy(client, plant) if file is None else client.declare_policy(plant, read_json(file, BadPolicy))
+    found = (
+        _policy(client, plant)
+        if file is None
+        else client.declare_policy(plant, read_json(file, BadPolicy))
+    )
     if as_json_:
         as_json(found)
         return
     if found is None:
-        say("{} has no policy: every step is a person's. Declare one with [bold]trueup policy {} FILE[/].", plant, plant)
+        say(
+            (
+                "{} has no policy: every step is a person's. Declare one with [bold]trueup "
+                "policy {} FILE[/]."
+            ),
+            plant,
+            plant,
+        )
         return
-    say("policy [bold]{}[/], the {}. of {}, since {}", found["digest"], found["sequence"], plant, moment(found["created_at"]))
-    table("", ["", ""], [(name, value) for name, value in found["document"].items() if name != "schema"])
+    say(
+        "policy [bold]{}[/], the {}. of {}, since {}",
+        found["digest"],
+        found["sequence"],
+        plant,
+        moment(found["created_at"]),
+    )
+    table(
+        "",
+        ["", ""],
+        [(name, value) for name, value in found["document"].items() if name != "schema"],
+    )
 
 
 def _policy(client: Client, plant: str) -> Policy | None:
@@ -163,7 +244,12 @@ def _policy(client: Client, plant: str) -> Policy | None:
 def show_alarm(alarm: Alarm) -> None:
     """Print what changed, and what came of it."""
     if alarm["closed_at"]:
-        say("alarm [bold]{}[/] {}, closed: {}", alarm["id"], moment(alarm["raised_at"]), alarm["closed_because"])
+        say(
+            "alarm [bold]{}[/] {}, closed: {}",
+            alarm["id"],
+            moment(alarm["raised_at"]),
+            alarm["closed_because"],
+        )
     else:
         say("alarm [bold]{}[/] {}, [bold red]open[/]", alarm["id"], moment(alarm["raised_at"]))
     for name, at in alarm["document"]["detectors"].items():
@@ -173,4 +259,7 @@ def show_alarm(alarm: Alarm) -> None:
     if alarm["job"]:
         say("  diagnosis: job {}", alarm["job"])
     else:
-        say("  no diagnosis yet: upload an adaptation and a validation episode recorded since the change began")
+        say(
+            "  no diagnosis yet: upload an adaptation and a validation episode recorded "
+            "since the change began"
+        )

@@ -21,17 +21,22 @@ from trueup_client import Client, Witness
 from trueup_client.problem import ClientError
 
 Url = Annotated[str, Parameter(name="--url", env_var="TRUEUP_URL", help="Address of the service")]
-Seed = Annotated[int, Parameter(help="Of what is drawn by lot: the same seed gives the same answer")]
+Seed = Annotated[
+    int, Parameter(help="Of what is drawn by lot: the same seed gives the same answer")
+]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
 DEFAULT_URL = "http://127.0.0.1:8321"
-NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")  # what a service may call a plant: nothing else goes into a shell
+NAME = re.compile(
+    r"[a-z0-9][a-z0-9_-]{0,62}"
+)  # what a service may call a plant: nothing else goes into a shell
 COMPLETED, COMPLETION_LIMIT_S = 500, 1.0
 UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 def read_json(file: Path, kind: type[TrueupError]) -> Any:
-    """A file's JSON. Raises an error of that kind where it is none, OSError where there is no file."""
+    """A file's JSON. Raises an error of that kind where it is none, OSError where there is no
+    file."""
     try:
         return json.loads(file.read_text())
     except ValueError as error:
@@ -43,7 +48,11 @@ def plants_there(_: object) -> list[str]:
     url = os.environ.get("TRUEUP_URL", DEFAULT_URL)
     try:
         with Client(url, timeout_s=COMPLETION_LIMIT_S, token=token_for(url)) as client:
-            return [name for plant in islice(client.plants(), COMPLETED) if NAME.fullmatch(name := str(plant["name"]))]
+            return [
+                name
+                for plant in islice(client.plants(), COMPLETED)
+                if NAME.fullmatch(name := str(plant["name"]))
+            ]
     except (ClientError, OSError):
         return []
 
@@ -52,7 +61,8 @@ PlantName = Annotated[str, Parameter(completer=plants_there, help="Name of the p
 
 
 def seen(url: str) -> tuple[Client, Witness]:
-    """The same, once the log was seen to extend what this user saw of it before, and who saw it. Raises NotSigned, Rewritten."""
+    """The same, once the log was seen to extend what this user saw of it before, and who saw it.
+    Raises NotSigned, Rewritten."""
     client, pinned = connect(url), os.environ.get("TRUEUP_LOG_KEY")
     witness = Witness(witness_file(url), pinned)
     try:
@@ -60,14 +70,19 @@ def seen(url: str) -> tuple[Client, Witness]:
     except OSError as error:
         if error.errno not in UNWRITABLE:
             raise
-        say("[dim]{} cannot be written: what is seen of the log is not kept[/]", witness_file(url), to=err)
+        say(
+            "[dim]{} cannot be written: what is seen of the log is not kept[/]",
+            witness_file(url),
+            to=err,
+        )
         witness = Passing(witness_file(url), pinned)
         client.witness(witness)
     return client, witness
 
 
 class Passing(Witness):
-    """A witness that forgets what it saw: where nothing can be written it still holds the log against what was seen before."""
+    """A witness that forgets what it saw: where nothing can be written it still holds the log
+    against what was seen before."""
 
     def _keep(self) -> None:
         pass
@@ -86,11 +101,16 @@ def witness_file(url: str) -> Path:
 
 def connect(url: str) -> Client:
     """A client whose changes are signed user@host, or TRUEUP_ACTOR."""
-    return Client(url, actor=os.environ.get("TRUEUP_ACTOR") or f"{getpass.getuser()}@{socket.gethostname()}", token=token_for(url))
+    return Client(
+        url,
+        actor=os.environ.get("TRUEUP_ACTOR") or f"{getpass.getuser()}@{socket.gethostname()}",
+        token=token_for(url),
+    )
 
 
 def token_for(url: str) -> str | None:
-    """TRUEUP_TOKEN, else what `trueup login` kept for this address, else on this machine the token of the first start."""
+    """TRUEUP_TOKEN, else what `trueup login` kept for this address, else on this machine the token
+    of the first start."""
     given = os.environ.get("TRUEUP_TOKEN")
     if given:
         return given

@@ -16,7 +16,8 @@ app = App(name="plant", help="Register and look at plants.", help_epilogue=told(
 
 @app.command
 def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Register the plant that a plant.json describes, or a case folder's; an MJCF that it names is read from beside it.
+    """Register the plant that a plant.json describes, or a case folder's; an MJCF that it names is
+    read from beside it.
 
     Parameters
     ----------
@@ -26,8 +27,12 @@ def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> N
     from trueup.model.mjcf import resolved
 
     description = file / "plant.json" if file.is_dir() else file
-    found = connect(url).register_plant(resolved(read_json(description, BadPlant), description.parent))
-    as_json(found) if as_json_ else say("plant [bold]{}[/] is registered as {}", found["name"], found["digest"][:12])
+    found = connect(url).register_plant(
+        resolved(read_json(description, BadPlant), description.parent)
+    )
+    as_json(found) if as_json_ else say(
+        "plant [bold]{}[/] is registered as {}", found["name"], found["digest"][:12]
+    )
 
 
 @app.command
@@ -40,12 +45,26 @@ def show(name: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
     declared = found["document"]
     nominal = declared["nominal"]
     channels = [
-        (kind, c["name"], c.get("unit"), c.get("joint"), " to ".join(f"{x:g}" for x in c.get("limits", ())))
+        (
+            kind,
+            c["name"],
+            c.get("unit"),
+            c.get("joint"),
+            " to ".join(f"{x:g}" for x in c.get("limits", ())),
+        )
         for kind in ("commands", "observations")
         for c in declared[kind]
     ]
-    model = nominal.get("mjcf") or f"{nominal['family']}, " + ", ".join(f"{k} = {v:g}" for k, v in nominal["parameters"].items())
-    say("[bold]{}[/] {}, registered {} by {}", found["name"], found["digest"][:12], moment(found["created_at"]), found["created_by"])
+    model = nominal.get("mjcf") or f"{nominal['family']}, " + ", ".join(
+        f"{k} = {v:g}" for k, v in nominal["parameters"].items()
+    )
+    say(
+        "[bold]{}[/] {}, registered {} by {}",
+        found["name"],
+        found["digest"][:12],
+        moment(found["created_at"]),
+        found["created_by"],
+    )
     say("{}; a step of {:g} ms", model, 1e3 * nominal["timestep_s"])
     table("", ["", "channel", "unit", "joint", "limits"], channels)
 
@@ -57,5 +76,13 @@ def list_(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     as_json(found) if as_json_ else table(
         "Plants",
         ["name", "model", "registered", "by"],
-        [(p["name"], p["document"]["nominal"].get("family", "mjcf"), p["created_at"], p["created_by"]) for p in found],
+        [
+            (
+                p["name"],
+                p["document"]["nominal"].get("family", "mjcf"),
+                p["created_at"],
+                p["created_by"],
+            )
+            for p in found
+        ],
     )

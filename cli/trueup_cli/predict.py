@@ -23,7 +23,9 @@ def predict(
     episode: Path,
     horizon: float,
     out: Path,
-    nominal: Annotated[bool, Parameter(negative=(), help="Predict with the uncorrected nominal model")] = False,
+    nominal: Annotated[
+        bool, Parameter(negative=(), help="Predict with the uncorrected nominal model")
+    ] = False,
     as_json_: Json = False,
 ) -> None:
     """Predict an episode and write one CSV row for each of its samples.
@@ -49,9 +51,17 @@ def predict(
     rms = np.sqrt(np.nanmean((predicted - recorded.observations) ** 2, axis=0))
     channels = predictor.plant.layout.observations
     if as_json_:
-        as_json({"file": str(out), "samples": len(predicted), "rms": {c.name: float(x) for c, x in zip(channels, rms, strict=True)}})
+        as_json(
+            {
+                "file": str(out),
+                "samples": len(predicted),
+                "rms": {c.name: float(x) for c, x in zip(channels, rms, strict=True)},
+            }
+        )
         return
-    said = ", ".join(f"{c.name} {x:.3g} {c.unit}".rstrip() for c, x in zip(channels, rms, strict=True))
+    said = ", ".join(
+        f"{c.name} {x:.3g} {c.unit}".rstrip() for c, x in zip(channels, rms, strict=True)
+    )
     say("{}: {} samples; RMS error {}", out, len(predicted), said)
 
 
@@ -60,4 +70,7 @@ def write_csv(to: Path, predictor: Predictor, episode: Episode, predicted: np.nd
     with to.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["t", *(c.name for c in predictor.plant.layout.observations)])
-        writer.writerows([repr(float(t)), *(repr(float(x)) for x in row)] for t, row in zip(episode.t_s, predicted, strict=True))
+        writer.writerows(
+            [repr(float(t)), *(repr(float(x)) for x in row)]
+            for t, row in zip(episode.t_s, predicted, strict=True)
+        )

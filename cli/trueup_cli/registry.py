@@ -31,7 +31,11 @@ def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Jso
     """
     client, paths = connect(url), [path for file in files for path in _recordings(file)]
     if not paths:
-        raise NotAnEpisode("nothing to upload was named", rule="samples", hint="Name MCAP files, or folders that hold some.")
+        raise NotAnEpisode(
+            "nothing to upload was named",
+            rule="samples",
+            hint="Name MCAP files, or folders that hold some.",
+        )
     found = []
     for path in paths:
         with progress(f"upload {path.name}") as bar:
@@ -43,16 +47,29 @@ def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Jso
     if as_json_:
         as_json(found)
     else:
-        warned = Counter(warning for episode in found for warning in episode["summary"].get("collection", {}).get("warnings", []))
+        warned = Counter(
+            warning
+            for episode in found
+            for warning in episode["summary"].get("collection", {}).get("warnings", [])
+        )
         for warning, times in warned.items():
             say("[yellow]{} of {} episodes[/]: {}", times, len(found), warning)
         if warned:
-            say("[dim]A recording declares in its metadata record `episode`, a plant in plant.json: docs/plant.md.[/]")
+            say(
+                "[dim]A recording declares in its metadata record `episode`, a plant in "
+                "plant.json: docs/plant.md.[/]"
+            )
         table(
             "Episodes",
             ["file", "digest", "role", "samples", "seconds"],
             [
-                (p.name, e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"])
+                (
+                    p.name,
+                    e["digest"][:12],
+                    e["role"],
+                    e["summary"]["samples"],
+                    e["summary"]["duration_s"],
+                )
                 for p, e in zip(paths, found, strict=True)
             ],
         )
@@ -64,7 +81,11 @@ def _recordings(path: Path) -> list[Path]:
         return [path]
     found = sorted(path.glob("*.mcap"))
     if not found:
-        raise NotAnEpisode(f"{path} holds no *.mcap", rule="samples", hint="Name MCAP files, or folders that hold some.")
+        raise NotAnEpisode(
+            f"{path} holds no *.mcap",
+            rule="samples",
+            hint="Name MCAP files, or folders that hold some.",
+        )
     return found
 
 
@@ -76,20 +97,30 @@ def fit(
     plant: PlantName,
     *,
     method: Annotated[
-        Literal["identify", "residual"], Parameter(help="New numbers in the nominal form, or what it misses as a map of features")
+        Literal["identify", "residual"],
+        Parameter(help="New numbers in the nominal form, or what it misses as a map of features"),
     ] = "identify",
-    features: Annotated[str | None, Parameter(help="residual only: comma-separated, such as 1,v,u,sign(v),abs(v)")] = None,
+    features: Annotated[
+        str | None, Parameter(help="residual only: comma-separated, such as 1,v,u,sign(v),abs(v)")
+    ] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
     """Fit a candidate from the plant's adaptation episodes."""
-    request: dict[str, Any] = {"kind": "fit", "method": method, **({"features": features.split(",")} if features else {})}
+    request: dict[str, Any] = {
+        "kind": "fit",
+        "method": method,
+        **({"features": features.split(",")} if features else {}),
+    }
     found = run_job(connect(url), plant, request, f"fit {method}")
     as_json(found) if as_json_ else say("candidate [bold]{}[/]", result_of(found)["artifact"])
 
 
-def diagnosis(plant: PlantName, *, seed: Seed = 0, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Diagnose a plant's gap from its uploaded episodes; the corrected model becomes a candidate."""
+def diagnosis(
+    plant: PlantName, *, seed: Seed = 0, url: Url = DEFAULT_URL, as_json_: Json = False
+) -> None:
+    """Diagnose a plant's gap from its uploaded episodes; the corrected model becomes a
+    candidate."""
     found = run_job(connect(url), plant, {"kind": "diagnose", "seed": seed}, "diagnose")
     if as_json_:
         as_json(found)
@@ -104,21 +135,38 @@ def gate(
     candidate: str,
     *,
     rules: Annotated[
-        Path | None, Parameter(help="Gate as JSON; the plant's gate in force if none is given, or where there is none the default")
+        Path | None,
+        Parameter(
+            help=(
+                "Gate as JSON; the plant's gate in force if none is given, or where there "
+                "is none the default"
+            )
+        ),
     ] = None,
-    because: Annotated[str | None, Parameter(help="Why these rules take the place of the gate in force")] = None,
-    vacuous: Annotated[bool, Parameter(negative=(), help="Declare it though it cannot reject; takes --because")] = False,
+    because: Annotated[
+        str | None, Parameter(help="Why these rules take the place of the gate in force")
+    ] = None,
+    vacuous: Annotated[
+        bool, Parameter(negative=(), help="Declare it though it cannot reject; takes --because")
+    ] = False,
     scales: Annotated[
-        bool, Parameter(negative=(), help="Also say how the verdict moves when each channel's reporting scale is halved and doubled")
+        bool,
+        Parameter(
+            negative=(),
+            help=(
+                "Also say how the verdict moves when each channel's reporting scale is "
+                "halved and doubled"
+            ),
+        ),
     ] = False,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
     """Declare a gate, then judge a candidate by it against what serves.
 
-    The default gate asks for rollouts below 0.98 of the incumbent's error and for one step no worse, over every window of the plant's
-    horizon in every held-out episode. Once a candidate has been judged, other rules take --because, and every decision by them tells what
-    was known.
+    The default gate asks for rollouts below 0.98 of the incumbent's error and for one step no
+    worse, over every window of the plant's horizon in every held-out episode. Once a candidate has
+    been judged, other rules take --because, and every decision by them tells what was known.
 
     Parameters
     ----------
@@ -127,7 +175,10 @@ def gate(
     """
     client = connect(url)
     document = None if rules is None else read_json(rules, BadGate)
-    declared = client.declare_gate(plant, None if document is None else _in_line(client, plant, document, because, vacuous=vacuous))
+    declared = client.declare_gate(
+        plant,
+        None if document is None else _in_line(client, plant, document, because, vacuous=vacuous),
+    )
     request = {
         "kind": "gate",
         "candidate": whole_artifact(client, plant, candidate),
@@ -144,8 +195,11 @@ def gate(
         _show_scales(decision, result["scales"])
 
 
-def _in_line(client: Client, plant: str, document: Any, because: str | None, *, vacuous: bool) -> Any:
-    """A gate as it is declared: what is in force already stays, other rules follow it with their reason."""
+def _in_line(
+    client: Client, plant: str, document: Any, because: str | None, *, vacuous: bool
+) -> Any:
+    """A gate as it is declared: what is in force already stays, other rules follow it with their
+    reason."""
     if not isinstance(document, dict):
         return document
     given = {**document, **({"vacuous": True} if vacuous else {})}
@@ -174,9 +228,16 @@ def _show_scales(decision: Decision, found: list[dict[str, Any]]) -> None:
     table(
         "With each reporting scale halved and doubled",
         ["channel", "scale", "accepted", *(v["rule"] for v in decision["document"]["verdicts"])],
-        [(f["channel"], f"× {f['factor']:g}", f["accepted"], *(_ratio(v) for v in f["verdicts"])) for f in found],
+        [
+            (f["channel"], f"× {f['factor']:g}", f["accepted"], *(_ratio(v) for v in f["verdicts"]))
+            for f in found
+        ],
     )
-    word = f"the verdict hangs on the scale of {' and '.join(dict.fromkeys(moved))}" if moved else "no scale moves the verdict"
+    word = (
+        f"the verdict hangs on the scale of {' and '.join(dict.fromkeys(moved))}"
+        if moved
+        else "no scale moves the verdict"
+    )
     say("{}", word)
 
 
@@ -185,7 +246,11 @@ def _ratio(verdict: dict[str, Any]) -> str:
     if verdict.get("ratio") is None:
         return ""
     interval = verdict["ci95"]
-    return f"{verdict['ratio']:.3g}" if interval is None else f"{verdict['ratio']:.3g} [{interval[0]:.3g}, {interval[1]:.3g}]"
+    return (
+        f"{verdict['ratio']:.3g}"
+        if interval is None
+        else f"{verdict['ratio']:.3g} [{interval[0]:.3g}, {interval[1]:.3g}]"
+    )
 
 
 def versions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
@@ -195,7 +260,14 @@ def versions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False
         "",
         ["version", "artifact", "kind", "made by", "added (UTC)", "by"],
         [
-            (a["version"], a["digest"][:12], a["kind"], "a job" if a["job"] else "hand", moment(a["created_at"]), a["created_by"])
+            (
+                a["version"],
+                a["digest"][:12],
+                a["kind"],
+                "a job" if a["job"] else "hand",
+                moment(a["created_at"]),
+                a["created_by"],
+            )
             for a in found
         ],
     )
@@ -208,7 +280,14 @@ def decisions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = Fals
         "",
         ["decision", "candidate", "accepted", "against", "gate", "decided (UTC)"],
         [
-            (d["digest"][:12], d["candidate"][:12], d["accepted"], d["incumbent"][:12], d["gate"][:12], moment(d["created_at"]))
+            (
+                d["digest"][:12],
+                d["candidate"][:12],
+                d["accepted"],
+                d["incumbent"][:12],
+                d["gate"][:12],
+                moment(d["created_at"]),
+            )
             for d in found
         ],
     )
@@ -232,7 +311,8 @@ def result_of(job: JobWithReads) -> dict[str, Any]:
 
 
 def show_decision(decision: Decision, gate: GateInLine) -> None:
-    """Print a decision with every verdict, what it was judged on, and what was known when its gate was declared."""
+    """Print a decision with every verdict, what it was judged on, and what was known when its gate
+    was declared."""
     say(
         "[bold green]accepted[/]: decision [bold]{}[/] at generation {}"
         if decision["accepted"]
@@ -244,7 +324,10 @@ def show_decision(decision: Decision, gate: GateInLine) -> None:
     windows = "every window" if scoring["windows"] == "every" else "the first window alone"
     held_out = f"{episodes} held-out episode{'s' * (episodes != 1)}"
     say(
-        "[dim]on {} of {:g} s in {}, against {}; errors in units of the channels' declared scales[/]",
+        (
+            "[dim]on {} of {:g} s in {}, against {}; errors in units of the channels' declared "
+            "scales[/]"
+        ),
         windows,
         scoring["horizon_s"],
         held_out,
@@ -253,11 +336,18 @@ def show_decision(decision: Decision, gate: GateInLine) -> None:
     table(
         "",
         ["rule", "passed", "value", "threshold", "ratio [95 %]"],
-        [(v["rule"], v["passed"], v["value"], v["threshold"], _ratio(v)) for v in decision["document"]["verdicts"]],
+        [
+            (v["rule"], v["passed"], v["value"], v["threshold"], _ratio(v))
+            for v in decision["document"]["verdicts"]
+        ],
     )
     uses = decision["document"].get("uses")
     if uses:
-        say("[dim]held-out episodes used {} of {} times[/]", _span(uses), budget_of(gate["document"]))
+        say(
+            "[dim]held-out episodes used {} of {} times[/]",
+            _span(uses),
+            budget_of(gate["document"]),
+        )
     if decision["disclosure"]:
         say("{}", decision["disclosure"])
     if "because" in gate["document"]:

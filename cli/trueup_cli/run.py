@@ -19,9 +19,13 @@ RESTART_PAUSE_S = 1.0
 
 
 def serve(
-    *, host: str | None = None, port: int | None = None, worker: Annotated[bool, Parameter(help="Run a worker beside the server")] = True
+    *,
+    host: str | None = None,
+    port: int | None = None,
+    worker: Annotated[bool, Parameter(help="Run a worker beside the server")] = True,
 ) -> None:
-    """Serve on embedded storage, or on what TRUEUP_DATABASE_URL and TRUEUP_S3_BUCKET name, with a worker beside.
+    """Serve on embedded storage, or on what TRUEUP_DATABASE_URL and TRUEUP_S3_BUCKET name, with a
+    worker beside.
 
     Parameters
     ----------
@@ -44,11 +48,19 @@ def serve(
     parts = build(settings)
     made = first_admin(settings, parts.database)
     if made is not None:
-        say("An admin's token was made; it is in {}, which the command beside it reads.", made, to=err)
+        say(
+            "An admin's token was made; it is in {}, which the command beside it reads.",
+            made,
+            to=err,
+        )
     listening = listen(settings.host, settings.port if port is None else port)
     address = listening.getsockname()
     logging.getLogger("trueup").info(
-        "listening", extra={"url": f"http://{address[0]}:{address[1]}", "data_dir": str(settings.data_dir.absolute())}
+        "listening",
+        extra={
+            "url": f"http://{address[0]}:{address[1]}",
+            "data_dir": str(settings.data_dir.absolute()),
+        },
     )
     beside = _Beside() if worker else None
     try:
@@ -59,7 +71,8 @@ def serve(
 
 
 class _Beside:
-    """A worker as a child, started again when it dies; it ends with us, for it watches the pipe that we hold."""
+    """A worker as a child, started again when it dies; it ends with us, for it watches the pipe
+    that we hold."""
 
     def __init__(self) -> None:
         self._stopping = threading.Event()
@@ -70,7 +83,9 @@ class _Beside:
     def _keep(self) -> None:
         while not self._stopping.is_set():
             command = [sys.executable, "-m", "trueup_cli.main", "work", "--with-parent"]
-            self._child = subprocess.Popen(command, stdin=subprocess.PIPE, env=_without_secrets(os.environ))
+            self._child = subprocess.Popen(
+                command, stdin=subprocess.PIPE, env=_without_secrets(os.environ)
+            )
             self._child.wait()
             self._stopping.wait(RESTART_PAUSE_S)
 
@@ -85,11 +100,17 @@ SERVERS_ALONE = ("TRUEUP_SIGNING_KEY", "TRUEUP_SIGNING_KEY_BEFORE", "TRUEUP_ADMI
 
 
 def _without_secrets(environment: Mapping[str, str]) -> dict[str, str]:
-    """An environment without the log's key and an admin's token: a worker reads what others wrote, and needs neither."""
+    """An environment without the log's key and an admin's token: a worker reads what others wrote,
+    and needs neither."""
     return {name: value for name, value in environment.items() if name not in SERVERS_ALONE}
 
 
-def work(*, with_parent: Annotated[bool, Parameter(help="End when standard input closes", negative=())] = False) -> None:
+def work(
+    *,
+    with_parent: Annotated[
+        bool, Parameter(help="End when standard input closes", negative=())
+    ] = False,
+) -> None:
     """Run one worker: it takes jobs from the queue, and takes over those of workers that died."""
     from trueup_service.logs import configure_logs
     from trueup_service.settings import Settings
@@ -100,12 +121,15 @@ def work(*, with_parent: Annotated[bool, Parameter(help="End when standard input
     settings = Settings()
     configure_logs(settings.log_level)
     if held:
-        logging.getLogger("trueup.worker").warning("a worker needs no such secret: give it to servers alone", extra={"settings": held})
+        logging.getLogger("trueup.worker").warning(
+            "a worker needs no such secret: give it to servers alone", extra={"settings": held}
+        )
     run(build(settings), with_parent=with_parent)
 
 
 def migrate(*, as_json_: Json = False) -> None:
-    """Bring the database's schema up to date, the registry's and the job engine's; servers do it when they start."""
+    """Bring the database's schema up to date, the registry's and the job engine's; servers do it
+    when they start."""
     from trueup_migrations import HEAD
     from trueup_service.jobs import migrate_engine
     from trueup_service.settings import Settings
@@ -119,7 +143,8 @@ def migrate(*, as_json_: Json = False) -> None:
 
 
 def kernels(*, as_json_: Json = False) -> None:
-    """Compile the rollout kernels into the cache, so that the first rollout is as quick as the others."""
+    """Compile the rollout kernels into the cache, so that the first rollout is as quick as the
+    others."""
     from trueup.fit.rollout_fit import warm
     from trueup.model.family_kernel import compile_all
 
@@ -130,7 +155,8 @@ def kernels(*, as_json_: Json = False) -> None:
 
 
 def keygen(name: str, *, as_json_: Json = False) -> None:
-    """Make a signing key: set the first line as TRUEUP_SIGNING_KEY on every server, and give the second to robots and auditors.
+    """Make a signing key: set the first line as TRUEUP_SIGNING_KEY on every server, and give the
+    second to robots and auditors.
 
     Parameters
     ----------

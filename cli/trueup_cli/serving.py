@@ -16,7 +16,9 @@ from trueup_cli.registry import whole_artifact
 from trueup_cli.show import as_json, moment, progress, say, table
 from trueup_client import Client, Problem, Serving
 
-Generation = Annotated[int | None, Parameter(help="Refuse if the pointer is elsewhere; default: where it is now")]
+Generation = Annotated[
+    int | None, Parameter(help="Refuse if the pointer is elsewhere; default: where it is now")
+]
 
 
 def serving(
@@ -43,7 +45,14 @@ def serving(
     show_serving(found, as_json_=as_json_)
 
 
-def promote(plant: PlantName, decision: str, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def promote(
+    plant: PlantName,
+    decision: str,
+    *,
+    generation: Generation = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
     """Serve the candidate of an accepted decision.
 
     Parameters
@@ -53,13 +62,18 @@ def promote(plant: PlantName, decision: str, *, generation: Generation = None, u
     """
     client = witnessed(url)
     digest, serves = _decision(client, plant, decision), client.serving(plant)
-    if serves.decision != digest or generation is not None:  # else it was promoted before, and serves
-        serves = client.promote(plant, digest, serves.generation if generation is None else generation)
+    if (
+        serves.decision != digest or generation is not None
+    ):  # else it was promoted before, and serves
+        serves = client.promote(
+            plant, digest, serves.generation if generation is None else generation
+        )
     show_serving([serves], as_json_=as_json_)
 
 
 def _decision(client: Client, plant: str, given: str) -> str:
-    """A decision's digest by its first digits. Raises NoSuchDigest, and says so where a candidate's was given."""
+    """A decision's digest by its first digits. Raises NoSuchDigest, and says so where a candidate's
+    was given."""
     if is_digest(given):
         try:
             return client.decision(plant, given)["digest"]
@@ -71,7 +85,9 @@ def _decision(client: Client, plant: str, given: str) -> str:
         judged = next((d["digest"] for d in known if d["candidate"].startswith(given)), None)
         if judged is not None:
             hint = f"Promote its newest decision: `trueup promote {plant} {judged[:12]}`."
-            raise NoSuchDigest(f"{given[:12]} is a candidate; what is promoted is a decision on it", hint=hint)
+            raise NoSuchDigest(
+                f"{given[:12]} is a candidate; what is promoted is a decision on it", hint=hint
+            )
         if any(a["digest"].startswith(given) for a in client.artifacts(plant)):
             hint = f"Judge it first: `trueup gate {plant} {given[:12]}`."
             raise NoSuchDigest(f"{given[:12]} is a version that no gate has judged", hint=hint)
@@ -82,7 +98,9 @@ def approve(
     plant: PlantName,
     decision: str,
     *,
-    because: Annotated[str | None, Parameter(help="Why; a candidate that was rejected before takes a reason")] = None,
+    because: Annotated[
+        str | None, Parameter(help="Why; a candidate that was rejected before takes a reason")
+    ] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
@@ -101,10 +119,23 @@ def approve(
         say("approved by {}; somebody else may promote it", found["actor"])
 
 
-def rollback(plant: PlantName, *, generation: Generation = None, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
+def rollback(
+    plant: PlantName,
+    *,
+    generation: Generation = None,
+    url: Url = DEFAULT_URL,
+    as_json_: Json = False,
+) -> None:
     """Serve what served before, after its switchback test."""
     client = witnessed(url)
-    show_serving([client.roll_back(plant, client.serving(plant).generation if generation is None else generation)], as_json_=as_json_)
+    show_serving(
+        [
+            client.roll_back(
+                plant, client.serving(plant).generation if generation is None else generation
+            )
+        ],
+        as_json_=as_json_,
+    )
 
 
 def fetch(
@@ -134,5 +165,16 @@ def show_serving(found: list[Serving], *, as_json_: bool) -> None:
     if as_json_:
         as_json([asdict(s) for s in found])
     else:
-        rows = [(s.generation, s.version, s.artifact[:12], moment(s.since), s.move, s.decision and s.decision[:12], s.actor) for s in found]
+        rows = [
+            (
+                s.generation,
+                s.version,
+                s.artifact[:12],
+                moment(s.since),
+                s.move,
+                s.decision and s.decision[:12],
+                s.actor,
+            )
+            for s in found
+        ]
         table("", ["gen.", "version", "artifact", "since (UTC)", "by", "decision", "actor"], rows)

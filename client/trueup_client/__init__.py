@@ -1,4 +1,5 @@
-"""What a robot, a CI job or a script needs of trueup: ask, send, fetch, verify. The standard library alone.
+"""What a robot, a CI job or a script needs of trueup: ask, send, fetch, verify. The standard
+library alone.
 
 from trueup_client import Client
 

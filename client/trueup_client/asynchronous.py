@@ -1,4 +1,5 @@
-"""The client for an event loop: every method of `Client`, awaited, or iterated over with `async for`.
+"""The client for an event loop: every method of `Client`, awaited, or iterated over with `async
+for`.
 
     async with AsyncClient("http://127.0.0.1:8321") as client:
         serving = await client.serving("emps")
@@ -49,10 +50,12 @@ from trueup_client.witness import Witness
 
 
 class AsyncClient:
-    """Talks to one service, with at most `at_once` requests on their way; arguments as `Client` takes them.
+    """Talks to one service, with at most `at_once` requests on their way; arguments as `Client`
+    takes them.
 
-    `progress` and `confirmed` are called in the thread that asks. A call that is cancelled is broken off, and what it asked for may
-    have been done: ask, or repeat it with its key. A watch holds one of the requests for as long as it lasts.
+    `progress` and `confirmed` are called in the thread that asks. A call that is cancelled is
+    broken off, and what it asked for may have been done: ask, or repeat it with its key. A watch
+    holds one of the requests for as long as it lasts.
     """
 
     def __init__(
@@ -73,11 +76,13 @@ class AsyncClient:
         await self.close()
 
     async def close(self) -> None:
-        """Close every connection; whatever still asks, or waits for its turn, ends with Unreachable."""
+        """Close every connection; whatever still asks, or waits for its turn, ends with
+        Unreachable."""
         await self._pool.close()
 
     async def register_plant(self, document: Document, project: str | None = None) -> Plant:
-        """Register a plant by the content of its plant.json; registering it again changes nothing."""
+        """Register a plant by the content of its plant.json; registering it again changes
+        nothing."""
         return await self._pool.run(Client.register_plant, document, project)
 
     async def plant(self, name: str) -> Plant:
@@ -86,10 +91,13 @@ class AsyncClient:
     def plants(self) -> AsyncIterator[Plant]:
         return self._pool.each(Client.plants)
 
-    async def upload_episode(self, plant: str, path: str | os.PathLike[str], progress: Share = silent) -> Episode:
+    async def upload_episode(
+        self, plant: str, path: str | os.PathLike[str], progress: Share = silent
+    ) -> Episode:
         """Upload an MCAP file, streamed, with its digest; the same file again is the same episode.
 
-        A long one goes in parts: where the line breaks it goes on from what came, in this call or the next.
+        A long one goes in parts: where the line breaks it goes on from what came, in this call or
+        the next.
         """
         return await self._pool.run(Client.upload_episode, plant, path, progress)
 
@@ -122,13 +130,16 @@ class AsyncClient:
         return await self._pool.run(Client.add_artifact, plant, manifest, arrays)
 
     async def fetch(self, plant: str, digest: str, folder: str | os.PathLike[str]) -> Path:
-        """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte verified. Raises Untrue."""
+        """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte
+        verified. Raises Untrue."""
         return await self._pool.run(Client.fetch, plant, digest, folder)
 
     async def declare_gate(self, plant: str, document: Document | None = None) -> Gate:
-        """Declare a gate before anything is scored by it; without a document the one in force, or where there is none the default.
+        """Declare a gate before anything is scored by it; without a document the one in force, or
+        where there is none the default.
 
-        Once a candidate was judged, another gate names the one in force in `follows` and says why in `because`.
+        Once a candidate was judged, another gate names the one in force in `follows` and says why
+        in `because`.
         """
         return await self._pool.run(Client.declare_gate, plant, document)
 
@@ -148,9 +159,11 @@ class AsyncClient:
         return await self._pool.run(Client.gate, plant, digest)
 
     async def submit(self, plant: str, request: Document, key: str | None = None) -> Job:
-        """Submit a job, such as {"kind": "fit", "method": "identify"} or {"kind": "gate", "candidate": …, "gate": …}.
+        """Submit a job, such as {"kind": "fit", "method": "identify"} or {"kind": "gate",
+        "candidate": …, "gate": …}.
 
-        With a `key` of your own the same request is the same job, also from another process, for as long as the service remembers keys.
+        With a `key` of your own the same request is the same job, also from another process, for as
+        long as the service remembers keys.
         """
         return await self._pool.run(Client.submit, plant, request, key)
 
@@ -161,8 +174,11 @@ class AsyncClient:
     async def job(self, job: str) -> JobWithReads:
         return await self._pool.run(Client.job, job)
 
-    async def wait(self, job: str, progress: Callable[[JobWithReads], None] = lambda _: None) -> JobWithReads:
-        """The job once it is final, `progress` called with it meanwhile. Raises Problem if it failed or was cancelled."""
+    async def wait(
+        self, job: str, progress: Callable[[JobWithReads], None] = lambda _: None
+    ) -> JobWithReads:
+        """The job once it is final, `progress` called with it meanwhile. Raises Problem if it
+        failed or was cancelled."""
         return await self._pool.run(Client.wait, job, progress)
 
     async def cancel(self, job: str) -> Job:
@@ -175,7 +191,8 @@ class AsyncClient:
         return await self._pool.run(Client.decision, plant, digest)
 
     async def approve(self, plant: str, decision: str, because: str | None = None) -> Approval:
-        """Approve a decision, where a promotion takes two people; of a candidate that was rejected before it takes a reason."""
+        """Approve a decision, where a promotion takes two people; of a candidate that was rejected
+        before it takes a reason."""
         return await self._pool.run(Client.approve, plant, decision, because)
 
     async def find_decision(self, digest: str) -> Decision:
@@ -186,16 +203,24 @@ class AsyncClient:
         """What serves now."""
         return await self._pool.run(Client.serving, plant)
 
-    def watch(self, plant: str, wait_s: float = 30.0, confirmed: Callable[[], None] = lambda: None) -> AsyncIterator[Serving]:
-        """What serves now, then again at each move, for ever; each look waits up to `wait_s` [s] at the service.
+    def watch(
+        self, plant: str, wait_s: float = 30.0, confirmed: Callable[[], None] = lambda: None
+    ) -> AsyncIterator[Serving]:
+        """What serves now, then again at each move, for ever; each look waits up to `wait_s` [s] at
+        the service.
 
-        A service that is away is asked again, ever less often; the watch goes on where it was. `confirmed` is called at every answer, also
-        where nothing has changed. Raises Problem for a refusal.
+        A service that is away is asked again, ever less often; the watch goes on where it was.
+        `confirmed` is called at every answer, also where nothing has changed. Raises Problem for a
+        refusal.
         """
         return self._pool.each(Client.watch, plant, wait_s, confirmed)
 
     def watch_channel(
-        self, plant: str, channel: str, wait_s: float = 30.0, confirmed: Callable[[], None] = lambda: None
+        self,
+        plant: str,
+        channel: str,
+        wait_s: float = 30.0,
+        confirmed: Callable[[], None] = lambda: None,
     ) -> AsyncIterator[ChannelPosition]:
         """The same of a channel, which must have served something."""
         return self._pool.each(Client.watch_channel, plant, channel, wait_s, confirmed)
@@ -208,11 +233,16 @@ class AsyncClient:
         """What was live at a time: UTC, ISO 8601, ending in Z."""
         return await self._pool.run(Client.served_at, plant, at)
 
-    async def promote(self, plant: str, decision: str, expected_generation: int, key: str | None = None) -> Serving:
-        """Serve the candidate of an accepted decision, if the pointer has not moved since; once under a `key` of your own."""
+    async def promote(
+        self, plant: str, decision: str, expected_generation: int, key: str | None = None
+    ) -> Serving:
+        """Serve the candidate of an accepted decision, if the pointer has not moved since; once
+        under a `key` of your own."""
         return await self._pool.run(Client.promote, plant, decision, expected_generation, key)
 
-    async def roll_back(self, plant: str, expected_generation: int, key: str | None = None) -> Serving:
+    async def roll_back(
+        self, plant: str, expected_generation: int, key: str | None = None
+    ) -> Serving:
         """Serve what served before, after its switchback test; once under a `key` of your own."""
         return await self._pool.run(Client.roll_back, plant, expected_generation, key)
 
@@ -221,7 +251,8 @@ class AsyncClient:
         return await self._pool.run(Client.serving_envelope, plant)
 
     async def add_evidence(self, plant: str, document: Document) -> Evidence:
-        """Add what was found of an artifact at a stage: artifact, stage, passed, shows, cannot_show, figures."""
+        """Add what was found of an artifact at a stage: artifact, stage, passed, shows,
+        cannot_show, figures."""
         return await self._pool.run(Client.add_evidence, plant, document)
 
     async def evidence(self, plant: str, artifact: str) -> list[Evidence]:
@@ -239,9 +270,14 @@ class AsyncClient:
         """What a channel serves now."""
         return await self._pool.run(Client.channel_serving, plant, channel)
 
-    async def move_channel(self, plant: str, channel: str, artifact: str, expected_generation: int) -> ChannelPosition:
-        """Serve an artifact on a channel, if the channel has not moved since; its first move expects generation 0."""
-        return await self._pool.run(Client.move_channel, plant, channel, artifact, expected_generation)
+    async def move_channel(
+        self, plant: str, channel: str, artifact: str, expected_generation: int
+    ) -> ChannelPosition:
+        """Serve an artifact on a channel, if the channel has not moved since; its first move
+        expects generation 0."""
+        return await self._pool.run(
+            Client.move_channel, plant, channel, artifact, expected_generation
+        )
 
     async def declare_policy(self, plant: str, document: Document) -> Policy:
         """Declare what may happen without a person; it holds from then on."""
@@ -252,7 +288,8 @@ class AsyncClient:
         return await self._pool.run(Client.policy, plant)
 
     async def send_telemetry(self, plant: str, batch: Document) -> Episode:
-        """Send a live batch: `start_ns` as text, `t_s`, `observations` and `commands` by channel; it becomes an episode that is watched."""
+        """Send a live batch: `start_ns` as text, `t_s`, `observations` and `commands` by channel;
+        it becomes an episode that is watched."""
         return await self._pool.run(Client.send_telemetry, plant, batch)
 
     async def monitor(self, plant: str) -> MonitorState:
@@ -289,9 +326,15 @@ class AsyncClient:
         return self._pool.each(Client.projects)
 
     async def issue_token(
-        self, name: str, roles: list[str], project: str | None = None, plant: str | None = None, days: float | None = 365.0
+        self,
+        name: str,
+        roles: list[str],
+        project: str | None = None,
+        plant: str | None = None,
+        days: float | None = 365.0,
     ) -> IssuedToken:
-        """Issue a token; `token` of the answer is shown this once. Not repeated where the answer was lost: revoke it, issue another."""
+        """Issue a token; `token` of the answer is shown this once. Not repeated where the answer
+        was lost: revoke it, issue another."""
         return await self._pool.run(Client.issue_token, name, roles, project, plant, days)
 
     def tokens(self) -> AsyncIterator[Token]:

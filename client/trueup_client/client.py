@@ -63,11 +63,18 @@ def silent(_: float) -> None:
 class Client:
     """Talks to one service. Not for several threads at once: give each its own.
 
-    `url` is its address (default: TRUEUP_URL, else this machine's), `token` says who asks (default: TRUEUP_TOKEN), and `actor` stands in
-    the audit log behind the token's name. Refusals raise Problem, silence raises Unreachable.
+    `url` is its address (default: TRUEUP_URL, else this machine's), `token` says who asks (default:
+    TRUEUP_TOKEN), and `actor` stands in the audit log behind the token's name. Refusals raise
+    Problem, silence raises Unreachable.
     """
 
-    def __init__(self, url: str | None = None, actor: str | None = None, timeout_s: float = 120.0, token: str | None = None) -> None:
+    def __init__(
+        self,
+        url: str | None = None,
+        actor: str | None = None,
+        timeout_s: float = 120.0,
+        token: str | None = None,
+    ) -> None:
         address = url or os.environ.get("TRUEUP_URL") or DEFAULT_URL
         self._to = Connection(address, actor, timeout_s, token or os.environ.get("TRUEUP_TOKEN"))
 
@@ -82,7 +89,8 @@ class Client:
         self._to.close()
 
     def abort(self) -> None:
-        """Close the connection for good, from another thread: what is on its way ends with Unreachable, and nothing is asked again."""
+        """Close the connection for good, from another thread: what is on its way ends with
+        Unreachable, and nothing is asked again."""
         self._to.abort()
 
     @property
@@ -93,8 +101,11 @@ class Client:
     # -- plants and episodes
 
     def register_plant(self, document: Document, project: str | None = None) -> Plant:
-        """Register a plant by the content of its plant.json; registering it again changes nothing."""
-        return self._post(f"/v1/plants?{urlencode({'project': project})}" if project else "/v1/plants", document)
+        """Register a plant by the content of its plant.json; registering it again changes
+        nothing."""
+        return self._post(
+            f"/v1/plants?{urlencode({'project': project})}" if project else "/v1/plants", document
+        )
 
     def plant(self, name: str) -> Plant:
         return self._get(f"/v1/plants/{_name(name)}")
@@ -102,27 +113,39 @@ class Client:
     def plants(self) -> Iterator[Plant]:
         return self._pages("/v1/plants", "after")
 
-    def upload_episode(self, plant: str, path: str | os.PathLike[str], progress: Share = silent) -> Episode:
+    def upload_episode(
+        self, plant: str, path: str | os.PathLike[str], progress: Share = silent
+    ) -> Episode:
         """Upload an MCAP file, streamed, with its digest; the same file again is the same episode.
 
-        A long one goes in parts: where the line breaks it goes on from what came, in this call or the next.
+        A long one goes in parts: where the line breaks it goes on from what came, in this call or
+        the next.
         """
         digest = _digest_of(path)
         if os.path.getsize(path) > IN_PARTS_FROM_BYTES:
-            return self._upload_in_parts(f"/v1/plants/{_name(plant)}/uploads/{digest}", Path(path), progress)
+            return self._upload_in_parts(
+                f"/v1/plants/{_name(plant)}/uploads/{digest}", Path(path), progress
+            )
         headers = {
             "Content-Digest": _content_digest(digest),
             "Content-Length": str(os.path.getsize(path)),
             "Content-Type": "application/octet-stream",
             "Idempotency-Key": digest,
         }
-        return self._send("POST", f"/v1/plants/{_name(plant)}/episodes", lambda: _Watched(path, progress), headers)
+        return self._send(
+            "POST", f"/v1/plants/{_name(plant)}/episodes", lambda: _Watched(path, progress), headers
+        )
 
     def _upload_in_parts(self, path: str, file: Path, progress: Share) -> Episode:
-        """Send what is missing, then finish. Raises Unreachable once no part comes through any more."""
+        """Send what is missing, then finish. Raises Unreachable once no part comes through any
+        more."""
         size, failed = file.stat().st_size, 0
         while (offset := self._get(path)["offset_bytes"]) < size:
-            headers = {"Upload-Offset": str(offset), "Content-Length": str(size - offset), "Content-Type": "application/octet-stream"}
+            headers = {
+                "Upload-Offset": str(offset),
+                "Content-Length": str(size - offset),
+                "Content-Type": "application/octet-stream",
+            }
             try:
                 self._to.once("PATCH", path, _Watched(file, progress, offset), headers)
             except (Unreachable, Problem) as error:
@@ -137,7 +160,9 @@ class Client:
         return self._post(f"{path}/finish", None)
 
     def episodes(self, plant: str, role: str | None = None) -> Iterator[Episode]:
-        return self._pages(f"/v1/plants/{_name(plant)}/episodes", "after", **({"role": role} if role else {}))
+        return self._pages(
+            f"/v1/plants/{_name(plant)}/episodes", "after", **({"role": role} if role else {})
+        )
 
     def episode(self, plant: str, digest: str) -> EpisodeContext:
         """An episode, with what was serving while it was recorded."""
@@ -145,7 +170,9 @@ class Client:
 
     def download_episode(self, plant: str, digest: str, path: str | os.PathLike[str]) -> None:
         """Save an episode's bytes. Raises Untrue if they are not what the digest names."""
-        self._save(f"/v1/plants/{_name(plant)}/episodes/{_name(digest)}/content", digest, Path(path))
+        self._save(
+            f"/v1/plants/{_name(plant)}/episodes/{_name(digest)}/content", digest, Path(path)
+        )
 
     # -- artifacts, gates, jobs, decisions
 
@@ -158,7 +185,9 @@ class Client:
     def manifest_digest(self, plant: str, digest: str) -> str:
         """SHA-256 of the manifest that the service keeps under this digest."""
         return hashlib.sha256(
-            self._to.whole("GET", f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/manifest", lambda: None)
+            self._to.whole(
+                "GET", f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/manifest", lambda: None
+            )
         ).hexdigest()
 
     def version(self, plant: str, version: int) -> Artifact:
@@ -168,26 +197,43 @@ class Client:
         """Add a version: first its arrays under their digest, then the manifest's exact bytes."""
         if arrays:
             self._to.whole(
-                "PUT", f"/v1/blobs/{hashlib.sha256(arrays).hexdigest()}", lambda: arrays, {"Content-Type": "application/octet-stream"}
+                "PUT",
+                f"/v1/blobs/{hashlib.sha256(arrays).hexdigest()}",
+                lambda: arrays,
+                {"Content-Type": "application/octet-stream"},
             )
-        headers = {"Content-Type": "application/json", "Idempotency-Key": hashlib.sha256(manifest).hexdigest()}
+        headers = {
+            "Content-Type": "application/json",
+            "Idempotency-Key": hashlib.sha256(manifest).hexdigest(),
+        }
         return self._send("POST", f"/v1/plants/{_name(plant)}/artifacts", lambda: manifest, headers)
 
     def fetch(self, plant: str, digest: str, folder: str | os.PathLike[str]) -> Path:
-        """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte verified. Raises Untrue."""
+        """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte
+        verified. Raises Untrue."""
         to = Path(folder)
         to.mkdir(parents=True, exist_ok=True)
-        self._save(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/manifest", digest, to / "manifest.json")
+        self._save(
+            f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/manifest",
+            digest,
+            to / "manifest.json",
+        )
         (to / "arrays.safetensors").unlink(missing_ok=True)
         arrays = arrays_of(to / "manifest.json")
         if arrays is not None:
-            self._save(f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/arrays", arrays, to / "arrays.safetensors")
+            self._save(
+                f"/v1/plants/{_name(plant)}/artifacts/{_name(digest)}/arrays",
+                arrays,
+                to / "arrays.safetensors",
+            )
         return to
 
     def declare_gate(self, plant: str, document: Document | None = None) -> Gate:
-        """Declare a gate before anything is scored by it; without a document the one in force, or where there is none the default.
+        """Declare a gate before anything is scored by it; without a document the one in force, or
+        where there is none the default.
 
-        Once a candidate was judged, another gate names the one in force in `follows` and says why in `because`.
+        Once a candidate was judged, another gate names the one in force in `follows` and says why
+        in `because`.
         """
         return self._post(f"/v1/plants/{_name(plant)}/gates", document)
 
@@ -207,9 +253,11 @@ class Client:
         return self._get(f"/v1/plants/{_name(plant)}/gates/{_name(digest)}")
 
     def submit(self, plant: str, request: Document, key: str | None = None) -> Job:
-        """Submit a job, such as {"kind": "fit", "method": "identify"} or {"kind": "gate", "candidate": …, "gate": …}.
+        """Submit a job, such as {"kind": "fit", "method": "identify"} or {"kind": "gate",
+        "candidate": …, "gate": …}.
 
-        With a `key` of your own the same request is the same job, also from another process, for as long as the service remembers keys.
+        With a `key` of your own the same request is the same job, also from another process, for as
+        long as the service remembers keys.
         """
         return self._post(f"/v1/plants/{_name(plant)}/jobs", request, key)
 
@@ -220,8 +268,11 @@ class Client:
     def job(self, job: str) -> JobWithReads:
         return self._get(f"/v1/jobs/{_name(job)}")
 
-    def wait(self, job: str, progress: Callable[[JobWithReads], None] = lambda _: None) -> JobWithReads:
-        """The job once it is final, `progress` called with it meanwhile. Raises Problem if it failed or was cancelled."""
+    def wait(
+        self, job: str, progress: Callable[[JobWithReads], None] = lambda _: None
+    ) -> JobWithReads:
+        """The job once it is final, `progress` called with it meanwhile. Raises Problem if it
+        failed or was cancelled."""
         while True:
             found = self.job(job)
             progress(found)
@@ -247,7 +298,8 @@ class Client:
         return self._get(f"/v1/plants/{_name(plant)}/decisions/{_name(digest)}")
 
     def approve(self, plant: str, decision: str, because: str | None = None) -> Approval:
-        """Approve a decision, where a promotion takes two people; of a candidate that was rejected before it takes a reason."""
+        """Approve a decision, where a promotion takes two people; of a candidate that was rejected
+        before it takes a reason."""
         given = None if because is None else {"because": because}
         return self._post(f"/v1/plants/{_name(plant)}/decisions/{_name(decision)}/approvals", given)
 
@@ -261,37 +313,64 @@ class Client:
         """What serves now."""
         return Serving(**self._get(f"/v1/plants/{_name(plant)}/serving"))
 
-    def watch(self, plant: str, wait_s: float = 30.0, confirmed: Callable[[], None] = lambda: None) -> Iterator[Serving]:
-        """What serves now, then again at each move, for ever; each look waits up to `wait_s` [s] at the service.
+    def watch(
+        self, plant: str, wait_s: float = 30.0, confirmed: Callable[[], None] = lambda: None
+    ) -> Iterator[Serving]:
+        """What serves now, then again at each move, for ever; each look waits up to `wait_s` [s] at
+        the service.
 
-        A service that is away is asked again, ever less often; the watch goes on where it was. `confirmed` is called at every answer, also
-        where nothing has changed. Raises Problem for a refusal.
+        A service that is away is asked again, ever less often; the watch goes on where it was.
+        `confirmed` is called at every answer, also where nothing has changed. Raises Problem for a
+        refusal.
         """
-        return (Serving(**found) for found in self._watched(f"/v1/plants/{_name(plant)}/serving", wait_s, confirmed))
+        return (
+            Serving(**found)
+            for found in self._watched(f"/v1/plants/{_name(plant)}/serving", wait_s, confirmed)
+        )
 
     def watch_channel(
-        self, plant: str, channel: str, wait_s: float = 30.0, confirmed: Callable[[], None] = lambda: None
+        self,
+        plant: str,
+        channel: str,
+        wait_s: float = 30.0,
+        confirmed: Callable[[], None] = lambda: None,
     ) -> Iterator[ChannelPosition]:
         """The same of a channel, which must have served something."""
-        return self._watched(f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/serving", wait_s, confirmed)
+        return self._watched(
+            f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/serving", wait_s, confirmed
+        )
 
     def history(self, plant: str) -> Iterator[Serving]:
         """Every position of the pointer, in order."""
-        return (Serving(**item) for item in self._pages(f"/v1/plants/{_name(plant)}/serving/history", "after"))
+        return (
+            Serving(**item)
+            for item in self._pages(f"/v1/plants/{_name(plant)}/serving/history", "after")
+        )
 
     def served_at(self, plant: str, at: str) -> Serving | None:
         """What was live at a time: UTC, ISO 8601, ending in Z."""
-        items = self._get(f"/v1/plants/{_name(plant)}/serving/history?{urlencode({'at': at})}")["items"]
+        items = self._get(f"/v1/plants/{_name(plant)}/serving/history?{urlencode({'at': at})}")[
+            "items"
+        ]
         return Serving(**items[0]) if items else None
 
-    def promote(self, plant: str, decision: str, expected_generation: int, key: str | None = None) -> Serving:
-        """Serve the candidate of an accepted decision, if the pointer has not moved since; once under a `key` of your own."""
+    def promote(
+        self, plant: str, decision: str, expected_generation: int, key: str | None = None
+    ) -> Serving:
+        """Serve the candidate of an accepted decision, if the pointer has not moved since; once
+        under a `key` of your own."""
         wanted = {"decision": decision, "expected_generation": expected_generation}
         return Serving(**self._post(f"/v1/plants/{_name(plant)}/serving/promote", wanted, key))
 
     def roll_back(self, plant: str, expected_generation: int, key: str | None = None) -> Serving:
         """Serve what served before, after its switchback test; once under a `key` of your own."""
-        return Serving(**self._post(f"/v1/plants/{_name(plant)}/serving/rollback", {"expected_generation": expected_generation}, key))
+        return Serving(
+            **self._post(
+                f"/v1/plants/{_name(plant)}/serving/rollback",
+                {"expected_generation": expected_generation},
+                key,
+            )
+        )
 
     def serving_envelope(self, plant: str) -> Envelope:
         """What serves, signed: `Robot` verifies it."""
@@ -300,17 +379,24 @@ class Client:
     # -- evidence and channels
 
     def add_evidence(self, plant: str, document: Document) -> Evidence:
-        """Add what was found of an artifact at a stage: artifact, stage, passed, shows, cannot_show, figures."""
-        return self._post(f"/v1/plants/{_name(plant)}/evidence", {"schema": "trueup.evidence/1", **document})
+        """Add what was found of an artifact at a stage: artifact, stage, passed, shows,
+        cannot_show, figures."""
+        return self._post(
+            f"/v1/plants/{_name(plant)}/evidence", {"schema": "trueup.evidence/1", **document}
+        )
 
     def evidence(self, plant: str, artifact: str) -> list[Evidence]:
         """Everything that was found of an artifact, in order."""
-        items: list[Evidence] = list(self._pages(f"/v1/plants/{_name(plant)}/artifacts/{_name(artifact)}/evidence", "after"))
+        items: list[Evidence] = list(
+            self._pages(f"/v1/plants/{_name(plant)}/artifacts/{_name(artifact)}/evidence", "after")
+        )
         return items
 
     def declare_channel(self, plant: str, name: str, requires: list[str]) -> Channel:
         """Declare a channel of serving that requires passed evidence of these stages."""
-        return self._post(f"/v1/plants/{_name(plant)}/channels", {"name": name, "requires": requires})
+        return self._post(
+            f"/v1/plants/{_name(plant)}/channels", {"name": name, "requires": requires}
+        )
 
     def channels(self, plant: str) -> Iterator[Channel]:
         return self._pages(f"/v1/plants/{_name(plant)}/channels", "after")
@@ -319,8 +405,11 @@ class Client:
         """What a channel serves now."""
         return self._get(f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/serving")
 
-    def move_channel(self, plant: str, channel: str, artifact: str, expected_generation: int) -> ChannelPosition:
-        """Serve an artifact on a channel, if the channel has not moved since; its first move expects generation 0."""
+    def move_channel(
+        self, plant: str, channel: str, artifact: str, expected_generation: int
+    ) -> ChannelPosition:
+        """Serve an artifact on a channel, if the channel has not moved since; its first move
+        expects generation 0."""
         wanted = {"artifact": artifact, "expected_generation": expected_generation}
         return self._post(f"/v1/plants/{_name(plant)}/channels/{_name(channel)}/move", wanted)
 
@@ -335,7 +424,8 @@ class Client:
         return self._get(f"/v1/plants/{_name(plant)}/policy")
 
     def send_telemetry(self, plant: str, batch: Document) -> Episode:
-        """Send a live batch: `start_ns` as text, `t_s`, `observations` and `commands` by channel; it becomes an episode that is watched."""
+        """Send a live batch: `start_ns` as text, `t_s`, `observations` and `commands` by channel;
+        it becomes an episode that is watched."""
         return self._post(f"/v1/plants/{_name(plant)}/telemetry", batch)
 
     def monitor(self, plant: str) -> MonitorState:
@@ -359,7 +449,9 @@ class Client:
 
     def close_alarm(self, plant: str, alarm: str, because: str) -> Alarm:
         """Close an alarm, and say why; the next one may then be raised."""
-        return self._post(f"/v1/plants/{_name(plant)}/alarms/{_name(alarm)}/close", {"because": because})
+        return self._post(
+            f"/v1/plants/{_name(plant)}/alarms/{_name(alarm)}/close", {"because": because}
+        )
 
     # -- access
 
@@ -374,9 +466,15 @@ class Client:
         return self._pages("/v1/projects", "after")
 
     def issue_token(
-        self, name: str, roles: list[str], project: str | None = None, plant: str | None = None, days: float | None = 365.0
+        self,
+        name: str,
+        roles: list[str],
+        project: str | None = None,
+        plant: str | None = None,
+        days: float | None = 365.0,
     ) -> IssuedToken:
-        """Issue a token; `token` of the answer is shown this once. Not repeated where the answer was lost: revoke it, issue another."""
+        """Issue a token; `token` of the answer is shown this once. Not repeated where the answer
+        was lost: revoke it, issue another."""
         wanted = {"name": name, "roles": roles, "project": project, "plant": plant, "days": days}
         sent = {"Content-Type": "application/json"}
         return json.loads(self._to.once("POST", "/v1/tokens", json.dumps(wanted).encode(), sent))
@@ -392,7 +490,9 @@ class Client:
 
     def audit(self, plant: str | None = None, after: int = 0) -> Iterator[AuditEntry]:
         """Every entry of the log, in order, from behind one."""
-        return self._pages("/v1/audit", "after", after=str(after), **({"plant": plant} if plant else {}))
+        return self._pages(
+            "/v1/audit", "after", after=str(after), **({"plant": plant} if plant else {})
+        )
 
     def audit_key(self) -> str:
         """The log's public key, as the service gives it: keep it."""
@@ -400,7 +500,9 @@ class Client:
 
     def endorsements(self) -> list[str]:
         """The notes by which keys of the log handed over to the next, in order."""
-        return [key["endorsement"] for key in self._get("/v1/audit/keys")["items"] if key["endorsement"]]
+        return [
+            key["endorsement"] for key in self._get("/v1/audit/keys")["items"] if key["endorsement"]
+        ]
 
     def checkpoint(self) -> str:
         """The log's signed head, as a note."""
@@ -412,7 +514,9 @@ class Client:
 
     def inclusion(self, sequence: int, size: int) -> list[bytes]:
         """The proof that an entry is in the log of `size` entries."""
-        return _hashes(self._get(f"/v1/audit/inclusion?{urlencode({'sequence': sequence, 'size': size})}"))
+        return _hashes(
+            self._get(f"/v1/audit/inclusion?{urlencode({'sequence': sequence, 'size': size})}")
+        )
 
     def witness(self, witness: Witness) -> Checkpoint:
         """Let a witness see the log as it is now. Raises NotSigned, Rewritten."""
@@ -460,7 +564,9 @@ class Client:
         while True:
             try:
                 headers = {"If-None-Match": tag} if tag else {}
-                status, answered, body = self._to.tagged("GET", f"{path}?wait_s={wait_s:g}", lambda: None, headers)
+                status, answered, body = self._to.tagged(
+                    "GET", f"{path}?wait_s={wait_s:g}", lambda: None, headers
+                )
             except Unreachable:
                 if self._to.aborted:
                     raise
@@ -473,7 +579,9 @@ class Client:
                 tag = answered["ETag"]
                 yield json.loads(body)
 
-    def _send(self, method: str, path: str, body: Callable[[], bytes | _Watched], headers: dict[str, str]) -> Any:
+    def _send(
+        self, method: str, path: str, body: Callable[[], bytes | _Watched], headers: dict[str, str]
+    ) -> Any:
         return json.loads(self._to.whole(method, path, body, headers))
 
     def _pages(self, path: str, cursor: str, **query: str) -> Iterator[Any]:
@@ -485,7 +593,9 @@ class Client:
                 return
             query[cursor] = page["next"]
             if query[cursor] in followed:
-                raise Untrue(f"the pages of {path} lead back to one that was read: a list has an end")
+                raise Untrue(
+                    f"the pages of {path} lead back to one that was read: a list has an end"
+                )
             followed.add(query[cursor])
 
     def _save(self, path: str, digest: str, to: Path) -> None:
@@ -533,7 +643,8 @@ class _Watched:
 
 
 def arrays_of(manifest: Path) -> str | None:
-    """The digest of the arrays that a manifest, whose own digest holds, names; None where it has none."""
+    """The digest of the arrays that a manifest, whose own digest holds, names; None where it has
+    none."""
     named = json.loads(manifest.read_bytes())["arrays"]
     return None if named is None else str(named["sha256"])
 

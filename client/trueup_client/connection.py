@@ -1,4 +1,5 @@
-"""One connection to the service: kept open, opened again when it broke, and repeated only where repeating is safe."""
+"""One connection to the service: kept open, opened again when it broke, and repeated only where
+repeating is safe."""
 
 from __future__ import annotations
 
@@ -20,13 +21,18 @@ CONNECT_LIMIT_S = 10.0
 
 
 class Connection:
-    """Sends requests. Every request here is safe to repeat: a read, a put by digest, or a post with an idempotency key."""
+    """Sends requests. Every request here is safe to repeat: a read, a put by digest, or a post with
+    an idempotency key."""
 
-    def __init__(self, url: str, actor: str | None, timeout_s: float, token: str | None = None) -> None:
+    def __init__(
+        self, url: str, actor: str | None, timeout_s: float, token: str | None = None
+    ) -> None:
         parts = urlsplit(url)
         if parts.scheme not in ("http", "https") or not parts.hostname:
             raise Unreachable(f"{url!r} is no http:// or https:// address")
-        kind = http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
+        kind = (
+            http.client.HTTPSConnection if parts.scheme == "https" else http.client.HTTPConnection
+        )
         self._url, self._base = url, parts.path.rstrip("/")
         self.aborted = False
         self._timeout_s = timeout_s
@@ -35,20 +41,29 @@ class Connection:
         if token:
             self._headers["Authorization"] = f"Bearer {token}"
 
-    def json(self, method: str, path: str, body: Any = None, headers: Mapping[str, str] | None = None) -> Any:
+    def json(
+        self, method: str, path: str, body: Any = None, headers: Mapping[str, str] | None = None
+    ) -> Any:
         """Send a JSON document and read one. Raises Problem, Unreachable."""
         data = None if body is None else json.dumps(body).encode()
-        found = self.whole(method, path, lambda: data, {"Content-Type": "application/json", **(headers or {})})
+        found = self.whole(
+            method, path, lambda: data, {"Content-Type": "application/json", **(headers or {})}
+        )
         try:
             return json.loads(found)
         except ValueError as error:
             raise Unreachable(f"{self._url} answers, but not as trueup does") from error
 
-    def whole(self, method: str, path: str, body: Any, headers: Mapping[str, str] | None = None) -> bytes:
-        """Send what `body()` gives and read the whole answer, again where the connection broke. Raises Problem, Unreachable."""
+    def whole(
+        self, method: str, path: str, body: Any, headers: Mapping[str, str] | None = None
+    ) -> bytes:
+        """Send what `body()` gives and read the whole answer, again where the connection broke.
+        Raises Problem, Unreachable."""
         return self.tagged(method, path, body, headers or {})[2]
 
-    def tagged(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> tuple[int, http.client.HTTPMessage, bytes]:
+    def tagged(
+        self, method: str, path: str, body: Any, headers: Mapping[str, str]
+    ) -> tuple[int, http.client.HTTPMessage, bytes]:
         """The same, with status and headers."""
         for pause_s in (*PAUSES_S, None):
             try:
@@ -67,8 +82,11 @@ class Connection:
         raise AssertionError
 
     def once(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> bytes:
-        """Send once, and read the whole answer. Raises Problem, and Unreachable where it breaks off."""
-        self._http.close()  # the service may have closed a connection that nobody used: this must not be found out by sending
+        """Send once, and read the whole answer. Raises Problem, and Unreachable where it breaks
+        off."""
+        # the service may have closed a connection that nobody used: this must not be found out by
+        # sending
+        self._http.close()
         try:
             found = self._once(method, path, body, headers)
             content = found.read()
@@ -97,10 +115,14 @@ class Connection:
         if announced is not None and read != int(announced):
             raise Unreachable(f"{self._url} broke off after {read} of {announced} bytes")
 
-    def _once(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> http.client.HTTPResponse:
+    def _once(
+        self, method: str, path: str, body: Any, headers: Mapping[str, str]
+    ) -> http.client.HTTPResponse:
         try:
             self._connect()
-            self._http.request(method, self._base + path, body=body, headers={**self._headers, **headers})
+            self._http.request(
+                method, self._base + path, body=body, headers={**self._headers, **headers}
+            )
         finally:
             if hasattr(body, "close"):
                 body.close()

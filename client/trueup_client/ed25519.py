@@ -1,8 +1,10 @@
-"""Ed25519 signatures, verified with integers of the standard library: 10 ms each, and nothing secret is touched.
+"""Ed25519 signatures, verified with integers of the standard library: 10 ms each, and nothing
+secret is touched.
 
-A signature (R, s) of a message under the key A holds if s·B = R + h·A, h being SHA-512 of R, A and the message.
-Points are (X, Y, Z, T) with x = X/Z, y = Y/Z, xy = T/Z on -x² + y² = 1 + d·x²y² modulo 2^255 - 19.
-Source: RFC 8032, sections 5.1.3 (points from bytes), 5.1.4 (addition) and 5.1.7 (verification).
+A signature (R, s) of a message under the key A holds if s·B = R + h·A, h being SHA-512 of R, A and
+the message. Points are (X, Y, Z, T) with x = X/Z, y = Y/Z, xy = T/Z on -x² + y² = 1 + d·x²y² modulo
+2^255 - 19. Source: RFC 8032, sections 5.1.3 (points from bytes), 5.1.4 (addition) and 5.1.7
+(verification).
 """
 
 from __future__ import annotations
@@ -53,7 +55,9 @@ def _times(number: int, point: Point) -> Point:
 
 
 def _same(left: Point, right: Point) -> bool:
-    return (left[0] * right[2] - right[0] * left[2]) % P == 0 and (left[1] * right[2] - right[1] * left[2]) % P == 0
+    return (left[0] * right[2] - right[0] * left[2]) % P == 0 and (
+        left[1] * right[2] - right[1] * left[2]
+    ) % P == 0
 
 
 _BASE = _point((4 * pow(5, -1, P) % P).to_bytes(32, "little"))
@@ -67,5 +71,8 @@ def holds(public_key: bytes, signature: bytes, message: bytes) -> bool:
     s = int.from_bytes(signature[32:], "little")
     if key is None or begun is None or s >= ORDER or _BASE is None:
         return False
-    hashed = int.from_bytes(hashlib.sha512(signature[:32] + public_key + message).digest(), "little") % ORDER
+    hashed = (
+        int.from_bytes(hashlib.sha512(signature[:32] + public_key + message).digest(), "little")
+        % ORDER
+    )
     return _same(_times(s, _BASE), _add(begun, _times(hashed, key)))

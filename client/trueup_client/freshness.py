@@ -1,7 +1,9 @@
-"""Freshness: a robot's own look at how old its observations are, and how long ago the service last confirmed its model.
+"""Freshness: a robot's own look at how old its observations are, and how long ago the service last
+confirmed its model.
 
-A controller that plans on what is too old must not: hold the two ages against their timeouts in every tick, and command what is safe when
-either has passed. Nothing here waits, and nothing asks the network.
+A controller that plans on what is too old must not: hold the two ages against their timeouts in
+every tick, and command what is safe when either has passed. Nothing here waits, and nothing asks
+the network.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Ages:
-    """How old both are now [s]; infinite before the first. `stale` names what has passed its timeout."""
+    """How old both are now [s]; infinite before the first. `stale` names what has passed its
+    timeout."""
 
     observation_s: float
     model_s: float
@@ -26,13 +29,19 @@ class Ages:
 
 
 class Freshness:
-    """Told of every observation and of every answer of the service, it says at any time whether both are young enough.
+    """Told of every observation and of every answer of the service, it says at any time whether
+    both are young enough.
 
-    A service that is away leaves the model ageing: how long a robot may go on without it is `model_timeout_s` [s], and its owner's choice.
-    `clock` gives seconds that only grow.
+    A service that is away leaves the model ageing: how long a robot may go on without it is
+    `model_timeout_s` [s], and its owner's choice. `clock` gives seconds that only grow.
     """
 
-    def __init__(self, observation_timeout_s: float, model_timeout_s: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        observation_timeout_s: float,
+        model_timeout_s: float,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         if not (observation_timeout_s > 0.0 and model_timeout_s > 0.0):
             raise ValueError("timeouts must be positive")
         self._timeouts = {"observation": observation_timeout_s, "model": model_timeout_s}

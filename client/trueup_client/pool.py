@@ -21,7 +21,8 @@ CLOSED = "the client was closed"
 class Pool:
     """At most `at_once` clients that ask at the same time; one more waits for its turn.
 
-    A call that is cancelled is broken off. Whether the service did what it asked for is then not known: ask, or repeat it with its key.
+    A call that is cancelled is broken off. Whether the service did what it asked for is then not
+    known: ask, or repeat it with its key.
     """
 
     def __init__(self, make: Callable[[], Client], at_once: int) -> None:
@@ -29,7 +30,9 @@ class Pool:
         self._threads = ThreadPoolExecutor(at_once, thread_name_prefix="trueup")
         self._closed = False
 
-    async def run(self, method: Callable[Concatenate[Client, P], T], *arguments: P.args, **named: P.kwargs) -> T:
+    async def run(
+        self, method: Callable[Concatenate[Client, P], T], *arguments: P.args, **named: P.kwargs
+    ) -> T:
         """What a method of a client gives."""
         turn = _Turn()
 
@@ -47,8 +50,14 @@ class Pool:
             turn.abort()
             raise
 
-    async def each(self, method: Callable[Concatenate[Client, P], Iterator[T]], *arguments: P.args, **named: P.kwargs) -> AsyncIterator[T]:
-        """What a method of a client gives one after the other, each asked for when the one before was taken."""
+    async def each(
+        self,
+        method: Callable[Concatenate[Client, P], Iterator[T]],
+        *arguments: P.args,
+        **named: P.kwargs,
+    ) -> AsyncIterator[T]:
+        """What a method of a client gives one after the other, each asked for when the one before
+        was taken."""
         client, asks = self._take(), threading.Lock()
         found = method(client, *arguments, **named)
 
@@ -68,7 +77,8 @@ class Pool:
                 threading.Thread(target=self._end, args=(client, found, asks), daemon=True).start()
 
     async def close(self) -> None:
-        """Close every connection; whatever still asks, or waits for its turn, ends with Unreachable."""
+        """Close every connection; whatever still asks, or waits for its turn, ends with
+        Unreachable."""
         self._closed = True
         for client in [*self._busy]:
             client.abort()
@@ -90,7 +100,8 @@ class Pool:
             raise
 
     def _end(self, client: Client, found: Iterator[T], asks: threading.Lock) -> None:
-        """Close what was not read to its end, once no thread asks any more; then the client is free for others."""
+        """Close what was not read to its end, once no thread asks any more; then the client is free
+        for others."""
         with asks:
             if isinstance(found, Generator):
                 found.close()

@@ -30,7 +30,8 @@ class NotSigned(ClientError):
 
 
 class Rewritten(ClientError):
-    """The log does not extend the one that this client has seen, or the pointer went back without a move: somebody rewrote them."""
+    """The log does not extend the one that this client has seen, or the pointer went back without a
+    move: somebody rewrote them."""
 
 
 class Problem(ClientError):

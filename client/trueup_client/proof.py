@@ -1,4 +1,5 @@
-"""Read what a log's service signed and proves: checkpoints, envelopes, inclusion, consistency. The standard library alone.
+"""Read what a log's service signed and proves: checkpoints, envelopes, inclusion, consistency. The
+standard library alone.
 
 Source: C2SP signed-note and tlog-checkpoint; DSSE 1.0; RFC 9162, sections 2.1.3.2 and 2.1.4.2.
 """
@@ -70,7 +71,8 @@ class Key:
             return False
 
     def followed(self, endorsements: Iterable[str]) -> list[Key]:
-        """The keys that take over from this one, in order: each is endorsed by the one before, for the same log."""
+        """The keys that take over from this one, in order: each is endorsed by the one before, for
+        the same log."""
         found = [self]
         for note in endorsements:
             try:
@@ -85,20 +87,30 @@ class Key:
     def payload(self, envelope: Envelope, payload_type: str) -> Any:
         """The document in an envelope, if this key signed it as of this type. Raises NotSigned."""
         try:
-            data, named = base64.b64decode(envelope["payload"], validate=True), envelope["payloadType"]
-            signatures = [s["sig"] for s in envelope["signatures"] if s.get("keyid") in (None, f"{self.name}+{self.hash.hex()}")]
+            data, named = (
+                base64.b64decode(envelope["payload"], validate=True),
+                envelope["payloadType"],
+            )
+            signatures = [
+                s["sig"]
+                for s in envelope["signatures"]
+                if s.get("keyid") in (None, f"{self.name}+{self.hash.hex()}")
+            ]
             signed = b"DSSEv1 %d %s %d %s" % (len(named.encode()), named.encode(), len(data), data)
             document = json.loads(data)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise NotSigned("the envelope has another form") from error
-        if named != payload_type or not any(ed25519.holds(self.public, _bytes(s), signed) for s in signatures):
+        if named != payload_type or not any(
+            ed25519.holds(self.public, _bytes(s), signed) for s in signatures
+        ):
             raise NotSigned(f"the envelope is not signed by {self.name} as {payload_type}")
         return document
 
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A log at a moment: how many entries it has, and the hash over all of them. `note` is what was signed."""
+    """A log at a moment: how many entries it has, and the hash over all of them. `note` is what was
+    signed."""
 
     size: int
     root: bytes
@@ -131,7 +143,8 @@ def _node(left: bytes, right: bytes) -> bytes:
 
 
 def includes(root: bytes, size: int, position: int, leaf: bytes, proof: Sequence[bytes]) -> bool:
-    """Whether the tree of `size` leaves with this root has this leaf at this position, counted from 0."""
+    """Whether the tree of `size` leaves with this root has this leaf at this position, counted from
+    0."""
     if not 0 <= position < size:
         return False
     at, last, found = position, size - 1, leaf

@@ -1,12 +1,14 @@
-"""What a robot runs: which model to use, verified, from disk; the service is asked beside, and may be away for ever.
+"""What a robot runs: which model to use, verified, from disk; the service is asked beside, and may
+be away for ever.
 
     robot = Robot("http://registry:8321", "cell-7", "/var/lib/trueup", key="trueup-…+…+…")
     robot.start()                     # looks for a newer answer in a thread of its own
     while True:
         model = robot.current()       # at once, from what is on disk; None before the first answer
 
-An answer counts only if the log's key signed it, for this plant, and its generation is not behind one that was seen. Its artifact is
-fetched and verified before it takes the place of the last good one. Each answer brings the log's checkpoint: the robot is a witness of it.
+An answer counts only if the log's key signed it, for this plant, and its generation is not behind
+one that was seen. Its artifact is fetched and verified before it takes the place of the last good
+one. Each answer brings the log's checkpoint: the robot is a witness of it.
 """
 
 from __future__ import annotations
@@ -40,7 +42,8 @@ def _now() -> datetime:
 class Answer:
     """What a plant's robot is to use.
 
-    `expires_at` is when the answer stops being current; `fallback` is the artifact that served before.
+    `expires_at` is when the answer stops being current; `fallback` is the artifact that served
+    before.
     """
 
     plant: str
@@ -68,7 +71,8 @@ class Model:
 class Robot:
     """Keeps the last good model of a plant in a folder, with the one before it as the way back.
 
-    `key` is the log's public key (`trueup key`); without it the first one seen is believed from then on.
+    `key` is the log's public key (`trueup key`); without it the first one seen is believed from
+    then on.
     """
 
     def __init__(
@@ -89,14 +93,17 @@ class Robot:
         self._stop = threading.Event()
         self._model = self._kept()
         self._highest = self._seen()
-        self.problem: Exception | None = None  # why the last look changed nothing, None where it went well
+        self.problem: Exception | None = (
+            None  # why the last look changed nothing, None where it went well
+        )
 
     def current(self) -> Model | None:
         """The last good model; never asks the service, never waits."""
         return self._model
 
     def is_current(self) -> bool:
-        """Whether the service said so lately enough; a robot whose answer has expired keeps its model, and should say so."""
+        """Whether the service said so lately enough; a robot whose answer has expired keeps its
+        model, and should say so."""
         return self._model is not None and self._model.answer.is_current(self._clock())
 
     def fallback(self) -> Path | None:
@@ -112,15 +119,23 @@ class Robot:
             if self._witness.key is None:
                 self._witness.pin(client.audit_key())
             envelope = client.serving_envelope(self._plant)
-            answer, checkpoint = self._witness.believed(lambda key: self._opened(envelope, key), client.endorsements)
+            answer, checkpoint = self._witness.believed(
+                lambda key: self._opened(envelope, key), client.endorsements
+            )
             self._witness.see(checkpoint, client.consistency)
             self._require_later(answer)
             self._highest = answer.generation, answer.artifact
-            _write(self._folder / "highest.json", list(self._highest))  # before anything that may fail: an older one cannot come back
+            _write(
+                self._folder / "highest.json", list(self._highest)
+            )  # before anything that may fail: an older one cannot come back
             for digest in (answer.artifact, answer.fallback):
                 if digest and not is_whole(self._models(digest), digest):
                     self._fetch(client, digest)
-            if self._model is None or answer.generation > self._model.answer.generation or answer.issued_at > self._model.answer.issued_at:
+            if (
+                self._model is None
+                or answer.generation > self._model.answer.generation
+                or answer.issued_at > self._model.answer.issued_at
+            ):
                 _write(self._folder / "serving.json", envelope)
                 self._model = Model(self._models(answer.artifact), answer)
             return self._model
@@ -128,7 +143,8 @@ class Robot:
             client.close()
 
     def start(self, interval_s: float = LOOK_S) -> None:
-        """Look for a newer answer every `interval_s` [s], in a thread that ends with the process."""
+        """Look for a newer answer every `interval_s` [s], in a thread that ends with the
+        process."""
         threading.Thread(target=self._look, args=(interval_s,), daemon=True).start()
 
     def stop(self) -> None:
@@ -152,12 +168,19 @@ class Robot:
         return Answer(**{name: found[name] for name in Answer.__slots__}), found["checkpoint"]
 
     def _require_later(self, answer: Answer) -> None:
-        """Raises Rewritten for an answer older than one that was seen, or another artifact under its generation, NotSigned if expired."""
+        """Raises Rewritten for an answer older than one that was seen, or another artifact under
+        its generation, NotSigned if expired."""
         if not answer.is_current(self._clock()):
-            raise NotSigned(f"the answer expired at {answer.expires_at}: it is an old one, or a clock is wrong")
+            raise NotSigned(
+                f"the answer expired at {answer.expires_at}: it is an old one, or a clock is wrong"
+            )
         generation, artifact = self._highest
-        if answer.generation < generation or (answer.generation == generation and answer.artifact != artifact):
-            raise Rewritten(f"generation {answer.generation} was answered after generation {generation}")
+        if answer.generation < generation or (
+            answer.generation == generation and answer.artifact != artifact
+        ):
+            raise Rewritten(
+                f"generation {answer.generation} was answered after generation {generation}"
+            )
 
     def _fetch(self, client: Client, digest: str) -> None:
         beside = self._models(f"{digest}.{uuid.uuid4().hex}.part")
@@ -169,9 +192,13 @@ class Robot:
 
     def _kept(self) -> Model | None:
         """The last good model of an earlier run; None where there is none, or it was damaged."""
-        for key in self._witness.keys:  # an answer of before the key was replaced is still the last good one
+        for key in (
+            self._witness.keys
+        ):  # an answer of before the key was replaced is still the last good one
             try:
-                answer, _ = self._opened(json.loads((self._folder / "serving.json").read_text()), key)
+                answer, _ = self._opened(
+                    json.loads((self._folder / "serving.json").read_text()), key
+                )
             except (OSError, ValueError, NotSigned):
                 continue
             folder = self._models(answer.artifact)
@@ -180,7 +207,9 @@ class Robot:
 
     def _seen(self) -> tuple[int, str]:
         """The highest generation that was seen, and its artifact."""
-        kept = (self._model.answer.generation, self._model.answer.artifact) if self._model else (0, "")
+        kept = (
+            (self._model.answer.generation, self._model.answer.artifact) if self._model else (0, "")
+        )
         try:
             generation, artifact = json.loads((self._folder / "highest.json").read_text())
         except (OSError, ValueError):

@@ -1,6 +1,8 @@
-"""Make this case's recordings from the motions of the SAGE project: `python convert.py FOLDER`, with a `MOTION.csv.gz` for each.
+"""Make this case's recordings from the motions of the SAGE project: `python convert.py FOLDER`,
+with a `MOTION.csv.gz` for each.
 
-Their columns: time_s, then goal_JOINT_rad and pos_JOINT_rad of each joint, and others that are not used.
+Their columns: time_s, then goal_JOINT_rad and pos_JOINT_rad of each joint, and others that are not
+used.
 """
 
 from __future__ import annotations
@@ -21,7 +23,12 @@ CUTS = (
     ("chirp_sweep", 60.0, 85.0, Role.ADAPTATION),
     ("friction_gravity", 0.0, 25.0, Role.ADAPTATION),
     ("step_response", 0.0, 25.0, Role.ADAPTATION),
-    ("workspace_sweep", 0.0, 15.0, Role.ADAPTATION),  # then pitch and elbow lean on something, and once more at 21.6 s
+    (
+        "workspace_sweep",
+        0.0,
+        15.0,
+        Role.ADAPTATION,
+    ),  # then pitch and elbow lean on something, and once more at 21.6 s
     ("prbs_excitation", 0.0, 20.0, Role.VALIDATION),
     ("backlash_detection", 0.0, 20.0, Role.VALIDATION),
 )
@@ -33,7 +40,10 @@ def main(source: Path) -> None:
     for number, (motion, from_s, until_s, role) in enumerate(CUTS):
         table = np.genfromtxt(source / f"{motion}.csv.gz", delimiter=",", names=True)
         table = table[(table["time_s"] >= from_s) & (table["time_s"] <= until_s)]
-        goals, positions = (np.stack([table[f"{what}_{j}_rad"] for j in plant.joints], axis=1) for what in ("goal", "pos"))
+        goals, positions = (
+            np.stack([table[f"{what}_{j}_rad"] for j in plant.joints], axis=1)
+            for what in ("goal", "pos")
+        )
         with (HERE / f"{number}-{role}.mcap").open("wb") as stream:
             write_episode(
                 stream,

@@ -1,6 +1,7 @@
 """One way to bytes, one way to a digest.
 
-Canonical bytes are RFC 8785 (JSON Canonicalization Scheme); a digest is SHA-256 in lower-case hexadecimal.
+Canonical bytes are RFC 8785 (JSON Canonicalization Scheme); a digest is SHA-256 in lower-case
+hexadecimal.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ from trueup.errors import TrueupError
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 
-EXACT, LARGEST_PLAIN = 2**53 - 1, 10**21  # integers that JSON holds exactly, and what is written without an exponent
+EXACT, LARGEST_PLAIN = (
+    2**53 - 1,
+    10**21,
+)  # integers that JSON holds exactly, and what is written without an exponent
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 
@@ -24,13 +28,17 @@ class NotCanonical(TrueupError):
     """The value has no canonical form."""
 
     code = "not-canonical"
-    hint = "RFC 8785 knows no NaN, no infinity and no integer that a float does not hold exactly: send such integers as strings."
+    hint = (
+        "RFC 8785 knows no NaN, no infinity and no integer that a float does not hold "
+        "exactly: send such integers as strings."
+    )
 
 
 def canonical_bytes(value: Json) -> bytes:
     """The RFC 8785 bytes of a JSON value. Raises NotCanonical.
 
-    A float such as 1e17 is written without a point and read back as an integer: it is the same number, and has the same bytes again.
+    A float such as 1e17 is written without a point and read back as an integer: it is the same
+    number, and has the same bytes again.
     """
     try:
         try:
@@ -38,7 +46,9 @@ def canonical_bytes(value: Json) -> bytes:
         except rfc8785.IntegerDomainError:
             return rfc8785.dumps(_as_written(value))
     except (rfc8785.CanonicalizationError, UnicodeEncodeError, RecursionError) as error:
-        raise NotCanonical(f"the value has no canonical form: {type(error).__name__}: {ascii(str(error))[:200]}") from error
+        raise NotCanonical(
+            f"the value has no canonical form: {type(error).__name__}: {ascii(str(error))[:200]}"
+        ) from error
 
 
 def _as_written(value: Json) -> Json:
@@ -47,7 +57,11 @@ def _as_written(value: Json) -> Json:
         return {key: _as_written(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_as_written(item) for item in value]
-    if isinstance(value, int) and EXACT < abs(value) < LARGEST_PLAIN and rfc8785.dumps(float(value)).decode() == str(value):
+    if (
+        isinstance(value, int)
+        and EXACT < abs(value) < LARGEST_PLAIN
+        and rfc8785.dumps(float(value)).decode() == str(value)
+    ):
         return float(value)
     return value
 

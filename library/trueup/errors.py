@@ -20,8 +20,9 @@
         ├── PointerMoved         the serving pointer is no longer where the caller believes
         └── BrokenChain          the audit log does not add up
 
-An error's docstring is its message when none is given. `code` is stable and machine-readable; `hint` says what to
-do next; `facts` are the values that a program may want (byte, field, expected, found).
+An error's docstring is its message when none is given. `code` is stable and machine-readable;
+`hint` says what to do next; `facts` are the values that a program may want (byte, field, expected,
+found).
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-MESSAGE_CHARACTERS = 500  # a message may quote what somebody sent, and not more of it than one reads
+MESSAGE_CHARACTERS = (
+    500  # a message may quote what somebody sent, and not more of it than one reads
+)
 
 
 class TrueupError(Exception):
@@ -38,7 +41,9 @@ class TrueupError(Exception):
     code = "trueup-error"
     hint = "Read the message; if it does not help, report it with the request id."
 
-    def __init__(self, message: str | None = None, *, hint: str | None = None, **facts: object) -> None:
+    def __init__(
+        self, message: str | None = None, *, hint: str | None = None, **facts: object
+    ) -> None:
         self.message = (message or (type(self).__doc__ or "").splitlines()[0])[:MESSAGE_CHARACTERS]
         self.hint = hint or type(self).hint
         self.facts = facts
@@ -80,7 +85,10 @@ class NotAnEpisode(BadEpisode):
     """The file is sound MCAP but holds no episode."""
 
     code = "not-an-episode"
-    hint = "An episode needs JointState messages on the plant's observation and command topics and a metadata record named `episode`."
+    hint = (
+        "An episode needs JointState messages on the plant's observation and command topics "
+        "and a metadata record named `episode`."
+    )
 
 
 class BadPlant(TrueupError):
@@ -108,14 +116,20 @@ class NotImportable(TrueupError):
     """What another registry keeps of this model makes no predictor of the plant."""
 
     code = "not-importable"
-    hint = "Log the plant's parameters, as its plant.json names them, as params of the run that the model came from."
+    hint = (
+        "Log the plant's parameters, as its plant.json names them, as params of the run "
+        "that the model came from."
+    )
 
 
 class MlflowRefused(TrueupError):
     """The MLflow registry did not do what it was asked for."""
 
     code = "mlflow-refused"
-    hint = "Say where it is with --registry or MLFLOW_TRACKING_URI, and who asks as its own client does (MLFLOW_TRACKING_TOKEN)."
+    hint = (
+        "Say where it is with --registry or MLFLOW_TRACKING_URI, and who asks as its own "
+        "client does (MLFLOW_TRACKING_TOKEN)."
+    )
 
 
 class NoSuchDigest(TrueupError):
@@ -129,7 +143,10 @@ class BadArtifact(TrueupError):
     """The artifact is damaged or does not fit."""
 
     code = "bad-artifact"
-    hint = "Fetch it again; if the digest still differs the stored copy is damaged and must not be served."
+    hint = (
+        "Fetch it again; if the digest still differs the stored copy is damaged and must "
+        "not be served."
+    )
 
 
 class BadGate(TrueupError):
@@ -157,7 +174,10 @@ class NotIdentifiable(TrueupError):
     """The data do not determine what was asked of them."""
 
     code = "not-identifiable"
-    hint = "Record an episode that excites the joint more: other speeds, both directions, the whole command range."
+    hint = (
+        "Record an episode that excites the joint more: other speeds, both directions, the "
+        "whole command range."
+    )
 
 
 class LedgerError(TrueupError):

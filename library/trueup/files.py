@@ -9,7 +9,8 @@ from typing import BinaryIO
 
 
 def regular(path: Path) -> BinaryIO:
-    """A regular file, open to be read: a pipe would wait for a writer, and a device never end. Raises FileNotFoundError, OSError."""
+    """A regular file, open to be read: a pipe would wait for a writer, and a device never end.
+    Raises FileNotFoundError, OSError."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)

@@ -1,6 +1,7 @@
 """How the log named its rows and hashed its entries when change 0003 was made.
 
-A copy on purpose: the live code may grow, and an old database must still be brought to the same log.
+A copy on purpose: the live code may grow, and an old database must still be brought to the same
+log.
 
 - A row is named `table/key`; its digest is over its columns by name, without the empty ones.
 - 64-bit integers are text, bytes are hexadecimal, documents are the text that is stored.
@@ -34,7 +35,10 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "channels": ("plant", "name"),
     "channel_moves": ("plant", "channel", "generation"),
 }
-EXACT, LARGEST_PLAIN = 2**53 - 1, 10**21  # integers that JSON holds exactly, and those written without an exponent
+EXACT, LARGEST_PLAIN = (
+    2**53 - 1,
+    10**21,
+)  # integers that JSON holds exactly, and those written without an exponent
 POSITION_BITS = 48
 
 
@@ -54,22 +58,40 @@ def row_name(table: str, row: Mapping[str, Any]) -> str:
 def row_digest(table: sa.Table, row: Mapping[str, Any]) -> str:
     """The SHA-256 of a row, in hexadecimal."""
     columns = {column.name: _plain(column, row[column.name]) for column in table.columns}
-    return _sha256(canonical({"table": table.name, "row": {name: value for name, value in columns.items() if value is not None}}))
+    return _sha256(
+        canonical(
+            {
+                "table": table.name,
+                "row": {name: value for name, value in columns.items() if value is not None},
+            }
+        )
+    )
 
 
 def leaf(entry: Mapping[str, Any], facts: Mapping[str, Any], rows: Mapping[str, str]) -> bytes:
     """The hash of an entry as a leaf of the tree."""
     named = {name: entry[name] for name in ("sequence", "at", "kind", "actor", "plant", "subject")}
-    of = canonical({**named, "facts_sha256": _sha256(canonical(facts)), "rows_sha256": _sha256(canonical(rows))})
+    of = canonical(
+        {
+            **named,
+            "facts_sha256": _sha256(canonical(facts)),
+            "rows_sha256": _sha256(canonical(rows)),
+        }
+    )
     return hashlib.sha256(b"\x00" + of).digest()
 
 
 def append(frontier: list[bytes], size: int, hashed: bytes) -> dict[int, bytes]:
-    """Append a leaf to the tree of `size` leaves; the subtrees that it completes, by the number under which each is kept."""
+    """Append a leaf to the tree of `size` leaves; the subtrees that it completes, by the number
+    under which each is kept."""
     node, level, position = hashed, 0, size
     completed = {position: node}
     while position & 1:
-        level, position, node = level + 1, position >> 1, hashlib.sha256(b"\x01" + frontier.pop() + node).digest()
+        level, position, node = (
+            level + 1,
+            position >> 1,
+            hashlib.sha256(b"\x01" + frontier.pop() + node).digest(),
+        )
         completed[level << POSITION_BITS | position] = node
     frontier.append(node)
     return completed
@@ -86,11 +108,16 @@ def _plain(column: sa.Column[Any], value: Any) -> Any:
 
 
 def _large_integers_as_floats(value: Any) -> Any:
-    """A float such as 1e17 is written without a point and read back as an integer: here it is a float again."""
+    """A float such as 1e17 is written without a point and read back as an integer: here it is a
+    float again."""
     if isinstance(value, Mapping):
         return {key: _large_integers_as_floats(item) for key, item in value.items()}
     if isinstance(value, list):
         return [_large_integers_as_floats(item) for item in value]
-    if isinstance(value, int) and EXACT < abs(value) < LARGEST_PLAIN and rfc8785.dumps(float(value)).decode() == str(value):
+    if (
+        isinstance(value, int)
+        and EXACT < abs(value) < LARGEST_PLAIN
+        and rfc8785.dumps(float(value)).decode() == str(value)
+    ):
         return float(value)
     return value

@@ -1,1 +1,2 @@
-"""What people look at: pages as templates, pictures as SVG. Values in, HTML out; no server, no database, no clock."""
+"""What people look at: pages as templates, pictures as SVG. Values in, HTML out; no server, no
+database, no clock."""

@@ -1,4 +1,5 @@
-"""Assets: the files that pages need. Ours, and two that others made, pinned by their digests and served under them.
+"""Assets: the files that pages need. Ours, and two that others made, pinned by their digests and
+served under them.
 
 uPlot 1.6.32 (MIT) draws lines that can be zoomed; htmx 4.0.1 (0BSD) exchanges parts of a page.
 """
@@ -40,7 +41,8 @@ def bytes_of(name: str) -> bytes:
 
 
 def text_of(name: str) -> str:
-    """An asset as text that may stand inside a page which names no other host; who made it is said in words."""
+    """An asset as text that may stand inside a page which names no other host; who made it is said
+    in words."""
     text = bytes_of(name).decode()
     if name in NOTICES:
         text = f"/* {NOTICES[name]} */\n{text.partition('*/')[2]}"

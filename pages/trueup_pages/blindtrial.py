@@ -1,4 +1,5 @@
-"""Blind trial: who was taken for whom, how far a verdict may be trusted, and how it was kept blind, as a page."""
+"""Blind trial: who was taken for whom, how far a verdict may be trusted, and how it was kept blind,
+as a page."""
 
 from __future__ import annotations
 
@@ -28,28 +29,42 @@ def sentence(document: Mapping[str, Any]) -> str:
     """The result in a sentence or two."""
     if document["leak"]["void"]:
         return (
-            f"Void: {document['leak']['taken']} of {document['leak']['baits']} baits were taken, so the diagnosis has seen what was hidden."
+            f"Void: {document['leak']['taken']} of {document['leak']['baits']} baits were "
+            "taken, so the diagnosis has seen what was hidden."
         )
     single = document["kinds"].get("single")
     text = f"{document['trials']} machines after {document['plant']}, their effects withheld"
     if single:
-        text += f": single effects named exactly in {_part(single['exact'])}, the truth among the answers in {_part(single['in_set'])}"
+        text += (
+            f": single effects named exactly in {_part(single['exact'])}, the truth among "
+            f"the answers in {_part(single['in_set'])}"
+        )
     return text + "."
 
 
 def _part(rate: Mapping[str, Any]) -> str:
-    return "–" if rate["share"] is None else f"{rate['share']:.0%} (at least {rate['at_least']:.0%})"
+    return (
+        "–" if rate["share"] is None else f"{rate['share']:.0%} (at least {rate['at_least']:.0%})"
+    )
 
 
 def page(document: Mapping[str, Any]) -> str:
     """The report as one HTML page that needs nothing else."""
     trust = sorted(document["trust"], key=lambda t: (-t["n"], t["answer"]))
-    values = {"d": document, "answer": sentence(document), "matrix": _matrix(document), "trust": trust, "kinds": KINDS, "covered": COVERED}
+    values = {
+        "d": document,
+        "answer": sentence(document),
+        "matrix": _matrix(document),
+        "trust": trust,
+        "kinds": KINDS,
+        "covered": COVERED,
+    }
     return render("blindtrial.html", **values)
 
 
 def _matrix(d: Mapping[str, Any]) -> Markup:
-    """Hidden effects down, answers across; pairs are left to the list, as each is nearly its own row."""
+    """Hidden effects down, answers across; pairs are left to the list, as each is nearly its own
+    row."""
     cells = [c for c in d["confusion"] if " + " not in c["truth"]]
     truths = sorted({c["truth"] for c in cells})
     answers = truths + sorted({c["answer"] for c in cells} - set(truths))
@@ -58,15 +73,23 @@ def _matrix(d: Mapping[str, Any]) -> Markup:
     for i, truth in enumerate(truths):
         y = TOP + CELL * i
         drawn.append(f'<text x="{LEFT - 8}" y="{y + 15}" text-anchor="end">{_plain(truth)}</text>')
-        drawn.append(f'<line class="grid" x1="{LEFT}" x2="{LEFT + CELL * len(answers)}" y1="{y}" y2="{y}"/>')
+        drawn.append(
+            f'<line class="grid" x1="{LEFT}" x2="{LEFT + CELL * len(answers)}" y1="{y}" y2="{y}"/>'
+        )
     for j, answer in enumerate(answers):
         x = LEFT + CELL * j
-        drawn.append(f'<text transform="translate({x + 15},{TOP - 8}) rotate(-60)">{_plain(answer)}</text>')
+        drawn.append(
+            f'<text transform="translate({x + 15},{TOP - 8}) rotate(-60)">{_plain(answer)}</text>'
+        )
     for c in cells:
         x, y = LEFT + CELL * answers.index(c["answer"]), TOP + CELL * truths.index(c["truth"])
-        kind, strong = "floor" if c["truth"] == c["answer"] else "nominal", 0.25 + 0.6 * c["n"] / most
+        kind, strong = (
+            "floor" if c["truth"] == c["answer"] else "nominal",
+            0.25 + 0.6 * c["n"] / most,
+        )
         drawn.append(
-            f'<rect class="{kind}" x="{x + 1}" y="{y + 1}" width="{CELL - 2}" height="{CELL - 2}" rx="3" fill-opacity="{strong:.2f}"/>'
+            f'<rect class="{kind}" x="{x + 1}" y="{y + 1}" width="{CELL - 2}" '
+            f'height="{CELL - 2}" rx="3" fill-opacity="{strong:.2f}"/>'
             f'<text class="count" x="{x + CELL / 2}" y="{y + 15}">{c["n"]}</text>'
         )
     width, height = LEFT + CELL * len(answers) + 120, TOP + CELL * len(truths) + 8

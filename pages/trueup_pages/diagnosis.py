@@ -1,4 +1,5 @@
-"""Diagnosis: a report and the numbers behind its pictures as what a page shows, and the page that needs nothing else."""
+"""Diagnosis: a report and the numbers behind its pictures as what a page shows, and the page that
+needs nothing else."""
 
 from __future__ import annotations
 
@@ -21,10 +22,17 @@ MODELS = (
 STILL = 400  # points of a line that is drawn without a script
 INSEPARABLE = "the evidence cannot separate what is above this line"
 NOT_ENOUGH = "none explains the gap: what is above this line comes nearest"
-ALONE = "everything below this line is worse than the answer, or better by less than its numbers must earn"
+ALONE = (
+    "everything below this line is worse than the answer, or better by less than its "
+    "numbers must earn"
+)
 
 
-def report_page(report: Mapping[str, Any], figures: Mapping[str, Any] | None, command_file: str | None = "next_experiment.csv") -> str:
+def report_page(
+    report: Mapping[str, Any],
+    figures: Mapping[str, Any] | None,
+    command_file: str | None = "next_experiment.csv",
+) -> str:
     """A diagnosis as one HTML file that needs nothing else."""
     return render("report.html", **view(report, figures, command_file))
 
@@ -48,27 +56,50 @@ def view(
         "command_file": command_file,
         "episode_url": episode_url,
         "region_rows": [
-            (r["region"], r["share"], f"{words.percent(r['share'])} of the residual in {words.percent(r['of_time'])} of the time")
+            (
+                r["region"],
+                r["share"],
+                (
+                    f"{words.percent(r['share'])} of the residual in "
+                    f"{words.percent(r['of_time'])} of the time"
+                ),
+            )
             for r in where["regions"]
         ],
-        "port_rows": [(p["port"], p["share"], f"{words.percent(p['share'])} by {words.name(p['by'])}") for p in where["ports"]],
-        "band_rows": [
-            (b["band"], b["share"], f"{words.percent(b['share'])}, {words.percent(b['of_motion'])} of the motion") for b in where["bands"]
+        "port_rows": [
+            (p["port"], p["share"], f"{words.percent(p['share'])} by {words.name(p['by'])}")
+            for p in where["ports"]
         ],
-        "channel_rows": [(c["channel"], c["share"], words.percent(c["share"])) for c in where["channels"]],
+        "band_rows": [
+            (
+                b["band"],
+                b["share"],
+                f"{words.percent(b['share'])}, {words.percent(b['of_motion'])} of the motion",
+            )
+            for b in where["bands"]
+        ],
+        "channel_rows": [
+            (c["channel"], c["share"], words.percent(c["share"])) for c in where["channels"]
+        ],
         "joint_rows": [
             (
                 j["joint"],
                 j["force"],
-                f"{words.percent(j['force'])} of the residual force, {words.percent(j['acceleration'])} of the acceleration",
+                (
+                    f"{words.percent(j['force'])} of the residual force, "
+                    f"{words.percent(j['acceleration'])} of the acceleration"
+                ),
             )
             for j in where.get("joints", [])
         ],
     }
 
 
-def recordings_of(drawn: Mapping[str, Any] | None, models: Sequence[Mapping[str, str]]) -> dict[str, Any]:
-    """The values of `recordings.html`, and the colours of maps; `models` are `key`, `label`, and the `kind` of the line."""
+def recordings_of(
+    drawn: Mapping[str, Any] | None, models: Sequence[Mapping[str, str]]
+) -> dict[str, Any]:
+    """The values of `recordings.html`, and the colours of maps; `models` are `key`, `label`, and
+    the `kind` of the line."""
     if not drawn or not drawn["episodes"]:
         return {"recordings": None, "data": "", "still": 1, "ramp": ramp()}
     told = {"horizon_s": drawn["horizon_s"], "models": models, "episodes": drawn["episodes"]}
@@ -78,14 +109,24 @@ def recordings_of(drawn: Mapping[str, Any] | None, models: Sequence[Mapping[str,
 
 
 def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Compositions as rows: the answer and what cannot be told from it, a line, then the others, the nearest first."""
+    """Compositions as rows: the answer and what cannot be told from it, a line, then the others,
+    the nearest first."""
     rows = report["evidence"]["hypotheses"]
     answers = [h for h in rows if h.get("answer")]
     least = answers[0]["validation"] if answers else None
-    inside = sorted((h for h in rows if h.get("in_set")), key=lambda h: (not h.get("answer"), h["validation"]))
-    rest = sorted((h for h in rows if not h.get("in_set") and h["validation"] is not None), key=lambda h: h["validation"])
+    inside = sorted(
+        (h for h in rows if h.get("in_set")), key=lambda h: (not h.get("answer"), h["validation"])
+    )
+    rest = sorted(
+        (h for h in rows if not h.get("in_set") and h["validation"] is not None),
+        key=lambda h: h["validation"],
+    )
     bare = [h for h in rest if not h["effects"]]
-    shown = [*inside, *[h for h in rest if h["effects"]][: max(ROWS - len(inside) - len(bare), 0)], *bare]
+    shown = [
+        *inside,
+        *[h for h in rest if h["effects"]][: max(ROWS - len(inside) - len(bare), 0)],
+        *bare,
+    ]
     shown = inside + sorted(shown[len(inside) :], key=lambda h: h["validation"])
     scale = drawing.Scale([h["validation"] for h in shown if h["validation"]])
     enough = report["verdict"] != "unknown_effect"
@@ -95,7 +136,11 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     for at, h in enumerate(shown):
         value = h["validation"]
         worse = h.get("worse_ci95")
-        ends = [least + w for w in worse] if worse and None not in worse and least is not None and not h.get("answer") else None
+        ends = (
+            [least + w for w in worse]
+            if worse and None not in worse and least is not None and not h.get("answer")
+            else None
+        )
         closer = least is not None and value < least and not h.get("in_set")
         found.append(
             {
@@ -103,9 +148,20 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
                 "misfit": h["misfit"],
                 "validation": value,
                 "in_set": bool(h.get("in_set")),
-                "said": called if h.get("answer") else "fits closer, by less than more numbers must earn" if closer else "",
+                "said": called
+                if h.get("answer")
+                else "fits closer, by less than more numbers must earn"
+                if closer
+                else "",
                 "drawn": drawing.interval(
-                    scale, value, ends, "answer" if h.get("in_set") else "nominal" if h["parameters"] == "nominal" else "other"
+                    scale,
+                    value,
+                    ends,
+                    "answer"
+                    if h.get("in_set")
+                    else "nominal"
+                    if h["parameters"] == "nominal"
+                    else "other",
                 ),
                 "divide": line if at == len(inside) and inside else "",
             }
@@ -121,8 +177,13 @@ def _embedded(value: object) -> str:
 
 def ramp() -> Markup:
     """The colours of maps, from the lowest to the highest."""
-    cells = "".join(f'<rect class="h{i}" x="{i * 16}" width="16" height="12"/>' for i in range(drawing.LEVELS))
-    return Markup(f'<svg class="ramp" viewBox="0 0 {16 * drawing.LEVELS} 12" role="img" aria-label="colours of the residual">{cells}</svg>')
+    cells = "".join(
+        f'<rect class="h{i}" x="{i * 16}" width="16" height="12"/>' for i in range(drawing.LEVELS)
+    )
+    return Markup(
+        f'<svg class="ramp" viewBox="0 0 {16 * drawing.LEVELS} 12" role="img" '
+        f'aria-label="colours of the residual">{cells}</svg>'
+    )
 
 
 def _listed(x: float | list[float] | None) -> Markup:

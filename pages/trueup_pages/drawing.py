@@ -1,4 +1,5 @@
-"""Drawing: pictures as SVG that take their colours from the page, so that they are right in light and in dark.
+"""Drawing: pictures as SVG that take their colours from the page, so that they are right in light
+and in dark.
 
 Every picture says in `aria-label` what it shows, and carries no style of its own.
 """
@@ -23,14 +24,22 @@ Pairs = Sequence[tuple[float, float | None]]
 
 def _svg(width: float, height: float, label: str, body: str, kind: str = "") -> Markup:
     named = f" class={kind}" if kind else ""
-    return Markup(f'<svg{named} viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{escape(label)}">{body}</svg>')
+    return Markup(
+        f'<svg{named} viewBox="0 0 {width:g} {height:g}" role="img" '
+        f'aria-label="{escape(label)}">{body}</svg>'
+    )
 
 
 def _text(x: float, y: float, words: str, anchor: str = "start") -> str:
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>'
 
 
-def _runs(points: Pairs, across: tuple[float, float], along: tuple[float, float], box: tuple[float, float, float, float]) -> list[str]:
+def _runs(
+    points: Pairs,
+    across: tuple[float, float],
+    along: tuple[float, float],
+    box: tuple[float, float, float, float],
+) -> list[str]:
     """A line's points in a box, in pieces where numbers are missing."""
     (x0, x1), (y0, y1), (left, top, width, height) = across, along, box
     pieces: list[list[str]] = [[]]
@@ -40,7 +49,9 @@ def _runs(points: Pairs, across: tuple[float, float], along: tuple[float, float]
                 pieces.append([])
             continue
         held = min(max(y, y0), y1)
-        pieces[-1].append(f"{left + (x - x0) / (x1 - x0) * width:.1f},{top + (y1 - held) / (y1 - y0) * height:.1f}")
+        across = left + (x - x0) / (x1 - x0) * width
+        down = top + (y1 - held) / (y1 - y0) * height
+        pieces[-1].append(f"{across:.1f},{down:.1f}")
     return [" ".join(p) for p in pieces if p]
 
 
@@ -54,7 +65,12 @@ def span_of(values: Sequence[float | None]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def lines(t_s: Sequence[float], series: Mapping[str, Sequence[float | None]], label: str, size: tuple[int, int] = PLOT) -> Markup:
+def lines(
+    t_s: Sequence[float],
+    series: Mapping[str, Sequence[float | None]],
+    label: str,
+    size: tuple[int, int] = PLOT,
+) -> Markup:
     """Lines over time; `series` by the name that is also their class."""
     width, height = size
     box = (LEFT, 8.0, width - LEFT - 8.0, height - 34.0)
@@ -64,24 +80,35 @@ def lines(t_s: Sequence[float], series: Mapping[str, Sequence[float | None]], la
     for part in (0.0, 0.5, 1.0):
         value, y = along[0] + part * (along[1] - along[0]), box[1] + (1.0 - part) * box[3]
         drawn.append(
-            f'<line class="grid" x1="{LEFT}" x2="{width - 8}" y1="{y:.1f}" y2="{y:.1f}"/>{_text(LEFT - 6, y + 4, f"{value:.3g}", "end")}'
+            f'<line class="grid" x1="{LEFT}" x2="{width - 8}" y1="{y:.1f}" '
+            f'y2="{y:.1f}"/>{_text(LEFT - 6, y + 4, f"{value:.3g}", "end")}'
         )
     for name, values in series.items():
         pieces = _runs(list(zip(t_s, values, strict=True)), across, along, box)
         drawn += [f'<polyline class="line {escape(name)}" points="{piece}"/>' for piece in pieces]
-    drawn += [_text(LEFT, height - 8, f"{across[0]:.3g} s"), _text(width - 8, height - 8, f"{across[1]:.4g} s", "end")]
+    drawn += [
+        _text(LEFT, height - 8, f"{across[0]:.3g} s"),
+        _text(width - 8, height - 8, f"{across[1]:.4g} s", "end"),
+    ]
     return _svg(width, height, label, "".join(drawn))
 
 
 def recording(recordings: Mapping[str, Any], channel: Mapping[str, Any], every: int) -> Markup:
     """A channel of the first recording, every so many points, as it looks without a script."""
-    drawn = {"measured": channel["measured"][::every]} | {m["kind"]: channel[m["key"]][::every] for m in recordings["models"]}
+    drawn = {"measured": channel["measured"][::every]} | {
+        m["kind"]: channel[m["key"]][::every] for m in recordings["models"]
+    }
     words = ", ".join(m["label"] for m in recordings["models"])
-    return lines(recordings["episodes"][0]["t_s"][::every], drawn, f"{channel['name']} over time: measured, {words}")
+    return lines(
+        recordings["episodes"][0]["t_s"][::every],
+        drawn,
+        f"{channel['name']} over time: measured, {words}",
+    )
 
 
 def heat(of: Mapping[str, Any], layer: str, pair: str) -> Markup:
-    """A map of mean residuals over two of speed, command and time. One path for each colour keeps it small."""
+    """A map of mean residuals over two of speed, command and time. One path for each colour keeps
+    it small."""
     first, second = pair.split("-")
     rows, (width, height) = of["layers"][layer][pair], CELL_AREA
     across, along = of["axes"][first], of["axes"][second]
@@ -94,16 +121,28 @@ def heat(of: Mapping[str, Any], layer: str, pair: str) -> Markup:
                 x, y = LEFT + j * w, 6 + (len(rows) - 1 - i) * h
                 paths.setdefault(level, []).append(f"M{x:.1f} {y:.1f}h{w:.2f}v{h:.2f}h-{w:.2f}z")
     body = f'<rect class="empty" x="{LEFT}" y="6" width="{width}" height="{height}"/>'
-    body += "".join(f'<path class="h{level}" d="{"".join(d)}"/>' for level, d in sorted(paths.items()))
+    body += "".join(
+        f'<path class="h{level}" d="{"".join(d)}"/>' for level, d in sorted(paths.items())
+    )
     for edges, ends in ((across["edges"], "x"), (along["edges"], "y")):
         for value, at in ((edges[0], 0.0), (edges[-1], 1.0)):
             if ends == "x":
-                body += _text(LEFT + at * width, height + 20, f"{round(value, 12):.2g}", ("start", "middle", "end")[round(2 * at)])
+                body += _text(
+                    LEFT + at * width,
+                    height + 20,
+                    f"{round(value, 12):.2g}",
+                    ("start", "middle", "end")[round(2 * at)],
+                )
             else:
                 body += _text(
-                    LEFT - 5, 6 + (1.0 - at) * height + (10 if at == 1.0 else 0 if at == 0.0 else 4), f"{round(value, 12):.2g}", "end"
+                    LEFT - 5,
+                    6 + (1.0 - at) * height + (10 if at == 1.0 else 0 if at == 0.0 else 4),
+                    f"{round(value, 12):.2g}",
+                    "end",
                 )
-    body += _text(LEFT + width / 2, height + 35, f"{first} [{unit(across['unit']) or '1'}]", "middle")
+    body += _text(
+        LEFT + width / 2, height + 35, f"{first} [{unit(across['unit']) or '1'}]", "middle"
+    )
     turned = f'transform="translate(12,{6 + height / 2}) rotate(-90)" text-anchor="middle"'
     body += f"<text {turned}>{escape(second)} [{escape(unit(along['unit']) or '1')}]</text>"
     label = f"mean residual of {of['name']} over {first} and {second}, {layer} model"
@@ -118,21 +157,35 @@ def waterfall(parts: Sequence[Mapping[str, Any]]) -> Markup:
     for i, part in enumerate(steps):
         y, share = 4 + row * i, float(part["share"])
         begin = 0.0 if i == 0 else at - share
-        kind = {"nominal model": "nominal", "new numbers": "refitted", "noise floor": "floor", "not explained": "left"}.get(
-            str(part["what"]), "corrected"
-        )
+        kind = {
+            "nominal model": "nominal",
+            "new numbers": "refitted",
+            "noise floor": "floor",
+            "not explained": "left",
+        }.get(str(part["what"]), "corrected")
         if i:
-            drawn.append(f'<line class="grid" x1="{left + at * width:.1f}" x2="{left + at * width:.1f}" y1="{y - 10}" y2="{y + 20}"/>')
+            drawn.append(
+                f'<line class="grid" x1="{left + at * width:.1f}" '
+                f'x2="{left + at * width:.1f}" y1="{y - 10}" y2="{y + 20}"/>'
+            )
         drawn.append(
-            f'<rect class="{kind}" x="{left + begin * width:.1f}" y="{y}" width="{max(share * width, 1.5):.1f}" height="20" rx="2"/>'
+            f'<rect class="{kind}" x="{left + begin * width:.1f}" y="{y}" '
+            f'width="{max(share * width, 1.5):.1f}" height="20" rx="2"/>'
         )
         words = "100 %" if i == 0 else percent(share)
         past = left + (begin + share) * width + 8
-        drawn.append(_text(left - 10, y + 15, str(part["what"]), "end") + _text(past, y + 15, words))
+        drawn.append(
+            _text(left - 10, y + 15, str(part["what"]), "end") + _text(past, y + 15, words)
+        )
         at = begin if i else 1.0
     height = 8 + row * len(steps)
     label = "; ".join(f"{p['what']} {percent(float(p['share']))}" for p in parts)
-    return _svg(left + width + 90, height, f"shares of the nominal model's squared error: {label}", "".join(drawn))
+    return _svg(
+        left + width + 90,
+        height,
+        f"shares of the nominal model's squared error: {label}",
+        "".join(drawn),
+    )
 
 
 def nearly(share: float) -> str:
@@ -145,12 +198,18 @@ class Scale:
 
     def __init__(self, values: Sequence[float], width: float = 220.0) -> None:
         fine = [v for v in values if v > 0.0 and math.isfinite(v)] or [1.0]
-        self.low, self.high, self.width = math.log10(min(fine)) - 0.1, math.log10(max(fine)) + 0.1, width
+        self.low, self.high, self.width = (
+            math.log10(min(fine)) - 0.1,
+            math.log10(max(fine)) + 0.1,
+            width,
+        )
 
     def __call__(self, value: float) -> float:
         if value <= 0.0:
             return 0.0
-        return min(max((math.log10(value) - self.low) / (self.high - self.low), 0.0), 1.0) * self.width
+        return (
+            min(max((math.log10(value) - self.low) / (self.high - self.low), 0.0), 1.0) * self.width
+        )
 
 
 def interval(scale: Scale, value: float | None, ends: Sequence[float] | None, kind: str) -> Markup:
@@ -159,7 +218,10 @@ def interval(scale: Scale, value: float | None, ends: Sequence[float] | None, ki
         return Markup("")
     body = f'<line class="grid" x1="0" x2="{scale.width:g}" y1="9" y2="9"/>'
     if ends is not None:
-        body += f'<line class="ends {kind}" x1="{scale(ends[0]):.1f}" x2="{scale(ends[1]):.1f}" y1="9" y2="9"/>'
+        body += (
+            f'<line class="ends {kind}" x1="{scale(ends[0]):.1f}" x2="{scale(ends[1]):.1f}" '
+            'y1="9" y2="9"/>'
+        )
     body += f'<circle class="{kind}" cx="{scale(value):.1f}" cy="9" r="4.5"/>'
     return _svg(scale.width, 18, f"{short(value)}", body, "interval")
 
@@ -180,7 +242,10 @@ def sparkline(values: Sequence[float | None], label: str, threshold: float | Non
     points: Pairs = [(float(i), v) for i, v in enumerate(values)]
     box = (2.0, 2.0, width - 4.0, height - 4.0)
     across = (0.0, max(len(values) - 1.0, 1.0))
-    body = "".join(f'<polyline class="line corrected" points="{piece}"/>' for piece in _runs(points, across, (low, high), box))
+    body = "".join(
+        f'<polyline class="line corrected" points="{piece}"/>'
+        for piece in _runs(points, across, (low, high), box)
+    )
     if threshold is not None:
         y = box[1] + (high - threshold) / (high - low) * box[3]
         body += f'<line class="limit" x1="2" x2="{width - 2}" y1="{y:.1f}" y2="{y:.1f}"/>'

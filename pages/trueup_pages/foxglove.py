@@ -1,4 +1,5 @@
-"""A layout for Foxglove: plots of what was recorded, what two versions predict, what they miss, and the regions."""
+"""A layout for Foxglove: plots of what was recorded, what two versions predict, what they miss, and
+the regions."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ COLOURS = ("#111827", "#b34d08", "#0a6ba8")
 
 
 def layout(plant: Mapping[str, Any], models: Sequence[str]) -> dict[str, Any]:
-    """The layout of a plant's recordings with predictions of some models, `v1` and `v5`, as JSON that Foxglove imports."""
+    """The layout of a plant's recordings with predictions of some models, `v1` and `v5`, as JSON
+    that Foxglove imports."""
     topic = plant.get("topics", {}).get("observation", "/joint_states")
     configured: dict[str, Any] = {}
     panels: list[str] = []
@@ -22,7 +24,9 @@ def layout(plant: Mapping[str, Any], models: Sequence[str]) -> dict[str, Any]:
         for kind, paths, colours in (("signal", of, COLOURS), ("residual", missed, COLOURS[1:])):
             name = f"Plot!{kind}-{at}"
             configured[name] = {
-                "title": f"{channel['name']} [{channel['unit']}]" if kind == "signal" else f"observed less predicted, {channel['name']}",
+                "title": f"{channel['name']} [{channel['unit']}]"
+                if kind == "signal"
+                else f"observed less predicted, {channel['name']}",
                 "paths": [_line(p, c) for p, c in zip(paths, colours, strict=False)],
                 "showLegend": True,
                 "isSynced": True,
@@ -30,7 +34,12 @@ def layout(plant: Mapping[str, Any], models: Sequence[str]) -> dict[str, Any]:
             }
             panels.append(name)
     configured["RawMessages!regions"] = {"topicPath": "/trueup/regions", "diffEnabled": False}
-    return {"configById": configured, "globalVariables": {}, "userNodes": {}, "layout": _stacked([*panels, "RawMessages!regions"])}
+    return {
+        "configById": configured,
+        "globalVariables": {},
+        "userNodes": {},
+        "layout": _stacked([*panels, "RawMessages!regions"]),
+    }
 
 
 def _line(path: str, colour: str) -> dict[str, Any]:
@@ -41,4 +50,9 @@ def _stacked(panels: Sequence[str]) -> Any:
     """Panels one above the other, each as high as the others."""
     if len(panels) == 1:
         return panels[0]
-    return {"direction": "column", "first": panels[0], "second": _stacked(panels[1:]), "splitPercentage": 100.0 / len(panels)}
+    return {
+        "direction": "column",
+        "first": panels[0],
+        "second": _stacked(panels[1:]),
+        "splitPercentage": 100.0 / len(panels),
+    }

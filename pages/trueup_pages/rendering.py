@@ -1,4 +1,5 @@
-"""Rendering: templates with values become HTML. What is not marked as markup is escaped, and a value that is missing is an error."""
+"""Rendering: templates with values become HTML. What is not marked as markup is escaped, and a
+value that is missing is an error."""
 
 from __future__ import annotations
 
@@ -17,7 +18,11 @@ from trueup_pages.timeline import timeline
 @cache
 def _environment() -> Environment:
     made = Environment(
-        loader=PackageLoader("trueup_pages"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("trueup_pages"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     made.filters.update(
         short=words.short,
@@ -27,7 +32,13 @@ def _environment() -> Environment:
         moment=moment,
         plain=lambda text: text.replace("_", " "),
     )
-    made.globals.update(asset=url_of, inlined=lambda name: Markup(text_of(name)), drawing=drawing, words=words, timeline=timeline)
+    made.globals.update(
+        asset=url_of,
+        inlined=lambda name: Markup(text_of(name)),
+        drawing=drawing,
+        words=words,
+        timeline=timeline,
+    )
     return made
 
 

@@ -1,4 +1,5 @@
-"""Timeline: what happened to a plant on one axis, a lane for each kind, every mark a link to what it stands for."""
+"""Timeline: what happened to a plant on one axis, a lane for each kind, every mark a link to what
+it stands for."""
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ LANES = ("episodes", "alarms", "diagnoses", "decisions", "serving")
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Something that happened: when, in which lane, of which kind, in words, and the page that it leads to."""
+    """Something that happened: when, in which lane, of which kind, in words, and the page that it
+    leads to."""
 
     at: str
     lane: str
@@ -26,16 +28,23 @@ class Mark:
 
 
 def timeline(plant: str, entries: Sequence[Any]) -> Markup:
-    """Entries of the log (`at`, `kind`, `subject`, `facts`), the newest first, as marks, the newest to the right."""
+    """Entries of the log (`at`, `kind`, `subject`, `facts`), the newest first, as marks, the newest
+    to the right."""
     marks = [mark for e in reversed(entries) if (mark := _mark(plant, e)) is not None]
     height = TOP + LANE * len(LANES) + 24
     body = "".join(_lane(name, _height(name)) for name in LANES)
     if marks:
         seconds = [datetime.fromisoformat(mark.at).timestamp() for mark in marks]
         span = max(seconds[-1] - seconds[0], 1.0)
-        body += "".join(_drawn(m, LEFT + 10 + (s - seconds[0]) / span * (WIDTH - LEFT - 30)) for m, s in zip(marks, seconds, strict=True))
+        body += "".join(
+            _drawn(m, LEFT + 10 + (s - seconds[0]) / span * (WIDTH - LEFT - 30))
+            for m, s in zip(marks, seconds, strict=True)
+        )
         body += f'<text x="{LEFT}" y="{height - 6}">{_minute(marks[0].at)}</text>'
-        body += f'<text x="{WIDTH - 8}" y="{height - 6}" text-anchor="end">{_minute(marks[-1].at)}</text>'
+        body += (
+            f'<text x="{WIDTH - 8}" y="{height - 6}" '
+            f'text-anchor="end">{_minute(marks[-1].at)}</text>'
+        )
     named = 'role="group" aria-label="what happened, by kind and time"'
     return Markup(f'<svg class="timeline" viewBox="0 0 {WIDTH} {height}" {named}>{body}</svg>')
 
@@ -45,14 +54,28 @@ def _height(lane: str) -> int:
 
 
 def _lane(name: str, y: int) -> str:
-    return f'<text x="0" y="{y + 4}">{name}</text><line class="grid" x1="{LEFT}" x2="{WIDTH - 8}" y1="{y}" y2="{y}"/>'
+    return (
+        f'<text x="0" y="{y + 4}">{name}</text><line class="grid" x1="{LEFT}" '
+        f'x2="{WIDTH - 8}" y1="{y}" y2="{y}"/>'
+    )
 
 
 def _drawn(mark: Mark, x: float) -> str:
     y = _height(mark.lane)
-    shape = f'd="M{x - 6:.1f} {y + 6}h12l-6 -12z"' if mark.lane == "alarms" else f'd="M{x - 6:.1f} {y}a6 6 0 1 0 12 0a6 6 0 1 0 -12 0z"'
-    drawn = f'<title>{escape(mark.said)}, {_minute(mark.at)}</title><path class="mark-{mark.kind}" {shape}/>'
-    return f'<a href="{escape(mark.to)}" aria-label="{escape(mark.said)}">{drawn}</a>' if mark.to else f"<g>{drawn}</g>"
+    shape = (
+        f'd="M{x - 6:.1f} {y + 6}h12l-6 -12z"'
+        if mark.lane == "alarms"
+        else f'd="M{x - 6:.1f} {y}a6 6 0 1 0 12 0a6 6 0 1 0 -12 0z"'
+    )
+    drawn = (
+        f"<title>{escape(mark.said)}, {_minute(mark.at)}</title><path "
+        f'class="mark-{mark.kind}" {shape}/>'
+    )
+    return (
+        f'<a href="{escape(mark.to)}" aria-label="{escape(mark.said)}">{drawn}</a>'
+        if mark.to
+        else f"<g>{drawn}</g>"
+    )
 
 
 def _minute(at: str) -> str:
@@ -63,11 +86,24 @@ def _mark(plant: str, e: Any) -> Mark | None:
     """An entry as a mark; None for what stands in no lane."""
     here = f"/plants/{plant}"
     if e.kind == "episode:ingested":
-        return Mark(e.at, "episodes", "episode", f"episode {e.subject[:12]}", f"{here}/episodes/{e.subject}")
+        return Mark(
+            e.at, "episodes", "episode", f"episode {e.subject[:12]}", f"{here}/episodes/{e.subject}"
+        )
     if e.kind in ("alarm:raised", "alarm:closed"):
-        return Mark(e.at, "alarms", "alarm" if e.kind == "alarm:raised" else "episode", e.kind.replace(":", " "))
+        return Mark(
+            e.at,
+            "alarms",
+            "alarm" if e.kind == "alarm:raised" else "episode",
+            e.kind.replace(":", " "),
+        )
     if e.kind == "job:finished" and e.facts.get("kind") == "diagnose":
-        return Mark(e.at, "diagnoses", "diagnosis", f"diagnosis {e.facts.get('state')}", f"{here}/diagnoses/{e.subject}")
+        return Mark(
+            e.at,
+            "diagnoses",
+            "diagnosis",
+            f"diagnosis {e.facts.get('state')}",
+            f"{here}/diagnoses/{e.subject}",
+        )
     if e.kind == "decision:made":
         said = "accepted" if e.facts.get("decision", {}).get("accepted") else "rejected"
         return Mark(e.at, "decisions", said, said, f"{here}/decisions/{e.subject}")

@@ -1,7 +1,8 @@
 """Take a registry, or a plant of it, out as an archive, and bring it in again.
 
-Rows come from one snapshot; bytes are named by digest and never removed while a row names them: so an archive made while the service runs
-is of one moment. What comes in is verified before anything of it is kept.
+Rows come from one snapshot; bytes are named by digest and never removed while a row names them: so
+an archive made while the service runs is of one moment. What comes in is verified before anything
+of it is kept.
 """
 
 from __future__ import annotations
@@ -48,12 +49,19 @@ from trueup_service.wiring import Parts
 
 AT_ONCE = 1000
 BESIDE = ("audit_key", "job_reads", "idempotency")  # of a whole registry, beside what the log names
-NAMES = {EPISODE: "episodes/{}.mcap", ARRAYS: "arrays/{}.safetensors", ENTRIES: "imported/{}.jsonl", OUTPUT: "outputs/{}"}
+NAMES = {
+    EPISODE: "episodes/{}.mcap",
+    ARRAYS: "arrays/{}.safetensors",
+    ENTRIES: "imported/{}.jsonl",
+    OUTPUT: "outputs/{}",
+}
 KINDS = {"episodes": EPISODE, "artifacts": ARRAYS, "imports": ENTRIES, "outputs": OUTPUT}
 Told = Callable[[float, str], None]
 
 
-def export(parts: Parts, log: SignedLog, path: Path, plant: str | None, now: str, told: Told) -> str:
+def export(
+    parts: Parts, log: SignedLog, path: Path, plant: str | None, now: str, told: Told
+) -> str:
     """Write an archive of a registry, or of one plant; its digest. Raises NotFound."""
     with parts.database.snapshot() as connection, ArchiveWriter(path) as archive:
         reader = Reader(connection)
@@ -65,16 +73,24 @@ def export(parts: Parts, log: SignedLog, path: Path, plant: str | None, now: str
             told(0.2 * count / len(KEYS), table)
             if plant is not None and table in KEPT_APART:
                 continue
-            rows = [row for row in _rows(reader, t.metadata.tables[table], plant) if plant is None or must_be_named(table, row)]
+            rows = [
+                row
+                for row in _rows(reader, t.metadata.tables[table], plant)
+                if plant is None or must_be_named(table, row)
+            ]
             archive.add(f"rows/{table}.jsonl", ROWS, lines(rows))
             named |= {digest: KINDS[table] for row in rows for digest in blobs(table, row)}
         for table in BESIDE if plant is None else ():
-            archive.add(f"beside/{table}.jsonl", ROWS, lines(_rows(reader, t.metadata.tables[table], None)))
+            archive.add(
+                f"beside/{table}.jsonl", ROWS, lines(_rows(reader, t.metadata.tables[table], None))
+            )
         archive.add("log/entries.jsonl", ENTRIES, lines(_entries(reader, plant, tree.size)))
         for count, (digest, kind) in enumerate(sorted(named.items()), 1):
             told(0.2 + 0.8 * count / len(named), f"blob {digest[:12]}")
             size = sum(map(len, parts.blobs.stream(digest)))
-            archive.add_parts(NAMES[kind].format(digest), kind, digest, size, parts.blobs.stream(digest))
+            archive.add_parts(
+                NAMES[kind].format(digest), kind, digest, size, parts.blobs.stream(digest)
+            )
         config = {
             "plant": plant,
             "key": log.signer.verifier,
@@ -92,7 +108,9 @@ def _rows(reader: Reader, table: Table, plant: str | None) -> Iterator[dict[str,
         yield from found
         if len(found) < AT_ONCE:
             return
-        after = [column.type.python_type(found[-1][column.name]) for column in table.primary_key.columns]
+        after = [
+            column.type.python_type(found[-1][column.name]) for column in table.primary_key.columns
+        ]
 
 
 def _entries(reader: Reader, plant: str | None, size: int) -> Iterator[dict[str, Json]]:
@@ -101,31 +119,49 @@ def _entries(reader: Reader, plant: str | None, size: int) -> Iterator[dict[str,
     while found := reader.audit_entries(after, AT_ONCE, plant):
         for entry in found:
             plan = [] if plant is None else inclusion(entry.sequence - 1, size)
-            yield entry_line(entry, prove(plan, reader.audit_nodes([n for part in plan for n in part])) if plan else ())
+            yield entry_line(
+                entry,
+                prove(plan, reader.audit_nodes([n for part in plan for n in part])) if plan else (),
+            )
         after = found[-1].sequence
 
 
 def require_whole(archive: Archive, includes: Includes, told: Told) -> None:
-    """Hold an archive against its own log; whoever calls has verified the signature of its head. Raises NotWhole, BadArchive."""
+    """Hold an archive against its own log; whoever calls has verified the signature of its head.
+    Raises NotWhole, BadArchive."""
     if archive.plant is None:
         findings = verify(archive, told).findings
     else:
         missing, others = unproven(archive, includes), of_others(archive)
         if missing:
-            raise NotWhole(f"{len(missing)} entries are not proven to be in the log, entry {missing[0]} among them", entries=missing[:10])
+            raise NotWhole(
+                (
+                    f"{len(missing)} entries are not proven to be in the log, entry {missing[0]} "
+                    "among them"
+                ),
+                entries=missing[:10],
+            )
         hanging = dangling(archive)
         if hanging:
-            raise NotWhole(f"{len(hanging)} rows name what the archive does not hold, {hanging[0]} among them", rows=hanging[:10])
+            raise NotWhole(
+                f"{len(hanging)} rows name what the archive does not hold, {hanging[0]} among them",
+                rows=hanging[:10],
+            )
         if others:
-            raise NotWhole(f"{len(others)} rows are of another plant, {others[0]} among them", rows=others[:10])
+            raise NotWhole(
+                f"{len(others)} rows are of another plant, {others[0]} among them", rows=others[:10]
+            )
         findings = verify_part(archive, (entry for entry, _ in archive.proven()), told).findings
     if findings:
         first = findings[0]
-        raise NotWhole(f"{len(findings)} things are not as the log says, such as {first.where}: {first.what}")
+        raise NotWhole(
+            f"{len(findings)} things are not as the log says, such as {first.where}: {first.what}"
+        )
 
 
 def restore(parts: Parts, archive: Archive, told: Told) -> int:
-    """Bring a whole registry back into an empty one, as it was; the number of jobs that go on. Raises NotEmpty, NotWhole."""
+    """Bring a whole registry back into an empty one, as it was; the number of jobs that go on.
+    Raises NotEmpty, NotWhole."""
     if archive.plant is not None:
         raise NotWhole("this is an archive of one plant", hint="`trueup import` takes it.")
     with parts.database.read() as connection:
@@ -136,7 +172,9 @@ def restore(parts: Parts, archive: Archive, told: Told) -> int:
     with writing(parts.database) as writer:
         for table in t.metadata.sorted_tables:
             if table.name in (*KEYS, *BESIDE):
-                for row in archive.documents(f"{'beside' if table.name in BESIDE else 'rows'}/{table.name}.jsonl"):
+                for row in archive.documents(
+                    f"{'beside' if table.name in BESIDE else 'rows'}/{table.name}.jsonl"
+                ):
                     writer.put_row(table, row)
         writer.put_log(archive.entries(0, archive.head()[0]))
         jobs = writer.jobs_under_way()
@@ -146,7 +184,9 @@ def restore(parts: Parts, archive: Archive, told: Told) -> int:
     return len(jobs)
 
 
-def import_plant(parts: Parts, archive: Archive, project: str | None, stamp: Stamp, told: Told) -> str:
+def import_plant(
+    parts: Parts, archive: Archive, project: str | None, stamp: Stamp, told: Told
+) -> str:
     """Bring a plant in with its whole history; its name. Raises Conflict, NotFound, NotWhole."""
     plant = archive.plant
     if plant is None:
@@ -162,7 +202,10 @@ def import_plant(parts: Parts, archive: Archive, project: str | None, stamp: Sta
         if project is not None:
             find.project(writer, project)
         if writer.plant(plant) is not None:
-            raise Conflict(f"there is a plant {plant!r} already", hint="A plant is imported once, where there is none of its name.")
+            raise Conflict(
+                f"there is a plant {plant!r} already",
+                hint="A plant is imported once, where there is none of its name.",
+            )
         for table in t.metadata.sorted_tables:
             if table.name not in KEYS or table.name in (*KEPT_APART, t.imports.name):
                 continue
@@ -170,19 +213,39 @@ def import_plant(parts: Parts, archive: Archive, project: str | None, stamp: Sta
                 if must_be_named(table.name, row):
                     writer.add_row(table, {**row, "project": project} if table is t.plants else row)
                     _note_uses(writer, table, row)
-        writer.add_import(ImportRecord(plant, archive.digest, note.split("\n", 1)[0], note, entries, stamp.now, stamp.actor))
-        facts: dict[str, Json] = {"archive": archive.digest, "checkpoint": note, "key": str(archive.config["key"]), "entries": entries}
-        writer.append_audit(at=stamp.now, kind="plant:imported", actor=stamp.actor, plant=plant, subject=archive.digest, facts=facts)
+        writer.add_import(
+            ImportRecord(
+                plant, archive.digest, note.split("\n", 1)[0], note, entries, stamp.now, stamp.actor
+            )
+        )
+        facts: dict[str, Json] = {
+            "archive": archive.digest,
+            "checkpoint": note,
+            "key": str(archive.config["key"]),
+            "entries": entries,
+        }
+        writer.append_audit(
+            at=stamp.now,
+            kind="plant:imported",
+            actor=stamp.actor,
+            plant=plant,
+            subject=archive.digest,
+            facts=facts,
+        )
     return plant
 
 
 @contextmanager
 def _taking_over(plant: str) -> Iterator[None]:
-    """Say it in words where a row of the archive has the key of one that is here, as a job of another plant."""
+    """Say it in words where a row of the archive has the key of one that is here, as a job of
+    another plant."""
     try:
         yield
     except IntegrityError as error:
-        raise Conflict(f"a row of plant {plant!r} has the name of another one here", hint="Nothing was taken in.") from error
+        raise Conflict(
+            f"a row of plant {plant!r} has the name of another one here",
+            hint="Nothing was taken in.",
+        ) from error
 
 
 def _note_uses(writer: Writer, table: Table, row: Mapping[str, Any]) -> None:

@@ -41,7 +41,8 @@ class TooLargeUpload(TrueupError):
 
 
 class Kept(TrueupError):
-    """What was registered is kept: it serves, a decision names it, or somebody may have to recompute from it."""
+    """What was registered is kept: it serves, a decision names it, or somebody may have to
+    recompute from it."""
 
     code = "kept"
     hint = "Roll back or promote to change what serves; nothing has to be deleted for that."
@@ -51,15 +52,20 @@ class HeldOutSpent(TrueupError):
     """The held-out episodes were used as often as the gate allows."""
 
     code = "held-out-spent"
-    hint = "Record a fresh episode with the role validation: whoever chooses by the same one again and again fits to it."
+    hint = (
+        "Record a fresh episode with the role validation: whoever chooses by the same one "
+        "again and again fits to it."
+    )
 
 
 class GateFollows(TrueupError):
-    """Candidates of this plant have been scored already: another gate names the one that it follows, and says why."""
+    """Candidates of this plant have been scored already: another gate names the one that it
+    follows, and says why."""
 
     code = "gate-follows"
     hint = (
-        "Judge by the gate that is in force, or declare this one with its digest in `follows` and a reason in `because` "
+        "Judge by the gate that is in force, or declare this one with its digest in "
+        "`follows` and a reason in `because` "
         "(the command: --because REASON). Every decision by it will tell what was known."
     )
 
@@ -68,7 +74,10 @@ class GateSuperseded(TrueupError):
     """Another gate has been declared since: the last one of a plant judges."""
 
     code = "gate-superseded"
-    hint = "Judge by the gate in force (GET /v1/plants/PLANT/gate), or declare these rules again as what follows it."
+    hint = (
+        "Judge by the gate in force (GET /v1/plants/PLANT/gate), or declare these rules "
+        "again as what follows it."
+    )
 
 
 class RejectedBefore(TrueupError):
@@ -76,8 +85,10 @@ class RejectedBefore(TrueupError):
 
     code = "rejected-before"
     hint = (
-        "Record held-out episodes after the gate was declared and after the rejection, and judge on those alone; "
-        "or let somebody else approve the decision with a reason: `trueup approve PLANT DECISION --because REASON`."
+        "Record held-out episodes after the gate was declared and after the rejection, and "
+        "judge on those alone; "
+        "or let somebody else approve the decision with a reason: `trueup approve PLANT "
+        "DECISION --because REASON`."
     )
 
 
@@ -85,7 +96,10 @@ class EvidenceMissing(TrueupError):
     """The channel requires evidence that the artifact has not."""
 
     code = "evidence-missing"
-    hint = "Test it at the named stages and add what was found (`trueup evidence PLANT --add FILE`); or move a channel that requires less."
+    hint = (
+        "Test it at the named stages and add what was found (`trueup evidence PLANT --add "
+        "FILE`); or move a channel that requires less."
+    )
 
 
 class NeverServed(TrueupError):
@@ -113,21 +127,30 @@ class MemoryFull(TrueupError):
     """The service holds as many bytes of other requests as it may."""
 
     code = "memory-full"
-    hint = "Send it again in a second, with the same Idempotency-Key; TRUEUP_BODIES_LIMIT_BYTES is how much the service holds at once."
+    hint = (
+        "Send it again in a second, with the same Idempotency-Key; "
+        "TRUEUP_BODIES_LIMIT_BYTES is how much the service holds at once."
+    )
 
 
 class InspectionFailed(TrueupError):
     """The inspection of the upload was ended at its limit."""
 
     code = "inspection-limit"
-    hint = "The file needs more memory or time than a sound recording of its size: check it, or raise the inspection limits."
+    hint = (
+        "The file needs more memory or time than a sound recording of its size: check it, "
+        "or raise the inspection limits."
+    )
 
 
 class LogRewound(TrueupError):
     """The log is shorter than, or other than, the one whose head was published."""
 
     code = "log-rewound"
-    hint = "Somebody restored or edited the database: compare it with a mirror, then put data_dir/checkpoint away if that was meant to be."
+    hint = (
+        "Somebody restored or edited the database: compare it with a mirror, then put "
+        "data_dir/checkpoint away if that was meant to be."
+    )
 
 
 class OtherKey(TrueupError):
@@ -135,7 +158,8 @@ class OtherKey(TrueupError):
 
     code = "other-key"
     hint = (
-        "Give every server of one database the same TRUEUP_SIGNING_KEY; restore data_dir/signing.key if it was lost. "
+        "Give every server of one database the same TRUEUP_SIGNING_KEY; restore "
+        "data_dir/signing.key if it was lost. "
         "To replace the key, give the one before as TRUEUP_SIGNING_KEY_BEFORE, too."
     )
 
@@ -144,29 +168,40 @@ class Pickled(TrueupError):
     """A row of the job engine is pickled. Nothing of ours is: somebody else wrote it."""
 
     code = "pickled-row"
-    hint = "Somebody wrote into the engine's tables: find out who may write to the database, then delete the row."
+    hint = (
+        "Somebody wrote into the engine's tables: find out who may write to the database, "
+        "then delete the row."
+    )
 
 
 class NotEmpty(TrueupError):
     """The registry holds something already."""
 
     code = "registry-not-empty"
-    hint = "Restore into a fresh database and an empty folder or bucket; `trueup import` adds one plant to a registry in use."
+    hint = (
+        "Restore into a fresh database and an empty folder or bucket; `trueup import` adds "
+        "one plant to a registry in use."
+    )
 
 
 class NotWhole(TrueupError):
     """What came does not agree with its own log, or is not signed by the key that was given."""
 
     code = "archive-not-whole"
-    hint = "Nothing was taken over. Fetch the archive again, and compare the key with the one of the site that it came from."
+    hint = (
+        "Nothing was taken over. Fetch the archive again, and compare the key with the one "
+        "of the site that it came from."
+    )
 
 
 class KeyNotGiven(TrueupError):
-    """An archive says itself which key it is signed with, and nobody else has said which it should be."""
+    """An archive says itself which key it is signed with, and nobody else has said which it should
+    be."""
 
     code = "key-not-given"
     hint = (
-        "Ask whoever runs the log that it comes from for its public key (`trueup audit key`), and give it with --key. --any-key believes "
+        "Ask whoever runs the log that it comes from for its public key (`trueup audit "
+        "key`), and give it with --key. --any-key believes "
         "the key that the archive names: that shows that it is whole, and not whose it is."
     )
 
@@ -182,14 +217,20 @@ class UploadsFull(TrueupError):
     """The plant has as many uploads in parts under way as it may."""
 
     code = "uploads-full"
-    hint = "Finish those that are under way; one that nobody goes on with goes after TRUEUP_UPLOADS_KEPT_S."
+    hint = (
+        "Finish those that are under way; one that nobody goes on with goes after "
+        "TRUEUP_UPLOADS_KEPT_S."
+    )
 
 
 class ApprovalMissing(TrueupError):
     """The plant's policy takes more people for a promotion."""
 
     code = "approval-missing"
-    hint = "Somebody else must approve it first, with a token of their own name: `trueup approve PLANT DECISION`."
+    hint = (
+        "Somebody else must approve it first, with a token of their own name: `trueup "
+        "approve PLANT DECISION`."
+    )
 
 
 class UnknownHost(TrueupError):
@@ -203,7 +244,10 @@ class Unauthenticated(TrueupError):
     """Nobody is known by what was sent."""
 
     code = "unauthenticated"
-    hint = "Send `Authorization: Bearer <token>` (the command: `trueup login`, or TRUEUP_TOKEN); an admin issues tokens."
+    hint = (
+        "Send `Authorization: Bearer <token>` (the command: `trueup login`, or "
+        "TRUEUP_TOKEN); an admin issues tokens."
+    )
 
 
 class Forbidden(TrueupError):

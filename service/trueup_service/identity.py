@@ -1,7 +1,7 @@
 """Who asks: tokens, and the sessions of browsers.
 
-A token is `trueup_<prefix>_<secret>`. The prefix finds its row, the secret (32 random bytes) is kept as its SHA-256 alone and compared in
-constant time. It is shown once, to whoever issued it.
+A token is `trueup_<prefix>_<secret>`. The prefix finds its row, the secret (32 random bytes) is
+kept as its SHA-256 alone and compared in constant time. It is shown once, to whoever issued it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ FROM_SETTINGS = "settings"  # stands for the prefix of the token in the settings
 
 @dataclass(frozen=True, slots=True)
 class Who:
-    """Somebody who was recognised: by which token, with which roles, and what of the registry there is for them."""
+    """Somebody who was recognised: by which token, with which roles, and what of the registry there
+    is for them."""
 
     name: str
     token: str
@@ -61,10 +62,16 @@ def digest_of_secret(secret: str) -> str:
 class Identities:
     """Recognises tokens and sessions, and remembers them for a moment."""
 
-    def __init__(self, settings: Settings, database: Database, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, settings: Settings, database: Database, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._database, self._clock, self._memory_s = database, clock, settings.token_memory_s
         self._admin = settings.admin_token.get_secret_value() if settings.admin_token else None
-        self._admin_prefix = None if self._admin is None else FROM_SETTINGS + digest_of_secret(self._admin)[: len(FROM_SETTINGS)]
+        self._admin_prefix = (
+            None
+            if self._admin is None
+            else FROM_SETTINGS + digest_of_secret(self._admin)[: len(FROM_SETTINGS)]
+        )
         self._known: dict[str, tuple[Who, float]] = {}
 
     def remembered(self, credential: str) -> Who | None:
@@ -79,7 +86,9 @@ class Identities:
         _, prefix, secret = ([*text.split("_", PARTS - 1), "", ""])[:PARTS]
         with self._database.read() as connection:
             found = Reader(connection).token(prefix)
-        held = found.digest if found else digest_of_secret("")  # compared also where there is none, so that time tells nothing
+        held = (
+            found.digest if found else digest_of_secret("")
+        )  # compared also where there is none, so that time tells nothing
         if not hmac.compare_digest(digest_of_secret(secret), held) or found is None:
             raise Unauthenticated("the token is not known")
         return self._remember(text, _holder(found))
@@ -97,7 +106,8 @@ class Identities:
         return self._remember(cookie, _holder(found))
 
     def _from_settings(self) -> Who:
-        """Who has the token of the settings; its stand-in for a prefix changes with it, and so ends the sessions that it began."""
+        """Who has the token of the settings; its stand-in for a prefix changes with it, and so ends
+        the sessions that it began."""
         return Who("admin", str(self._admin_prefix), frozenset({Role.ADMIN}), None, None)
 
     def forget(self) -> None:
@@ -118,7 +128,9 @@ def _holder(token: TokenRecord) -> Who:
         raise Unauthenticated("the token was revoked", name=token.name)
     if token.expires_at is not None and token.expires_at <= _now():
         raise Unauthenticated("the token has expired", name=token.name, expires_at=token.expires_at)
-    return Who(token.name, token.prefix, frozenset(map(Role, token.roles)), token.project, token.plant)
+    return Who(
+        token.name, token.prefix, frozenset(map(Role, token.roles)), token.project, token.plant
+    )
 
 
 def _now() -> str:
@@ -126,12 +138,16 @@ def _now() -> str:
 
 
 def first_admin(settings: Settings, database: Database) -> Path | None:
-    """Make an admin's token where there is none; the file that it is in, None where it was not needed."""
+    """Make an admin's token where there is none; the file that it is in, None where it was not
+    needed."""
     if settings.admin_token is not None:
         return None
     with writing(database) as writer:
         writer.lock_name("first admin")
-        if any(Role.ADMIN in token.roles and token.revoked_at is None for token in writer.tokens("", 10**6)):
+        if any(
+            Role.ADMIN in token.roles and token.revoked_at is None
+            for token in writer.tokens("", 10**6)
+        ):
             return None
         text, prefix, digest = new_token()
         path = settings.data_dir / ADMIN_FILE
@@ -139,6 +155,8 @@ def first_admin(settings: Settings, database: Database) -> Path | None:
         with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
             file.write(text + "\n")
             os.fsync(file.fileno())
-        token = TokenRecord(prefix, digest, "admin", [Role.ADMIN.value], None, None, _now(), "first start", None)
+        token = TokenRecord(
+            prefix, digest, "admin", [Role.ADMIN.value], None, None, _now(), "first start", None
+        )
         issue_token(writer, token, Stamp("first start", token.created_at))
     return path

@@ -1,7 +1,8 @@
-"""Inspect an upload in a process of its own, with limits: a child of the inspector, which has loaded what that needs.
+"""Inspect an upload in a process of its own, with limits: a child of the inspector, which has
+loaded what that needs.
 
-No recording and no arrays are read into the server's own memory as they come in: so many inspections at once, with so much memory each,
-bound what all of them take.
+No recording and no arrays are read into the server's own memory as they come in: so many
+inspections at once, with so much memory each, bound what all of them take.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class Inspected:
 
 @dataclass(frozen=True, slots=True)
 class Against:
-    """What an upload is held against: the plant's description, and where the model that serves was fitted, as its manifest tells."""
+    """What an upload is held against: the plant's description, and where the model that serves was
+    fitted, as its manifest tells."""
 
     plant: dict[str, Json]
     coverage: list[Json]
@@ -55,7 +57,8 @@ def as_mcap(path: Path) -> Path:
 
 
 class Inspector:
-    """Inspects uploads, so many at once; its process is started when it is first asked, and again should it die."""
+    """Inspects uploads, so many at once; its process is started when it is first asked, and again
+    should it die."""
 
     def __init__(self, at_once: int, memory_bytes: int, timeout_s: float) -> None:
         self._slots = asyncio.Semaphore(at_once)
@@ -64,18 +67,29 @@ class Inspector:
         self._control: socket.socket | None = None
 
     async def inspect(self, path: Path, against: Against, *, telemetry: bool = False) -> Inspected:
-        """What the file holds as an episode of a plant; a batch of telemetry becomes the MCAP file `as_mcap(path)`.
+        """What the file holds as an episode of a plant; a batch of telemetry becomes the MCAP file
+        `as_mcap(path)`.
 
         Raises BadEpisode with the child's code and facts, InspectionFailed at a limit.
         """
-        return Inspected(**await self._answer({**asdict(against), "path": str(path.absolute()), "telemetry": telemetry}))
+        return Inspected(
+            **await self._answer(
+                {**asdict(against), "path": str(path.absolute()), "telemetry": telemetry}
+            )
+        )
 
     async def try_artifact(self, manifest: bytes, arrays: Path | None) -> None:
-        """Load an artifact from its manifest and the file of its arrays, and have it answer its probe.
+        """Load an artifact from its manifest and the file of its arrays, and have it answer its
+        probe.
 
         Raises BadArtifact with the child's code and facts, InspectionFailed at a limit.
         """
-        await self._answer({"manifest": manifest.decode(), "arrays": None if arrays is None else str(arrays.absolute())})
+        await self._answer(
+            {
+                "manifest": manifest.decode(),
+                "arrays": None if arrays is None else str(arrays.absolute()),
+            }
+        )
 
     async def _answer(self, asked: Mapping[str, Json]) -> dict[str, Any]:
         """What a child says to a request."""
@@ -87,7 +101,10 @@ class Inspector:
                 writer.write(struct.pack(LENGTH, len(request)) + request)
                 answer = await asyncio.wait_for(reader.read(), self._timeout_s)
             except TimeoutError as error:
-                raise InspectionFailed(f"the inspection took longer than {self._timeout_s:g} s", limit="inspection_timeout_s") from error
+                raise InspectionFailed(
+                    f"the inspection took longer than {self._timeout_s:g} s",
+                    limit="inspection_timeout_s",
+                ) from error
             except OSError:
                 answer = b""  # it died before it had read
             finally:
@@ -123,7 +140,10 @@ class Inspector:
                 self._process = subprocess.Popen(
                     [sys.executable, "-m", "trueup_service.inspector"],
                     stdin=theirs.fileno(),
-                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # a pool for each core would eat the address space
+                    env={
+                        **os.environ,
+                        "OPENBLAS_NUM_THREADS": "1",
+                    },  # a pool for each core would eat the address space
                 )
         return self._control
 
@@ -132,12 +152,16 @@ def _told(answer: bytes) -> dict[str, Any]:
     try:
         found = orjson.loads(answer)
     except orjson.JSONDecodeError as error:
-        raise InspectionFailed("the inspection died of what it read", limit="inspection_memory_bytes") from error
+        raise InspectionFailed(
+            "the inspection died of what it read", limit="inspection_memory_bytes"
+        ) from error
     if "limit" in found:
         raise InspectionFailed("the inspection met a limit", limit=found["limit"])
     if "problem" in found:
         problem = found["problem"]
-        refused = REFUSALS[problem["of"]](problem["message"], hint=problem["hint"], **problem["facts"])
+        refused = REFUSALS[problem["of"]](
+            problem["message"], hint=problem["hint"], **problem["facts"]
+        )
         refused.code = problem["code"]
         raise refused
     return dict(found)

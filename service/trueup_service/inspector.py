@@ -2,9 +2,10 @@
 
     python -m trueup_service.inspector < SOCKET
 
-Standard input is a socket on which each message brings another one: from that the child reads what is wanted, as a length and as much JSON,
-and there it answers with one JSON document and ends. A child that meets its limits, or whose asker hangs up, dies alone. Telemetry
-it writes as MCAP first, beside the file.
+Standard input is a socket on which each message brings another one: from that the child reads what
+is wanted, as a length and as much JSON, and there it answers with one JSON document and ends. A
+child that meets its limits, or whose asker hangs up, dies alone. Telemetry it writes as MCAP first,
+beside the file.
 """
 
 from __future__ import annotations
@@ -42,7 +43,11 @@ from trueup_service.inspection import LENGTH, Against, Inspected, as_mcap
 REHEARSED_SAMPLES = 200
 REHEARSED: dict[str, Json] = {
     "name": "rehearsal",
-    "nominal": {"family": "oscillator", "parameters": {"k": 1.0, "c": 1.0, "b": 1.0}, "timestep_s": 0.01},
+    "nominal": {
+        "family": "oscillator",
+        "parameters": {"k": 1.0, "c": 1.0, "b": 1.0},
+        "timestep_s": 0.01,
+    },
     "commands": [{"name": "u", "unit": "1", "limits": [-1.0, 1.0]}],
     "observations": [{"name": "q", "unit": "rad"}],
     "evaluation": {"horizon_s": 1.0},
@@ -57,7 +62,9 @@ def inspect_file(path: Path, against: Against) -> Inspected:
     end_ns = episode.start_ns + round(float(episode.t_s[-1]) * 1e9)
     fitted_on = [Coverage.from_document(c) for c in against.coverage]  # type: ignore[arg-type]
     summary = {**summarise(episode), "collection": measured(described, episode, fitted_on)}
-    return Inspected(episode.digest, str(episode.role), episode.start_ns, end_ns, summary, episode.samples_digest)
+    return Inspected(
+        episode.digest, str(episode.role), episode.start_ns, end_ns, summary, episode.samples_digest
+    )
 
 
 def convert_file(path: Path, plant: dict[str, Json]) -> Path:
@@ -77,13 +84,24 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
     of = "artifact" if "manifest" in request else "episode"
     try:
         if of == "artifact":
-            try_artifact(request["manifest"].encode(), None if request["arrays"] is None else Path(request["arrays"]))
+            try_artifact(
+                request["manifest"].encode(),
+                None if request["arrays"] is None else Path(request["arrays"]),
+            )
             return {}
         path = Path(request["path"])
         held = convert_file(path, request["plant"]) if request["telemetry"] else path
         return asdict(inspect_file(held, Against(request["plant"], request["coverage"])))
     except TrueupError as error:
-        return {"problem": {"of": of, "code": error.code, "message": error.message, "hint": error.hint, "facts": error.facts}}
+        return {
+            "problem": {
+                "of": of,
+                "code": error.code,
+                "message": error.message,
+                "hint": error.hint,
+                "facts": error.facts,
+            }
+        }
     except MemoryError:
         return {"limit": "inspection_memory_bytes"}
 
@@ -115,10 +133,14 @@ def _exactly(asked: socket.socket, count: int) -> bytes:
 
 
 def rehearse() -> None:
-    """Inspect a small episode, so that what is loaded on first use is loaded here and not by every child."""
+    """Inspect a small episode, so that what is loaded on first use is loaded here and not by every
+    child."""
     plant = Plant.from_document(REHEARSED)
     t, one = np.arange(REHEARSED_SAMPLES), np.ones((REHEARSED_SAMPLES, 1))
-    with tempfile.TemporaryDirectory() as folder, (path := Path(folder) / "small.mcap").open("w+b") as file:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        (path := Path(folder) / "small.mcap").open("w+b") as file,
+    ):
         write_episode(
             file,
             stamps_ns=t * 10**7,

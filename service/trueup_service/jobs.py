@@ -1,7 +1,8 @@
-"""The job engine behind a few calls: enqueue in our own transaction, ask others to help, and what a worker needs to run and to take over.
+"""The job engine behind a few calls: enqueue in our own transaction, ask others to help, and what a
+worker needs to run and to take over.
 
-DBOS keeps its queue in the same database as the registry, so that a job and its engine entry commit together. It is imported on
-first use: a server that only serves never loads it.
+DBOS keeps its queue in the same database as the registry, so that a job and its engine entry commit
+together. It is imported on first use: a server that only serves never loads it.
 """
 
 from __future__ import annotations
@@ -19,11 +20,15 @@ if TYPE_CHECKING:
     from trueup_service.engine import DBOSClient, EnqueueOptions
 
 QUEUE = "trueup"
-WATCHING = "trueup.watching"  # looks at new episodes take milliseconds, and must not wait for a diagnosis
+WATCHING = (
+    "trueup.watching"  # looks at new episodes take milliseconds, and must not wait for a diagnosis
+)
 WORKFLOW = "trueup.job"
 HELP = "trueup.help"
 AFTER_JOBS = 1  # the priority of help: a job that waits is begun first
-ENGINE_VERSION = "1"  # of what is queued, not of the code: a new release must pick up what an old one queued
+ENGINE_VERSION = (
+    "1"  # of what is queued, not of the code: a new release must pick up what an old one queued
+)
 
 
 class Helped(StrEnum):
@@ -37,7 +42,12 @@ class Helped(StrEnum):
     @staticmethod
     def of(status: str) -> Helped:
         """The same by the engine's word."""
-        known = {"ENQUEUED": Helped.WAITING, "DELAYED": Helped.WAITING, "PENDING": Helped.TAKEN, "SUCCESS": Helped.DONE}
+        known = {
+            "ENQUEUED": Helped.WAITING,
+            "DELAYED": Helped.WAITING,
+            "PENDING": Helped.TAKEN,
+            "SUCCESS": Helped.DONE,
+        }
         return known.get(status, Helped.FAILED)
 
 
@@ -57,12 +67,14 @@ class JobQueue:
         self._lock = threading.Lock()
 
     def prepare(self) -> None:
-        """Load the engine and bring its tables up to date; outside any transaction, for it takes its own."""
+        """Load the engine and bring its tables up to date; outside any transaction, for it takes
+        its own."""
         with self._lock:
             self._client  # noqa: B018
 
     def enqueue(self, connection: Connection, job: str, kind: str, plant: str) -> None:
-        """Queue a job in the caller's transaction; the job's id is the workflow's, so a second time changes nothing."""
+        """Queue a job in the caller's transaction; the job's id is the workflow's, so a second time
+        changes nothing."""
         options: EnqueueOptions = {
             "workflow_name": WORKFLOW,
             "queue_name": queue_of(kind),
@@ -75,11 +87,13 @@ class JobQueue:
 
     def knows(self, job: str) -> bool:
         """Whether the engine has an entry of a job."""
-        return bool(self._client.list_workflows(workflow_ids=[job], load_input=False, load_output=False))
+        return bool(
+            self._client.list_workflows(workflow_ids=[job], load_input=False, load_output=False)
+        )
 
     def ask_for_help(self, job: str, parcels: Mapping[str, str]) -> None:
-        """Queue parts of a running job, each by a name of its own, for workers that have nothing else to do; one known already stays as it
-        is.
+        """Queue parts of a running job, each by a name of its own, for workers that have nothing
+        else to do; one known already stays as it is.
         """
         with self._engine.begin() as connection:
             for name, parcel in parcels.items():
@@ -109,14 +123,21 @@ class JobQueue:
 
     def names(self, prefix: str) -> list[str]:
         """Everything whose name begins so."""
-        return [w.workflow_id for w in self._client.list_workflows(workflow_id_prefix=prefix, load_input=False, load_output=False)]
+        return [
+            w.workflow_id
+            for w in self._client.list_workflows(
+                workflow_id_prefix=prefix, load_input=False, load_output=False
+            )
+        ]
 
     @cached_property
     def _client(self) -> DBOSClient:
         from trueup_service.engine import DBOSClient, DBOSPortableJSONSerializer  # noqa: PLC0415  (1.2 s of imports)
 
         migrate_engine(self._url)
-        return DBOSClient(system_database_engine=self._engine, serializer=DBOSPortableJSONSerializer())
+        return DBOSClient(
+            system_database_engine=self._engine, serializer=DBOSPortableJSONSerializer()
+        )
 
 
 def queue_of(kind: str) -> str:
@@ -125,7 +146,8 @@ def queue_of(kind: str) -> str:
 
 
 def alone_with(kind: str, plant: str) -> str | None:
-    """What no two jobs of a kind do at once: two looks at one plant would both read what only one may count."""
+    """What no two jobs of a kind do at once: two looks at one plant would both read what only one
+    may count."""
     return plant if kind == "watch" else None
 
 

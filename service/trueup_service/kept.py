@@ -1,4 +1,5 @@
-"""An installation's own database and blobs as what is verified, without a server, and what else must hold there."""
+"""An installation's own database and blobs as what is verified, without a server, and what else
+must hold there."""
 
 from __future__ import annotations
 
@@ -73,7 +74,9 @@ class Kept:
             yield from items
             if len(items) < AT_ONCE:
                 return
-            after = [c.type.python_type(items[-1][c.name]) for c in (found.c[name] for name in columns)]
+            after = [
+                c.type.python_type(items[-1][c.name]) for c in (found.c[name] for name in columns)
+            ]
 
     def blob(self, digest: str) -> Iterator[bytes]:
         """Bytes in parts."""
@@ -81,7 +84,8 @@ class Kept:
 
 
 def published(parts: Parts) -> list[Finding]:
-    """Whether the log ends where it says, and extends the head that this installation has published."""
+    """Whether the log ends where it says, and extends the head that this installation has
+    published."""
     path = parts.settings.data_dir / CHECKPOINT_FILE
     with parts.database.read() as connection:
         beyond = Reader(connection).audit_beyond()
@@ -98,14 +102,27 @@ def published(parts: Parts) -> list[Finding]:
             same = now >= size and root_at(reader, size) == root
     except TrueupError as error:
         return [Finding("log", error.message)]
-    found = [] if same else [Finding("log", f"of {size} entries that were published, {now} are there, or they are others")]
+    found = (
+        []
+        if same
+        else [
+            Finding(
+                "log", f"of {size} entries that were published, {now} are there, or they are others"
+            )
+        ]
+    )
     if not any(signed_with(note, key) for key in keys):
-        found.append(Finding(t.audit_key.name, "none of the keys that are kept has signed what was published"))
+        found.append(
+            Finding(
+                t.audit_key.name, "none of the keys that are kept has signed what was published"
+            )
+        )
     return found
 
 
 def signing(parts: Parts) -> str | None:
-    """The key that signs here, if a head was ever published and the key is at hand. Raises BadKey."""
+    """The key that signs here, if a head was ever published and the key is at hand. Raises
+    BadKey."""
     return own_key(parts.settings) if (parts.settings.data_dir / CHECKPOINT_FILE).exists() else None
 
 
@@ -113,7 +130,11 @@ def lost_jobs(parts: Parts) -> list[Finding]:
     """Jobs that were accepted, have not ended, and that the engine does not know."""
     with parts.database.read() as connection:
         waiting = Reader(connection).jobs_under_way()
-    return [Finding(f"jobs/{job}", "it was accepted, and the job engine does not know it") for job in waiting if not parts.queue.knows(job)]
+    return [
+        Finding(f"jobs/{job}", "it was accepted, and the job engine does not know it")
+        for job in waiting
+        if not parts.queue.knows(job)
+    ]
 
 
 def unnamed(parts: Parts) -> list[str]:

@@ -1,7 +1,8 @@
 """Remove bytes that no row names: what uploads left that never ended.
 
-What a row names is never touched, and rows are never removed. An upload makes its bytes durable before its row; so bytes are only left over
-once they are older than any upload takes, and an upload that finds its bytes there already makes them young again.
+What a row names is never touched, and rows are never removed. An upload makes its bytes durable
+before its row; so bytes are only left over once they are older than any upload takes, and an upload
+that finds its bytes there already makes them young again.
 """
 
 from __future__ import annotations
@@ -19,8 +20,11 @@ from trueup_service.wiring import Parts
 Told = Callable[[float, str], None]
 
 
-def remove_leftovers(parts: Parts, older_than_s: float, *, dry_run: bool, told: Told) -> dict[str, int]:
-    """How many blobs and files of uploads were removed, or would be, and how many bytes. Raises Conflict while another does it."""
+def remove_leftovers(
+    parts: Parts, older_than_s: float, *, dry_run: bool, told: Told
+) -> dict[str, int]:
+    """How many blobs and files of uploads were removed, or would be, and how many bytes. Raises
+    Conflict while another does it."""
     lock = try_lock(parts.settings.data_dir / "gc.lock")
     if lock is None:
         raise Conflict("somebody is at it already", hint="Wait for it to end.")

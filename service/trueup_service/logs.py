@@ -1,4 +1,5 @@
-"""Logs as JSON in ASCII, one object a line, on standard error: nothing that somebody sends ends a line or reaches a terminal as it is."""
+"""Logs as JSON in ASCII, one object a line, on standard error: nothing that somebody sends ends a
+line or reaches a terminal as it is."""
 
 from __future__ import annotations
 
@@ -11,7 +12,8 @@ _PLAIN = set(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName
 
 
 class JsonLines(logging.Formatter):
-    """Time, level, logger, message, whatever was given as `extra`, and the traceback if there is one."""
+    """Time, level, logger, message, whatever was given as `extra`, and the traceback if there is
+    one."""
 
     def format(self, record: logging.LogRecord) -> str:
         line = {

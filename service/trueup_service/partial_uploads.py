@@ -1,7 +1,8 @@
 """Uploads that go on where they broke off: a file for each, in a folder for each plant.
 
-What was acknowledged is durable: a part is synced before its answer. The files lie on the disk of the server that took them; another server
-begins anew. A plant has a quota of them; nothing that was acknowledged goes to make room, but only by its age.
+What was acknowledged is durable: a part is synced before its answer. The files lie on the disk of
+the server that took them; another server begins anew. A plant has a quota of them; nothing that was
+acknowledged goes to make room, but only by its age.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ class PartialUploads:
         self._folder = data_dir / "uploads"
 
     def path(self, plant: str, digest: str) -> Path:
-        """Where an upload is: its name tells nothing, and is no path whatever the plant is called."""
+        """Where an upload is: its name tells nothing, and is no path whatever the plant is
+        called."""
         name = hashlib.sha256(f"{plant}\n{digest}".encode()).hexdigest()
         before = self._folder / name  # where one is that began when all were in one folder
         return before if before.is_file() else self._of(plant) / name
@@ -54,27 +56,43 @@ class PartialUploads:
         except FileNotFoundError:
             return 0
 
-    async def append(self, plant: str, digest: str, offset: int, parts: AsyncIterator[bytes], limit_bytes: int, quota: Quota) -> int:
-        """Take parts in behind an offset; how many bytes are here then. What came is kept, also where the rest does not.
+    async def append(
+        self,
+        plant: str,
+        digest: str,
+        offset: int,
+        parts: AsyncIterator[bytes],
+        limit_bytes: int,
+        quota: Quota,
+    ) -> int:
+        """Take parts in behind an offset; how many bytes are here then. What came is kept, also
+        where the rest does not.
 
-        Raises UploadElsewhere where the upload is not at this offset or somebody else is writing it, TooLargeUpload, UploadsFull.
+        Raises UploadElsewhere where the upload is not at this offset or somebody else is writing
+        it, TooLargeUpload, UploadsFull.
         """
         self._of(plant).mkdir(mode=0o700, parents=True, exist_ok=True)
         others = self._others(plant, digest, quota)
         with self.alone(plant, digest, create=True) as file:
             here = file.seek(0, os.SEEK_END)
             if here != offset:
-                raise UploadElsewhere(f"the upload is at {here}, not at {offset}", offset_bytes=here)
+                raise UploadElsewhere(
+                    f"the upload is at {here}, not at {offset}", offset_bytes=here
+                )
             try:
                 counted = here
                 async for part in parts:
                     if file.tell() - counted > RECOUNT_BYTES:
                         others, counted = self._others(plant, digest, quota), file.tell()
                     if others + file.tell() + len(part) > quota.size_bytes:
-                        told = f"the plant's uploads under way have more than {quota.size_bytes} bytes"
+                        told = (
+                            f"the plant's uploads under way have more than {quota.size_bytes} bytes"
+                        )
                         raise UploadsFull(told, limit_bytes=quota.size_bytes)
                     if file.tell() + len(part) > limit_bytes:
-                        raise TooLargeUpload(f"the upload has more than {limit_bytes} bytes", limit_bytes=limit_bytes)
+                        raise TooLargeUpload(
+                            f"the upload has more than {limit_bytes} bytes", limit_bytes=limit_bytes
+                        )
                     write_all(file, part)
             finally:
                 await asyncio.to_thread(os.fsync, file.fileno())
@@ -82,7 +100,8 @@ class PartialUploads:
 
     @contextmanager
     def alone(self, plant: str, digest: str, *, create: bool = False) -> Iterator[FileIO]:
-        """The upload's file, while nobody else writes it. Raises UploadElsewhere, FileNotFoundError."""
+        """The upload's file, while nobody else writes it. Raises UploadElsewhere,
+        FileNotFoundError."""
         path = self.path(plant, digest)
         flags = os.O_RDWR | os.O_CLOEXEC | (os.O_CREAT if create else 0)
         with open(os.open(path, flags, 0o600), "r+b", buffering=0) as file:
@@ -92,13 +111,20 @@ class PartialUploads:
                 raise UploadElsewhere("somebody else is sending this upload") from error
             found = os.fstat(file.fileno())
             if found.st_nlink != 1 or not path.exists() or path.stat().st_ino != found.st_ino:
-                raise UploadElsewhere("the upload has just been finished")  # its bytes are an episode's by now
+                raise UploadElsewhere(
+                    "the upload has just been finished"
+                )  # its bytes are an episode's by now
             yield file
 
     def _others(self, plant: str, digest: str, quota: Quota) -> int:
-        """Bytes of the plant's other uploads. Raises UploadsFull where these are as many as there may be, and this is a new one."""
+        """Bytes of the plant's other uploads. Raises UploadsFull where these are as many as there
+        may be, and this is a new one."""
         own = self.path(plant, digest)
-        sizes = [found for path in self._of(plant).glob("*") if path != own and (found := _size(path)) is not None]
+        sizes = [
+            found
+            for path in self._of(plant).glob("*")
+            if path != own and (found := _size(path)) is not None
+        ]
         if len(sizes) >= quota.uploads and not own.exists():
             raise UploadsFull(f"the plant has {len(sizes)} uploads under way", limit=quota.uploads)
         return sum(sizes)

@@ -1,8 +1,10 @@
-"""Which characters text that others send may hold: none that a terminal or a page obeys instead of showing it.
+"""Which characters text that others send may hold: none that a terminal or a page obeys instead of
+showing it.
 
-- C0 and C1 control characters and DEL: escape sequences begin with one, U+009B alone is as good as ESC [.
-- Line and paragraph separators, and the embeddings, overrides and isolates of bidirectional text, which show it in another order.
-Source: ECMA-48, section 5; Unicode Standard Annex 9, section 2.
+- C0 and C1 control characters and DEL: escape sequences begin with one, U+009B alone is as good as
+  ESC [.
+- Line and paragraph separators, and the embeddings, overrides and isolates of bidirectional text,
+which show it in another order. Source: ECMA-48, section 5; Unicode Standard Annex 9, section 2.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ _OBEYED = re.compile(f"[{OBEYED}]")
 
 
 def obeyed_character(text: str, allowed: str = "") -> str | None:
-    """The first character of text that is obeyed and not allowed, as its code point; None if all of it is shown."""
+    """The first character of text that is obeyed and not allowed, as its code point; None if all of
+    it is shown."""
     found = next((c for c in _OBEYED.findall(text) if c not in allowed), None)
     return None if found is None else f"U+{ord(found):04X}"

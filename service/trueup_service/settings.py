@@ -1,4 +1,5 @@
-"""Every setting of the service and the worker, from the environment (`TRUEUP_…`), typed, with its unit."""
+"""Every setting of the service and the worker, from the environment (`TRUEUP_…`), typed, with its
+unit."""
 
 from __future__ import annotations
 
@@ -10,101 +11,183 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 
 class Settings(BaseSettings):
-    """What may be set. The defaults are embedded storage: SQLite and a folder, one server, one worker beside it."""
+    """What may be set. The defaults are embedded storage: SQLite and a folder, one server, one
+    worker beside it."""
 
     model_config = SettingsConfigDict(env_prefix="TRUEUP_", frozen=True, extra="forbid")
 
-    data_dir: Path = Field(Path(".trueup"), description="Folder of the embedded database, the blobs and the spool of uploads under way.")
-    database_url: str | None = Field(None, description="postgresql+psycopg://… for PostgreSQL; unset: SQLite in data_dir.")
+    data_dir: Path = Field(
+        Path(".trueup"),
+        description="Folder of the embedded database, of the blobs and of unfinished uploads.",
+    )
+    database_url: str | None = Field(
+        None, description="postgresql+psycopg://… for PostgreSQL; unset: SQLite in data_dir."
+    )
     database_pool: int = Field(16, ge=1, description="Connections that one process may hold.")
-    s3_bucket: str | None = Field(None, description="Bucket of the blobs; unset: the folder data_dir/blobs.")
+    s3_bucket: str | None = Field(
+        None, description="Bucket of the blobs; unset: the folder data_dir/blobs."
+    )
     s3_prefix: str = Field("trueup", description="Key prefix inside the bucket.")
-    s3_endpoint: str | None = Field(None, description="URL of an S3-compatible store; unset: the region's own.")
+    s3_endpoint: str | None = Field(
+        None, description="URL of an S3-compatible store; unset: the region's own."
+    )
     s3_region: str = Field("us-east-1", description="Region of the bucket.")
-    s3_access_key: str | None = Field(None, description="Access key id; unset: the machine's own credentials.")
+    s3_access_key: str | None = Field(
+        None, description="Access key id; unset: the machine's own credentials."
+    )
     s3_secret_key: SecretStr | None = Field(None, description="Secret access key.")
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: int = Field(8321, ge=0, le=65535, description="Port to listen on; 0 for any free one.")
     public_url: str | None = Field(
-        None, description="Address under which browsers reach the service, such as https://registry.example.com; unset: as they ask."
+        None,
+        description=(
+            "Address under which browsers reach the service, such as "
+            "https://registry.example.com; unset: as they ask."
+        ),
     )
     connections: int | None = Field(
         None,
         ge=1,
-        description="Connections held at once; unset: what the limit on open files (`ulimit -n`) leaves room for, less a quarter and less "
+        description="Connections held at once; unset: what the limit on open files (`ulimit -n`) "
+        "leaves room for, less a quarter and less "
         "than what database, blobs and checkpoint need.",
     )
-    header_limit_s: float = Field(20.0, gt=0, description="Time in which a request's head must arrive [s].")
+    header_limit_s: float = Field(
+        20.0, gt=0, description="Time in which a request's head must arrive [s]."
+    )
     keep_alive_s: float = Field(
-        75.0, gt=0, description="How long a connection is kept without a request [s]; a robot that asks twice a minute keeps its own."
+        75.0,
+        gt=0,
+        description=(
+            "How long a connection is kept without a request [s]; a robot that asks twice a "
+            "minute keeps its own."
+        ),
     )
     silence_limit_s: float = Field(
         60.0,
         gt=0,
-        description="How long a body may be on its way, or an answer be left untaken, at less than 100 bytes a second [s].",
+        description=(
+            "How long a body may be on its way, or an answer be left untaken, at less than "
+            "100 bytes a second [s]."
+        ),
     )
     allowed_hosts: str | None = Field(
         None,
-        description="Names by which the service may be asked, beside addresses, localhost, the machine's own name, `host` and that of "
-        "`public_url`: comma-separated, `*.example.com` for every name below it, `*` for any. Others are refused, so that a page whose own "
-        "name leads to this address (DNS rebinding) cannot read its answers. /healthz and /readyz answer by any name.",
+        description="Names by which the service may be asked, beside addresses, localhost, the "
+        "machine's own name, `host` and that of "
+        "`public_url`: comma-separated, `*.example.com` for every name below it, `*` "
+        "for any. Others are refused, so that a page whose own "
+        "name leads to this address (DNS rebinding) cannot read its answers. /healthz "
+        "and /readyz answer by any name.",
     )
     upload_limit_bytes: int = Field(2 << 30, ge=1, description="Largest upload [bytes].")
-    arrays_limit_bytes: int = Field(128 << 20, ge=1, description="Largest arrays of an artifact [bytes].")
+    arrays_limit_bytes: int = Field(
+        128 << 20, ge=1, description="Largest arrays of an artifact [bytes]."
+    )
     bodies_limit_bytes: int = Field(
         64 << 20,
         ge=4 << 20,
-        description="Bytes of the bodies that are held in memory at once, uploads aside, each of which may have 4 MiB [bytes]; beyond that "
+        description="Bytes of the bodies that are held in memory at once, uploads aside, each of "
+        "which may have 4 MiB [bytes]; beyond that "
         "a request is told to come again.",
     )
-    uploads_under_way: int = Field(64, ge=1, description="Uploads in parts that a plant may have under way at one server.")
-    uploads_under_way_bytes: int = Field(8 << 30, ge=1, description="Bytes of the uploads in parts that a plant has under way [bytes].")
+    uploads_under_way: int = Field(
+        64, ge=1, description="Uploads in parts that a plant may have under way at one server."
+    )
+    uploads_under_way_bytes: int = Field(
+        8 << 30,
+        ge=1,
+        description="Bytes of the uploads in parts that a plant has under way [bytes].",
+    )
     uploads_kept_s: float = Field(
-        604_800.0, gt=0, description="How long an upload in parts that nobody goes on with is kept, since its last part [s]."
+        604_800.0,
+        gt=0,
+        description=(
+            "How long an upload in parts that nobody goes on with is kept, since its last part [s]."
+        ),
     )
     answers_kept_s: float = Field(
         604_800.0,
         gt=0,
-        description="How long the answer to an Idempotency-Key is kept [s]; a request that is repeated later is a new one.",
+        description=(
+            "How long the answer to an Idempotency-Key is kept [s]; a request that is "
+            "repeated later is a new one."
+        ),
     )
     answers_kept: int = Field(
-        10_000, ge=1, description="Answers to Idempotency-Keys that are kept for one token: of more, the oldest go within a minute."
+        10_000,
+        ge=1,
+        description=(
+            "Answers to Idempotency-Keys that are kept for one token: of more, the oldest "
+            "go within a minute."
+        ),
     )
-    inspection_memory_bytes: int = Field(1 << 30, ge=256 << 20, description="Address space of the process that inspects an upload [bytes].")
-    inspection_timeout_s: float = Field(120.0, gt=0, description="Time that the inspection of an upload may take [s].")
+    inspection_memory_bytes: int = Field(
+        1 << 30,
+        ge=256 << 20,
+        description="Address space of the process that inspects an upload [bytes].",
+    )
+    inspection_timeout_s: float = Field(
+        120.0, gt=0, description="Time that the inspection of an upload may take [s]."
+    )
     inspections: int = Field(2, ge=1, description="Inspections at once.")
-    long_poll_limit_s: float = Field(60.0, gt=0, description="Longest that a request may wait for a change [s].")
-    watch_interval_s: float = Field(
-        0.2, gt=0, description="Time between looks for moves made by other processes, while somebody waits [s]."
+    long_poll_limit_s: float = Field(
+        60.0, gt=0, description="Longest that a request may wait for a change [s]."
     )
-    job_poll_interval_s: float = Field(0.1, gt=0, description="Time between a worker's looks at the queue [s].")
-    takeover_interval_s: float = Field(1.0, gt=0, description="Time between a worker's looks for dead workers [s].")
-    schedule_interval_s: float = Field(30.0, gt=0, description="Time between a worker's looks for validations that are due [s].")
+    watch_interval_s: float = Field(
+        0.2,
+        gt=0,
+        description="Time between looks for other processes' moves, while somebody waits [s].",
+    )
+    job_poll_interval_s: float = Field(
+        0.1, gt=0, description="Time between a worker's looks at the queue [s]."
+    )
+    takeover_interval_s: float = Field(
+        1.0, gt=0, description="Time between a worker's looks for dead workers [s]."
+    )
+    schedule_interval_s: float = Field(
+        30.0, gt=0, description="Time between a worker's looks for validations that are due [s]."
+    )
     signing_key: SecretStr | None = Field(
         None,
-        description="Private key that signs the log, one line of `trueup keygen`; unset: data_dir/signing.key, made at the first start. "
+        description="Private key that signs the log, one line of `trueup keygen`; unset: "
+        "data_dir/signing.key, made at the first start. "
         "All servers of one database need the same.",
     )
     signing_key_before: SecretStr | None = Field(
         None,
-        description="Private key that the signing key takes over from, needed at one start; for a key in a file, "
+        description="Private key that the signing key takes over from, needed at one start; for a "
+        "key in a file, "
         "data_dir/signing.key.before.",
     )
     admin_token: SecretStr | None = Field(
         None,
         min_length=32,
-        description="An admin's token, 32 characters at least; unset: one is made at the first start, in data_dir/admin.token.",
+        description=(
+            "An admin's token, 32 characters at least; unset: one is made at the first "
+            "start, in data_dir/admin.token."
+        ),
     )
     token_memory_s: float = Field(
         1.0,
         ge=0,
-        description="How long a server believes a token without asking the database again, so how late it may be to refuse one [s].",
+        description=(
+            "How long a server believes a token without asking the database again, so how "
+            "late it may be to refuse one [s]."
+        ),
     )
     session_s: float = Field(43_200.0, gt=0, description="How long a browser stays signed in [s].")
     checkpoint_interval_s: float = Field(
-        10.0, gt=0, description="Time between writes of the log's signed head to data_dir/checkpoint, if it has grown [s]."
+        10.0,
+        gt=0,
+        description=(
+            "Time between writes of the log's signed head to data_dir/checkpoint, if it has "
+            "grown [s]."
+        ),
     )
-    serving_lease_s: float = Field(86_400.0, gt=0, description="How long a robot may rely on a signed serving answer [s].")
+    serving_lease_s: float = Field(
+        86_400.0, gt=0, description="How long a robot may rely on a signed serving answer [s]."
+    )
     log_level: str = Field("INFO", description="Least severe level that is logged.")
 
     @cached_property

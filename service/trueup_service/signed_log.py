@@ -1,4 +1,5 @@
-"""The log's key, and its head as it is published: signed, in a file that anybody may mirror, and never taken back.
+"""The log's key, and its head as it is published: signed, in a file that anybody may mirror, and
+never taken back.
 
 Each server keeps the last head that it signed, and signs no other one that does not extend it.
 """
@@ -61,14 +62,23 @@ class SignedLog:
         return self.signer.envelope(payload_type, document)
 
     def _require_extends(self, reader: Reader, tree: Frontier, *, or_before: bool = False) -> None:
-        """Raises LogRewound. A state that was read before the last head was signed is shorter, and sound."""
+        """Raises LogRewound. A state that was read before the last head was signed is shorter, and
+        sound."""
         size, root = self._last
         if tree.size < size and or_before:
             size, root = tree.size, tree.root()
         if tree.size < size:
-            raise LogRewound(f"the log has {tree.size} entries, {size} were published", published=size, found=tree.size)
+            raise LogRewound(
+                f"the log has {tree.size} entries, {size} were published",
+                published=size,
+                found=tree.size,
+            )
         if root_at(reader, size) != root or root_at(reader, tree.size) != tree.root():
-            raise LogRewound(f"the first {size} entries are not those that were published", published=size, found=tree.size)
+            raise LogRewound(
+                f"the first {size} entries are not those that were published",
+                published=size,
+                found=tree.size,
+            )
 
 
 def root_at(reader: Reader, size: int) -> bytes:
@@ -79,7 +89,8 @@ def root_at(reader: Reader, size: int) -> bytes:
 
 
 def open_log(settings: Settings, database: Database) -> SignedLog:
-    """The log with its key, which is made at the first start, and takes over from the one before. Raises BadKey, OtherKey."""
+    """The log with its key, which is made at the first start, and takes over from the one before.
+    Raises BadKey, OtherKey."""
     signer, before = _signers(settings)
     with writing(database) as writer:
         writer.lock_name("audit key")
@@ -102,27 +113,39 @@ def _signers(settings: Settings) -> tuple[Signer, Signer | None]:
     """The key that signs, and the one that it takes over from, if that is at hand."""
     if settings.signing_key is not None:
         before = settings.signing_key_before
-        return Signer.from_text(settings.signing_key.get_secret_value()), Signer.from_text(before.get_secret_value()) if before else None
+        return Signer.from_text(settings.signing_key.get_secret_value()), Signer.from_text(
+            before.get_secret_value()
+        ) if before else None
     path = settings.data_dir / KEY_FILE_BEFORE
     old = Signer.from_text(path.read_text()) if path.exists() else None
     return Signer.from_text(_key_text(settings.data_dir / KEY_FILE, old.name if old else None)), old
 
 
-def _take_over(writer: Writer, keys: Sequence[AuditKey], signer: Signer, before: Signer | None) -> None:
+def _take_over(
+    writer: Writer, keys: Sequence[AuditKey], signer: Signer, before: Signer | None
+) -> None:
     """The key before endorses this one, and the log says so. Raises OtherKey."""
     known = keys[-1].verifier
     told = {"log": known, "server": signer.verifier}
     if before is None or before.verifier != known:
         raise OtherKey(f"the log is signed with {known}", **told)
     if before.name != signer.name:
-        raise OtherKey(f"the log is {before.name!r}, and the key that is to take over is for {signer.name!r}", **told)
+        raise OtherKey(
+            f"the log is {before.name!r}, and the key that is to take over is for {signer.name!r}",
+            **told,
+        )
     if signer.verifier in [key.verifier for key in keys]:
         raise OtherKey("the key that is to take over has been replaced before", **told)
     endorsement = before.endorsement(signer.verifier)
     writer.add_audit_key(AuditKey(signer.verifier, endorsement))
     facts: dict[str, Json] = {"before": known, "endorsement": endorsement}
     writer.append_audit(
-        at=time_text(datetime.now(UTC)), kind="key:replaced", actor="server", plant=None, subject=signer.verifier, facts=facts
+        at=time_text(datetime.now(UTC)),
+        kind="key:replaced",
+        actor="server",
+        plant=None,
+        subject=signer.verifier,
+        facts=facts,
     )
 
 
@@ -132,7 +155,8 @@ def new_signer(name: str | None = None) -> Signer:
 
 
 def _key_text(path: Path, name: str | None) -> str:
-    """The key of a folder, made if there is none; of several processes that start at once, one makes it."""
+    """The key of a folder, made if there is none; of several processes that start at once, one
+    makes it."""
     if not path.exists():
         beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
         _write(beside, new_signer(name).text + "\n")
@@ -147,7 +171,8 @@ def _key_text(path: Path, name: str | None) -> str:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Write a file beside, then give it its name: a reader sees the old one or the new one, whole."""
+    """Write a file beside, then give it its name: a reader sees the old one or the new one,
+    whole."""
     beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
     _write(beside, text)
     beside.replace(path)

@@ -45,24 +45,39 @@ def build(settings: Settings) -> Parts:
     database = Database(settings.sqlalchemy_url, settings.database_pool)
     migrate(database)
     return Parts(
-        settings, database, _blobs(settings), JobQueue(settings.sqlalchemy_url, database.engine), own_folder(settings.data_dir / "spool")
+        settings,
+        database,
+        _blobs(settings),
+        JobQueue(settings.sqlalchemy_url, database.engine),
+        own_folder(settings.data_dir / "spool"),
     )
 
 
 @contextmanager
 def reading(settings: Settings) -> Iterator[Parts]:
-    """The parts for who reads alone. Where the data folder cannot be written, such as a snapshot that is mounted to be looked at, they are
-    over a copy of its database, and nothing is written there.
+    """The parts for who reads alone. Where the data folder cannot be written, such as a snapshot
+    that is mounted to be looked at, they are over a copy of its database, and nothing is written
+    there.
     """
     with ExitStack() as ended:
         if os.access(settings.data_dir, os.W_OK) or not settings.data_dir.is_dir():
             parts = build(settings)
         else:
             folder = Path(ended.enter_context(tempfile.TemporaryDirectory(prefix="trueup-")))
-            url = settings.sqlalchemy_url if settings.sqlite_file is None else f"sqlite:///{copied(settings.sqlite_file, folder)}"
+            url = (
+                settings.sqlalchemy_url
+                if settings.sqlite_file is None
+                else f"sqlite:///{copied(settings.sqlite_file, folder)}"
+            )
             database = Database(url, settings.database_pool)
             migrate(database)
-            parts = Parts(settings, database, _blobs(settings), JobQueue(url, database.engine), own_folder(folder / "spool"))
+            parts = Parts(
+                settings,
+                database,
+                _blobs(settings),
+                JobQueue(url, database.engine),
+                own_folder(folder / "spool"),
+            )
         ended.callback(parts.close)
         yield parts
 

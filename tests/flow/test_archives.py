@@ -1,4 +1,5 @@
-"""A registry, or a plant of it, goes out as one file and comes in again, verified on the way by two programs that share no line."""
+"""A registry, or a plant of it, goes out as one file and comes in again, verified on the way by two
+programs that share no line."""
 
 import contextlib
 import hashlib
@@ -56,7 +57,11 @@ def verified_here(archive, *key):
 def verified(archive, *key):
     """What the one-file verifier says, run where none of our packages can be imported."""
     done = subprocess.run(
-        [sys.executable, "-I", str(VERIFIER), str(archive), *key], capture_output=True, text=True, check=False, cwd=archive.parent
+        [sys.executable, "-I", str(VERIFIER), str(archive), *key],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=archive.parent,
     )
     return done.returncode, done.stdout
 
@@ -66,7 +71,11 @@ def site(request, tmp_path_factory):
     """A site with a plant that was corrected, a second plant, and a job that nobody has begun."""
     folder = tmp_path_factory.mktemp("site")
     fixture = request.getfixturevalue
-    storage = embedded(folder / "data") if request.param == "embedded" else scaled(folder / "data", fixture("postgres"), fixture("s3"))
+    storage = (
+        embedded(folder / "data")
+        if request.param == "embedded"
+        else scaled(folder / "data", fixture("postgres"), fixture("s3"))
+    )
     service = Service(storage)
     service.start_server()
     worker = service.start_worker()
@@ -74,7 +83,11 @@ def site(request, tmp_path_factory):
     candidate, decision = promoted(client, folder)
     client.register_plant(plant_document("other"))
     client.issue_token("secret", ["auditor"])
-    compared = client.wait(client.submit("p", {"kind": "compare", "first": client.version("p", 1)["digest"], "second": candidate})["id"])
+    compared = client.wait(
+        client.submit(
+            "p", {"kind": "compare", "first": client.version("p", 1)["digest"], "second": candidate}
+        )["id"]
+    )
     assert compared["state"] == "succeeded"  # and left files behind
     kill(worker)
     waiting = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
@@ -86,25 +99,40 @@ def site(request, tmp_path_factory):
 
 def elsewhere(site, postgres, s3, folder):
     """Fresh storage of the other kind."""
-    return embedded(folder / "new") if site[0].name == "scaled" else scaled(folder / "new", postgres, s3)
+    return (
+        embedded(folder / "new")
+        if site[0].name == "scaled"
+        else scaled(folder / "new", postgres, s3)
+    )
 
 
 @pytest.mark.parametrize("site", ["scaled"], indirect=True)
-def test_a_backup_made_while_it_runs_is_restored_on_the_other_kind_of_storage_and_goes_on(site, postgres, s3, tmp_path):
+def test_a_backup_made_while_it_runs_is_restored_on_the_other_kind_of_storage_and_goes_on(
+    site, postgres, s3, tmp_path
+):
     storage, service, _, key, (_, decision, waiting) = site
     backup = tmp_path / "backup"
     assert "sha256:" in run(storage, "backup", backup).stdout
     size = sum(p.stat().st_size for p in backup.rglob("*"))
-    assert "sha256:" in run(storage, "backup", backup).stdout  # a second one into the same folder keeps what is there
+    assert (
+        "sha256:" in run(storage, "backup", backup).stdout
+    )  # a second one into the same folder keeps what is there
     assert verified(backup, key) == (0, "holds\n")
     assert size > 10_000
     fresh = elsewhere(site, postgres, s3, tmp_path)
-    signing = storage.environment.get("TRUEUP_SIGNING_KEY") or (site[2] / "data" / "signing.key").read_text().strip()
+    signing = (
+        storage.environment.get("TRUEUP_SIGNING_KEY")
+        or (site[2] / "data" / "signing.key").read_text().strip()
+    )
     fresh.environment["TRUEUP_SIGNING_KEY"] = signing
     assert "1 jobs go on" in run(fresh, "restore", backup, "--key", key).stdout
     assert "whole" in run(fresh, "fsck").stdout
     assert run(fresh, "restore", backup, check=False).returncode == 1  # not over what is there
-    with Service(fresh).running() as restored, closing(Client(restored.url)) as client, closing(Client(service.url)) as before:
+    with (
+        Service(fresh).running() as restored,
+        closing(Client(restored.url)) as client,
+        closing(Client(service.url)) as before,
+    ):
         assert client.serving("p") == before.serving("p")
         assert client.wait(waiting)["state"] == "succeeded"
         assert command(restored, "replay", decision).returncode == 0
@@ -120,13 +148,21 @@ def test_a_plant_goes_to_another_site_with_its_whole_history(site, postgres, s3,
     assert verified(archive, key) == (0, "holds\n")
     assert "secret" not in archive.read_bytes().decode("latin-1")
     with tarfile.open(archive) as opened:
-        told = next(m for m in opened.getmembers() if m.size and b'"sequence"' in opened.extractfile(m).read())
+        told = next(
+            m
+            for m in opened.getmembers()
+            if m.size and b'"sequence"' in opened.extractfile(m).read()
+        )
         assert b'"plant":"other"' not in opened.extractfile(told).read()
     there = elsewhere(site, postgres, s3, tmp_path)
     run(there, "import", archive, "--key", key)
     assert run(there, "import", archive, check=False).returncode == 1  # once
     assert "whole" in run(there, "fsck").stdout
-    with Service(there).running() as other, closing(Client(other.url)) as client, closing(Client(service.url)) as before:
+    with (
+        Service(there).running() as other,
+        closing(Client(other.url)) as client,
+        closing(Client(service.url)) as before,
+    ):
         assert client.serving("p") == before.serving("p")
         assert list(client.history("p")) == list(before.history("p"))
         assert [e["kind"] for e in client.audit("p")] == ["plant:imported"]
@@ -150,10 +186,28 @@ def test_a_plant_whose_job_has_the_name_of_another_ones_is_refused_whole(site, t
     parts = there.build()
     with writing(parts.database) as writer:
         register_plant(writer, plant_document("other"), STAMP)
-        writer.add_job(JobRecord(job, "other", "watch", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "tester", STAMP.now))
+        writer.add_job(
+            JobRecord(
+                job,
+                "other",
+                "watch",
+                {},
+                JobState.QUEUED,
+                0.0,
+                "queued",
+                None,
+                STAMP.now,
+                "tester",
+                STAMP.now,
+            )
+        )
     parts.close()
     refused = run(there, "import", tmp_path / "p.tar", "--key", key, check=False)
-    assert (refused.returncode, "conflict" in refused.stderr, "Nothing was taken in" in refused.stderr) == (1, True, True)
+    assert (
+        refused.returncode,
+        "conflict" in refused.stderr,
+        "Nothing was taken in" in refused.stderr,
+    ) == (1, True, True)
 
 
 @pytest.mark.parametrize("site", ["embedded"], indirect=True)
@@ -170,7 +224,10 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
 
     for part in parts:
         whole_again()
-        victim, data = tmp_path / "bad" / "blobs" / "sha256" / part.name, bytearray(part.read_bytes())
+        victim, data = (
+            tmp_path / "bad" / "blobs" / "sha256" / part.name,
+            bytearray(part.read_bytes()),
+        )
         if not data:
             continue
         data[len(data) // 2] ^= 1
@@ -180,9 +237,14 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
         if changed == 5:  # the other verifier, a process each
             assert run(fresh, "import", tmp_path / "bad", "--any-key", check=False).returncode == 1
     assert changed > 10
-    kept = storage.environment.get("TRUEUP_SIGNING_KEY") or (site[2] / "data" / "signing.key").read_text()
+    kept = (
+        storage.environment.get("TRUEUP_SIGNING_KEY")
+        or (site[2] / "data" / "signing.key").read_text()
+    )
     whole_again()  # whichever part the last one was
-    rewrite(tmp_path / "bad", "log/entries.jsonl", lambda data: data, None)  # by somebody who knows the form, and has no key
+    rewrite(
+        tmp_path / "bad", "log/entries.jsonl", lambda data: data, None
+    )  # by somebody who knows the form, and has no key
     assert "not signed" in verified(tmp_path / "bad", key)[1]
     assert run(fresh, "import", tmp_path / "bad", "--key", key, check=False).returncode == 4
     for name, (title, change) in EDITS.items():  # and by somebody who has it
@@ -192,7 +254,9 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
         assert (code, "cannot be read" in said) == (4, False), name
         refused = run(fresh, "import", tmp_path / "bad", "--any-key", check=False)
         assert (refused.returncode, "archive-not-whole" in refused.stderr) == (1, True), name
-    other = json.loads((ROOT / "tests" / "golden" / "tlog" / "vectors.json").read_text())["verifier"]
+    other = json.loads((ROOT / "tests" / "golden" / "tlog" / "vectors.json").read_text())[
+        "verifier"
+    ]
     assert verified(tmp_path / "good", other)[0] == 4
     assert run(fresh, "import", tmp_path / "good", "--key", other, check=False).returncode == 4
     assert run(fresh, "import", tmp_path / "nothing", check=False).returncode == 1
@@ -211,7 +275,9 @@ def rewrite(folder, title, change, signer):
 
     index = json.loads((folder / "index.json").read_text())
     manifest = json.loads(get(index["manifests"][0]["digest"]))
-    layer = next(x for x in manifest["layers"] if x["annotations"]["org.opencontainers.image.title"] == title)
+    layer = next(
+        x for x in manifest["layers"] if x["annotations"]["org.opencontainers.image.title"] == title
+    )
     layer["digest"] = put(change(get(layer["digest"])))
     described = index["manifests"][0]
     described["digest"] = put(json.dumps(manifest).encode())
@@ -234,8 +300,14 @@ def without_the_last(data):
 EDITS = {
     "a row is gone": ("rows/gates.jsonl", without_the_last),
     "a proof is of another": ("log/entries.jsonl", swapped_proofs),
-    "entries in another order": ("log/entries.jsonl", lambda data: b"".join(data.splitlines(keepends=True)[::-1])),
-    "a row of another plant": ("rows/episodes.jsonl", lambda data: data.replace(b'"plant":"p"', b'"plant":"q"')),
+    "entries in another order": (
+        "log/entries.jsonl",
+        lambda data: b"".join(data.splitlines(keepends=True)[::-1]),
+    ),
+    "a row of another plant": (
+        "rows/episodes.jsonl",
+        lambda data: data.replace(b'"plant":"p"', b'"plant":"q"'),
+    ),
 }
 
 
@@ -249,7 +321,12 @@ def test_gc_removes_what_nothing_names_and_nothing_else(site, tmp_path):
     with closing(Client(service.url)) as client:
         arrays = b"nobody will name this" + os.urandom(8)
         digest = hashlib.sha256(arrays).hexdigest()
-        client._to.whole("PUT", f"/v1/blobs/{digest}", lambda: arrays, {"Content-Type": "application/octet-stream"})
+        client._to.whole(
+            "PUT",
+            f"/v1/blobs/{digest}",
+            lambda: arrays,
+            {"Content-Type": "application/octet-stream"},
+        )
         assert set(parts.blobs.all()) == before | {digest}
         assert "0 blobs" in run(storage, "gc").stdout  # it is young
         assert "1 blobs" in run(storage, "gc", "--older-than-h", "0", "--dry-run").stdout
@@ -295,14 +372,19 @@ def test_an_upload_goes_on_where_it_broke_off(service, tmp_path, monkeypatch):
         assert client._get(at)["offset_bytes"] == len(data) // 2
         with pytest.raises(Problem) as refused:
             client._to.once("PATCH", at, data, half)
-        assert (refused.value.code, refused.value.facts["offset_bytes"]) == ("upload-offset", len(data) // 2)
+        assert (refused.value.code, refused.value.facts["offset_bytes"]) == (
+            "upload-offset",
+            len(data) // 2,
+        )
         monkeypatch.setattr(module, "IN_PARTS_FROM_BYTES", 1000)
         shares = []
         assert client.upload_episode(plant, path, shares.append)["digest"] == digest
         assert shares[-1] == 1.0
         assert next(client.episodes(plant))["digest"] == digest
         assert client._get(at)["offset_bytes"] == 0
-        assert client._post(f"{at}/finish", None)["digest"] == digest  # its answer may have been lost
+        assert (
+            client._post(f"{at}/finish", None)["digest"] == digest
+        )  # its answer may have been lost
         wrong = f"/v1/plants/{plant}/uploads/{'0' * 64}"
         client._to.once("PATCH", wrong, b"something else", half)
         with pytest.raises(Problem) as refused:
@@ -322,13 +404,21 @@ def test_parts_survive_the_death_of_the_server(tmp_path):
     with closing(Client(service.url)) as client:
         client.register_plant(plant_document("p"))
         line = socket.create_connection(("127.0.0.1", service.port))
-        head = f"PATCH /v1/plants/p/uploads/{digest} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {os.environ['TRUEUP_TOKEN']}\r\n"
-        line.sendall(f"{head}Upload-Offset: 0\r\nContent-Length: {len(data)}\r\n\r\n".encode() + data[:10_000])
+        head = (
+            f"PATCH /v1/plants/p/uploads/{digest} HTTP/1.1\r\nHost: "
+            f"127.0.0.1\r\nAuthorization: Bearer {os.environ['TRUEUP_TOKEN']}\r\n"
+        )
+        line.sendall(
+            f"{head}Upload-Offset: 0\r\nContent-Length: {len(data)}\r\n\r\n".encode()
+            + data[:10_000]
+        )
         until(lambda: client._get(f"/v1/plants/p/uploads/{digest}")["offset_bytes"] == 10_000)
         line.close()
         kill(child)
         service.start_server()
         assert client._get(f"/v1/plants/p/uploads/{digest}")["offset_bytes"] == 10_000
-        client._upload_in_parts(f"/v1/plants/p/uploads/{digest}", save(tmp_path, "e.mcap", data), lambda _: None)
+        client._upload_in_parts(
+            f"/v1/plants/p/uploads/{digest}", save(tmp_path, "e.mcap", data), lambda _: None
+        )
         assert next(client.episodes("p"))["digest"] == digest
     service.stop()

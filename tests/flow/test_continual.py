@@ -1,4 +1,5 @@
-"""The cycle: a machine wears, and its model is corrected without anybody watching, never without evidence."""
+"""The cycle: a machine wears, and its model is corrected without anybody watching, never without
+evidence."""
 
 import pytest
 
@@ -8,7 +9,9 @@ from trueup.episode.role import Role
 from trueup_client import Client, Problem
 
 PROMISE_H, REFERENCE = 2.0, 20
-pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="session")  # monitoring alone runs on both
+pytestmark = pytest.mark.parametrize(
+    "service", ["scaled"], indirect=True, scope="session"
+)  # monitoring alone runs on both
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +23,9 @@ def fleet(service, tmp_path_factory):
     client.close()
 
 
-def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_watched(fleet, service):
+def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_watched(
+    fleet, service
+):
     client, name = fleet.client, fleet.name
     assert client.serving(name).version == 2
     fleet.watch(REFERENCE, PROMISE_H)
@@ -35,15 +40,29 @@ def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_wat
     (alarm,) = client.alarms(name)
     assert alarm["closed_because"] == "promoted: version 3 serves from generation 3 on"
     decision = client.decision(name, client.serving(name).decision)
-    assert [v["rule"] for v in decision["document"]["verdicts"]] == ["rollout_improves", "retained_conditions"]
-    assert [c["cell"] for c in decision["document"]["figures"]["cells"]] == [{"travel": "long"}, {"travel": "short"}]
+    assert [v["rule"] for v in decision["document"]["verdicts"]] == [
+        "rollout_improves",
+        "retained_conditions",
+    ]
+    assert [c["cell"] for c in decision["document"]["figures"]["cells"]] == [
+        {"travel": "long"},
+        {"travel": "short"},
+    ]
     report = client.job(alarm["job"])["result"]["report"]
-    level = next(e for e in report["effects"] if e["effect"] in ("coulomb_friction", "stribeck_friction"))["estimate"]["level"]
+    level = next(
+        e for e in report["effects"] if e["effect"] in ("coulomb_friction", "stribeck_friction")
+    )["estimate"]["level"]
     assert level["value"] == pytest.approx(fleet.friction, rel=0.1)
-    moved = next(e for e in client.audit(name) if e["kind"] == "pointer:moved" and e["facts"]["generation"] == 3)
+    moved = next(
+        e
+        for e in client.audit(name)
+        if e["kind"] == "pointer:moved" and e["facts"]["generation"] == 3
+    )
     assert operations(client.audit(name)) == {
-        "plant:registered": {None}, "job:submitted": {"monitoring", "model correction"}, "alarm:raised": {"monitoring"},
-        "decision:made": {"model correction"}, "pointer:moved": {"model correction"}, "artifact:added": {"model correction"},
+        "plant:registered": {None}, "job:submitted": {"monitoring", "model correction"},
+        "alarm:raised": {"monitoring"},
+        "decision:made": {"model correction"}, "pointer:moved": {"model correction"},
+        "artifact:added": {"model correction"},
     }  # fmt: skip
     rehearsed = moved["facts"]["rehearsed"]
     assert rehearsed["loads"]
@@ -69,7 +88,9 @@ def test_an_upload_says_where_it_goes_beyond_what_serves(fleet):
     assert told["excitation"]["rank"] == 3
 
 
-def test_what_forgets_a_covered_condition_is_rejected_and_the_decision_says_which(service, tmp_path):
+def test_what_forgets_a_covered_condition_is_rejected_and_the_decision_says_which(
+    service, tmp_path
+):
     client = Client(service.url, actor="fleet")
     fleet = Fleet(client, "forgetting", tmp_path)
     fleet.commission()
@@ -90,5 +111,12 @@ def operations(entries):
     found = {}
     for entry in entries:
         found.setdefault(entry["kind"], set()).add(entry["facts"].get("operation"))
-    kinds = ("plant:registered", "job:submitted", "alarm:raised", "decision:made", "pointer:moved", "artifact:added")
+    kinds = (
+        "plant:registered",
+        "job:submitted",
+        "alarm:raised",
+        "decision:made",
+        "pointer:moved",
+        "artifact:added",
+    )
     return {kind: found[kind] for kind in kinds}

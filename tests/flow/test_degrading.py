@@ -1,4 +1,5 @@
-"""What the service stands on goes away and comes back: it says so, refuses what it cannot keep, and recovers without help."""
+"""What the service stands on goes away and comes back: it says so, refuses what it cannot keep, and
+recovers without help."""
 
 import json
 import time
@@ -29,9 +30,14 @@ def reached(postgres, s3, tmp_path_factory):
     url = make_url(storage.environment["TRUEUP_DATABASE_URL"])
     if url.port is None:
         pytest.fail("the tests' PostgreSQL must listen on a port")
-    database, store = Line(url.port), Line(int(storage.environment["TRUEUP_S3_ENDPOINT"].rpartition(":")[2]))
+    database, store = (
+        Line(url.port),
+        Line(int(storage.environment["TRUEUP_S3_ENDPOINT"].rpartition(":")[2])),
+    )
     over = {
-        "TRUEUP_DATABASE_URL": url.set(host="127.0.0.1", port=database.port).render_as_string(hide_password=False),
+        "TRUEUP_DATABASE_URL": url.set(host="127.0.0.1", port=database.port).render_as_string(
+            hide_password=False
+        ),
         "TRUEUP_S3_ENDPOINT": f"http://127.0.0.1:{store.port}",
     }
     service = Service(Storage("scaled", storage.environment | over | FAST))
@@ -86,7 +92,11 @@ def test_a_store_that_does_not_answer_is_told_and_nothing_is_acknowledged(lines,
     assert client.serving("p").generation == 1  # what needs no store goes on
     store.set("up")
     before = {e["digest"] for e in client.episodes("p")}
-    assert {client.upload_episode("p", episode)["digest"]} | before == {e["digest"] for e in client.episodes("p")} > before
+    assert (
+        {client.upload_episode("p", episode)["digest"]} | before
+        == {e["digest"] for e in client.episodes("p")}
+        > before
+    )
     assert readiness(service)[0] == 200
 
 
@@ -101,22 +111,30 @@ def test_a_slow_store_makes_an_upload_slow_and_nothing_else(lines):
 
 
 def test_a_clock_that_goes_back_changes_no_order(storage):
-    """Generations, the log's order and history are those of what happened, whatever the clock says."""
+    """Generations, the log's order and history are those of what happened, whatever the clock
+    says."""
     from tests.stores.test_registry import decide
     from trueup_service.actions.move_pointer import promote_decision
     from trueup_service.registry.records import ArtifactRecord
 
     parts = storage.build()
-    late, early = Stamp("t", "2030-01-01T00:00:00.000000Z"), Stamp("t", "2020-01-01T00:00:00.000000Z")
+    late, early = (
+        Stamp("t", "2030-01-01T00:00:00.000000Z"),
+        Stamp("t", "2020-01-01T00:00:00.000000Z"),
+    )
     with writing(parts.database) as writer:
         register_plant(writer, plant_document("p"), late)
     with writing(parts.database) as writer:
         digest = "1" * 64
-        writer.add_artifact(ArtifactRecord("p", 2, digest, "identified", "{}", None, None, early.now, "t"))
+        writer.add_artifact(
+            ArtifactRecord("p", 2, digest, "identified", "{}", None, None, early.now, "t")
+        )
         moved = promote_decision(writer, "p", decide(writer, "p", digest), 1, {}, early)
     assert (moved.generation, moved.at) == (2, late.now)
     with parts.database.read() as connection:
         reader = Reader(connection)
         assert reader.served_at("p", late.now).generation == 2
-        assert [e.sequence for e in reader.audit_entries(0, 99)] == list(range(1, reader.audit_tree().size + 1))
+        assert [e.sequence for e in reader.audit_entries(0, 99)] == list(
+            range(1, reader.audit_tree().size + 1)
+        )
     parts.close()

@@ -18,7 +18,9 @@ TRUEUP = Path(sys.executable).parent / "trueup"
 
 
 def run(*arguments, code=0):
-    done = subprocess.run([TRUEUP, *map(str, arguments)], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [TRUEUP, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
     assert done.returncode == code, done.stderr
     return done
 
@@ -27,7 +29,13 @@ def _write(file, plant, t_s, commands, observations, role):
     stamps = T0_NS + np.rint(t_s * 1e9).astype(np.int64)
     conditions = {"stage": "SIL"}
     write_episode(
-        file, stamps_ns=stamps, observations=observations, commands=commands, layout=plant.layout, role=role, conditions=conditions
+        file,
+        stamps_ns=stamps,
+        observations=observations,
+        commands=commands,
+        layout=plant.layout,
+        role=role,
+        conditions=conditions,
     )
 
 
@@ -62,7 +70,18 @@ def test_its_model_predicts_an_episode_that_it_never_saw(case):
     missed = {}
     for which, extra in (("nominal", ["--nominal"]), ("corrected", [])):
         table = folder / f"{which}.csv"
-        run("predict", "--model", out / "model", "--episode", episode, "--horizon", 2.0, "--out", table, *extra)
+        run(
+            "predict",
+            "--model",
+            out / "model",
+            "--episode",
+            episode,
+            "--horizon",
+            2.0,
+            "--out",
+            table,
+            *extra,
+        )
         with table.open() as file:
             rows = np.array([[float(x) for x in row] for row in list(csv.reader(file))[1:]])
         assert np.allclose(rows[:, 0], test.t_s, atol=1e-8)
@@ -79,12 +98,26 @@ def test_a_blind_trial_of_a_case_can_be_held_against_its_log(case, tmp_path):
     folder, *_ = case
     out = tmp_path / "trial"
     assert "effects withheld" in run("blindtrial", folder, "--out", out, "--trials", 3).stdout
-    assert sorted(p.name for p in out.iterdir()) == ["audit.jsonl", "cases", "report.html", "report.json"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "audit.jsonl",
+        "cases",
+        "report.html",
+        "report.json",
+    ]
     assert "3 labels are those committed" in run("blindtrial", out, "--verify").stdout
     assert "not-empty" in run("blindtrial", folder, "--out", out, code=1).stderr
     report = json.loads((out / "report.json").read_text())
     (tmp_path / "secret").write_text(report["opening"]["secret"])
-    run("blindtrial", folder, "--out", tmp_path / "again", "--trials", 3, "--secret-file", tmp_path / "secret")
+    run(
+        "blindtrial",
+        folder,
+        "--out",
+        tmp_path / "again",
+        "--trials",
+        3,
+        "--secret-file",
+        tmp_path / "secret",
+    )
     again = json.loads((tmp_path / "again" / "report.json").read_text())
     assert [r["commitment"] for r in again["rows"]] == [r["commitment"] for r in report["rows"]]
     assert again["opening"]["redrawn"]
@@ -92,4 +125,15 @@ def test_a_blind_trial_of_a_case_can_be_held_against_its_log(case, tmp_path):
     (out / "report.json").write_text(json.dumps(report))
     assert "not-as-committed" in run("blindtrial", out, "--verify", code=1).stderr
     (tmp_path / "secret").write_text("no secret")
-    assert "no-secret" in run("blindtrial", folder, "--out", tmp_path / "third", "--secret-file", tmp_path / "secret", code=1).stderr
+    assert (
+        "no-secret"
+        in run(
+            "blindtrial",
+            folder,
+            "--out",
+            tmp_path / "third",
+            "--secret-file",
+            tmp_path / "secret",
+            code=1,
+        ).stderr
+    )

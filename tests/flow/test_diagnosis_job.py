@@ -1,4 +1,5 @@
-"""A diagnosis as a job of the service gives the command's report, and its model is a candidate like any other; so does a blind trial."""
+"""A diagnosis as a job of the service gives the command's report, and its model is a candidate like
+any other; so does a blind trial."""
 
 import json
 
@@ -15,13 +16,21 @@ from trueup.episode.writer import write_episode
 @pytest.fixture(scope="module")
 def done(service, tmp_path_factory):
     folder = tmp_path_factory.mktemp("job")
-    plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21, velocity=False)  # its model has arrays: moments of a known velocity
+    plant, episodes, _ = recorded(
+        "A1", ["quadratic_drag"], 21, velocity=False
+    )  # its model has arrays: moments of a known velocity
     (folder / "plant.json").write_text(json.dumps(dict(plant.document)))
     for i, e in enumerate(episodes):
         stamps = T0_NS + 10**10 * i + np.rint(e.t_s * 1e9).astype(np.int64)
         with (folder / f"{i}.mcap").open("wb") as file:
             write_episode(
-                file, stamps_ns=stamps, observations=e.observations, commands=e.commands, layout=plant.layout, role=e.role, conditions={}
+                file,
+                stamps_ns=stamps,
+                observations=e.observations,
+                commands=e.commands,
+                layout=plant.layout,
+                role=e.role,
+                conditions={},
             )
     command(service, "plant", "register", str(folder))
     command(service, "upload", "simulated", str(folder))
@@ -39,19 +48,25 @@ def test_the_service_gives_the_commands_report(done):
 
 def test_its_model_is_kept_with_its_arrays_and_judged(service, done):
     _, job, _ = done
-    decision = json.loads(command(service, "gate", "simulated", job["result"]["artifact"], "--json").stdout)
+    decision = json.loads(
+        command(service, "gate", "simulated", job["result"]["artifact"], "--json").stdout
+    )
     verdict = decision["document"]["verdicts"][0]
     assert (verdict["rule"], verdict["passed"]) == ("rollout_improves", True)
     assert verdict["value"] < 0.2 * verdict["threshold"]
 
 
-def test_a_blind_trial_is_committed_before_it_is_diagnosed_and_opened_at_its_end(service, done, tmp_path):
+def test_a_blind_trial_is_committed_before_it_is_diagnosed_and_opened_at_its_end(
+    service, done, tmp_path
+):
     out = tmp_path / "trial"
     command(service, "blindtrial", "simulated", "--out", str(out), "--trials", "3")
     report = json.loads((out / "report.json").read_text())
     entries = json.loads(command(service, "audit", "simulated", "--json").stdout)
     (committed,) = [e for e in entries if e["kind"] == "blindtrial:committed"]
-    opened = next(e for e in entries if e["kind"] == "job:finished" and e["subject"] == committed["subject"])
+    opened = next(
+        e for e in entries if e["kind"] == "job:finished" and e["subject"] == committed["subject"]
+    )
     assert committed["sequence"] < opened["sequence"]
     assert opened["facts"]["result"]["report"] == report
     require_as_committed(report, committed["facts"]["commitments"])

@@ -1,4 +1,5 @@
-"""Every snippet of the tutorial and the how-tos runs and prints what its page says; the site builds, and loads from nowhere else."""
+"""Every snippet of the tutorial and the how-tos runs and prints what its page says; the site
+builds, and loads from nowhere else."""
 
 import os
 import re
@@ -19,7 +20,10 @@ FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", flags=re.MULTILINE | re.DOT
 
 
 def blocks(page):
-    return [(kind, more.strip(), text) for kind, more, text in FENCE.findall((ROOT / "docs" / f"{page}.md").read_text())]
+    return [
+        (kind, more.strip(), text)
+        for kind, more, text in FENCE.findall((ROOT / "docs" / f"{page}.md").read_text())
+    ]
 
 
 def commands(text):
@@ -55,10 +59,15 @@ def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, tmp_path):
     for kind, more, text in blocks(page):
         if (kind, more) == ("console", "service"):
             ((command, _),) = commands(text)
-            service = subprocess.Popen(command.split(), cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL)
+            service = subprocess.Popen(
+                command.split(), cwd=tmp_path, env=environment, stderr=subprocess.DEVNULL
+            )
         elif kind == "console":
             for command, lines in commands(text):
-                script.append(f"{{ {command}\n}} > said/{len(expected)} || {{ echo {len(expected)} >&2; exit 1; }}")
+                script.append(
+                    f"{{ {command}\n}} > said/{len(expected)} || {{ echo {len(expected)} "
+                    ">&2; exit 1; }"
+                )
                 expected.append((command, lines))
         elif kind == "python":
             (folder / f"{len(expected)}.py").write_text(text)
@@ -70,7 +79,15 @@ def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, tmp_path):
         if service is not None:
             until_listening(port, service)
             _until_ready(environment["TRUEUP_URL"])
-        done = subprocess.run(["bash"], input="\n".join(script), cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            ["bash"],
+            input="\n".join(script),
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
     finally:
         if service is not None:
             service.terminate()
@@ -81,7 +98,9 @@ def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, tmp_path):
         said = plain((folder / str(number)).read_text())
         for line in lines:
             pattern = ".*".join(re.escape(plain(part)) for part in line.split("…"))
-            assert re.search(pattern, said), f"{command!r} is said to print {line!r} and prints {said!r}"
+            assert re.search(pattern, said), (
+                f"{command!r} is said to print {line!r} and prints {said!r}"
+            )
 
 
 def _until_ready(url):
@@ -94,7 +113,14 @@ def _until_ready(url):
 
 def test_the_site_builds_with_every_link_and_loads_from_nowhere_else(tmp_path):
     made = subprocess.run(
-        [Path(sys.executable).parent / "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"],
+        [
+            Path(sys.executable).parent / "mkdocs",
+            "build",
+            "--strict",
+            "--quiet",
+            "--site-dir",
+            tmp_path / "site",
+        ],
         cwd=ROOT,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
         capture_output=True,
@@ -105,7 +131,9 @@ def test_the_site_builds_with_every_link_and_loads_from_nowhere_else(tmp_path):
     pages = list((tmp_path / "site").rglob("*.html"))
     assert len(pages) > 25
     for page in pages:
-        loaded = re.findall(r'<(?:script|link|img|iframe)[^>]*(?:src|href)="(https?:[^"]*)"', page.read_text())
+        loaded = re.findall(
+            r'<(?:script|link|img|iframe)[^>]*(?:src|href)="(https?:[^"]*)"', page.read_text()
+        )
         assert loaded == [], page
     effects = (tmp_path / "site" / "effects.html").read_text()
     assert effects.count("<img") == 29

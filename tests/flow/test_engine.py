@@ -51,7 +51,11 @@ def test_the_payload_runs_where_the_engine_is_as_it_comes(tmp_path):
         "import sys; from dbos._serialization import DBOSPortableJSON, deserialize_args; "
         "deserialize_args(sys.argv[1], 'py_pickle', DBOSPortableJSON)"
     )
-    subprocess.run([sys.executable, "-c", code, planted(tmp_path / "ran")], check=True, env={**os.environ, "PYTHONWARNINGS": "ignore"})
+    subprocess.run(
+        [sys.executable, "-c", code, planted(tmp_path / "ran")],
+        check=True,
+        env={**os.environ, "PYTHONWARNINGS": "ignore"},
+    )
     assert (tmp_path / "ran").exists()
 
 
@@ -72,8 +76,14 @@ def test_the_engine_reads_no_other_columns(tmp_path):
     database = Database(f"sqlite:///{tmp_path / 'x.sqlite'}", 2)
     migrate_engine(f"sqlite:///{tmp_path / 'x.sqlite'}")
     found = inspect(database.engine)
-    serialized = {table for table in found.get_table_names() if "serialization" in {c["name"] for c in found.get_columns(table)}}
-    assert serialized - {"workflow_events_history"} == {table for table, _ in READ} - {"workflow_schedules"}
+    serialized = {
+        table
+        for table in found.get_table_names()
+        if "serialization" in {c["name"] for c in found.get_columns(table)}
+    }
+    assert serialized - {"workflow_events_history"} == {table for table, _ in READ} - {
+        "workflow_schedules"
+    }
     database.close()
 
 
@@ -93,13 +103,18 @@ def test_a_planted_row_in_any_column_runs_nothing_in_a_worker_that_goes_on(stora
 
 
 def plant_rows(database: Database, ran: Path, victim: str) -> None:
-    """Plant the payload into every column that is read, of a queued job, of one that is done, and of one that nobody asked for."""
+    """Plant the payload into every column that is read, of a queued job, of one that is done, and
+    of one that nobody asked for."""
     found, schema = inspect(database.engine), None if database.is_sqlite else "dbos"
     prefix = "" if schema is None else f"{schema}."
     with database.write() as connection:
         pickled = {"payload": planted(ran), "id": victim}
         connection.execute(
-            text(f"UPDATE {prefix}workflow_status SET serialization = 'py_pickle', inputs = :payload WHERE workflow_uuid = :id"), pickled
+            text(
+                f"UPDATE {prefix}workflow_status SET serialization = 'py_pickle', inputs = "
+                ":payload WHERE workflow_uuid = :id"
+            ),
+            pickled,
         )
         for table in dict.fromkeys(table for table, _ in READ):
             columns = {c["name"]: c for c in found.get_columns(table, schema)}
@@ -122,15 +137,25 @@ def plant_rows(database: Database, ran: Path, victim: str) -> None:
                 }
                 values |= {**state, "recovery_attempts": 0, "priority": 0}
             names = ", ".join(f'"{name}"' for name in values)
-            connection.execute(text(f"INSERT INTO {prefix}{table} ({names}) VALUES ({', '.join(':' + n for n in values)})"), values)
+            connection.execute(
+                text(
+                    f"INSERT INTO {prefix}{table} ({names}) VALUES "
+                    f"({', '.join(':' + n for n in values)})"
+                ),
+                values,
+            )
 
 
 def test_the_worker_beside_a_server_is_given_none_of_the_servers_secrets(tmp_path):
     service = Service(embedded(tmp_path / "data"), signing_key=SIGNING_KEY)
     server = service.start_server(kept=True)
     try:
-        environments = until(lambda: [e for e in environments_below(server.pid) if b"TRUEUP_DATA_DIR" in e])
-        assert all(SIGNING_KEY.encode() not in e and b"TRUEUP_ADMIN_TOKEN" not in e for e in environments)
+        environments = until(
+            lambda: [e for e in environments_below(server.pid) if b"TRUEUP_DATA_DIR" in e]
+        )
+        assert all(
+            SIGNING_KEY.encode() not in e and b"TRUEUP_ADMIN_TOKEN" not in e for e in environments
+        )
     finally:
         service.stop()
 
@@ -138,4 +163,8 @@ def test_the_worker_beside_a_server_is_given_none_of_the_servers_secrets(tmp_pat
 def environments_below(pid: int) -> list[bytes]:
     """The environments of a process's children."""
     children = Path(f"/proc/{pid}/task").glob("*/children")
-    return [Path(f"/proc/{child}/environ").read_bytes() for path in children for child in path.read_text().split()]
+    return [
+        Path(f"/proc/{child}/environ").read_bytes()
+        for path in children
+        for child in path.read_text().split()
+    ]

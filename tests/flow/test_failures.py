@@ -22,13 +22,20 @@ from trueup.model.plant import Plant
 from trueup_client import Client, Problem, Unreachable
 from trueup_client.problem import ClientError
 
-LONG_SAMPLES = 60_000  # about a second of reading and fitting: long enough to be killed in the middle of
+LONG_SAMPLES = (
+    60_000  # about a second of reading and fitting: long enough to be killed in the middle of
+)
 
 
 @pytest.fixture(scope="module")
 def long_episode(tmp_path_factory):
     plant, rng = Plant.from_document(plant_document()), np.random.default_rng(0)
-    data = mcap_bytes(plant.layout, rng.normal(size=(LONG_SAMPLES, 2)), rng.uniform(-1, 1, (LONG_SAMPLES, 1)), start_ns=T0_NS)
+    data = mcap_bytes(
+        plant.layout,
+        rng.normal(size=(LONG_SAMPLES, 2)),
+        rng.uniform(-1, 1, (LONG_SAMPLES, 1)),
+        start_ns=T0_NS,
+    )
     return save(tmp_path_factory.mktemp("long"), "long.mcap", data)
 
 
@@ -36,7 +43,11 @@ def long_episode(tmp_path_factory):
 def server(request, tmp_path_factory):
     """A server without a worker."""
     folder, given = tmp_path_factory.mktemp("server"), request.getfixturevalue
-    service = Service(embedded(folder) if request.param == "embedded" else scaled(folder, given("postgres"), given("s3")))
+    service = Service(
+        embedded(folder)
+        if request.param == "embedded"
+        else scaled(folder, given("postgres"), given("s3"))
+    )
     service.start_server()
     yield service
     service.stop()
@@ -117,13 +128,24 @@ def given_up_on(service, job, times=1):
     """As the job engine leaves what it tried in vain, in the database itself."""
     engine = service.storage.build().database.engine
     schema = "dbos" if engine.dialect.name == "postgresql" else None
-    status, given = (sa.Table(name, sa.MetaData(), schema=schema, autoload_with=engine) for name in ("workflow_status", "workflow_input"))
+    status, given = (
+        sa.Table(name, sa.MetaData(), schema=schema, autoload_with=engine)
+        for name in ("workflow_status", "workflow_input")
+    )
     with engine.begin() as connection:
-        connection.execute(status.update().where(status.c.workflow_uuid == job).values(status="ERROR"))
+        connection.execute(
+            status.update().where(status.c.workflow_uuid == job).values(status="ERROR")
+        )
         for table in (status, given):
-            rows = connection.execute(table.select().where(table.c.workflow_uuid == job)).mappings().all()
+            rows = (
+                connection.execute(table.select().where(table.c.workflow_uuid == job))
+                .mappings()
+                .all()
+            )
             for attempt in range(1, times):
-                connection.execute(table.insert(), [{**row, "workflow_uuid": f"{job}-{attempt}"} for row in rows])
+                connection.execute(
+                    table.insert(), [{**row, "workflow_uuid": f"{job}-{attempt}"} for row in rows]
+                )
     engine.dispose()
 
 
@@ -229,7 +251,9 @@ def test_a_killed_server_has_lost_nothing_that_it_acknowledged(storage, tmp_path
 def test_two_servers_on_one_database_agree_at_once(postgres, s3, tmp_path):
     storage = scaled(tmp_path / "a", postgres, s3)
     first = Service(storage)
-    second = Service(Storage("scaled", storage.environment | {"TRUEUP_DATA_DIR": str(tmp_path / "b")}))
+    second = Service(
+        Storage("scaled", storage.environment | {"TRUEUP_DATA_DIR": str(tmp_path / "b")})
+    )
     try:
         first.start_server()
         second.start_server()
@@ -266,9 +290,13 @@ def second_look(url):
 def promote(client, folder):
     for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
         client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
-    candidate = client.wait(client.submit("p", {"kind": "fit", "method": "identify"})["id"])["result"]["artifact"]
+    candidate = client.wait(client.submit("p", {"kind": "fit", "method": "identify"})["id"])[
+        "result"
+    ]["artifact"]
     gate = client.declare_gate("p")["digest"]
-    decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"])["result"]["decision"]
+    decision = client.wait(
+        client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"]
+    )["result"]["decision"]
     return client.promote("p", decision, client.serving("p").generation)
 
 
@@ -279,11 +307,19 @@ def test_a_damaged_artifact_is_not_served_again(tmp_path):
         client = Client(service.url)
         client.register_plant(plant_document("p"))
         for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
-            client.upload_episode("p", save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role)))
+            client.upload_episode(
+                "p", save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role))
+            )
         gate = client.declare_gate("p", LENIENT)
         for method in ("residual", "identify"):
-            candidate = client.wait(client.submit("p", {"kind": "fit", "method": method})["id"])["result"]["artifact"]
-            decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate["digest"]})["id"])
+            candidate = client.wait(client.submit("p", {"kind": "fit", "method": method})["id"])[
+                "result"
+            ]["artifact"]
+            decision = client.wait(
+                client.submit(
+                    "p", {"kind": "gate", "candidate": candidate, "gate": gate["digest"]}
+                )["id"]
+            )
             client.promote("p", decision["result"]["decision"], client.serving("p").generation)
         arrays = client.version("p", 2)["arrays"]
         blob = next((tmp_path / "data" / "blobs").glob(f"{arrays[:2]}/{arrays[2:]}"))
@@ -304,10 +340,24 @@ def test_a_client_says_so_when_nobody_answers():
 
 def test_a_command_that_is_ended_ends_the_service_beside_it(tmp_path):
     url = f"http://127.0.0.1:{free_port()}"
-    look = [sys.executable, "-m", "trueup_cli.main", "look", "--data", str(tmp_path), "--no-browser", "--url", url]
-    with subprocess.Popen(look, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT) as looking:
+    look = [
+        sys.executable,
+        "-m",
+        "trueup_cli.main",
+        "look",
+        "--data",
+        str(tmp_path),
+        "--no-browser",
+        "--url",
+        url,
+    ]
+    with subprocess.Popen(
+        look, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT
+    ) as looking:
         try:
-            assert any(url in line for line in looking.stdout)  # the service beside may say something before
+            assert any(
+                url in line for line in looking.stdout
+            )  # the service beside may say something before
         finally:
             looking.terminate()
     assert looking.returncode == 128 + signal.SIGTERM

@@ -1,4 +1,5 @@
-"""Workers help one diagnosis; one of them is killed at it, and the report is that of the command, bit for bit."""
+"""Workers help one diagnosis; one of them is killed at it, and the report is that of the command,
+bit for bit."""
 
 import json
 
@@ -28,9 +29,19 @@ def alone(tmp_path_factory):
         files.append(folder / f"{i}.mcap")
         with files[-1].open("wb") as file:
             write_episode(
-                file, stamps_ns=stamps, observations=e.observations, commands=e.commands, layout=plant.layout, role=e.role, conditions={}
+                file,
+                stamps_ns=stamps,
+                observations=e.observations,
+                commands=e.commands,
+                layout=plant.layout,
+                role=e.role,
+                conditions={},
             )
-    return plant, files, diagnose(plant, [read_episode(file.read_bytes(), plant.layout) for file in files])
+    return (
+        plant,
+        files,
+        diagnose(plant, [read_episode(file.read_bytes(), plant.layout) for file in files]),
+    )
 
 
 def test_the_report_is_the_same_whoever_helped_and_died(alone, storage, capfd):

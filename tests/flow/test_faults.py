@@ -1,4 +1,5 @@
-"""Every step towards the disk and the database fails once, or the process dies there: nothing acknowledged is lost, nothing is torn."""
+"""Every step towards the disk and the database fails once, or the process dies there: nothing
+acknowledged is lost, nothing is torn."""
 
 import http.client
 import json
@@ -39,9 +40,11 @@ class Faulty:
             return 0, {}, b""
 
     def everywhere(self, what, method, path, body):
-        """A fault at each step of a request in turn, each time repeated until it is done; how many steps there were.
+        """A fault at each step of a request in turn, each time repeated until it is done; how many
+        steps there were.
 
-        `body(n)` is the body of the n-th request. Nothing may be acknowledged before its last step is done.
+        `body(n)` is the body of the n-th request. Nothing may be acknowledged before its last step
+        is done.
         """
         for at in range(1, MOST_STEPS):
             key, sent = uuid.uuid4().hex, body(at)
@@ -57,7 +60,8 @@ class Faulty:
         raise AssertionError("the request has too many steps")
 
     def is_whole(self):
-        """Whether the log tells all that there is, and no more, in an installation that is looked at beside the server."""
+        """Whether the log tells all that there is, and no more, in an installation that is looked
+        at beside the server."""
         parts = self.storage.build()
         found = verify(Kept(parts.database, parts.blobs)).findings + lost_jobs(parts)
         parts.close()
@@ -80,23 +84,35 @@ def gate(at):
     return json.dumps(LENIENT | {"scoring": {"horizon_s": 2.0 + at / 100, "windows": "first"}})
 
 
-@pytest.mark.parametrize(("storage", "what"), [("embedded", "EIO"), ("embedded", "ENOSPC"), ("scaled", "EIO")], indirect=["storage"])
+@pytest.mark.parametrize(
+    ("storage", "what"),
+    [("embedded", "EIO"), ("embedded", "ENOSPC"), ("scaled", "EIO")],
+    indirect=["storage"],
+)
 def test_whatever_fails_the_caller_is_told_and_the_same_request_again_is_done_once(faulty, what):
-    uploads = faulty.everywhere(what, "POST", "/v1/plants/p/episodes", lambda at: episode_bytes(at, 60))
+    uploads = faulty.everywhere(
+        what, "POST", "/v1/plants/p/episodes", lambda at: episode_bytes(at, 60)
+    )
     gates = faulty.everywhere(what, "POST", "/v1/plants/p/gates", gate)
     assert uploads >= gates + 2  # an upload has its bytes to make durable before the row
     assert gates >= 2
     client = Client(faulty.service.url)
     entries = [(e["kind"], e["subject"]) for e in client.audit()]
     assert len(entries) == len(set(entries))
-    assert [k for k, _ in entries].count("episode:ingested") == len(list(client.episodes("p"))) == uploads + 1
+    assert (
+        [k for k, _ in entries].count("episode:ingested")
+        == len(list(client.episodes("p")))
+        == uploads + 1
+    )
     assert len(list(client.audit("p"))) == 1 + uploads + 1 + gates + 1
     client.close()
     assert faulty.is_whole()
 
 
 def test_a_server_that_dies_at_any_step_has_lost_nothing_and_done_nothing_twice(faulty):
-    uploads = faulty.everywhere("kill", "POST", "/v1/plants/p/episodes", lambda at: episode_bytes(at, 60))
+    uploads = faulty.everywhere(
+        "kill", "POST", "/v1/plants/p/episodes", lambda at: episode_bytes(at, 60)
+    )
     client = Client(faulty.service.url)
     assert len(list(client.episodes("p"))) == uploads + 1
     client.close()
@@ -110,8 +126,13 @@ def test_a_pointer_that_cannot_be_written_does_not_move(faulty):
     for at in (1, 2):
         decision = accepted(client, "p", 1.0 + at / 10)
         promotion = {"decision": decision, "expected_generation": generation}
-        for what, path, body in (("EIO", "promote", promotion), ("kill", "rollback", {"expected_generation": generation + 1})):
-            before = path == "promote" and faulty.storage.name == "embedded"  # the probe is linked where it is read from
+        for what, path, body in (
+            ("EIO", "promote", promotion),
+            ("kill", "rollback", {"expected_generation": generation + 1}),
+        ):
+            before = (
+                path == "promote" and faulty.storage.name == "embedded"
+            )  # the probe is linked where it is read from
             arm(faulty.fault, what, at + before)
             asked = "POST", f"/v1/plants/p/serving/{path}", json.dumps(body), uuid.uuid4().hex
             assert faulty.send(*asked)[0] not in (200, 201)

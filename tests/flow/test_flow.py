@@ -26,13 +26,22 @@ def flow(service, tmp_path_factory):
     said["plant"] = run("plant", "register", str(case))
     said["episodes"] = run("upload", "emps", str(case))
     said["identified"] = run("fit", "emps")["result"]["artifact"]
-    said["friction"] = run("fit", "emps", "--method", "residual", "--features", "1,v,u,sign(v),abs(v)")["result"]["artifact"]
+    said["friction"] = run(
+        "fit", "emps", "--method", "residual", "--features", "1,v,u,sign(v),abs(v)"
+    )["result"]["artifact"]
     said["accepted"] = run("gate", "emps", said["friction"], "--rules", str(case / "gate.json"))
     said["promoted"] = run("promote", "emps", said["accepted"]["digest"])[0]
     said["rejected"] = run("gate", "emps", said["identified"], "--rules", str(case / "gate.json"))
     said["serving"] = run("serving", "emps")[0]
     command(service, "fetch", "emps", str(work / "model"))
-    arguments = "--model", str(work / "model"), "--episode", str(case / "3-validation.mcap"), "--horizon", "1.0"
+    arguments = (
+        "--model",
+        str(work / "model"),
+        "--episode",
+        str(case / "3-validation.mcap"),
+        "--horizon",
+        "1.0",
+    )
     command(service, "predict", *arguments, "--out", str(work / "after.csv"))
     command(service, "predict", *arguments, "--out", str(work / "before.csv"), "--nominal")
     said["replays"] = [run("replay", said[which]["digest"]) for which in ("accepted", "rejected")]
@@ -75,7 +84,8 @@ def test_the_served_model_predicts_held_out_data_thirty_times_better(flow):
     from pathlib import Path
 
     episode = read_episode(
-        (Path(__file__).parents[2] / "examples/emps/3-validation.mcap").read_bytes(), Plant.from_document(said["plant"]["document"]).layout
+        (Path(__file__).parents[2] / "examples/emps/3-validation.mcap").read_bytes(),
+        Plant.from_document(said["plant"]["document"]).layout,
     )
     errors = {}
     for which in ("before", "after"):
@@ -84,7 +94,9 @@ def test_the_served_model_predicts_held_out_data_thirty_times_better(flow):
         assert header == "t,q"
         assert np.array_equal(rows[:, 0], episode.t_s)
         scored = episode.t_s >= 1.0  # the first window starts before the velocity can be known
-        errors[which] = float(np.sqrt(np.mean((rows[scored, 1] - episode.observations[scored, 0]) ** 2)))
+        errors[which] = float(
+            np.sqrt(np.mean((rows[scored, 1] - episode.observations[scored, 0]) ** 2))
+        )
     assert errors["after"] < 0.0012
     assert errors["after"] < errors["before"] / 20
 
@@ -103,7 +115,8 @@ def test_the_log_tells_the_whole_story_and_verifies(flow, service):
 
 
 def test_the_log_alone_rebuilds_every_decision(flow):
-    """An auditor needs no other table: each decision's figures, rule and inputs stand in its entry."""
+    """An auditor needs no other table: each decision's figures, rule and inputs stand in its
+    entry."""
     from trueup.canonical import digest_of
 
     for entry in flow[0]["audit"]:
@@ -140,18 +153,29 @@ def test_a_decision_that_was_tampered_with_is_not_reproduced(client, tmp_path):
     name = "tampered"
     client.register_plant(plant_document(name))
     for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
-        client.upload_episode(name, save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role, parameters=TRUE)))
-    candidate = client.wait(client.submit(name, {"kind": "fit", "method": "identify"})["id"])["result"]["artifact"]
+        client.upload_episode(
+            name, save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role, parameters=TRUE))
+        )
+    candidate = client.wait(client.submit(name, {"kind": "fit", "method": "identify"})["id"])[
+        "result"
+    ]["artifact"]
     gate = client.declare_gate(name)["digest"]
-    decision = client.wait(client.submit(name, {"kind": "gate", "candidate": candidate, "gate": gate})["id"])["result"]["decision"]
+    decision = client.wait(
+        client.submit(name, {"kind": "gate", "candidate": candidate, "gate": gate})["id"]
+    )["result"]["decision"]
     recorded = client.decision(name, decision)["document"]
     recomputed = recompute(client, name, recorded, tmp_path, lambda *_: None)
     assert differences(recorded, recomputed) == []
-    found = client.wait(client.submit(name, {"kind": "recompute", "decision": decision})["id"])["result"]
+    found = client.wait(client.submit(name, {"kind": "recompute", "decision": decision})["id"])[
+        "result"
+    ]
     assert (found["agrees"], found["differences"]) == (True, [])
     recorded["figures"]["incumbent"]["rollout"][0] *= 1 + 1e-6
     recorded["verdicts"][0]["passed"] = False
-    assert {d.split(":")[0] for d in differences(recorded, recomputed)} == {"verdicts[0].passed", "figures.incumbent.rollout[0]"}
+    assert {d.split(":")[0] for d in differences(recorded, recomputed)} == {
+        "verdicts[0].passed",
+        "figures.incumbent.rollout[0]",
+    }
 
 
 def test_the_audit_entries_have_the_root_that_is_signed(client):

@@ -1,4 +1,5 @@
-"""Archives that somebody made to do harm: what a few bytes unfold to, what is nested without end, and keys that nobody vouches for."""
+"""Archives that somebody made to do harm: what a few bytes unfold to, what is nested without end,
+and keys that nobody vouches for."""
 
 import base64
 import hashlib
@@ -17,7 +18,16 @@ from tests.support.made import episode_bytes, plant_document, save
 from tests.support.service import ROOT, Service
 from tests.support.storage import embedded
 from trueup.episode.role import Role
-from trueup.ledger.archive import ARTIFACT, ENDORSEMENTS, ENTRIES, MANIFEST, SIGNATURE, ArchiveWriter, dangling, statement_of
+from trueup.ledger.archive import (
+    ARTIFACT,
+    ENDORSEMENTS,
+    ENTRIES,
+    MANIFEST,
+    SIGNATURE,
+    ArchiveWriter,
+    dangling,
+    statement_of,
+)
 from trueup.ledger.note import Signer
 from trueup_client import Client
 
@@ -31,7 +41,13 @@ def limited(command, **environment):
     """A program that may take so much memory and no more."""
     return subprocess.run(
         command,
-        env={**os.environ, **environment, "NO_COLOR": "1", "COLUMNS": "200", "OPENBLAS_NUM_THREADS": "1"},
+        env={
+            **os.environ,
+            **environment,
+            "NO_COLOR": "1",
+            "COLUMNS": "200",
+            "OPENBLAS_NUM_THREADS": "1",
+        },
         capture_output=True,
         text=True,
         check=False,
@@ -41,17 +57,26 @@ def limited(command, **environment):
 
 
 def imported(archive, storage, *more):
-    return limited([sys.executable, "-m", "trueup_cli.main", "import", str(archive), *more], **storage.environment)
+    return limited(
+        [sys.executable, "-m", "trueup_cli.main", "import", str(archive), *more],
+        **storage.environment,
+    )
 
 
 def index_of(digest, size):
-    described = {"mediaType": MANIFEST, "artifactType": ARTIFACT, "digest": f"sha256:{digest}", "size": size}
+    described = {
+        "mediaType": MANIFEST,
+        "artifactType": ARTIFACT,
+        "digest": f"sha256:{digest}",
+        "size": size,
+    }
     described["annotations"] = {SIGNATURE: FORGER.note(statement_of(f"sha256:{digest}"))}
     return json.dumps({"schemaVersion": 2, "manifests": [described]}).encode()
 
 
 def sparse(name, size):
-    """A member of a tar file that unfolds to so many bytes of nothing: a header of GNU tar that says there is no data."""
+    """A member of a tar file that unfolds to so many bytes of nothing: a header of GNU tar that
+    says there is no data."""
     head = bytearray(512)
     head[0 : len(name)] = name.encode()
     head[100:108], head[108:116], head[116:124] = b"0000644\0", b"0000000\0", b"0000000\0"
@@ -79,7 +104,9 @@ def tarred(path, files, *raw):
 
 def bomb(path):
     digest = "0" * 64
-    tarred(path, {"index.json": index_of(digest, UNFOLDED)}, sparse(f"blobs/sha256/{digest}", UNFOLDED))
+    tarred(
+        path, {"index.json": index_of(digest, UNFOLDED)}, sparse(f"blobs/sha256/{digest}", UNFOLDED)
+    )
 
 
 def nested(path):
@@ -139,30 +166,69 @@ def test_what_is_no_regular_file_in_a_folder_is_not_read(kind, tmp_path):
     done = imported(tmp_path / "archive", embedded(tmp_path / "data"), "--any-key")
     assert (done.returncode, "bad-archive" in done.stderr) == (1, True), done.stderr[-2000:]
     done = limited([sys.executable, "-I", str(VERIFIER), str(tmp_path / "archive")])
-    assert (done.returncode, "no regular file" in done.stdout) == (4, True), done.stdout + done.stderr[-2000:]
+    assert (done.returncode, "no regular file" in done.stdout) == (4, True), (
+        done.stdout + done.stderr[-2000:]
+    )
 
 
 @pytest.mark.parametrize("size", [3 * 10**9, 10**30])
 def test_a_log_that_says_it_is_longer_than_memory_is_refused(size, tmp_path):
-    config = {"plant": None, "key": FORGER.verifier, "endorsements": [], "checkpoint": FORGER.note(f"forger\n{size}\n{ROOT_OF_NONE}\n")}
+    config = {
+        "plant": None,
+        "key": FORGER.verifier,
+        "endorsements": [],
+        "checkpoint": FORGER.note(f"forger\n{size}\n{ROOT_OF_NONE}\n"),
+    }
     with ArchiveWriter(tmp_path / "long.tar") as archive:
         archive.add("log/entries.jsonl", ENTRIES, b"")
         archive.close(config, FORGER.note)
     done = limited([sys.executable, "-I", str(VERIFIER), str(tmp_path / "long.tar")])
-    assert (done.returncode, f"signed for {size}" in done.stdout) == (4, True), done.stdout + done.stderr[-2000:]
+    assert (done.returncode, f"signed for {size}" in done.stdout) == (4, True), (
+        done.stdout + done.stderr[-2000:]
+    )
     data = embedded(tmp_path / "data")
-    restored = limited([sys.executable, "-m", "trueup_cli.main", "restore", str(tmp_path / "long.tar"), "--any-key"], **data.environment)
-    assert (restored.returncode, "not-whole" in restored.stderr) == (1, True), restored.stderr[-2000:]
+    restored = limited(
+        [
+            sys.executable,
+            "-m",
+            "trueup_cli.main",
+            "restore",
+            str(tmp_path / "long.tar"),
+            "--any-key",
+        ],
+        **data.environment,
+    )
+    assert (restored.returncode, "not-whole" in restored.stderr) == (1, True), restored.stderr[
+        -2000:
+    ]
 
 
 @pytest.mark.parametrize("spoilt", [{"sequence": "1"}, {"rows": []}, {"facts": [1]}, {"at": None}])
 def test_an_entry_of_another_form_is_refused(spoilt, tmp_path):
-    entry = {"sequence": 1, "at": "", "kind": "a:b", "actor": "", "plant": None, "subject": "", "facts": {}, "rows": {}} | spoilt
-    config = {"plant": None, "key": FORGER.verifier, "endorsements": [], "checkpoint": FORGER.note(f"forger\n1\n{ROOT_OF_NONE}\n")}
+    entry = {
+        "sequence": 1,
+        "at": "",
+        "kind": "a:b",
+        "actor": "",
+        "plant": None,
+        "subject": "",
+        "facts": {},
+        "rows": {},
+    } | spoilt
+    config = {
+        "plant": None,
+        "key": FORGER.verifier,
+        "endorsements": [],
+        "checkpoint": FORGER.note(f"forger\n1\n{ROOT_OF_NONE}\n"),
+    }
     with ArchiveWriter(tmp_path / "odd.tar") as archive:
-        archive.add("log/entries.jsonl", ENTRIES, json.dumps({"entry": entry, "proof": []}).encode())
+        archive.add(
+            "log/entries.jsonl", ENTRIES, json.dumps({"entry": entry, "proof": []}).encode()
+        )
         archive.close(config, FORGER.note)
-    done = run(embedded(tmp_path / "data"), "restore", tmp_path / "odd.tar", "--any-key", check=False)
+    done = run(
+        embedded(tmp_path / "data"), "restore", tmp_path / "odd.tar", "--any-key", check=False
+    )
     assert done.returncode in (1, 4)
     assert "another form" in done.stderr
     assert "Traceback" not in done.stderr
@@ -187,7 +253,17 @@ def test_a_row_that_hangs_on_another_plants_job_is_found():
     assert dangling(Rows(decisions=[{"digest": "d", "job": None}], moves=[move])) == ["moves/q/2"]
 
 
-ODD = [bomb, nested, nested_index, negative, cut_short, long_extension, long_name, extension_of_all, endless_keys]
+ODD = [
+    bomb,
+    nested,
+    nested_index,
+    negative,
+    cut_short,
+    long_extension,
+    long_name,
+    extension_of_all,
+    endless_keys,
+]
 
 
 @pytest.mark.parametrize("made", ODD)
@@ -197,10 +273,14 @@ def test_what_unfolds_or_is_nested_is_refused_within_little_memory(made, tmp_pat
         done = imported(tmp_path / "archive.tar", embedded(tmp_path / "data"), *key)
         assert (done.returncode, "bad-archive" in done.stderr) == (1, True), done.stderr[-2000:]
     done = limited([sys.executable, "-I", str(VERIFIER), str(tmp_path / "archive.tar")])
-    assert (done.returncode, "cannot be read" in done.stdout) == (4, True), done.stdout + done.stderr[-2000:]
+    assert (done.returncode, "cannot be read" in done.stdout) == (4, True), (
+        done.stdout + done.stderr[-2000:]
+    )
 
 
-def test_a_large_manifest_in_a_folder_with_holes_is_not_read_before_its_signature_is_known(tmp_path):
+def test_a_large_manifest_in_a_folder_with_holes_is_not_read_before_its_signature_is_known(
+    tmp_path,
+):
     digest = "0" * 64
     (tmp_path / "archive" / "blobs" / "sha256").mkdir(parents=True)
     (tmp_path / "archive" / "index.json").write_bytes(index_of(digest, 3 << 30))
@@ -208,7 +288,9 @@ def test_a_large_manifest_in_a_folder_with_holes_is_not_read_before_its_signatur
         file.truncate(3 << 30)
     for key in (["--any-key"], ["--key", Signer("honest", b"2" * 32).verifier]):
         done = imported(tmp_path / "archive", embedded(tmp_path / "data"), *key)
-        assert (done.returncode, "nothing shows who signed it" in done.stderr) == (1, True), done.stderr[-2000:]
+        assert (done.returncode, "nothing shows who signed it" in done.stderr) == (1, True), (
+            done.stderr[-2000:]
+        )
 
 
 # -- keys
@@ -233,7 +315,11 @@ def test_an_archive_that_nobody_vouches_for_is_not_taken_without_a_word(exported
     _, archive, key = exported
     fresh = embedded(tmp_path / "fresh")
     refused = run(fresh, "import", archive, check=False)
-    assert (refused.returncode, key in refused.stderr, "key-not-given" in refused.stderr) == (1, True, True)
+    assert (refused.returncode, key in refused.stderr, "key-not-given" in refused.stderr) == (
+        1,
+        True,
+        True,
+    )
     assert not (tmp_path / "fresh" / "trueup.sqlite").exists()  # nothing was begun
     taken = run(fresh, "import", archive, "--any-key")
     assert "nobody has shown" in taken.stderr
@@ -252,7 +338,9 @@ def test_an_installation_believes_its_own_key(exported, tmp_path):
     run(storage, "backup", tmp_path / "backup")
     fresh = embedded(tmp_path / "fresh")
     (tmp_path / "fresh").mkdir()
-    (tmp_path / "fresh" / "signing.key").write_text((storage.settings().data_dir / "signing.key").read_text())
+    (tmp_path / "fresh" / "signing.key").write_text(
+        (storage.settings().data_dir / "signing.key").read_text()
+    )
     done = run(fresh, "restore", tmp_path / "backup")
     assert "restored" in done.stdout
     assert "nobody has shown" not in done.stderr

@@ -12,7 +12,10 @@ from trueup_service.kept import Kept
 
 def test_the_pointer_is_one_register_over_two_servers(postgres, s3, tmp_path):
     storage = scaled(tmp_path / "a", postgres, s3)
-    servers = [Service(storage), Service(Storage("scaled", storage.environment | {"TRUEUP_DATA_DIR": str(tmp_path / "b")}))]
+    servers = [
+        Service(storage),
+        Service(Storage("scaled", storage.environment | {"TRUEUP_DATA_DIR": str(tmp_path / "b")})),
+    ]
     parts = storage.build()
     try:
         for server in servers:
@@ -38,8 +41,18 @@ def test_what_no_register_does_is_seen():
         position = served()
         position.generation, position.artifact = generation, artifact
         told.append(position)
-    fine = [Operation("read", 0, 1, 1, "a"), Operation("promote", 0.5, 2, 2, "b"), Operation("read", 1.5, 3, 1, "a")]
+    fine = [
+        Operation("read", 0, 1, 1, "a"),
+        Operation("promote", 0.5, 2, 2, "b"),
+        Operation("read", 1.5, 3, 1, "a"),
+    ]
     assert violations(fine, told) == []
-    assert violations([*fine, Operation("read", 2.5, 4, 1, "a")], told)  # an old answer after the move was acknowledged
-    assert violations([*fine, Operation("rollback", 2.1, 4, 2, "b")], told)  # two moves took one generation
-    assert violations([*fine, Operation("read", 2.1, 4, 2, "a")], told)  # a position that the log does not tell of
+    assert violations(
+        [*fine, Operation("read", 2.5, 4, 1, "a")], told
+    )  # an old answer after the move was acknowledged
+    assert violations(
+        [*fine, Operation("rollback", 2.1, 4, 2, "b")], told
+    )  # two moves took one generation
+    assert violations(
+        [*fine, Operation("read", 2.1, 4, 2, "a")], told
+    )  # a position that the log does not tell of

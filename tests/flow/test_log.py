@@ -1,4 +1,5 @@
-"""The log as others see it: proofs, witnesses, robots, provenance; and whatever is changed behind its back."""
+"""The log as others see it: proofs, witnesses, robots, provenance; and whatever is changed behind
+its back."""
 
 import base64
 import json
@@ -38,14 +39,17 @@ from trueup_service.wiring import build
 
 
 def get(service, path):
-    asked = urllib.request.Request(f"{service.url}/v1/audit/{path}", headers={"Authorization": f"Bearer {ADMIN}"})
+    asked = urllib.request.Request(
+        f"{service.url}/v1/audit/{path}", headers={"Authorization": f"Bearer {ADMIN}"}
+    )
     with urllib.request.urlopen(asked) as answer:
         return answer.read()
 
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
-    """A service with a plant that has two versions, a decision and a moved pointer; its folder, and a client."""
+    """A service with a plant that has two versions, a decision and a moved pointer; its folder, and
+    a client."""
     folder = tmp_path_factory.mktemp("log")
     service = Service(embedded(folder / "data"), serving_lease_s=60)
     with service.running():
@@ -74,13 +78,27 @@ def test_every_entry_is_proven_to_be_in_the_log_by_its_tile(told, log):
     assert len(leaves) == seen.size
     for position, leaf in enumerate(leaves):
         assert json.loads(leaf)["sequence"] == position + 1
-        assert includes(seen.root, seen.size, position, leaf_hash(leaf), client.inclusion(position + 1, seen.size))
+        assert includes(
+            seen.root,
+            seen.size,
+            position,
+            leaf_hash(leaf),
+            client.inclusion(position + 1, seen.size),
+        )
     hashes = get(told[0], f"tile/0/000.p/{seen.size}")
     assert hashes == b"".join(leaf_hash(leaf) for leaf in leaves)
 
 
 @pytest.mark.parametrize(
-    "path", ["tile/0/000", "tile/0/x001/000", "tile/0/000.p/255", "tile/entries/000", "tile/1/000.p/1", "rows/secrets"]
+    "path",
+    [
+        "tile/0/000",
+        "tile/0/x001/000",
+        "tile/0/000.p/255",
+        "tile/entries/000",
+        "tile/1/000.p/1",
+        "rows/secrets",
+    ],
 )
 def test_what_the_log_has_not_is_not_there(told, path):
     with pytest.raises(urllib.error.HTTPError) as refused:
@@ -90,7 +108,14 @@ def test_what_the_log_has_not_is_not_there(told, path):
 
 
 @pytest.mark.parametrize(
-    "path", ["tile/0/1", "tile/9/000", "inclusion?sequence=9999", "consistency?old=5&size=9999", "rows/plants?after=x"]
+    "path",
+    [
+        "tile/0/1",
+        "tile/9/000",
+        "inclusion?sequence=9999",
+        "consistency?old=5&size=9999",
+        "rows/plants?after=x",
+    ],
 )
 def test_what_is_no_question_is_refused(told, path):
     with pytest.raises(urllib.error.HTTPError) as refused:
@@ -110,9 +135,14 @@ def test_a_witness_sees_the_log_grow_and_refuses_one_that_was_rewritten(told, lo
     in_force(client, "p", rules=rules)
     second = client.witness(Witness(tmp_path / "seen.json"))
     assert second.size == first.size + 1
-    for size, root in ((second.size, bytes(32)), (second.size + 1, bytes(32))):  # whoever has the key tells another story
+    for size, root in (
+        (second.size, bytes(32)),
+        (second.size + 1, bytes(32)),
+    ):  # whoever has the key tells another story
         with pytest.raises(Rewritten):
-            Witness(tmp_path / "seen.json").see(signer(told).checkpoint(size, root), client.consistency)
+            Witness(tmp_path / "seen.json").see(
+                signer(told).checkpoint(size, root), client.consistency
+            )
     forged = Witness(tmp_path / "seen.json")
     with pytest.raises(Rewritten):
         forged.see(signer(told).checkpoint(second.size + 1, bytes(32)), lambda *_: [bytes(32)] * 4)
@@ -142,7 +172,9 @@ def test_a_witness_refuses_another_key(told, log, tmp_path):
         client.witness(other)
 
 
-GOLDEN_KEY = json.loads((Path(__file__).parents[1] / "golden" / "tlog" / "vectors.json").read_text())["verifier"]
+GOLDEN_KEY = json.loads(
+    (Path(__file__).parents[1] / "golden" / "tlog" / "vectors.json").read_text()
+)["verifier"]
 
 
 def test_the_command_refuses_a_service_whose_log_it_has_seen_otherwise(told, tmp_path):
@@ -150,7 +182,9 @@ def test_the_command_refuses_a_service_whose_log_it_has_seen_otherwise(told, tmp
     assert command(service, "audit", "checkpoint").returncode == 0
     state = next((told[1] / "data" / "trueup" / "seen").iterdir())
     kept = state.read_text()
-    state.write_text(json.dumps(json.loads(kept) | {"checkpoint": signer(told).checkpoint(9999, bytes(32))}))
+    state.write_text(
+        json.dumps(json.loads(kept) | {"checkpoint": signer(told).checkpoint(9999, bytes(32))})
+    )
     done = command(service, "fetch", "p", str(tmp_path / "model"), check=False)
     assert (done.returncode, "rewritten" in done.stderr) == (4, True)
     state.write_text(kept)
@@ -164,7 +198,10 @@ def test_a_robot_has_the_last_good_model_at_once_and_goes_on_without_the_service
     robot = Robot(service.url, "p", tmp_path / "robot", client.audit_key())
     assert robot.current() is None
     model = robot.refresh()
-    assert (model.answer.artifact, model.answer.generation) == (candidate, client.serving("p").generation)
+    assert (model.answer.artifact, model.answer.generation) == (
+        candidate,
+        client.serving("p").generation,
+    )
     assert (model.folder / "manifest.json").is_file()
     assert robot.is_current()
     assert robot.fallback() is not None
@@ -172,11 +209,18 @@ def test_a_robot_has_the_last_good_model_at_once_and_goes_on_without_the_service
     assert away.current() == model
     away.start(interval_s=60)
     away.stop()
-    late = Robot("http://127.0.0.1:9", "p", tmp_path / "robot", clock=lambda: datetime.now(UTC) + timedelta(hours=2))
+    late = Robot(
+        "http://127.0.0.1:9",
+        "p",
+        tmp_path / "robot",
+        clock=lambda: datetime.now(UTC) + timedelta(hours=2),
+    )
     assert (late.current(), late.is_current()) == (model, False)
 
 
-def test_a_robot_refuses_an_older_generation_a_forged_answer_and_one_for_another_plant(told, tmp_path):
+def test_a_robot_refuses_an_older_generation_a_forged_answer_and_one_for_another_plant(
+    told, tmp_path
+):
     service, _, client, _, _ = told
     robot = Robot(service.url, "p", tmp_path / "robot")
     old = client.serving_envelope("p")
@@ -187,7 +231,15 @@ def test_a_robot_refuses_an_older_generation_a_forged_answer_and_one_for_another
         robot._require_later(robot._opened(old, robot._witness.key)[0])
     payload = json.loads(base64.b64decode(old["payload"]))
     with pytest.raises(NotSigned):
-        robot._opened(old | {"payload": base64.b64encode(json.dumps(payload | {"generation": 99}).encode()).decode()}, robot._witness.key)
+        robot._opened(
+            old
+            | {
+                "payload": base64.b64encode(
+                    json.dumps(payload | {"generation": 99}).encode()
+                ).decode()
+            },
+            robot._witness.key,
+        )
     client.register_plant(plant_document("q"))
     with pytest.raises(NotSigned):
         robot._opened(client.serving_envelope("q"), robot._witness.key)
@@ -223,7 +275,9 @@ def test_a_key_takes_over_and_whoever_pinned_the_one_before_follows_by_its_word_
             (folder / "signing.key.before").unlink()
             assert then != first
             assert client.witness(Witness(tmp_path / "seen.json", first)).size == before.size + 1
-            again = Witness(tmp_path / "seen.json", first)  # as a script names it that has not been told
+            again = Witness(
+                tmp_path / "seen.json", first
+            )  # as a script names it that has not been told
             assert [key.text for key in again.keys] == [first, then]
             assert again.last.size == before.size + 1
             told_by_hand = Witness(tmp_path / "told.json", first)
@@ -245,9 +299,20 @@ def test_a_key_takes_over_and_whoever_pinned_the_one_before_follows_by_its_word_
             assert (entry["subject"], entry["facts"]["before"]) == (then, first)
         assert command(service, "audit", "verify").returncode == 0
     parts = build(Settings(data_dir=folder))
-    export(parts, open_log(parts.settings, parts.database), tmp_path / "p.tar", "p", "2026-01-01T00:00:00.000000Z", lambda *_: None)
+    export(
+        parts,
+        open_log(parts.settings, parts.database),
+        tmp_path / "p.tar",
+        "p",
+        "2026-01-01T00:00:00.000000Z",
+        lambda *_: None,
+    )
     parts.close()
-    verifier = [sys.executable, str(Path(__file__).parents[2] / "tools" / "verify_archive.py"), str(tmp_path / "p.tar")]
+    verifier = [
+        sys.executable,
+        str(Path(__file__).parents[2] / "tools" / "verify_archive.py"),
+        str(tmp_path / "p.tar"),
+    ]
     for key, expected in ((first, 0), (then, 0), (GOLDEN_KEY, 4)):
         done = subprocess.run([*verifier, key], capture_output=True, text=True, check=False)
         assert done.returncode == expected, done.stdout
@@ -255,13 +320,23 @@ def test_a_key_takes_over_and_whoever_pinned_the_one_before_follows_by_its_word_
 
 def test_a_key_takes_over_only_from_the_one_that_signs_and_for_the_same_log(tmp_path):
     def opened(key, before=None):
-        log = open_log(Settings(data_dir=tmp_path, signing_key=key.text, signing_key_before=before and before.text), parts.database)
+        log = open_log(
+            Settings(
+                data_dir=tmp_path, signing_key=key.text, signing_key_before=before and before.text
+            ),
+            parts.database,
+        )
         return log.signer.verifier
 
     first, second, third = (Signer("log.example", bytes([n]) * 32) for n in range(3))
     parts = build(Settings(data_dir=tmp_path))
     opened(first)
-    for key, before in ((second, None), (second, third), (second, second), (Signer("another.example", bytes(32)), first)):
+    for key, before in (
+        (second, None),
+        (second, third),
+        (second, second),
+        (Signer("another.example", bytes(32)), first),
+    ):
         with pytest.raises(OtherKey):
             opened(key, before)
     assert opened(second, first) == opened(second) == second.verifier
@@ -276,7 +351,12 @@ def test_a_key_takes_over_only_from_the_one_that_signs_and_for_the_same_log(tmp_
     assert [key.text for key in pinned.followed(notes)] == [second.verifier, third.verifier]
     assert pinned.followed(reversed(notes)) == pinned.followed(notes[:1])
     stolen = Signer("log.example", bytes([9]) * 32)
-    for note in (stolen.endorsement(stolen.verifier), first.note(f"another line\n{stolen.verifier}\n"), first.checkpoint(3, bytes(32)), ""):
+    for note in (
+        stolen.endorsement(stolen.verifier),
+        first.note(f"another line\n{stolen.verifier}\n"),
+        first.checkpoint(3, bytes(32)),
+        "",
+    ):
         assert pinned.followed([note]) == []
 
 
@@ -286,16 +366,26 @@ def test_a_key_takes_over_only_from_the_one_that_signs_and_for_the_same_log(tmp_
 def test_provenance_names_everything_by_digest_and_is_signed(told, log):
     client, key = log
     _, _, _, candidate, decision = told
-    statement = key.payload(client.artifact_provenance("p", candidate), "application/vnd.in-toto+json")
+    statement = key.payload(
+        client.artifact_provenance("p", candidate), "application/vnd.in-toto+json"
+    )
     assert statement["_type"] == "https://in-toto.io/Statement/v1"
     assert statement["subject"][0]["digest"]["sha256"] == candidate
-    named = {d["uri"].split(":")[2] for d in statement["predicate"]["buildDefinition"]["resolvedDependencies"]}
+    named = {
+        d["uri"].split(":")[2]
+        for d in statement["predicate"]["buildDefinition"]["resolvedDependencies"]
+    }
     assert named == {"plant", "episode", "artifact", "configuration"}
     assert set(statement["predicate"]["runDetails"]["builder"]["version"]) == {"version", "sha256"}
     tested = key.payload(client.decision_provenance("p", decision), "application/vnd.in-toto+json")
     assert tested["predicate"]["result"] == "PASSED"
     assert tested["subject"][0]["digest"]["sha256"] == candidate
-    assert {c["uri"].split(":")[2] for c in tested["predicate"]["configuration"]} == {"gate", "artifact", "episode", "decision"}
+    assert {c["uri"].split(":")[2] for c in tested["predicate"]["configuration"]} == {
+        "gate",
+        "artifact",
+        "episode",
+        "decision",
+    }
     said = command(told[0], "audit", "provenance", "p", decision)
     assert json.loads(said.stdout) == tested
 
@@ -322,7 +412,12 @@ def test_what_was_not_touched_holds(kept, told):
 
 
 def run_fsck(told):
-    return run("trueup_cli.main", ["fsck"], {**os.environ, **told[0].storage.environment, "COLUMNS": "200"}, ROOT)
+    return run(
+        "trueup_cli.main",
+        ["fsck"],
+        {**os.environ, **told[0].storage.environment, "COLUMNS": "200"},
+        ROOT,
+    )
 
 
 def test_any_flipped_byte_is_found(kept):
@@ -353,7 +448,8 @@ def test_a_server_signs_no_head_that_its_tree_does_not_have(kept, told):
 
 
 def test_every_cut_tail_is_found_however_well_it_is_cut(kept, tmp_path):
-    """Entries, tree and head are cut alike, so that what is left is a sound log; only the published head shows it."""
+    """Entries, tree and head are cut alike, so that what is left is a sound log; only the published
+    head shows it."""
     open_log(kept.settings, kept.database).publish()
     entries = list(Kept(kept.database, kept.blobs).entries(0, 10**6))
     shutil.copytree(kept.settings.data_dir, tmp_path / "copy")
@@ -361,14 +457,20 @@ def test_every_cut_tail_is_found_however_well_it_is_cut(kept, tmp_path):
     for size in reversed(range(len(entries))):
         cut(copy, entries, size)
         assert [f.where for f in published(copy)] == ["log"]
-        assert not [f for f in verify(Kept(copy.database, copy.blobs)).findings if f.where in ("log", "tree")]
+        assert not [
+            f
+            for f in verify(Kept(copy.database, copy.blobs)).findings
+            if f.where in ("log", "tree")
+        ]
     copy.close()
 
 
 def test_a_move_that_no_entry_explains_is_found(kept, told):
     plant = "p"
     with kept.database.engine.connect() as connection:
-        before = connection.execute(text("SELECT generation FROM serving WHERE plant = 'p'")).scalar()
+        before = connection.execute(
+            text("SELECT generation FROM serving WHERE plant = 'p'")
+        ).scalar()
         connection.execute(text("UPDATE serving SET generation = 1 WHERE plant = 'p'"))
         connection.commit()
     try:
@@ -376,7 +478,9 @@ def test_a_move_that_no_entry_explains_is_found(kept, told):
         assert run_fsck(told).returncode == 4
     finally:
         with kept.database.engine.connect() as connection:
-            connection.execute(text("UPDATE serving SET generation = :g WHERE plant = 'p'"), {"g": before})
+            connection.execute(
+                text("UPDATE serving SET generation = :g WHERE plant = 'p'"), {"g": before}
+            )
             connection.commit()
 
 
@@ -401,7 +505,10 @@ def test_a_number_that_is_written_like_an_integer_stays_verifiable(told, kept):
 def test_an_entry_kept_behind_the_end_of_the_log_is_found_and_not_shown(told, kept):
     with kept.database.write() as connection:
         columns = 'sequence, at, kind, actor, plant, subject, facts, "rows"'
-        copy = f"INSERT INTO audit ({columns}) SELECT 1000000, at, kind, actor, plant, subject, facts, '{{}}' FROM audit WHERE sequence = 1"
+        copy = (
+            f"INSERT INTO audit ({columns}) SELECT 1000000, at, kind, actor, plant, subject, "
+            "facts, '{}' FROM audit WHERE sequence = 1"
+        )
         connection.execute(text(copy))
     try:
         assert [f.where for f in published(kept)] == ["log"]
@@ -426,7 +533,11 @@ BESIDE_THE_LOG = {
 @pytest.mark.parametrize("edit", BESIDE_THE_LOG.values(), ids=BESIDE_THE_LOG.keys())
 def test_what_is_edited_beside_the_entries_is_found_by_fsck_and_by_verify(told, kept, edit):
     parts = told[0].storage.build()
-    values = {name: value for name, value in (("forged", FORGED.verifier), ("hash", b"h" * 32)) if f":{name}" in edit}
+    values = {
+        name: value
+        for name, value in (("forged", FORGED.verifier), ("hash", b"h" * 32))
+        if f":{name}" in edit
+    }
     tables = ("audit_key", "audit_tree", "audit_head")
     before = {}
     with parts.database.write() as connection:
@@ -437,14 +548,22 @@ def test_what_is_edited_beside_the_entries_is_found_by_fsck_and_by_verify(told, 
         assert found(kept) != []
         assert run_fsck(told).returncode == 4
         done = command(told[0], "audit", "verify", "--no-replay", check=False)
-        assert (done.returncode, "audit_" in done.stdout or "tree/" in done.stdout) == (4, True), done.stderr
+        assert (done.returncode, "audit_" in done.stdout or "tree/" in done.stdout) == (4, True), (
+            done.stderr
+        )
     finally:
         with parts.database.write() as connection:
             for table, rows in before.items():
                 connection.execute(text(f"DELETE FROM {table}"))
                 for row in rows:
                     names = ", ".join(row)
-                    connection.execute(text(f"INSERT INTO {table} ({names}) VALUES ({', '.join(f':{n}' for n in row)})"), dict(row))
+                    connection.execute(
+                        text(
+                            f"INSERT INTO {table} ({names}) VALUES "
+                            f"({', '.join(f':{n}' for n in row)})"
+                        ),
+                        dict(row),
+                    )
         parts.close()
     assert found(kept) == []
     assert command(told[0], "audit", "verify", "--no-replay").returncode == 0
@@ -453,7 +572,9 @@ def test_what_is_edited_beside_the_entries_is_found_by_fsck_and_by_verify(told, 
 def test_a_published_head_that_none_of_the_kept_keys_signed_is_found_without_the_key(told, kept):
     with kept.database.write() as connection:
         before = connection.execute(text("SELECT verifier FROM audit_key")).scalar()
-        connection.execute(text("UPDATE audit_key SET verifier = :forged"), {"forged": FORGED.verifier})
+        connection.execute(
+            text("UPDATE audit_key SET verifier = :forged"), {"forged": FORGED.verifier}
+        )
     try:
         assert verify(Kept(kept.database, kept.blobs)).findings == []  # nobody can say
         assert [f.where for f in published(kept)] == ["audit_key"]
@@ -462,19 +583,25 @@ def test_a_published_head_that_none_of_the_kept_keys_signed_is_found_without_the
             connection.execute(text("UPDATE audit_key SET verifier = :v"), {"v": before})
 
 
-def test_a_robot_keeps_the_highest_generation_that_it_saw_though_it_could_not_fetch_it(told, tmp_path, monkeypatch):
+def test_a_robot_keeps_the_highest_generation_that_it_saw_though_it_could_not_fetch_it(
+    told, tmp_path, monkeypatch
+):
     service, _, client, _, _ = told
     robot = Robot(service.url, "p", tmp_path / "robot", client.audit_key())
     old, before = client.serving_envelope("p"), robot.refresh()
     move(client, "p", 1.4)
-    monkeypatch.setattr(Robot, "_fetch", lambda *_: (_ for _ in ()).throw(OSError("the download was blocked")))
+    monkeypatch.setattr(
+        Robot, "_fetch", lambda *_: (_ for _ in ()).throw(OSError("the download was blocked"))
+    )
     with pytest.raises(OSError, match="blocked"):
         robot.refresh()
     assert robot.current() == before
     again = Robot(service.url, "p", tmp_path / "robot")
     with pytest.raises(Rewritten):
         again._require_later(again._opened(old, again._witness.key)[0])
-    late = Robot(service.url, "p", tmp_path / "other", clock=lambda: datetime.now(UTC) + timedelta(days=2))
+    late = Robot(
+        service.url, "p", tmp_path / "other", clock=lambda: datetime.now(UTC) + timedelta(days=2)
+    )
     late._witness.pin(client.audit_key())
     with pytest.raises(NotSigned):
         late._require_later(late._opened(old, late._witness.key)[0])

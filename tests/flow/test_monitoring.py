@@ -1,4 +1,5 @@
-"""Monitoring from end to end: reference, calibration, telemetry, a drift, its alarm, and the diagnosis that the alarm opens."""
+"""Monitoring from end to end: reference, calibration, telemetry, a drift, its alarm, and the
+diagnosis that the alarm opens."""
 
 import io
 import time
@@ -19,7 +20,11 @@ STEP_S, SECONDS = 0.02, 16.0
 SIGMA = (0.004, 0.006)
 DOCUMENT = {
     "name": "watched",
-    "nominal": {"family": "oscillator", "parameters": {"k": 2.0, "c": 0.5, "b": 1.0}, "timestep_s": STEP_S},
+    "nominal": {
+        "family": "oscillator",
+        "parameters": {"k": 2.0, "c": 0.5, "b": 1.0},
+        "timestep_s": STEP_S,
+    },
     "commands": [{"name": "u", "unit": "rad/s^2", "limits": [-1.0, 1.0]}],
     "observations": [{"name": "q", "unit": "rad"}, {"name": "v", "unit": "rad/s"}],
     "evaluation": {"horizon_s": 2.0},
@@ -41,7 +46,9 @@ def upload(client, folder, seed, role, friction=0.0, name="watched"):
     stamps = T0_NS + seed * 10**11 + np.rint(found.t_s * 1e9).astype(np.int64)
     buffer = io.BytesIO()
     columns = {"observations": found.observed, "commands": found.issued[:, None]}
-    write_episode(buffer, stamps_ns=stamps, layout=LAYOUT, role=role, conditions={"stage": "SIL"}, **columns)
+    write_episode(
+        buffer, stamps_ns=stamps, layout=LAYOUT, role=role, conditions={"stage": "SIL"}, **columns
+    )
     path.write_bytes(buffer.getvalue())
     return client.upload_episode(name, path)
 
@@ -72,7 +79,14 @@ def watched(service, tmp_path_factory):
     assert client.monitor("watched")["hint"].startswith("Nobody watches.")
     for seed in range(HEALTHY):
         upload(client, folder, seed, Role.REFERENCE)
-    job = client.submit("watched", {"kind": "calibrate", "promise_h": 1.0, "detectors": ["likelihood_ratio_cusum", "quantile_run"]})
+    job = client.submit(
+        "watched",
+        {
+            "kind": "calibrate",
+            "promise_h": 1.0,
+            "detectors": ["likelihood_ratio_cusum", "quantile_run"],
+        },
+    )
     calibrated = client.wait(job["id"])
     yield client, folder, calibrated
     client.close()
@@ -81,7 +95,11 @@ def watched(service, tmp_path_factory):
 def test_a_drift_is_noticed_and_diagnosed(watched, service):
     client, folder, calibrated = watched
     state = client.monitor("watched")
-    assert (state["watches"], state["monitor"], state["alarm"]) == (True, calibrated["result"]["monitor"], None)
+    assert (state["watches"], state["monitor"], state["alarm"]) == (
+        True,
+        calibrated["result"]["monitor"],
+        None,
+    )
     first = client.send_telemetry("watched", batch(100))
     again = client.send_telemetry("watched", batch(100))
     assert (first["role"], first["digest"]) == ("telemetry", again["digest"])
@@ -154,7 +172,12 @@ def test_new_episodes_are_looked_at_while_a_diagnosis_runs(watched):
 )
 def test_a_batch_that_is_no_episode_is_refused_with_the_rule_that_it_breaks(watched, spoil, rule):
     client, _, _ = watched
-    sound = {"start_ns": "0", "t_s": [0.0, 0.1], "observations": {"q": [0.0, 0.1], "v": [0.0, 0.1]}, "commands": {"u": [0.0, 0.0]}}
+    sound = {
+        "start_ns": "0",
+        "t_s": [0.0, 0.1],
+        "observations": {"q": [0.0, 0.1], "v": [0.0, 0.1]},
+        "commands": {"u": [0.0, 0.0]},
+    }
     with pytest.raises(Problem) as refused:
         client.send_telemetry("watched", {**sound, **spoil})
     assert (refused.value.code, refused.value.facts["rule"]) == ("not-an-episode", rule)

@@ -1,4 +1,5 @@
-"""The order of an acknowledgement, as the kernel saw it: bytes on disk, then their name, then the commit, then the answer."""
+"""The order of an acknowledgement, as the kernel saw it: bytes on disk, then their name, then the
+commit, then the answer."""
 
 import os
 import re
@@ -19,15 +20,26 @@ CALLS = "fsync,fdatasync,link,linkat,rename,renameat,renameat2,write,writev,send
 
 
 def strace() -> str:
-    """The tracer of system calls, fetched where we may; a test of what is promised is never skipped."""
+    """The tracer of system calls, fetched where we may; a test of what is promised is never
+    skipped."""
     if shutil.which("strace") is None and os.geteuid() == 0 and shutil.which("apt-get"):
-        subprocess.run(["apt-get", "install", "-y", "-qq", "strace"], check=False, capture_output=True, timeout=300)
-    return shutil.which("strace") or pytest.fail("strace is needed: install it (Debian: apt-get install strace)")
+        subprocess.run(
+            ["apt-get", "install", "-y", "-qq", "strace"],
+            check=False,
+            capture_output=True,
+            timeout=300,
+        )
+    return shutil.which("strace") or pytest.fail(
+        "strace is needed: install it (Debian: apt-get install strace)"
+    )
 
 
 def calls_of(child, log, act):
     """What a process asked of the kernel while `act` ran, in order."""
-    tracer = subprocess.Popen([strace(), "-f", "-y", "-e", f"trace={CALLS}", "-o", str(log), "-p", str(child.pid)], stderr=subprocess.PIPE)
+    tracer = subprocess.Popen(
+        [strace(), "-f", "-y", "-e", f"trace={CALLS}", "-o", str(log), "-p", str(child.pid)],
+        stderr=subprocess.PIPE,
+    )
     try:
         assert b"attached" in tracer.stderr.readline()
         act()
@@ -41,7 +53,9 @@ def calls_of(child, log, act):
 
 def first(lines, pattern, after=-1):
     """The place of the first call of this kind behind another one."""
-    found = next((n for n, line in enumerate(lines) if n > after and re.search(pattern, line)), None)
+    found = next(
+        (n for n, line in enumerate(lines) if n > after and re.search(pattern, line)), None
+    )
     assert found is not None, pattern
     return found
 
@@ -53,7 +67,11 @@ def test_an_upload_is_answered_only_once_its_bytes_its_name_and_its_row_are_on_d
         client.register_plant(plant_document("p"))
         episode = save(tmp_path, "e.mcap", episode_bytes(1))
         digest = []
-        lines = calls_of(child, tmp_path / "calls", lambda: digest.append(client.upload_episode("p", episode)["digest"]))
+        lines = calls_of(
+            child,
+            tmp_path / "calls",
+            lambda: digest.append(client.upload_episode("p", episode)["digest"]),
+        )
     service.stop()
     name = digest[0][2:]
     bytes_synced = first(lines, r"(fsync|fdatasync)\(\d+<[^>]*spool[^>]*>")

@@ -1,7 +1,8 @@
-"""One log, one answer: a diagnosis, and a gate's decision, are the same under other processors' arithmetic.
+"""One log, one answer: a diagnosis, and a gate's decision, are the same under other processors'
+arithmetic.
 
-The kernels that a child process is given are other processors' own; `python -m bench processors` holds more of them against each other, on
-more cases.
+The kernels that a child process is given are other processors' own; `python -m bench processors`
+holds more of them against each other, on more cases.
 """
 
 import json
@@ -26,13 +27,19 @@ def answers(tmp_path_factory):
     rng, folder = np.random.default_rng(11), tmp_path_factory.mktemp("cases")
     bench = replace(draw_bench("B1", rng), law=Noise(0.7))
     plant, trial = plant_of(bench), draw(bench, ["coulomb_friction"], True, rng)
-    trial = replace(trial, runs=[(role, one) for role in ("adaptation", "validation") for one in trial.of(role)[:2]])
+    trial = replace(
+        trial,
+        runs=[(role, one) for role in ("adaptation", "validation") for one in trial.of(role)[:2]],
+    )
     case = folder / "cases" / "pendulum"
     case.mkdir(parents=True)
     for name, data in case_files(plant, trial, {"stage": "SIL"}).items():
         (case / name).write_bytes(data)
     model, names = folder / "0" / case.name, ("as the machine is", *OTHERS)
-    begun = [lambda i=i, name=name: start(VARIANTS[name], folder / f"{i}.json", [case, model]) for i, name in enumerate(names)]
+    begun = [
+        lambda i=i, name=name: start(VARIANTS[name], folder / f"{i}.json", [case, model])
+        for i, name in enumerate(names)
+    ]
     _done(begun[0]())  # it leaves its model where all of them look for it, itself included
     for child in [begin() for begin in begun[1:]]:
         _done(child)
@@ -46,7 +53,10 @@ def _done(child):
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_diagnosis_is_the_same_under_the_arithmetic_of(name, answers):
-    ours, theirs = (next(report for key, report in answers[of].items() if key != "decision") for of in ("as the machine is", name))
+    ours, theirs = (
+        next(report for key, report in answers[of].items() if key != "decision")
+        for of in ("as the machine is", name)
+    )
     assert [e["effect"] for e in ours["effects"]] == ["coulomb_friction"]
     found = difference(ours, theirs)
     assert found.met, found

@@ -1,4 +1,5 @@
-"""A data folder that cannot be written, such as a snapshot that somebody mounts to look at it: it is checked, and nothing in it moves."""
+"""A data folder that cannot be written, such as a snapshot that somebody mounts to look at it: it
+is checked, and nothing in it moves."""
 
 import os
 import shutil
@@ -21,14 +22,16 @@ NAMESPACES = (["unshare", "--mount"], ["unshare", "--user", "--map-root-user", "
 
 
 def fingerprint(folder):
-    """Every file with its size and its times, but for what SQLite shares among those who have a database open."""
+    """Every file with its size and its times, but for what SQLite shares among those who have a
+    database open."""
     files = (p for p in sorted(folder.rglob("*")) if not p.name.endswith(("-shm", "-wal")))
     return {str(p): (p.stat().st_size, p.stat().st_mtime_ns, p.stat().st_mode) for p in files}
 
 
 @pytest.fixture(scope="module", params=["stopped", "killed"])
 def site(request, tmp_path_factory):
-    """What a service leaves behind when it ends, or when it is killed, with entries that are in the write-ahead log alone."""
+    """What a service leaves behind when it ends, or when it is killed, with entries that are in the
+    write-ahead log alone."""
     folder = tmp_path_factory.mktemp("read-only")
     storage = embedded(folder / "data")
     service = Service(storage)
@@ -43,7 +46,9 @@ def site(request, tmp_path_factory):
     return storage, folder / "data"
 
 
-@pytest.mark.parametrize("shared", [True, False], ids=["as it was left", "without what SQLite shares"])
+@pytest.mark.parametrize(
+    "shared", [True, False], ids=["as it was left", "without what SQLite shares"]
+)
 def test_it_is_read_from_a_copy_and_nothing_is_written(site, shared, monkeypatch, tmp_path):
     _, data = site
     copy = tmp_path / "data"
@@ -69,9 +74,22 @@ def namespace():
 
 
 def read_only(namespace, folder, *arguments, environment):
-    mount = f'mount --bind "{folder}" "{folder}" && mount -o remount,ro,bind "{folder}" && ! touch "{folder}/x" 2>/dev/null'
+    mount = (
+        f'mount --bind "{folder}" "{folder}" && mount -o remount,ro,bind "{folder}" && ! '
+        f'touch "{folder}/x" 2>/dev/null'
+    )
     return subprocess.run(
-        [*namespace, "sh", "-c", f'{mount} && exec "$@"', "sh", sys.executable, "-m", "trueup_cli.main", *arguments],
+        [
+            *namespace,
+            "sh",
+            "-c",
+            f'{mount} && exec "$@"',
+            "sh",
+            sys.executable,
+            "-m",
+            "trueup_cli.main",
+            *arguments,
+        ],
         env={**os.environ, **environment, "COLUMNS": "200", "NO_COLOR": "1"},
         capture_output=True,
         text=True,
@@ -100,9 +118,22 @@ def test_verify_goes_on_where_it_cannot_keep_what_it_saw(namespace, tmp_path):
     with Service(storage).running(worker=False) as service:
         with closing(Client(service.url)) as client:
             key = client.audit_key()
-        environment = {"TRUEUP_URL": service.url, "XDG_STATE_HOME": str(tmp_path / "state"), "TRUEUP_LOG_KEY": key}
+        environment = {
+            "TRUEUP_URL": service.url,
+            "XDG_STATE_HOME": str(tmp_path / "state"),
+            "TRUEUP_LOG_KEY": key,
+        }
         done = read_only(namespace, tmp_path / "state", "audit", "verify", environment=environment)
-        assert (done.returncode, "holds" in done.stdout, "is not kept" in done.stderr) == (0, True, True), done.stderr
+        assert (done.returncode, "holds" in done.stdout, "is not kept" in done.stderr) == (
+            0,
+            True,
+            True,
+        ), done.stderr
         other = {**environment, "TRUEUP_LOG_KEY": Signer("another", b"7" * 32).verifier}
-        assert read_only(namespace, tmp_path / "state", "audit", "verify", environment=other).returncode == 4
+        assert (
+            read_only(
+                namespace, tmp_path / "state", "audit", "verify", environment=other
+            ).returncode
+            == 4
+        )
         assert command(service, "audit", "verify").returncode == 0

@@ -1,4 +1,5 @@
-"""A robot's case folder, from the command to a model that MuJoCo loads; and a real arm's recording."""
+"""A robot's case folder, from the command to a model that MuJoCo loads; and a real arm's
+recording."""
 
 import json
 import subprocess
@@ -22,7 +23,9 @@ HALF_A_SECOND = 125  # samples
 
 def differs(spec):
     """A payload, and friction that the model does not know."""
-    spec.body("lower").add_geom(type=2, size=[0.03, 0, 0], pos=[0.3, 0, 0], mass=0.4, contype=0, conaffinity=0)
+    spec.body("lower").add_geom(
+        type=2, size=[0.03, 0, 0], pos=[0.3, 0, 0], mass=0.4, contype=0, conaffinity=0
+    )
     spec.joint("elbow").frictionloss = 0.25
 
 
@@ -46,27 +49,41 @@ def test_mujoco_moves_as_the_machine_did_once_the_diagnosis_is_written_into_the_
     roles = ("adaptation", "adaptation", "validation", "validation")
     for i, e in enumerate(recorded(plant, differs, range(4), roles)):
         stamps = 10**18 + i * 10**12 + np.rint(e.t_s * 1e9).astype(np.int64)
-        made = mcap_bytes(plant.layout, e.observations, e.commands, role=e.role, stamps_ns=stamps, **e.conditions)
+        made = mcap_bytes(
+            plant.layout, e.observations, e.commands, role=e.role, stamps_ns=stamps, **e.conditions
+        )
         save(tmp_path, f"{i}-{e.role}.mcap", made)
     found = tmp_path / "found"
-    subprocess.run([sys.executable, "-m", "trueup_cli.main", "diagnose", str(tmp_path), "--out", str(found)], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "trueup_cli.main", "diagnose", str(tmp_path), "--out", str(found)],
+        check=True,
+    )
     report = json.loads((found / "report.json").read_text())
     assert [(e["effect"], e["joint"]) for e in report["effects"]] == [("coulomb_friction", "elbow")]
     held_out = [e for e in read_case(tmp_path)[1] if e.role is Role.VALIDATION]
-    before, after = (missed(path, held_out) for path in (tmp_path / "arm.xml", found / "corrected.xml"))
+    before, after = (
+        missed(path, held_out) for path in (tmp_path / "arm.xml", found / "corrected.xml")
+    )
     assert after < 0.1 * before
     applied = subprocess.run(
-        ["patch", "-s", "-o", "-", str(tmp_path / "arm.xml"), str(found / "corrected.patch")], capture_output=True, text=True, check=True
+        ["patch", "-s", "-o", "-", str(tmp_path / "arm.xml"), str(found / "corrected.patch")],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert applied.stdout == (found / "corrected.xml").read_text()
 
 
 def test_the_numbers_of_a_real_arm_are_found():
-    """Six joints, position servos, positions alone on a lattice: rollouts on what was held out miss by less than half."""
+    """Six joints, position servos, positions alone on a lattice: rollouts on what was held out miss
+    by less than half."""
     plant, episodes = read_case(SO101)
     fitted, report = identify(plant, [e for e in episodes if e.role is Role.ADAPTATION])
     held_out = [e for e in episodes if e.role is Role.VALIDATION]
     assert len(plant.joints) == 6
-    before, after = (np.mean([rollout_rms(p, e, plant.horizon_s) for e in held_out]) for p in (Nominal(plant), fitted))
+    before, after = (
+        np.mean([rollout_rms(p, e, plant.horizon_s) for e in held_out])
+        for p in (Nominal(plant), fitted)
+    )
     assert after < 0.5 * before
     assert report.health == ()

@@ -1,4 +1,5 @@
-"""A robot given as MJCF takes the same way as every other plant: registered, fitted, judged, served, fetched, predicted, rolled back."""
+"""A robot given as MJCF takes the same way as every other plant: registered, fitted, judged,
+served, fetched, predicted, rolled back."""
 
 import csv
 import json
@@ -14,7 +15,9 @@ ROLES = ("adaptation", "adaptation", "adaptation", "validation", "validation")
 
 
 def carries(spec):
-    spec.body("lower").add_geom(type=2, size=[0.03, 0, 0], pos=[0.3, 0, 0], mass=0.4, contype=0, conaffinity=0)
+    spec.body("lower").add_geom(
+        type=2, size=[0.03, 0, 0], pos=[0.3, 0, 0], mass=0.4, contype=0, conaffinity=0
+    )
 
 
 @pytest.fixture(scope="module")
@@ -24,20 +27,39 @@ def flow(service, tmp_path_factory):
     for i, e in enumerate(recorded(plant, carries, range(5), ROLES)):
         stamps = 10**18 + i * 10**12 + np.rint(e.t_s * 1e9).astype(np.int64)
         save(
-            case, f"{i}-{e.role}.mcap", mcap_bytes(plant.layout, e.observations, e.commands, role=e.role, stamps_ns=stamps, **e.conditions)
+            case,
+            f"{i}-{e.role}.mcap",
+            mcap_bytes(
+                plant.layout,
+                e.observations,
+                e.commands,
+                role=e.role,
+                stamps_ns=stamps,
+                **e.conditions,
+            ),
         )
 
     def run(*arguments):
         return json.loads(command(service, *arguments, "--json").stdout)
 
-    said = {"plant": run("plant", "register", str(case)), "episodes": run("upload", "arm", str(case))}
+    said = {
+        "plant": run("plant", "register", str(case)),
+        "episodes": run("upload", "arm", str(case)),
+    }
     said["identified"] = run("fit", "arm")["result"]["artifact"]
     said["residual"] = run("fit", "arm", "--method", "residual")["result"]["artifact"]
     said["decision"] = run("gate", "arm", said["identified"])
     said["promoted"] = run("promote", "arm", said["decision"]["digest"])[0]
     said["serving"] = run("serving", "arm")[0]
     command(service, "fetch", "arm", str(case / "model"))
-    arguments = "--model", str(case / "model"), "--episode", str(case / "4-validation.mcap"), "--horizon", "0.5"
+    arguments = (
+        "--model",
+        str(case / "model"),
+        "--episode",
+        str(case / "4-validation.mcap"),
+        "--horizon",
+        "0.5",
+    )
     command(service, "predict", *arguments, "--out", str(case / "after.csv"))
     command(service, "predict", *arguments, "--out", str(case / "before.csv"), "--nominal")
     said["replay"] = run("replay", said["decision"]["digest"])

@@ -1,7 +1,8 @@
-"""Snippets of the reference pages: commands as they stand there against one service, Python against the same, JSON as what it is for.
+"""Snippets of the reference pages: commands as they stand there against one service, Python against
+the same, JSON as what it is for.
 
-The tutorial and the how-tos are run whole elsewhere. A command that runs long, waits for a person or goes on for ever is held against its
-parser.
+The tutorial and the how-tos are run whole elsewhere. A command that runs long, waits for a person
+or goes on for ever is held against its parser.
 """
 
 import contextlib
@@ -33,10 +34,36 @@ from trueup_client import Client
 EXAMPLE = ROOT / "examples" / "emps"
 FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
 RUN_WHOLE = ("tutorial.md", "howto-engineer.md", "howto-operator.md", "howto-auditor.md")
-PAGES = [ROOT / "README.md", *sorted(p for p in (ROOT / "docs").rglob("*.md") if p.name != "commands.md")]
-WATCHED = {"calibrate", "monitor", "alarms"}  # need days of recordings: tests of monitoring have them
-LONG = {"serve", "work", "look", "diagnose", "diagnosis", "blindtrial", "chapter", "demo", "excite", "login", "mlflow", "init"}
-OTHERS = {"make", "export", "pip", "ros2", "."}  # what is no command of ours, or is tested as what `make` does
+PAGES = [
+    ROOT / "README.md",
+    *sorted(p for p in (ROOT / "docs").rglob("*.md") if p.name != "commands.md"),
+]
+WATCHED = {
+    "calibrate",
+    "monitor",
+    "alarms",
+}  # need days of recordings: tests of monitoring have them
+LONG = {
+    "serve",
+    "work",
+    "look",
+    "diagnose",
+    "diagnosis",
+    "blindtrial",
+    "chapter",
+    "demo",
+    "excite",
+    "login",
+    "mlflow",
+    "init",
+}
+OTHERS = {
+    "make",
+    "export",
+    "pip",
+    "ros2",
+    ".",
+}  # what is no command of ours, or is tested as what `make` does
 DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
 
 
@@ -55,9 +82,18 @@ def of_page(pages):
 
 
 def test_every_snippet_is_of_a_kind_that_is_tested():
-    kinds = {(page.name, kind) for page in PAGES for kind, _ in FENCE.findall(page.read_text()) if page.name not in RUN_WHOLE}
+    kinds = {
+        (page.name, kind)
+        for page in PAGES
+        for kind, _ in FENCE.findall(page.read_text())
+        if page.name not in RUN_WHOLE
+    }
     assert {kind for _, kind in kinds} == {"", "python", "json"}
-    assert {name for name, kind in kinds if kind == "json"} == {"continual.md", "gates.md", "robots.md"}
+    assert {name for name, kind in kinds if kind == "json"} == {
+        "continual.md",
+        "gates.md",
+        "robots.md",
+    }
 
 
 @of_page([page for page in PAGES if lines(page)])
@@ -105,7 +141,11 @@ def world(tmp_path_factory):
     healthy_runs(folder / "my-healthy-runs")
     with Service(embedded(folder / "data")).running() as service:
         found = World(folder, service)
-        found.printed = {" ".join(words): found.run(words) for words in lines(ROOT / "README.md") if can_run(words)}
+        found.printed = {
+            " ".join(words): found.run(words)
+            for words in lines(ROOT / "README.md")
+            if can_run(words)
+        }
         yield found
 
 
@@ -116,7 +156,11 @@ def healthy_runs(folder):
     recorded = [read_episode(file.read_bytes(), layout) for file in sorted(EXAMPLE.glob("*.mcap"))]
     for day, e in enumerate(recorded[:1]):
         stamps = T0_NS + day * 10**12 + np.rint(e.t_s * 1e9).astype(np.int64)
-        save(folder, f"{day}.mcap", mcap_bytes(layout, e.observations, e.commands, role=Role.REFERENCE, stamps_ns=stamps))
+        save(
+            folder,
+            f"{day}.mcap",
+            mcap_bytes(layout, e.observations, e.commands, role=Role.REFERENCE, stamps_ns=stamps),
+        )
 
 
 def can_run(words):
@@ -150,7 +194,11 @@ def test_what_operations_tells_goes_out_and_comes_back(world, tmp_path):
     ran = set()
     for words in lines(ROOT / "docs" / "operations.md"):
         if words[0] == "python":
-            subprocess.run([sys.executable, *(world.words.get(word, word) for word in words[1:])], cwd=world.folder, check=True)
+            subprocess.run(
+                [sys.executable, *(world.words.get(word, word) for word in words[1:])],
+                cwd=world.folder,
+                check=True,
+            )
         elif can_run(words):
             world.run(words, **elsewhere.get(words[1], {}))
             ran.add(words[1])
@@ -171,11 +219,19 @@ def test_python_of_a_page_runs(world, page, monkeypatch):
     monkeypatch.setenv("TRUEUP_TOKEN", ADMIN)
     plant = Plant.from_document(json.loads((EXAMPLE / "plant.json").read_text()))
     t, many = np.arange(200) * plant.timestep_s, np.zeros((3, 200, 1))
-    known = {"commands": many[0], "commands_of_many": many, "t_s": t, "observed": np.zeros((200, 1)), "predictor": Nominal(plant)}
+    known = {
+        "commands": many[0],
+        "commands_of_many": many,
+        "t_s": t,
+        "observed": np.zeros((200, 1)),
+        "predictor": Nominal(plant),
+    }
     known |= {"u": np.zeros(1), "x": np.zeros(2)}
     with contextlib.ExitStack() as closing:
         for text in snippets(page, "python"):
-            here = text.replace("http://127.0.0.1:8321", world.service.url).replace("trueup_…", ADMIN)
+            here = text.replace("http://127.0.0.1:8321", world.service.url).replace(
+                "trueup_…", ADMIN
+            )
             exec(compile(here, str(page), "exec"), known)
             for name, end in (("client", "close"), ("robot", "stop")):
                 if name in known:
@@ -185,7 +241,9 @@ def test_python_of_a_page_runs(world, page, monkeypatch):
 def test_the_policy_of_a_page_is_one(world, tmp_path):
     (text,) = snippets(ROOT / "docs" / "continual.md", "json")
     client = Client(world.service.url, token=ADMIN)
-    (tmp_path / "policy.json").write_text(text.replace("<digest>", client.declare_gate("emps")["digest"]))
+    (tmp_path / "policy.json").write_text(
+        text.replace("<digest>", client.declare_gate("emps")["digest"])
+    )
     client.close()
     assert "promote" in world.run(["trueup", "policy", "emps", str(tmp_path / "policy.json")])
 

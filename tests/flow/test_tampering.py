@@ -1,4 +1,5 @@
-"""Whoever edits the database is found: by the replay, by the log's verification, or before a pointer moves."""
+"""Whoever edits the database is found: by the replay, by the log's verification, or before a
+pointer moves."""
 
 import json
 import sqlite3
@@ -18,7 +19,8 @@ from trueup_service.kept import Kept
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
-    """A service with an accepted and a rejected decision and a moved pointer, and its database's file."""
+    """A service with an accepted and a rejected decision and a moved pointer, and its database's
+    file."""
     folder = tmp_path_factory.mktemp("tampering")
     service = Service(embedded(folder / "data"))
     with service.running():
@@ -26,7 +28,9 @@ def told(tmp_path_factory):
         client.register_plant(plant_document("p"))
         for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
             client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
-        candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])["result"]["artifact"]
+        candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])[
+            "result"
+        ]["artifact"]
         other = client.add_artifact("p", identified("p").manifest)["digest"]
         never = [{"rule": "rollout_improves", "ratio": 1e-12}]
         decisions = []
@@ -49,7 +53,10 @@ def edited(told):
     def edit(table, column, value, where):
         row, before = kept.execute(f"SELECT rowid, {column} FROM {table} WHERE {where}").fetchone()
         undo.append((table, column, before, row))
-        kept.execute(f"UPDATE {table} SET {column} = ? WHERE rowid = ?", (value(before) if callable(value) else value, row))
+        kept.execute(
+            f"UPDATE {table} SET {column} = ? WHERE rowid = ?",
+            (value(before) if callable(value) else value, row),
+        )
         kept.commit()
 
     yield edit
@@ -112,7 +119,12 @@ def test_an_edited_decision_is_found_by_replay_and_by_verification(told, edited,
         ("moves", "artifact", "0" * 64, "generation = 2"),
         ("moves", "actor", "somebody", "generation = 2"),
         ("artifacts", "kind", "identified", "version = 2"),
-        ("artifacts", "manifest", lambda text: text.replace("residual", "residuaL", 1), "version = 2"),
+        (
+            "artifacts",
+            "manifest",
+            lambda text: text.replace("residual", "residuaL", 1),
+            "version = 2",
+        ),
         ("plants", "document", changed(["evaluation", "horizon_s"], 9.0), "name = 'p'"),
         ("episodes", "role", "test", "role = 'validation'"),
         ("gates", "document", changed(["scoring", "horizon_s"], 9.0), "document LIKE '%one_step%'"),
@@ -124,7 +136,9 @@ def test_an_edited_row_is_found_by_verification(told, edited, table, column, val
 
 
 def test_what_differs_ends_the_command_with_4_and_is_listed(told, edited):
-    edited("gates", "document", changed(["scoring", "horizon_s"], 9.0), "document LIKE '%one_step%'")
+    edited(
+        "gates", "document", changed(["scoring", "horizon_s"], 9.0), "document LIKE '%one_step%'"
+    )
     done = command(told[0], "audit", "verify", "--no-replay", check=False)
     assert (done.returncode, "gates/p/" in done.stdout) == (4, True)
 
@@ -166,7 +180,10 @@ def test_an_actors_name_is_printed_as_it_is(told):
 def test_a_job_that_could_not_be_closed_is_closed_later(told, tmp_path):
     _, folder, client, _ = told
     with sqlite3.connect(folder / "trueup.sqlite") as kept:
-        kept.execute("CREATE TRIGGER away BEFORE INSERT ON audit WHEN NEW.kind = 'job:finished' BEGIN SELECT RAISE(ABORT, 'away'); END")
+        kept.execute(
+            "CREATE TRIGGER away BEFORE INSERT ON audit WHEN NEW.kind = 'job:finished' "
+            "BEGIN SELECT RAISE(ABORT, 'away'); END"
+        )
     kept.close()
     job = client.submit("p", {"kind": "fit", "method": "identify"})["id"]
     until(lambda: client.job(job)["stage"] == "packing")
@@ -187,9 +204,13 @@ def test_a_watch_goes_on_after_a_restart(tmp_path):
     service.start_server(worker=True)
     for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
         client.upload_episode("p", save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role)))
-    candidate = client.wait(client.submit("p", {"kind": "fit", "method": "identify"})["id"])["result"]["artifact"]
+    candidate = client.wait(client.submit("p", {"kind": "fit", "method": "identify"})["id"])[
+        "result"
+    ]["artifact"]
     gate = client.declare_gate("p", LENIENT)["digest"]
-    decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"])["result"]["decision"]
+    decision = client.wait(
+        client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"]
+    )["result"]["decision"]
     client.promote("p", decision, 1)
     assert next(seen).generation == 2
     seen.close()

@@ -27,7 +27,9 @@ def eight(act):
 
 def test_a_registration_repeated_at_the_same_moment_has_one_answer(service):
     body, key = json.dumps(plant_document(f"p{uuid.uuid4().hex[:12]}")), uuid.uuid4().hex
-    answers = eight(lambda: request(service, "POST", "/v1/plants", body, Idempotency_Key=key, **JSON))
+    answers = eight(
+        lambda: request(service, "POST", "/v1/plants", body, Idempotency_Key=key, **JSON)
+    )
     assert {a[0] for a in answers} == {201}
     assert len({a[2] for a in answers}) == 1
 
@@ -40,7 +42,11 @@ def test_a_registration_sent_by_many_at_once_is_made_once(service):
 
 def test_a_promotion_and_a_rollback_repeated_at_the_same_moment_move_once(service, client, plant):
     moved = move(client, plant, 1.2)
-    path, body, key = f"/v1/plants/{plant}/serving/rollback", json.dumps({"expected_generation": moved.generation}), uuid.uuid4().hex
+    path, body, key = (
+        f"/v1/plants/{plant}/serving/rollback",
+        json.dumps({"expected_generation": moved.generation}),
+        uuid.uuid4().hex,
+    )
     answers = eight(lambda: request(service, "POST", path, body, Idempotency_Key=key, **JSON))
     assert {a[0] for a in answers} == {200}
     assert len({a[2] for a in answers}) == 1
@@ -52,7 +58,10 @@ def test_a_keyed_rollback_from_another_generation_is_refused(service, client, pl
     moved = move(client, plant, 1.2)
     body = json.dumps({"expected_generation": moved.generation + off})
     path = f"/v1/plants/{plant}/serving/rollback"
-    assert problem(service, "POST", path, body, Idempotency_Key=uuid.uuid4().hex, **JSON)[:2] == (409, "pointer-moved")
+    assert problem(service, "POST", path, body, Idempotency_Key=uuid.uuid4().hex, **JSON)[:2] == (
+        409,
+        "pointer-moved",
+    )
     assert client.serving(plant) == moved
 
 
@@ -66,25 +75,44 @@ def test_a_job_cancelled_by_many_at_once_is_cancelled_once(service, client, plan
 
 HUGE = "9" * 400
 BODIES = {
-    "an integer that no float holds, in a plant": ("/v1/plants", json.dumps(plant_document("x")).replace("0.05", HUGE)),
+    "an integer that no float holds, in a plant": (
+        "/v1/plants",
+        json.dumps(plant_document("x")).replace("0.05", HUGE),
+    ),
     "an integer that no float holds, in a gate": (
         "/v1/plants/PLANT/gates",
-        '{"schema":"trueup.gate/1","rules":[{"rule":"rollout_improves","ratio":' + HUGE + '}],"scoring":{"horizon_s":1,"windows":"first"}}',
+        '{"schema":"trueup.gate/1","rules":[{"rule":"rollout_improves","ratio":'
+        + HUGE
+        + '}],"scoring":{"horizon_s":1,"windows":"first"}}',
     ),
     "a horizon that no float holds": (
         "/v1/plants/PLANT/gates",
-        '{"schema":"trueup.gate/1","rules":[{"rule":"rollout_improves"}],"scoring":{"horizon_s":' + HUGE + ',"windows":"first"}}',
+        '{"schema":"trueup.gate/1","rules":[{"rule":"rollout_improves"}],"scoring":{"horizon_s":'
+        + HUGE
+        + ',"windows":"first"}}',
     ),
     "half a character, in a plant": ("/v1/plants", json.dumps(plant_document("x") | {"\ud800": 1})),
     "half a character, in a gate": ("/v1/plants/PLANT/gates", '{"\\ud800":1}'),
-    "half a character, in a unit": ("/v1/plants", json.dumps(plant_document("x")).replace("m/s^2", "\\ud800")),
+    "half a character, in a unit": (
+        "/v1/plants",
+        json.dumps(plant_document("x")).replace("m/s^2", "\\ud800"),
+    ),
     "not a number": ("/v1/plants", json.dumps(plant_document("x")).replace("0.05", "NaN")),
     "deep nesting": ("/v1/plants", "[" * 100_000),
     "a manifest without arrays": ("/v1/plants/PLANT/artifacts", '{"schema":"trueup.artifact/1"}'),
-    "a manifest with empty arrays": ("/v1/plants/PLANT/artifacts", '{"arrays":{},"schema":"trueup.artifact/1"}'),
-    "a manifest with a plant of another type": ("/v1/plants/PLANT/artifacts", '{"arrays":null,"plant":[],"schema":"trueup.artifact/1"}'),
+    "a manifest with empty arrays": (
+        "/v1/plants/PLANT/artifacts",
+        '{"arrays":{},"schema":"trueup.artifact/1"}',
+    ),
+    "a manifest with a plant of another type": (
+        "/v1/plants/PLANT/artifacts",
+        '{"arrays":null,"plant":[],"schema":"trueup.artifact/1"}',
+    ),
     "five megabytes of JSON": ("/v1/plants", '{"name":"' + "x" * (5 << 20) + '"}'),
-    "five megabytes of manifest": ("/v1/plants/PLANT/artifacts", '{"name":"' + "x" * (5 << 20) + '"}'),
+    "five megabytes of manifest": (
+        "/v1/plants/PLANT/artifacts",
+        '{"name":"' + "x" * (5 << 20) + '"}',
+    ),
 }
 
 
@@ -93,7 +121,9 @@ BODIES = {
 def test_a_bad_body_is_refused_as_the_callers_fault(service, plant, name, with_key):
     path, body = BODIES[name]
     headers = JSON | ({"Idempotency_Key": uuid.uuid4().hex} if with_key else {})
-    status, code, _ = problem(service, "POST", path.replace("PLANT", plant), body.encode(), **headers)
+    status, code, _ = problem(
+        service, "POST", path.replace("PLANT", plant), body.encode(), **headers
+    )
     assert 400 <= status < 500, code
 
 
@@ -118,7 +148,10 @@ def test_a_tag_is_matched_in_every_form_that_http_knows(service, plant, tag):
 
 @pytest.mark.parametrize("wait", ["-1", "nan", "soon"])
 def test_a_wait_that_is_no_time_is_refused(service, plant, wait):
-    assert problem(service, "GET", f"/v1/plants/{plant}/serving?wait_s={wait}")[:2] == (400, "bad-request")
+    assert problem(service, "GET", f"/v1/plants/{plant}/serving?wait_s={wait}")[:2] == (
+        400,
+        "bad-request",
+    )
 
 
 @pytest.mark.parametrize("name", ["a b", "a\nb", "ä", "a?b", "../x"])

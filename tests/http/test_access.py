@@ -31,7 +31,12 @@ NOTHING = {
     "table": "plants",
     "name": "none",
 }
-ROUTES = [(method, route) for module in (*ROUTERS, *PAGES) for route in module.router.routes for method in sorted(route.methods)]
+ROUTES = [
+    (method, route)
+    for module in (*ROUTERS, *PAGES)
+    for route in module.router.routes
+    for method in sorted(route.methods)
+]
 
 
 def bearer(token):
@@ -40,14 +45,26 @@ def bearer(token):
 
 @pytest.fixture(scope="module")
 def somebody(service):
-    """Two projects with a plant each; a token for each role in the first, of all projects, and an engineer's in the second."""
+    """Two projects with a plant each; a token for each role in the first, of all projects, and an
+    engineer's in the second."""
     mark = uuid.uuid4().hex[:8]
     with closing(Client(service.url)) as admin:
-        ours, theirs = (admin.create_project(f"{name}-{mark}")["name"] for name in ("ours", "theirs"))
+        ours, theirs = (
+            admin.create_project(f"{name}-{mark}")["name"] for name in ("ours", "theirs")
+        )
         for project in (ours, theirs):
             admin.register_plant(plant_document(f"plant-of-{project}"), project)
-        tokens = {role: admin.issue_token(role, [role], ours, f"plant-of-{ours}" if role == Role.ROBOT else None)["token"] for role in Role}
-        tokens |= {f"{role} of all": admin.issue_token(role, [role])["token"] for role in Role if role != Role.ROBOT}
+        tokens = {
+            role: admin.issue_token(
+                role, [role], ours, f"plant-of-{ours}" if role == Role.ROBOT else None
+            )["token"]
+            for role in Role
+        }
+        tokens |= {
+            f"{role} of all": admin.issue_token(role, [role])["token"]
+            for role in Role
+            if role != Role.ROBOT
+        }
         tokens["other"] = admin.issue_token("other", ["engineer", "operator"], theirs)["token"]
     return {"ours": f"plant-of-{ours}", "theirs": f"plant-of-{theirs}", "project": theirs, **tokens}
 
@@ -60,16 +77,26 @@ def test_every_route_is_guarded_and_has_a_row_and_every_row_a_route():
     assert {(method, route.path) for method, route in ROUTES} == set(ACCESS)
 
 
-@pytest.mark.parametrize("role", [*Role, *(f"{role} of all" for role in Role if role != Role.ROBOT), None])
+@pytest.mark.parametrize(
+    "role", [*Role, *(f"{role} of all" for role in Role if role != Role.ROBOT), None]
+)
 def test_every_route_answers_every_role_as_its_row_says(service, somebody, role):
     headers = bearer(somebody[role]) if role else {"Authorization": "none"}
     everywhere = role is not None and role.endswith("of all")
     for method, route in ROUTES:
         rule = ACCESS[method, route.path]
-        path = route.path.replace("{tile:path}", "000").replace("{level}", "0").replace("{plant}", somebody["ours"])
-        status, _, body = request(service, method, path.format(**NOTHING), b"", **headers, Content_Type="application/json")
+        path = (
+            route.path.replace("{tile:path}", "000")
+            .replace("{level}", "0")
+            .replace("{plant}", somebody["ours"])
+        )
+        status, _, body = request(
+            service, method, path.format(**NOTHING), b"", **headers, Content_Type="application/json"
+        )
         code = json.loads(body).get("code") if status >= 400 else None
-        allowed = role is not None and (Role(role.split()[0]) in rule.roles and (everywhere or not rule.everywhere))
+        allowed = role is not None and (
+            Role(role.split()[0]) in rule.roles and (everywhere or not rule.everywhere)
+        )
         if rule.public:
             assert code != "unauthenticated", (method, route.path)
         elif role is None:
@@ -91,12 +118,19 @@ def test_what_is_of_another_project_answers_as_what_does_not_exist(service, some
     known = bearer(somebody["other"])
     for method, route in ROUTES:
         rule = ACCESS[method, route.path]
-        if rule.public or rule.everywhere or not rule.roles & {Role.ENGINEER, Role.OPERATOR} or "{plant}" not in route.path:
+        if (
+            rule.public
+            or rule.everywhere
+            or not rule.roles & {Role.ENGINEER, Role.OPERATOR}
+            or "{plant}" not in route.path
+        ):
             continue
         answers = []
         for plant in (somebody["ours"], "nobody-has-this"):
             path = route.path.replace("{plant}", plant).format(**NOTHING)
-            status, _, body = request(service, method, path, b"{}", **known, Content_Type="application/json")
+            status, _, body = request(
+                service, method, path, b"{}", **known, Content_Type="application/json"
+            )
             answers.append((status, body.decode().replace(plant, "PLANT").split('"request_id"')[0]))
         assert answers[0] == answers[1], (method, route.path)
         assert answers[0][0] == 404
@@ -104,7 +138,9 @@ def test_what_is_of_another_project_answers_as_what_does_not_exist(service, some
     assert problem(service, "GET", f"/v1/decisions/{decision}", **known)[0] == 404
 
 
-def test_jobs_and_decisions_of_another_project_are_unknown_by_their_ids(service, somebody, tmp_path):
+def test_jobs_and_decisions_of_another_project_are_unknown_by_their_ids(
+    service, somebody, tmp_path
+):
     from tests.http.test_http import move
 
     with closing(Client(service.url, token=somebody["admin of all"])) as admin:
@@ -116,7 +152,10 @@ def test_jobs_and_decisions_of_another_project_are_unknown_by_their_ids(service,
     job = f"/v1/jobs/{decision['job']}"
     assert request(service, "GET", job, **bearer(somebody[Role.ENGINEER]))[0] == 200
     assert problem(service, "GET", job, **bearer(somebody["other"]))[:2] == (404, "not-found")
-    assert problem(service, "POST", f"{job}/cancel", **bearer(somebody["other"]))[:2] == (404, "not-found")
+    assert problem(service, "POST", f"{job}/cancel", **bearer(somebody["other"]))[:2] == (
+        404,
+        "not-found",
+    )
 
 
 def test_each_sees_its_own_plants_and_its_own_part_of_the_log(service, somebody):
@@ -141,7 +180,11 @@ def test_a_robot_has_its_own_plant_and_nothing_else(service, somebody, tmp_path)
         assert robot.serving(somebody["ours"]).version >= 1
         robot.fetch(somebody["ours"], robot.serving(somebody["ours"]).artifact, tmp_path / "model")
         assert robot.checkpoint()
-        for act in (lambda: robot.serving(somebody["theirs"]), lambda: robot.roll_back(somebody["ours"], 1), lambda: list(robot.audit())):
+        for act in (
+            lambda: robot.serving(somebody["theirs"]),
+            lambda: robot.roll_back(somebody["ours"], 1),
+            lambda: list(robot.audit()),
+        ):
             with pytest.raises(Problem) as refused:
                 act()
             assert refused.value.status in (403, 404)
@@ -157,20 +200,37 @@ def test_a_token_is_shown_once_and_kept_as_a_hash(service):
         assert "token" not in listed
         assert made["token"].startswith(f"trueup_{made['prefix']}_")
         secret = made["token"].split("_", 2)[2]  # of base64url, which has underscores of its own
-        assert secret not in json.dumps(list(admin.rows("tokens"))) + json.dumps(list(admin.audit()))
+        assert secret not in json.dumps(list(admin.rows("tokens"))) + json.dumps(
+            list(admin.audit())
+        )
 
 
 def test_a_revoked_an_expired_and_a_forged_token_are_refused(service):
     with closing(Client(service.url)) as admin:
-        made, brief = admin.issue_token("gone", ["auditor"]), admin.issue_token("brief", ["auditor"], days=1e-9)
+        made, brief = (
+            admin.issue_token("gone", ["auditor"]),
+            admin.issue_token("brief", ["auditor"], days=1e-9),
+        )
         assert request(service, "GET", "/v1/session", **bearer(made["token"]))[0] == 200
         admin.revoke_token(made["prefix"])
         with pytest.raises(Problem) as refused:
             admin.revoke_token(made["prefix"])
         assert refused.value.code == "conflict"
     forged = f"trueup_{brief['prefix']}_{'x' * 43}"
-    for token in (made["token"], brief["token"], forged, "", "x", "trueup__", "\u00e4".encode().decode("latin-1"), ADMIN[:-1]):
-        assert problem(service, "GET", "/v1/session", **bearer(token))[:2] == (401, "unauthenticated"), token
+    for token in (
+        made["token"],
+        brief["token"],
+        forged,
+        "",
+        "x",
+        "trueup__",
+        "\u00e4".encode().decode("latin-1"),
+        ADMIN[:-1],
+    ):
+        assert problem(service, "GET", "/v1/session", **bearer(token))[:2] == (
+            401,
+            "unauthenticated",
+        ), token
 
 
 def test_a_robots_token_is_of_one_plant(service):
@@ -189,7 +249,10 @@ def test_another_server_refuses_a_revoked_token_once_it_asks_again(tmp_path):
     path = first_admin(parts.settings, parts.database)
     assert first_admin(parts.settings, parts.database) is None
     assert path.stat().st_mode & 0o777 == 0o600
-    token, one, other = path.read_text().strip(), *(Identities(parts.settings, parts.database, lambda: clock[0]) for _ in range(2))
+    token, one, other = (
+        path.read_text().strip(),
+        *(Identities(parts.settings, parts.database, lambda: clock[0]) for _ in range(2)),
+    )
     assert one.by_token(token) == other.by_token(token) == other.remembered(token)
     from trueup_service.actions.stamp import Stamp
     from trueup_service.actions.tokens import revoke_token
@@ -208,7 +271,9 @@ def test_another_server_refuses_a_revoked_token_once_it_asks_again(tmp_path):
     parts.close()
 
 
-def test_a_service_that_is_started_the_first_time_listens_here_alone_and_makes_an_admin(tmp_path, monkeypatch):
+def test_a_service_that_is_started_the_first_time_listens_here_alone_and_makes_an_admin(
+    tmp_path, monkeypatch
+):
     monkeypatch.delenv("TRUEUP_ADMIN_TOKEN")
     monkeypatch.delenv("TRUEUP_TOKEN")
     service = Service(embedded(tmp_path / "data"))
@@ -220,7 +285,11 @@ def test_a_service_that_is_started_the_first_time_listens_here_alone_and_makes_a
         assert "admin" in command(service, "whoami").stdout
         monkeypatch.setenv("TRUEUP_DATA_DIR", str(tmp_path / "nowhere"))
         refused = command(service, "whoami", check=False)
-        assert (refused.returncode, "unauthenticated" in refused.stderr, "trueup login" in refused.stderr) == (1, True, True)
+        assert (
+            refused.returncode,
+            "unauthenticated" in refused.stderr,
+            "trueup login" in refused.stderr,
+        ) == (1, True, True)
 
 
 def test_signing_in_at_the_command_keeps_a_token_for_its_address(service, monkeypatch, tmp_path):
@@ -230,11 +299,16 @@ def test_signing_in_at_the_command_keeps_a_token_for_its_address(service, monkey
     monkeypatch.delenv("TRUEUP_TOKEN")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     login = [sys.executable, "-m", "trueup_cli.main", "login", "--url", service.url]
-    done = subprocess.run(login, input=ADMIN + "\n", text=True, capture_output=True, check=False, cwd=ROOT)
+    done = subprocess.run(
+        login, input=ADMIN + "\n", text=True, capture_output=True, check=False, cwd=ROOT
+    )
     assert done.returncode == 0, done.stderr
     kept = next((tmp_path / "trueup" / "tokens").iterdir())
     assert (kept.read_text(), kept.stat().st_mode & 0o777) == (ADMIN, 0o600)
-    assert "admin" in command(service, "token", "list").stdout or command(service, "token", "list").returncode == 0
+    assert (
+        "admin" in command(service, "token", "list").stdout
+        or command(service, "token", "list").returncode == 0
+    )
     issued = command(service, "token", "issue", "ada", "engineer", "operator", "--days", "7")
     assert issued.stdout.startswith("trueup_")
     assert "revoked" in command(service, "token", "revoke", issued.stdout.split("_")[1]).stdout
@@ -246,7 +320,13 @@ def test_signing_in_at_the_command_keeps_a_token_for_its_address(service, monkey
 
 
 def sign_in(service, token=ADMIN):
-    status, headers, _ = request(service, "POST", "/v1/session", json.dumps({"token": token}), Content_Type="application/json")
+    status, headers, _ = request(
+        service,
+        "POST",
+        "/v1/session",
+        json.dumps({"token": token}),
+        Content_Type="application/json",
+    )
     assert status == 200
     return headers["set-cookie"]
 
@@ -260,10 +340,25 @@ def test_a_session_is_a_cookie_that_scripts_do_not_see_and_other_sites_do_not_se
     body = json.dumps({"name": f"p{uuid.uuid4().hex[:8]}"})
     here = f"http://127.0.0.1:{service.port}"
     for origin, status in ((None, 403), ("http://evil.example", 403), ("null", 403), (here, 201)):
-        asked = request(service, "POST", "/v1/projects", body, **known, Origin=origin, Content_Type="application/json")
+        asked = request(
+            service,
+            "POST",
+            "/v1/projects",
+            body,
+            **known,
+            Origin=origin,
+            Content_Type="application/json",
+        )
         assert asked[0] == status, origin
     elsewhere = request(
-        service, "POST", "/v1/projects", body, **known, Origin=here, Sec_Fetch_Site="same-site", Content_Type="application/json"
+        service,
+        "POST",
+        "/v1/projects",
+        body,
+        **known,
+        Origin=here,
+        Sec_Fetch_Site="same-site",
+        Content_Type="application/json",
     )
     assert elsewhere[0] == 403
     known["Origin"] = here
@@ -294,10 +389,25 @@ def test_tokens_are_random():
 
 
 def test_no_file_of_the_service_takes_an_address_or_a_path_from_a_request():
-    """Names are never paths, and nothing that a user names is fetched: no module behind the door can open an address."""
-    banned = ("urllib.request", "http.client", "httpx", "import requests", "pickle", "marshal", "importlib", "eval(", "exec(")
+    """Names are never paths, and nothing that a user names is fetched: no module behind the door
+    can open an address."""
+    banned = (
+        "urllib.request",
+        "http.client",
+        "httpx",
+        "import requests",
+        "pickle",
+        "marshal",
+        "importlib",
+        "eval(",
+        "exec(",
+    )
     for path in [*(ROOT / "service").rglob("*.py"), *(ROOT / "worker").rglob("*.py")]:
-        lines = [line for line in Path(path).read_text().splitlines() if line.lstrip().startswith(("import ", "from ")) or "eval(" in line]
+        lines = [
+            line
+            for line in Path(path).read_text().splitlines()
+            if line.lstrip().startswith(("import ", "from ")) or "eval(" in line
+        ]
         assert not [line for line in lines for word in banned if word in line], path
 
 
@@ -313,11 +423,24 @@ def test_a_promotion_takes_two_people_where_the_policy_says_so(service, somebody
         decision = accepted(admin, plant, 1.2)
         gate = admin.decision(plant, decision)["gate"]
         with pytest.raises(Problem) as refused:
-            admin.declare_policy(plant, {"schema": "trueup.policy/1", "gate": gate, "approvals": 2, "on_acceptance": "promote"})
+            admin.declare_policy(
+                plant,
+                {
+                    "schema": "trueup.policy/1",
+                    "gate": gate,
+                    "approvals": 2,
+                    "on_acceptance": "promote",
+                },
+            )
         assert refused.value.code == "bad-policy"
         admin.declare_policy(plant, {"schema": "trueup.policy/1", "gate": gate, "approvals": 2})
-        first, second = (admin.issue_token(name, ["operator"])["token"] for name in ("first", "second"))
-    with closing(Client(service.url, token=first)) as one, closing(Client(service.url, token=second)) as other:
+        first, second = (
+            admin.issue_token(name, ["operator"])["token"] for name in ("first", "second")
+        )
+    with (
+        closing(Client(service.url, token=first)) as one,
+        closing(Client(service.url, token=second)) as other,
+    ):
         assert one.approve(plant, decision) == one.approve(plant, decision)
         with pytest.raises(Problem) as refused:
             one.promote(plant, decision, 1)
@@ -325,7 +448,9 @@ def test_a_promotion_takes_two_people_where_the_policy_says_so(service, somebody
         assert other.promote(plant, decision, 1).generation == 2
     with closing(Client(service.url)) as admin:
         entries = list(admin.audit(plant))
-    assert next(e for e in entries if e["kind"] == "pointer:moved")["facts"]["approved_by"] == ["first"]
+    assert next(e for e in entries if e["kind"] == "pointer:moved")["facts"]["approved_by"] == [
+        "first"
+    ]
 
 
 def test_a_rejected_decision_is_not_approved(service, somebody):
@@ -354,7 +479,9 @@ def test_a_token_of_one_plant_registers_none_and_is_of_a_plant_of_its_project(se
     with closing(Client(service.url)) as admin:
         token = admin.issue_token("narrow", ["engineer"], plant=somebody["ours"])["token"]
         with pytest.raises(Problem) as refused:
-            admin.issue_token("wrong", ["engineer"], project=somebody["project"], plant=somebody["ours"])
+            admin.issue_token(
+                "wrong", ["engineer"], project=somebody["project"], plant=somebody["ours"]
+            )
         assert refused.value.code == "not-found"
     with closing(Client(service.url, token=token)) as narrow, pytest.raises(Problem) as refused:
         narrow.register_plant(plant_document(somebody["theirs"]))
@@ -363,7 +490,12 @@ def test_a_token_of_one_plant_registers_none_and_is_of_a_plant_of_its_project(se
 
 def test_a_session_that_was_begun_with_an_old_admins_token_ends_with_it(tmp_path):
     parts = build(Settings(data_dir=tmp_path, admin_token="a" * 40))
-    old, new = (Identities(Settings(data_dir=tmp_path, admin_token=c * 40, token_memory_s=0), parts.database) for c in "ab")
+    old, new = (
+        Identities(
+            Settings(data_dir=tmp_path, admin_token=c * 40, token_memory_s=0), parts.database
+        )
+        for c in "ab"
+    )
     from trueup_service.identity import digest_of_secret
     from trueup_service.registry.store import writing
 

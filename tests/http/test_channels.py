@@ -15,7 +15,10 @@ from tests.support.service import Service, command
 from tests.support.storage import embedded
 from trueup_client import Client, Problem
 
-SCOPE = {"shows": "tracks a sine on the bench", "cannot_show": "payloads above 2 [kg], heat, and [/opt] arms"}
+SCOPE = {
+    "shows": "tracks a sine on the bench",
+    "cannot_show": "payloads above 2 [kg], heat, and [/opt] arms",
+}
 
 
 @pytest.fixture
@@ -33,7 +36,10 @@ def refused(act):
 
 def test_a_channel_serves_only_with_passed_evidence_of_every_stage_that_it_requires(client, plant):
     artifact = client.serving(plant).artifact
-    assert client.declare_channel(plant, "field", ["physical", "HIL"])["requires"] == ["HIL", "physical"]
+    assert client.declare_channel(plant, "field", ["physical", "HIL"])["requires"] == [
+        "HIL",
+        "physical",
+    ]
     assert refused(lambda: client.channel_serving(plant, "field")) == "not-found"
     assert refused(lambda: client.move_channel(plant, "field", artifact, 0)) == "evidence-missing"
     evidence = {"artifact": artifact, "figures": {"rms_m": 0.01}, **SCOPE}
@@ -50,7 +56,11 @@ def test_a_channel_serves_only_with_passed_evidence_of_every_stage_that_it_requi
     assert refused(lambda: client.move_channel(plant, "field", artifact, 0)) == "pointer-moved"
     assert [e["stage"] for e in client.evidence(plant, artifact)] == ["HIL", "physical", "physical"]
     kinds = [e["kind"] for e in client.audit(plant)]
-    assert (kinds.count("evidence:added"), kinds.count("channel:declared"), kinds.count("channel:moved")) == (3, 1, 1)
+    assert (
+        kinds.count("evidence:added"),
+        kinds.count("channel:declared"),
+        kinds.count("channel:moved"),
+    ) == (3, 1, 1)
 
 
 def test_a_robot_on_a_channel_hears_of_its_moves_at_once(tmp_path):
@@ -91,7 +101,10 @@ def test_a_channel_that_did_not_move_is_not_sent_again(plant, client, service):
     assert (status, headers["etag"]) == (200, '"1"')
     assert request(service, "GET", there, If_None_Match='"1"')[0] == 304
     assert problem(service, "GET", f"{there}?wait_s=-1")[1] == "bad-request"
-    assert problem(service, "GET", f"/v1/plants/{plant}/channels/other/serving")[:2] == (404, "not-found")
+    assert problem(service, "GET", f"/v1/plants/{plant}/channels/other/serving")[:2] == (
+        404,
+        "not-found",
+    )
 
 
 def test_what_was_failed_after_it_was_passed_is_failed(client, plant):
@@ -108,11 +121,18 @@ def test_a_channel_never_goes_before_the_plant_itself(client, plant, tmp_path):
     from trueup.model.plant import Plant
     from trueup.model.predictor import Identified
 
-    made = pack(Identified(Plant.from_document(plant_document(plant)), (1.2, 0.6, 0.8)), {"origin": "by hand"})
+    made = pack(
+        Identified(Plant.from_document(plant_document(plant)), (1.2, 0.6, 0.8)),
+        {"origin": "by hand"},
+    )
     added = client.add_artifact(plant, made.manifest, made.arrays)
     client.declare_channel(plant, "staging", [])
-    assert refused(lambda: client.move_channel(plant, "staging", added["digest"], 0)) == "never-served"
-    assert client.move_channel(plant, "staging", client.serving(plant).artifact, 0)["evidence"] == []
+    assert (
+        refused(lambda: client.move_channel(plant, "staging", added["digest"], 0)) == "never-served"
+    )
+    assert (
+        client.move_channel(plant, "staging", client.serving(plant).artifact, 0)["evidence"] == []
+    )
 
 
 def test_what_a_channel_requires_never_changes(client, plant):
@@ -124,10 +144,21 @@ def test_what_a_channel_requires_never_changes(client, plant):
 
 @pytest.mark.parametrize(
     ("spoil", "field"),
-    [({"stage": "lab"}, "stage"), ({"cannot_show": "  "}, "cannot_show"), ({"passed": "yes"}, "passed"), ({"artifact": "it"}, "artifact")],
+    [
+        ({"stage": "lab"}, "stage"),
+        ({"cannot_show": "  "}, "cannot_show"),
+        ({"passed": "yes"}, "passed"),
+        ({"artifact": "it"}, "artifact"),
+    ],
 )
 def test_evidence_without_its_scope_is_refused(client, plant, spoil, field):
-    sound = {"artifact": client.serving(plant).artifact, "stage": "SIL", "passed": True, "figures": {}, **SCOPE}
+    sound = {
+        "artifact": client.serving(plant).artifact,
+        "stage": "SIL",
+        "passed": True,
+        "figures": {},
+        **SCOPE,
+    }
     with pytest.raises(Problem) as found:
         client.add_evidence(plant, {**sound, **spoil})
     assert (found.value.code, found.value.facts["field"]) == ("bad-evidence", field)
@@ -140,7 +171,9 @@ def test_evidence_of_an_artifact_that_is_not_here_is_refused(client, plant):
 
 def test_the_commands_add_evidence_and_release_on_a_channel(service, client, plant, tmp_path):
     told = tmp_path / "hil.json"
-    told.write_text(json.dumps({"stage": "HIL", "passed": True, "figures": {"jitter_ms": 0.3}, **SCOPE}))
+    told.write_text(
+        json.dumps({"stage": "HIL", "passed": True, "figures": {"jitter_ms": 0.3}, **SCOPE})
+    )
     assert "no channels" in command(service, "channels", plant).stdout
     command(service, "channels", plant, "--declare", "field", "--requires", "HIL")
     refused = command(service, "release", plant, "field", check=False)

@@ -1,4 +1,5 @@
-"""The client's records and its form for an event loop are made from what is there, and both ask safely."""
+"""The client's records and its form for an event loop are made from what is there, and both ask
+safely."""
 
 import asyncio
 import json
@@ -33,7 +34,9 @@ def plant(service):
 def test_records_are_what_the_service_says_it_answers_with(service):
     with urllib.request.urlopen(f"{service.url}/openapi.json") as answer:
         document = json.load(answer)
-    assert (ROOT / "client" / "trueup_client" / "records.py").read_text() == make_records.module(document), "run tools/make_records.py"
+    assert (ROOT / "client" / "trueup_client" / "records.py").read_text() == make_records.module(
+        document
+    ), "run tools/make_records.py"
 
 
 def test_the_form_for_an_event_loop_is_made_from_the_client():
@@ -46,7 +49,9 @@ def test_the_form_for_an_event_loop_is_made_from_the_client():
         check=True,
         cwd=ROOT,
     ).stdout
-    assert (ROOT / "client" / "trueup_client" / "asynchronous.py").read_text() == made, "run tools/make_async_client.py and format"
+    assert (ROOT / "client" / "trueup_client" / "asynchronous.py").read_text() == made, (
+        "run tools/make_async_client.py and format"
+    )
 
 
 def test_it_uploads_lists_and_waits(service, plant, tmp_path):
@@ -54,7 +59,9 @@ def test_it_uploads_lists_and_waits(service, plant, tmp_path):
         shares = []
         async with AsyncClient(service.url) as client:
             paths = [save(tmp_path, f"{seed}.mcap", episode_bytes(seed=seed)) for seed in range(3)]
-            sent = await asyncio.gather(*(client.upload_episode(plant, path, shares.append) for path in paths))
+            sent = await asyncio.gather(
+                *(client.upload_episode(plant, path, shares.append) for path in paths)
+            )
             listed = [e["digest"] async for e in client.episodes(plant)]
             asked = await asyncio.gather(*(client.serving(plant) for _ in range(20)))
             with pytest.raises(Problem, match="not-found"):
@@ -102,7 +109,9 @@ def test_whatever_asks_when_it_is_closed_ends(service, plant):
     asyncio.run(asyncio.wait_for(go(), 20.0))
 
 
-def test_calls_that_wait_for_their_turn_end_when_it_is_closed_and_none_is_taken_for_cancelled(service, plant):
+def test_calls_that_wait_for_their_turn_end_when_it_is_closed_and_none_is_taken_for_cancelled(
+    service, plant
+):
     async def go():
         client = AsyncClient(service.url, at_once=1)
         first = asyncio.ensure_future(anext(client.watch(plant, wait_s=30.0)))
@@ -137,7 +146,9 @@ def test_calls_that_are_cancelled_leave_room_for_others(service, plant, tmp_path
 def test_a_download_that_is_given_up_leaves_the_next_answer_whole(service, plant, tmp_path):
     async def go():
         async with AsyncClient(service.url, at_once=2) as client:
-            digest = (await client.upload_episode(plant, save(tmp_path, "1.mcap", episode_bytes(seed=1))))["digest"]
+            digest = (
+                await client.upload_episode(plant, save(tmp_path, "1.mcap", episode_bytes(seed=1)))
+            )["digest"]
             for _ in range(50):
                 parts = client.episode_parts(plant, digest)
                 await anext(parts)
@@ -147,7 +158,9 @@ def test_a_download_that_is_given_up_leaves_the_next_answer_whole(service, plant
     asyncio.run(go())
 
 
-def test_a_connection_that_the_service_closed_meanwhile_is_not_found_out_by_what_must_not_be_repeated(service):
+def test_what_must_not_be_repeated_is_never_sent_over_a_connection_that_may_be_closed(
+    service,
+):
     with closing(Client(service.url)) as client:
         list(client.plants())
         client._to._http.sock.shutdown(socket.SHUT_RDWR)
@@ -158,7 +171,10 @@ def test_a_key_of_ones_own_makes_one_job_of_a_request_sent_twice(service, plant,
     with closing(Client(service.url)) as one, closing(Client(service.url)) as other:
         one.upload_episode(plant, save(tmp_path, "1.mcap", episode_bytes(seed=1)))
         request = {"kind": "fit", "method": "identify"}
-        first, again = one.submit(plant, request, key="mine"), other.submit(plant, request, key="mine")
+        first, again = (
+            one.submit(plant, request, key="mine"),
+            other.submit(plant, request, key="mine"),
+        )
         assert first["id"] == again["id"]
         assert one.submit(plant, request)["id"] != first["id"]
         with pytest.raises(Problem, match="idempotency-key-reused"):
@@ -169,7 +185,11 @@ def test_a_token_whose_answer_was_lost_is_not_issued_twice(service, monkeypatch)
     with closing(Client(service.url)) as client:
         list(client.tokens())
         asked = []
-        monkeypatch.setattr(client._to._http, "getresponse", lambda: asked.append(1) or (_ for _ in ()).throw(ConnectionResetError()))
+        monkeypatch.setattr(
+            client._to._http,
+            "getresponse",
+            lambda: asked.append(1) or (_ for _ in ()).throw(ConnectionResetError()),
+        )
         with pytest.raises(Unreachable):
             client.issue_token(f"lost-{time.time_ns()}", ["engineer"])
         assert len(asked) == 1

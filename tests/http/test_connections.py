@@ -20,8 +20,16 @@ FILES = 256
 def few(tmp_path, **settings):
     """A service that may open few files, with short limits."""
     storage = embedded(tmp_path / "data")
-    settings = {"header_limit_s": 2, "keep_alive_s": 2, "silence_limit_s": 2, "checkpoint_interval_s": 0.2, **settings}
-    return Service(Storage("few", storage.environment | {"TRUEUP_TEST_FILES": str(FILES)}), **settings)
+    settings = {
+        "header_limit_s": 2,
+        "keep_alive_s": 2,
+        "silence_limit_s": 2,
+        "checkpoint_interval_s": 0.2,
+        **settings,
+    }
+    return Service(
+        Storage("few", storage.environment | {"TRUEUP_TEST_FILES": str(FILES)}), **settings
+    )
 
 
 @pytest.fixture
@@ -61,15 +69,23 @@ def answer(raw):
 HALF = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Half: "
 
 
-@pytest.mark.parametrize("sent", [b"", HALF, b"\r\n\r\n"], ids=["nothing", "half a head", "empty lines"])
-def test_connections_that_never_ask_shut_nobody_out_and_the_checkpoint_is_written(service, tmp_path, sent):
+@pytest.mark.parametrize(
+    "sent", [b"", HALF, b"\r\n\r\n"], ids=["nothing", "half a head", "empty lines"]
+)
+def test_connections_that_never_ask_shut_nobody_out_and_the_checkpoint_is_written(
+    service, tmp_path, sent
+):
     client, checkpoint = Client(service.url), tmp_path / "data" / "checkpoint"
     with held(service, 2 * FILES, sent):
         for number in range(3):
             assert request(service, "GET", "/healthz")[0] == 200
             client.register_plant(plant_document(f"p{number}"))
             size = client.checkpoint().splitlines()[1]
-            until(lambda size=size: checkpoint.exists() and checkpoint.read_text().splitlines()[1] == size)
+            until(
+                lambda size=size: (
+                    checkpoint.exists() and checkpoint.read_text().splitlines()[1] == size
+                )
+            )
     client.close()
 
 
@@ -80,7 +96,9 @@ def until(holds):
         time.sleep(0.05)
 
 
-def test_a_head_that_does_not_come_whole_is_answered_408_and_a_connection_without_a_request_ends(service):
+def test_a_head_that_does_not_come_whole_is_answered_408_and_a_connection_without_a_request_ends(
+    service,
+):
     began = time.monotonic()
     with (
         held(service, 1, HALF) as (half,),
@@ -115,11 +133,15 @@ def test_a_head_without_an_end_is_refused_before_it_fills_the_memory(service):
 
 
 def put(token, length, path="/v1/blobs/" + "0" * 64):
-    return f"PUT {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {token}\r\nContent-Length: {length}\r\n\r\n".encode()
+    return (
+        f"PUT {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer "
+        f"{token}\r\nContent-Length: {length}\r\n\r\n"
+    ).encode()
 
 
 def dripped(raw, part, pause_s, limit_s):
-    """Send a part again and again until the connection is closed; how long that took, None if it never was."""
+    """Send a part again and again until the connection is closed; how long that took, None if it
+    never was."""
     began = time.monotonic()
     raw.settimeout(pause_s)
     said = b""
@@ -151,7 +173,9 @@ def test_a_body_that_comes_slowly_but_steadily_is_taken(service):
         for _ in range(20):
             raw.sendall(b"x" * 60)
             time.sleep(0.25)
-        assert raw.recv(1 << 16).startswith(b"HTTP/1.1 422 ")  # all of it came, and is not what the digest names
+        assert raw.recv(1 << 16).startswith(
+            b"HTTP/1.1 422 "
+        )  # all of it came, and is not what the digest names
 
 
 def test_a_long_poll_is_no_silence(service):
@@ -159,7 +183,9 @@ def test_a_long_poll_is_no_silence(service):
     client.register_plant(plant_document("polled"))
     tag = request(service, "GET", "/v1/plants/polled/serving")[1]["etag"]
     began = time.monotonic()
-    assert request(service, "GET", "/v1/plants/polled/serving?wait_s=6", If_None_Match=tag)[0] == 304
+    assert (
+        request(service, "GET", "/v1/plants/polled/serving?wait_s=6", If_None_Match=tag)[0] == 304
+    )
     assert time.monotonic() - began > 5
     client.close()
 
@@ -168,7 +194,10 @@ def test_an_answer_that_nobody_takes_ends_and_one_that_is_taken_slowly_does_not(
     data = bytes(24 << 20)
     digest = hashlib.sha256(data).hexdigest()
     assert request(service, "PUT", f"/v1/blobs/{digest}", data)[0] == 201
-    get = f"GET /v1/blobs/{digest} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {ADMIN}\r\nConnection: close\r\n\r\n".encode()
+    get = (
+        f"GET /v1/blobs/{digest} HTTP/1.1\r\nHost: 127.0.0.1\r\nAuthorization: Bearer "
+        f"{ADMIN}\r\nConnection: close\r\n\r\n"
+    ).encode()
     with held(service, 2, get) as (untaken, slow):
         taken = 0
         while part := slow.recv(1 << 20):
@@ -186,11 +215,18 @@ def test_where_every_connection_has_a_request_a_new_one_is_answered_503(tmp_path
         client.register_plant(plant_document("polled"))
         client.close()
         line = "GET /v1/plants/polled/serving?wait_s=4 HTTP/1.1"
-        ask = f'{line}\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {ADMIN}\r\nIf-None-Match: "1"\r\n\r\n'
+        ask = (
+            f"{line}\r\nHost: 127.0.0.1\r\nAuthorization: Bearer {ADMIN}\r\nIf-None-Match: "
+            '"1"\r\n\r\n'
+        )
         with held(service, 3, ask.encode()) as waiting:
             time.sleep(1)
             status, headers, body = request(service, "GET", "/healthz")
-            assert (status, headers["content-type"], json.loads(body)["code"]) == (503, "application/problem+json", "busy")
+            assert (status, headers["content-type"], json.loads(body)["code"]) == (
+                503,
+                "application/problem+json",
+                "busy",
+            )
             assert [raw.recv(12) for raw in waiting] == [b"HTTP/1.1 304"] * 3
             assert request(service, "GET", "/healthz")[0] == 200
     finally:

@@ -1,4 +1,5 @@
-"""A page whose name leads to the service's address (DNS rebinding) is not answered: hosts are checked against a list."""
+"""A page whose name leads to the service's address (DNS rebinding) is not answered: hosts are
+checked against a list."""
 
 import socket
 import uuid
@@ -12,10 +13,21 @@ from trueup_service.http.hosts import allowed_hosts, is_allowed
 from trueup_service.settings import Settings
 
 FOREIGN = [
-    "evil.example", "evil.example:8321", "localhost.evil.example", "127.0.0.1.evil.example", "evil.example#localhost", "", "[::1",
+    "evil.example", "evil.example:8321", "localhost.evil.example", "127.0.0.1.evil.example",
+    "evil.example#localhost",
+    "", "[::1",
     "a@localhost", "localhost/x", "localhost:80:80", "..",
 ]  # fmt: skip
-OWN = ["127.0.0.1", "127.0.0.1:8321", "localhost", "LOCALHOST:8321", "localhost.", "[::1]:8321", "192.168.1.7", "10.0.0.1:80"]
+OWN = [
+    "127.0.0.1",
+    "127.0.0.1:8321",
+    "localhost",
+    "LOCALHOST:8321",
+    "localhost.",
+    "[::1]:8321",
+    "192.168.1.7",
+    "10.0.0.1:80",
+]
 
 
 @pytest.mark.parametrize("host", FOREIGN)
@@ -42,7 +54,10 @@ def test_probes_answer_by_any_name(service):
 
 def test_names_of_the_settings_are_known(tmp_path):
     storage = embedded(tmp_path / "data")
-    more = {"TRUEUP_ALLOWED_HOSTS": "trueup, *.lab.example", "TRUEUP_PUBLIC_URL": "https://registry.example:8443/models"}
+    more = {
+        "TRUEUP_ALLOWED_HOSTS": "trueup, *.lab.example",
+        "TRUEUP_PUBLIC_URL": "https://registry.example:8443/models",
+    }
     with Service(Storage("named", storage.environment | more)).running(worker=False) as service:
         for host in ("trueup", "a.lab.example:80", "b.a.lab.example", "registry.example"):
             assert request(service, "GET", "/v1/plants", Host=host)[0] == 200

@@ -42,7 +42,12 @@ def request(service, method, path, body=None, **headers):
     """One request by hand: status, headers, body."""
     connection = http.client.HTTPConnection("127.0.0.1", service.port, timeout=60)
     headers = KNOWN | {k.replace("_", "-"): v for k, v in headers.items()}
-    connection.request(method, path, body=body, headers={name: value for name, value in headers.items() if value is not None})
+    connection.request(
+        method,
+        path,
+        body=body,
+        headers={name: value for name, value in headers.items() if value is not None},
+    )
     answer = connection.getresponse()
     found = answer.status, answer.headers, answer.read()
     connection.close()
@@ -65,7 +70,11 @@ def problem(service, method, path, body=None, **headers):
 def test_an_episode_comes_back_as_it_was_sent(client, plant, tmp_path):
     data = episode_bytes(stage="MIL")
     found = client.upload_episode(plant, save(tmp_path, "e.mcap", data))
-    assert (found["digest"], found["role"], found["size_bytes"]) == (hashlib.sha256(data).hexdigest(), "adaptation", len(data))
+    assert (found["digest"], found["role"], found["size_bytes"]) == (
+        hashlib.sha256(data).hexdigest(),
+        "adaptation",
+        len(data),
+    )
     assert found["summary"]["samples"] == 200
     assert found["summary"]["conditions"] == {"stage": "MIL"}
     client.download_episode(plant, found["digest"], tmp_path / "back.mcap")
@@ -84,13 +93,19 @@ def test_a_key_repeats_its_upload_and_refuses_other_bytes(service, plant):
     first = request(service, "POST", path, episode_bytes(1), Idempotency_Key=key)
     again = request(service, "POST", path, episode_bytes(1), Idempotency_Key=key)
     assert (first[0], first[2]) == (again[0], again[2])
-    assert problem(service, "POST", path, episode_bytes(2), Idempotency_Key=key)[:2] == (409, "idempotency-key-reused")
+    assert problem(service, "POST", path, episode_bytes(2), Idempotency_Key=key)[:2] == (
+        409,
+        "idempotency-key-reused",
+    )
 
 
 def test_bytes_that_are_not_what_the_digest_says_are_refused_and_leave_nothing(service, plant):
     path, data = f"/v1/plants/{plant}/episodes", episode_bytes(3)
     wrong = base64.b64encode(hashlib.sha256(b"other").digest()).decode()
-    assert problem(service, "POST", path, data, Content_Digest=f"sha-256=:{wrong}:")[:2] == (422, "digest-mismatch")
+    assert problem(service, "POST", path, data, Content_Digest=f"sha-256=:{wrong}:")[:2] == (
+        422,
+        "digest-mismatch",
+    )
     assert json.loads(request(service, "GET", path)[2])["items"] == []
     right = base64.b64encode(hashlib.sha256(data).digest()).decode()
     assert request(service, "POST", path, data, Content_Digest=f"sha-256=:{right}:")[0] == 201
@@ -98,16 +113,24 @@ def test_bytes_that_are_not_what_the_digest_says_are_refused_and_leave_nothing(s
 
 def test_a_malformed_file_is_refused_with_rule_and_byte_within_a_second(service, plant):
     path = f"/v1/plants/{plant}/episodes"
-    for data, code in ((b"", "malformed-mcap"), (b"junk" * 1000, "malformed-mcap"), (episode_bytes()[:-20], "malformed-mcap")):
+    for data, code in (
+        (b"", "malformed-mcap"),
+        (b"junk" * 1000, "malformed-mcap"),
+        (episode_bytes()[:-20], "malformed-mcap"),
+    ):
         status, found, document = problem(service, "POST", path, data)
         assert (status, found) == (422, code)
         assert {"rule", "byte"} <= set(document["facts"])
 
 
 def test_a_sound_file_that_is_no_episode_of_the_plant_is_refused(service, client):
-    document = plant_document(f"p{uuid.uuid4().hex[:8]}") | {"topics": {"observation": "/elsewhere", "command": "/joint_commands"}}
+    document = plant_document(f"p{uuid.uuid4().hex[:8]}") | {
+        "topics": {"observation": "/elsewhere", "command": "/joint_commands"}
+    }
     client.register_plant(document)
-    status, code, found = problem(service, "POST", f"/v1/plants/{document['name']}/episodes", episode_bytes())
+    status, code, found = problem(
+        service, "POST", f"/v1/plants/{document['name']}/episodes", episode_bytes()
+    )
     assert (status, code, found["facts"]["rule"]) == (422, "not-an-episode", "topic")
     assert "/joint_states" in found["detail"]
 
@@ -115,7 +138,10 @@ def test_a_sound_file_that_is_no_episode_of_the_plant_is_refused(service, client
 def test_an_upload_that_stops_half_way_leaves_nothing(service, plant):
     data = episode_bytes(samples=4000)
     with socket.create_connection(("127.0.0.1", service.port)) as raw:
-        head = f"POST /v1/plants/{plant}/episodes HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(data)}\r\n\r\n"
+        head = (
+            f"POST /v1/plants/{plant}/episodes HTTP/1.1\r\nHost: "
+            f"127.0.0.1\r\nContent-Length: {len(data)}\r\n\r\n"
+        )
         raw.sendall(head.encode() + data[: len(data) // 2])
     assert json.loads(request(service, "GET", f"/v1/plants/{plant}/episodes")[2])["items"] == []
 
@@ -123,7 +149,9 @@ def test_an_upload_that_stops_half_way_leaves_nothing(service, plant):
 def test_an_upload_over_the_limit_is_refused_while_it_streams(tmp_path):
     """Without a Content-Length the limit is held by counting."""
     storage = embedded(tmp_path / "data")
-    service = Service(Storage("small", storage.environment | {"TRUEUP_UPLOAD_LIMIT_BYTES": "3000000"}))
+    service = Service(
+        Storage("small", storage.environment | {"TRUEUP_UPLOAD_LIMIT_BYTES": "3000000"})
+    )
     with service.running(worker=False):
         for size, status in ((2_999_999, 422), (3_000_001, 413), (9_000_000, 413)):
             connection = http.client.HTTPConnection("127.0.0.1", service.port)
@@ -142,7 +170,10 @@ def test_an_upload_over_the_limit_is_refused_while_it_streams(tmp_path):
 
 
 def test_an_upload_to_no_plant_is_refused(service):
-    assert problem(service, "POST", "/v1/plants/nobody/episodes", episode_bytes())[:2] == (404, "not-found")
+    assert problem(service, "POST", "/v1/plants/nobody/episodes", episode_bytes())[:2] == (
+        404,
+        "not-found",
+    )
 
 
 @pytest.mark.parametrize("name", ["..%2f..%2fetc", "a%00b", "UPPER", "a" * 64, "-x"])
@@ -163,7 +194,13 @@ def test_versions_count_up_and_the_same_artifact_is_the_same_version(client, pla
 
 
 def test_an_artifact_with_arrays_is_fetched_bit_for_bit(client, plant, tmp_path):
-    made = pack(Residual(Plant.from_document(plant_document(plant)), LinearMap(("q", "v"), 0.01 * np.ones((2, 2)))), {})
+    made = pack(
+        Residual(
+            Plant.from_document(plant_document(plant)),
+            LinearMap(("q", "v"), 0.01 * np.ones((2, 2))),
+        ),
+        {},
+    )
     client.add_artifact(plant, made.manifest, made.arrays)
     folder = client.fetch(plant, made.digest, tmp_path / "model")
     assert (folder / "manifest.json").read_bytes() == made.manifest
@@ -172,7 +209,10 @@ def test_an_artifact_with_arrays_is_fetched_bit_for_bit(client, plant, tmp_path)
 
 def test_an_artifact_whose_arrays_were_never_sent_is_refused(service, plant):
     made = pack(
-        Residual(Plant.from_document(plant_document(plant)), LinearMap(("q",), np.full((1, 2), uuid.uuid4().int % 1000 / 1e6))),
+        Residual(
+            Plant.from_document(plant_document(plant)),
+            LinearMap(("q",), np.full((1, 2), uuid.uuid4().int % 1000 / 1e6)),
+        ),
         {},
     )
     assert problem(service, "POST", f"/v1/plants/{plant}/artifacts", made.manifest)[0] in (404, 422)
@@ -180,25 +220,38 @@ def test_an_artifact_whose_arrays_were_never_sent_is_refused(service, plant):
 
 def test_an_artifact_that_lies_is_refused(service, plant):
     manifest = identified(plant).manifest
-    assert problem(service, "POST", f"/v1/plants/{plant}/artifacts", manifest.replace(b'"k":1.2', b'"k":9.9'))[:2] == (422, "bad-artifact")
+    assert problem(
+        service, "POST", f"/v1/plants/{plant}/artifacts", manifest.replace(b'"k":1.2', b'"k":9.9')
+    )[:2] == (422, "bad-artifact")
 
 
 def test_an_artifact_of_another_plant_is_refused(service, plant):
     made = pack(Identified(CHAPTER, (1.2, 0.6, 0.8)), {})
-    assert problem(service, "POST", f"/v1/plants/{plant}/artifacts", made.manifest)[:2] == (422, "bad-artifact")
+    assert problem(service, "POST", f"/v1/plants/{plant}/artifacts", made.manifest)[:2] == (
+        422,
+        "bad-artifact",
+    )
 
 
 def test_a_blob_that_is_not_what_the_path_names_is_refused(service):
-    assert problem(service, "PUT", f"/v1/blobs/{'0' * 64}", b"something")[:2] == (422, "digest-mismatch")
+    assert problem(service, "PUT", f"/v1/blobs/{'0' * 64}", b"something")[:2] == (
+        422,
+        "digest-mismatch",
+    )
     assert problem(service, "GET", f"/v1/blobs/{'0' * 64}")[0] == 404
 
 
 def test_nothing_that_was_registered_can_be_deleted(service, client, plant, tmp_path):
     serving = client.serving(plant)
-    status, code, found = problem(service, "DELETE", f"/v1/plants/{plant}/artifacts/{serving.artifact}")
+    status, code, found = problem(
+        service, "DELETE", f"/v1/plants/{plant}/artifacts/{serving.artifact}"
+    )
     assert (status, code, found["facts"]["serves"]) == (409, "kept", True)
     episode = client.upload_episode(plant, save(tmp_path, "e.mcap", episode_bytes()))
-    assert problem(service, "DELETE", f"/v1/plants/{plant}/episodes/{episode['digest']}")[:2] == (409, "kept")
+    assert problem(service, "DELETE", f"/v1/plants/{plant}/episodes/{episode['digest']}")[:2] == (
+        409,
+        "kept",
+    )
     assert client.serving(plant) == serving
 
 
@@ -214,8 +267,11 @@ def test_the_answer_carries_a_tag_and_a_304_needs_no_body(service, plant):
     assert json.loads(body)["generation"] == 1
 
 
-def test_nobody_is_ever_told_of_an_older_pointer_than_the_last_acknowledged_move(service, client, plant):
-    """Eight readers poll while one promotes; each answer that begins after an acknowledgement has that generation at least."""
+def test_nobody_is_ever_told_of_an_older_pointer_than_the_last_acknowledged_move(
+    service, client, plant
+):
+    """Eight readers poll while one promotes; each answer that begins after an acknowledgement has
+    that generation at least."""
     acknowledged, stop, wrong = [1], threading.Event(), []
 
     def poll():
@@ -247,11 +303,19 @@ def accepted(client, plant, k):
     """An accepted decision of a real gate job."""
     candidate = identified(plant, k)
     client.add_artifact(plant, candidate.manifest)
-    gate = in_force(client, plant, held_out_uses=1_000_000)  # the same recording is used by every plant of these tests
+    gate = in_force(
+        client, plant, held_out_uses=1_000_000
+    )  # the same recording is used by every plant of these tests
     if not list(client.episodes(plant, "validation")):
         with tempfile.TemporaryDirectory() as folder:
-            client.upload_episode(plant, save(Path(folder), "v.mcap", episode_bytes(9, role=Role.VALIDATION)))
-    job = client.wait(client.submit(plant, {"kind": "gate", "candidate": candidate.digest, "gate": gate["digest"]})["id"])
+            client.upload_episode(
+                plant, save(Path(folder), "v.mcap", episode_bytes(9, role=Role.VALIDATION))
+            )
+    job = client.wait(
+        client.submit(
+            plant, {"kind": "gate", "candidate": candidate.digest, "gate": gate["digest"]}
+        )["id"]
+    )
     return job["result"]["decision"]
 
 
@@ -275,7 +339,9 @@ def test_a_long_poll_answers_at_the_move(service, client, plant):
 
 def test_a_long_poll_ends_with_304(service, plant):
     began = time.monotonic()
-    status, _, _ = request(service, "GET", f"/v1/plants/{plant}/serving?wait_s=0.5", If_None_Match='"1"')
+    status, _, _ = request(
+        service, "GET", f"/v1/plants/{plant}/serving?wait_s=0.5", If_None_Match='"1"'
+    )
     assert status == 304
     assert time.monotonic() - began >= 0.5
 
@@ -285,15 +351,22 @@ def test_a_stale_generation_is_refused(service, client, plant):
     decision = moved.decision
     path = f"/v1/plants/{plant}/serving"
     body = json.dumps({"decision": decision, "expected_generation": moved.generation})
-    assert problem(service, "POST", f"{path}/promote", body, Content_Type="application/json")[:2] == (409, "pointer-moved")
+    assert problem(service, "POST", f"{path}/promote", body, Content_Type="application/json")[
+        :2
+    ] == (409, "pointer-moved")
     body = json.dumps({"expected_generation": 1})
-    assert problem(service, "POST", f"{path}/rollback", body, Content_Type="application/json")[:2] == (409, "pointer-moved")
+    assert problem(service, "POST", f"{path}/rollback", body, Content_Type="application/json")[
+        :2
+    ] == (409, "pointer-moved")
 
 
 def test_there_is_nothing_before_the_first(service, plant):
     body = json.dumps({"expected_generation": 1})
     path = f"/v1/plants/{plant}/serving/rollback"
-    assert problem(service, "POST", path, body, Content_Type="application/json")[:2] == (409, "nothing-to-roll-back-to")
+    assert problem(service, "POST", path, body, Content_Type="application/json")[:2] == (
+        409,
+        "nothing-to-roll-back-to",
+    )
 
 
 def test_a_rollback_goes_back_and_says_what_was_tested(client, plant):
@@ -315,7 +388,14 @@ def test_a_repeated_rollback_under_one_key_moves_once(service, client, plant):
     moved = move(client, plant, 1.2)
     body, key = json.dumps({"expected_generation": moved.generation}), uuid.uuid4().hex
     answers = [
-        request(service, "POST", f"/v1/plants/{plant}/serving/rollback", body, Content_Type="application/json", Idempotency_Key=key)
+        request(
+            service,
+            "POST",
+            f"/v1/plants/{plant}/serving/rollback",
+            body,
+            Content_Type="application/json",
+            Idempotency_Key=key,
+        )
         for _ in range(3)
     ]
     assert [a[0] for a in answers] == [200, 200, 200]
@@ -331,11 +411,14 @@ def test_history_joins_a_recording_to_what_was_serving(client, plant, tmp_path):
     layout = Plant.from_document(plant_document(plant)).layout
     data = mcap_bytes(layout, np.zeros((20, 2)), np.zeros((20, 1)), start_ns=now)
     found = client.upload_episode(plant, save(tmp_path, "now.mcap", data))
-    assert [s["generation"] for s in client.episode(plant, found["digest"])["served"]] == [moved.generation]
+    assert [s["generation"] for s in client.episode(plant, found["digest"])["served"]] == [
+        moved.generation
+    ]
 
 
 def test_nagles_algorithm_is_off_on_accepted_connections():
-    """Small answers on a kept connection must not wait for the other side's delayed acknowledgement, 40 ms each."""
+    """Small answers on a kept connection must not wait for the other side's delayed
+    acknowledgement, 40 ms each."""
     with listen("127.0.0.1", 0) as listening, socket.create_connection(listening.getsockname()):
         accepted, _ = listening.accept()
         assert accepted.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
@@ -346,12 +429,19 @@ def test_nagles_algorithm_is_off_on_accepted_connections():
 
 
 def test_a_fit_never_reads_held_out_episodes(service, client, plant, tmp_path):
-    held_out = client.upload_episode(plant, save(tmp_path, "v.mcap", episode_bytes(4, role=Role.VALIDATION)))["digest"]
-    test = client.upload_episode(plant, save(tmp_path, "t.mcap", episode_bytes(5, role=Role.TEST)))["digest"]
+    held_out = client.upload_episode(
+        plant, save(tmp_path, "v.mcap", episode_bytes(4, role=Role.VALIDATION))
+    )["digest"]
+    test = client.upload_episode(plant, save(tmp_path, "t.mcap", episode_bytes(5, role=Role.TEST)))[
+        "digest"
+    ]
     path = f"/v1/plants/{plant}/jobs"
     for digest in (held_out, test):
         body = json.dumps({"kind": "fit", "method": "identify", "episodes": [digest]})
-        assert problem(service, "POST", path, body, Content_Type="application/json")[:2] == (403, "role-refused")
+        assert problem(service, "POST", path, body, Content_Type="application/json")[:2] == (
+            403,
+            "role-refused",
+        )
     client.upload_episode(plant, save(tmp_path, "a.mcap", episode_bytes(6)))
     job = client.wait(client.submit(plant, {"kind": "fit", "method": "identify"})["id"])
     assert set(job["reads"]) == {e["digest"] for e in client.episodes(plant, "adaptation")}
@@ -362,19 +452,35 @@ def test_a_gate_never_reads_adaptation_or_test_episodes(service, client, plant, 
     client.add_artifact(plant, candidate.manifest)
     gate = client.declare_gate(plant)
     for seed, role in ((1, Role.ADAPTATION), (2, Role.TEST)):
-        digest = client.upload_episode(plant, save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role)))["digest"]
-        body = json.dumps({"kind": "gate", "candidate": candidate.digest, "gate": gate["digest"], "episodes": [digest]})
-        assert problem(service, "POST", f"/v1/plants/{plant}/jobs", body, Content_Type="application/json")[:2] == (403, "role-refused")
+        digest = client.upload_episode(
+            plant, save(tmp_path, f"{seed}.mcap", episode_bytes(seed, role=role))
+        )["digest"]
+        body = json.dumps(
+            {
+                "kind": "gate",
+                "candidate": candidate.digest,
+                "gate": gate["digest"],
+                "episodes": [digest],
+            }
+        )
+        assert problem(
+            service, "POST", f"/v1/plants/{plant}/jobs", body, Content_Type="application/json"
+        )[:2] == (403, "role-refused")
 
 
 def test_a_job_without_data_is_refused(service, plant):
     body = json.dumps({"kind": "fit", "method": "identify"})
-    assert problem(service, "POST", f"/v1/plants/{plant}/jobs", body, Content_Type="application/json")[:2] == (422, "not-identifiable")
+    assert problem(
+        service, "POST", f"/v1/plants/{plant}/jobs", body, Content_Type="application/json"
+    )[:2] == (422, "not-identifiable")
 
 
 def test_a_job_that_fails_says_why(client, plant, tmp_path):
     layout = Plant.from_document(plant_document(plant)).layout
-    client.upload_episode(plant, save(tmp_path, "still.mcap", mcap_bytes(layout, np.zeros((50, 2)), np.zeros((50, 1)))))
+    client.upload_episode(
+        plant,
+        save(tmp_path, "still.mcap", mcap_bytes(layout, np.zeros((50, 2)), np.zeros((50, 1)))),
+    )
     with pytest.raises(Problem) as refused:
         client.wait(client.submit(plant, {"kind": "fit", "method": "identify"})["id"])
     assert refused.value.code == "not-identifiable"
@@ -382,14 +488,27 @@ def test_a_job_that_fails_says_why(client, plant, tmp_path):
 
 
 def test_an_artifact_tells_where_it_comes_from(client, plant, tmp_path):
-    digest = client.upload_episode(plant, save(tmp_path, "a.mcap", episode_bytes(6, stage="MIL")))["digest"]
+    digest = client.upload_episode(plant, save(tmp_path, "a.mcap", episode_bytes(6, stage="MIL")))[
+        "digest"
+    ]
     nominal = client.serving(plant).artifact
     job = client.wait(client.submit(plant, {"kind": "fit", "method": "residual"})["id"])
     folder = client.fetch(plant, job["result"]["artifact"], tmp_path / "m")
     provenance = json.loads((folder / "manifest.json").read_text())["provenance"]
-    assert provenance["episodes"] == [{"sha256": digest, "role": "adaptation", "conditions": {"stage": "MIL"}}]
+    assert provenance["episodes"] == [
+        {"sha256": digest, "role": "adaptation", "conditions": {"stage": "MIL"}}
+    ]
     assert provenance["parent"] == nominal
-    assert set(provenance) == {"origin", "episodes", "coverage", "configuration", "code", "seed", "parent", "report"}
+    assert set(provenance) == {
+        "origin",
+        "episodes",
+        "coverage",
+        "configuration",
+        "code",
+        "seed",
+        "parent",
+        "report",
+    }
 
 
 # -- whoever asks
@@ -397,8 +516,17 @@ def test_an_artifact_tells_where_it_comes_from(client, plant, tmp_path):
 
 def test_the_actor_stands_on_every_change(service, plant):
     body = json.dumps(plant_document(f"p{uuid.uuid4().hex[:8]}"))
-    request(service, "POST", "/v1/plants", body, Content_Type="application/json", Trueup_Actor="ada@bench")
-    last = json.loads(request(service, "GET", f"/v1/audit?limit=1000&plant={json.loads(body)['name']}")[2])["items"][-1]
+    request(
+        service,
+        "POST",
+        "/v1/plants",
+        body,
+        Content_Type="application/json",
+        Trueup_Actor="ada@bench",
+    )
+    last = json.loads(
+        request(service, "GET", f"/v1/audit?limit=1000&plant={json.loads(body)['name']}")[2]
+    )["items"][-1]
     assert last["actor"] == "admin for ada@bench"
 
 
@@ -410,7 +538,10 @@ def test_a_request_id_is_kept_if_it_is_plain(service):
 def test_health_readiness_and_metrics_answer(service, plant):
     assert json.loads(request(service, "GET", "/healthz")[2])["status"] == "ok"
     assert json.loads(request(service, "GET", "/readyz")[2])["ready"] is True
-    assert b'trueup_http_requests_total{method="GET",route="/readyz",status="200"}' in request(service, "GET", "/metrics")[2]
+    assert (
+        b'trueup_http_requests_total{method="GET",route="/readyz",status="200"}'
+        in request(service, "GET", "/metrics")[2]
+    )
 
 
 def test_an_unknown_route_and_method_are_problems(service, plant):
@@ -420,7 +551,9 @@ def test_an_unknown_route_and_method_are_problems(service, plant):
 
 def test_a_wrong_plant_is_refused_at_its_field(service):
     document = plant_document("x") | {"colour": "red"}
-    status, code, found = problem(service, "POST", "/v1/plants", json.dumps(document), Content_Type="application/json")
+    status, code, found = problem(
+        service, "POST", "/v1/plants", json.dumps(document), Content_Type="application/json"
+    )
     assert (status, code, found["facts"]["field"]) == (422, "bad-plant", "colour")
 
 

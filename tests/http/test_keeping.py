@@ -1,4 +1,5 @@
-"""What is kept is its owner's alone, and what is kept for a while goes by its documented age and no sooner."""
+"""What is kept is its owner's alone, and what is kept for a while goes by its documented age and no
+sooner."""
 
 import hashlib
 import json
@@ -27,7 +28,9 @@ def mode(path):
 
 
 def loose(folder):
-    return [path.name for path in [folder, *folder.glob("*")] if path.is_file() and mode(path) & 0o077]
+    return [
+        path.name for path in [folder, *folder.glob("*")] if path.is_file() and mode(path) & 0o077
+    ]
 
 
 # -- permissions
@@ -38,11 +41,15 @@ def test_a_fresh_data_folder_is_its_owners_alone(tmp_path):
         with closing(Client(service.url)) as client:
             client.register_plant(plant_document("p"))
         assert mode(tmp_path / "data") == 0o700
-        assert {"trueup.sqlite", "trueup.sqlite-wal", "trueup.sqlite-shm", "signing.key"} <= set(os.listdir(tmp_path / "data"))
+        assert {"trueup.sqlite", "trueup.sqlite-wal", "trueup.sqlite-shm", "signing.key"} <= set(
+            os.listdir(tmp_path / "data")
+        )
         assert loose(tmp_path / "data") == []
 
 
-def test_a_data_folder_that_others_may_read_is_closed_at_the_start_and_the_log_says_so(tmp_path, caplog):
+def test_a_data_folder_that_others_may_read_is_closed_at_the_start_and_the_log_says_so(
+    tmp_path, caplog
+):
     data, storage = tmp_path / "data", embedded(tmp_path / "data")
     with Service(storage).running(worker=False) as service:
         request(service, "GET", "/healthz")
@@ -55,7 +62,10 @@ def test_a_data_folder_that_others_may_read_is_closed_at_the_start_and_the_log_s
         storage.build().close()
     assert mode(data) == 0o700
     assert {mode(data / name) for name in [*names, "admin.token"]} == {0o600}
-    assert {(record.path, record.mode) for record in caplog.records} >= {(str(data), "0755"), (str(data / "signing.key"), "0644")}
+    assert {(record.path, record.mode) for record in caplog.records} >= {
+        (str(data), "0755"),
+        (str(data / "signing.key"), "0644"),
+    }
     caplog.clear()
     storage.build().close()
     assert not caplog.records
@@ -66,13 +76,22 @@ def test_a_data_folder_that_others_may_read_is_closed_at_the_start_and_the_log_s
 
 def gate(number):
     rules = [{"rule": "rollout_improves", "ratio": 1.0 / (1 + number)}]
-    return json.dumps({"schema": "trueup.gate/1", "rules": rules, "scoring": {"horizon_s": 2.0, "windows": "first"}})
+    return json.dumps(
+        {
+            "schema": "trueup.gate/1",
+            "rules": rules,
+            "scoring": {"horizon_s": 2.0, "windows": "first"},
+        }
+    )
 
 
 @pytest.fixture
 def few(storage):
-    """A service that keeps five answers of each token, with two other tokens; and what it is built of."""
-    with Service(Storage(storage.name, storage.environment | {"TRUEUP_ANSWERS_KEPT": "5"})).running(worker=False) as service:
+    """A service that keeps five answers of each token, with two other tokens; and what it is built
+    of."""
+    with Service(Storage(storage.name, storage.environment | {"TRUEUP_ANSWERS_KEPT": "5"})).running(
+        worker=False
+    ) as service:
         parts = Storage(storage.name, storage.environment | {"TRUEUP_ANSWERS_KEPT": "5"}).build()
         with closing(Client(service.url)) as client:
             client.register_plant(plant_document("p"))
@@ -85,16 +104,47 @@ def test_a_tokens_oldest_answers_go_beyond_those_that_are_kept_and_no_others(few
     service, parts, other = few
     path, keys = "/v1/plants/p/gates", [uuid.uuid4().hex for _ in range(8)]
     theirs = uuid.uuid4().hex
-    assert request(service, "POST", path, gate(0), Idempotency_Key=theirs, Authorization=f"Bearer {other}", **JSON)[0] == 201
+    assert (
+        request(
+            service,
+            "POST",
+            path,
+            gate(0),
+            Idempotency_Key=theirs,
+            Authorization=f"Bearer {other}",
+            **JSON,
+        )[0]
+        == 201
+    )
     for number, key in enumerate(keys):
-        assert request(service, "POST", path, gate(number), Idempotency_Key=key, **JSON)[0] in (200, 201)
+        assert request(service, "POST", path, gate(number), Idempotency_Key=key, **JSON)[0] in (
+            200,
+            201,
+        )
     tidy(parts)
     tidy(parts)
     for key in keys[3:]:
-        assert problem(service, "POST", path, gate(99), Idempotency_Key=key, **JSON)[:2] == (409, "idempotency-key-reused")
-    assert problem(service, "POST", path, gate(99), Idempotency_Key=theirs, Authorization=f"Bearer {other}", **JSON)[0] == 409
+        assert problem(service, "POST", path, gate(99), Idempotency_Key=key, **JSON)[:2] == (
+            409,
+            "idempotency-key-reused",
+        )
+    assert (
+        problem(
+            service,
+            "POST",
+            path,
+            gate(99),
+            Idempotency_Key=theirs,
+            Authorization=f"Bearer {other}",
+            **JSON,
+        )[0]
+        == 409
+    )
     for key in keys[:3]:
-        assert request(service, "POST", path, gate(99), Idempotency_Key=key, **JSON)[0] in (200, 201)
+        assert request(service, "POST", path, gate(99), Idempotency_Key=key, **JSON)[0] in (
+            200,
+            201,
+        )
 
 
 def test_answers_go_by_their_age_and_no_sooner(few):
@@ -149,7 +199,10 @@ def test_a_plants_uploads_have_so_many_bytes_together_and_what_was_acknowledged_
     service, _ = small
     assert sent(service, upload("a"), b"x" * 60_000) == (200, 60_000)
     assert sent(service, upload("b"), b"x" * 60_000) == (429, "uploads-full")
-    assert sent(service, upload("b"), b"x" * 60_000, offset_of(service, "b")) == (429, "uploads-full")
+    assert sent(service, upload("b"), b"x" * 60_000, offset_of(service, "b")) == (
+        429,
+        "uploads-full",
+    )
     assert offset_of(service, "a") == 60_000
     assert sent(service, upload("a"), b"x" * 60_000, 60_000)[0] == 429
     assert offset_of(service, "a") + offset_of(service, "b") <= 100_000
@@ -175,7 +228,9 @@ def test_an_upload_that_began_when_all_were_in_one_folder_goes_on(small, tmp_pat
     service, _ = small
     name = hashlib.sha256(b"a").hexdigest()
     (tmp_path / "data" / "uploads").mkdir(mode=0o700)
-    (tmp_path / "data" / "uploads" / hashlib.sha256(f"p\n{name}".encode()).hexdigest()).write_bytes(b"x" * 10)
+    (tmp_path / "data" / "uploads" / hashlib.sha256(f"p\n{name}".encode()).hexdigest()).write_bytes(
+        b"x" * 10
+    )
     assert offset_of(service, "a") == 10
     assert sent(service, upload("a"), b"x" * 10, 10) == (200, 20)
 
@@ -186,7 +241,10 @@ def test_an_upload_that_began_when_all_were_in_one_folder_goes_on(small, tmp_pat
 def test_an_episode_whose_clocks_contradict_each_other_is_kept_with_a_warning(service, client):
     plant = f"p{uuid.uuid4().hex[:12]}"
     client.register_plant(plant_document(plant))
-    for data, told in ((episode_bytes(1), False), (relogged(episode_bytes(2), lambda t: 0 * t), True)):
+    for data, told in (
+        (episode_bytes(1), False),
+        (relogged(episode_bytes(2), lambda t: 0 * t), True),
+    ):
         status, _, body = request(service, "POST", f"/v1/plants/{plant}/episodes", data)
         assert status == 201
         warnings = json.loads(body)["summary"]["collection"]["warnings"]

@@ -1,4 +1,5 @@
-"""What others send is never held in the server's memory whole: arrays are read by a child, bodies have a limit all together."""
+"""What others send is never held in the server's memory whole: arrays are read by a child, bodies
+have a limit all together."""
 
 import asyncio
 import hashlib
@@ -52,12 +53,25 @@ def test_large_arrays_are_looked_at_by_another_process(server):
     digest, manifest = hashlib.sha256(arrays).hexdigest(), manifest_of(arrays)
     with closing(Client(service.url)) as client:
         client.register_plant(plant_document("p"))
-    request(service, "POST", "/v1/plants/p/artifacts", manifest_of(b"none"), Content_Type="application/json")  # loads what that needs
+    request(
+        service,
+        "POST",
+        "/v1/plants/p/artifacts",
+        manifest_of(b"none"),
+        Content_Type="application/json",
+    )  # loads what that needs
     before = peak_bytes(pid)
     assert request(service, "PUT", f"/v1/blobs/{digest}", arrays)[0] == 201
     with ThreadPoolExecutor(4) as at_once:
-        answers = list(at_once.map(lambda _: problem(service, "POST", "/v1/plants/p/artifacts", manifest), range(4)))
-    assert {(status, code) for status, code, _ in answers} <= {(422, "bad-artifact"), (422, "inspection-limit")}
+        answers = list(
+            at_once.map(
+                lambda _: problem(service, "POST", "/v1/plants/p/artifacts", manifest), range(4)
+            )
+        )
+    assert {(status, code) for status, code, _ in answers} <= {
+        (422, "bad-artifact"),
+        (422, "inspection-limit"),
+    }
     assert peak_bytes(pid) - before < LARGE // 2
 
 
@@ -70,9 +84,16 @@ def test_arrays_over_the_limit_are_413_before_they_are_sent_and_where_they_were_
         assert request(wide, "PUT", f"/v1/blobs/{digest}", arrays)[0] == 201
     narrow = Service(storage, arrays_limit_bytes=4000)
     with narrow.running(worker=False):
-        for method, path, body in (("PUT", f"/v1/blobs/{digest}", arrays), ("POST", "/v1/plants/p/artifacts", manifest_of(arrays))):
+        for method, path, body in (
+            ("PUT", f"/v1/blobs/{digest}", arrays),
+            ("POST", "/v1/plants/p/artifacts", manifest_of(arrays)),
+        ):
             status, code, document = problem(narrow, method, path, body)
-            assert (status, code, document["facts"]["limit_bytes"]) == (413, "upload-too-large", 4000)
+            assert (status, code, document["facts"]["limit_bytes"]) == (
+                413,
+                "upload-too-large",
+                4000,
+            )
             assert "TRUEUP_ARRAYS_LIMIT_BYTES" in document["hint"]
 
 
@@ -96,7 +117,10 @@ def test_one_token_leaves_room_for_others_and_who_has_none_takes_no_room():
 
     async def all_of_them():
         limiting = Limiting(app, 4 * ROOM)
-        greedy = [asyncio.create_task(limiting(*asked(4 << 20, "greedy", "/held"), None)) for _ in range(2)]
+        greedy = [
+            asyncio.create_task(limiting(*asked(4 << 20, "greedy", "/held"), None))
+            for _ in range(2)
+        ]
         await asyncio.sleep(0)
         with pytest.raises(MemoryFull, match="with this token"):
             await limiting(*asked(1 << 20, "greedy"), None)
@@ -147,9 +171,14 @@ def test_who_finds_no_room_is_told_when_to_come_again(server):
     answers = set()
     with ThreadPoolExecutor(8) as at_once:
         while 503 not in answers:
-            for status, headers, content in at_once.map(lambda _: request(service, "POST", "/v1/plants", body), range(8)):
+            for status, headers, content in at_once.map(
+                lambda _: request(service, "POST", "/v1/plants", body), range(8)
+            ):
                 assert status in {422, 503}
-                assert status != 503 or (headers["Retry-After"], json.loads(content)["code"]) == ("1", "memory-full")
+                assert status != 503 or (headers["Retry-After"], json.loads(content)["code"]) == (
+                    "1",
+                    "memory-full",
+                )
                 answers.add(status)
     assert problem(service, "POST", "/v1/plants", body, Content_Type="application/json")[0] == 422
 
@@ -158,7 +187,9 @@ def test_refused_bodies_do_not_stay_in_memory(server):
     service, pid = server
     body = b'{"x": "' + b"y" * (3 << 20)
     for _ in range(3):
-        assert problem(service, "POST", "/v1/plants", body, Content_Type="application/json")[0] == 422
+        assert (
+            problem(service, "POST", "/v1/plants", body, Content_Type="application/json")[0] == 422
+        )
     before = peak_bytes(pid)
     for _ in range(60):
         problem(service, "POST", "/v1/plants", body, Content_Type="application/json")
@@ -171,6 +202,13 @@ def test_json_that_is_nested_without_end_is_refused(server, opening):
     with closing(Client(service.url)) as client:
         client.register_plant(plant_document("p"))
     body = (opening * 200_000).encode()
-    for path in ("/v1/plants", "/v1/plants/p/gates", "/v1/plants/p/jobs", "/v1/plants/p/evidence", "/v1/plants/p/artifacts", "/v1/tokens"):
+    for path in (
+        "/v1/plants",
+        "/v1/plants/p/gates",
+        "/v1/plants/p/jobs",
+        "/v1/plants/p/evidence",
+        "/v1/plants/p/artifacts",
+        "/v1/tokens",
+    ):
         status, code, _ = problem(service, "POST", path, body, Content_Type="application/json")
         assert status in {400, 422}, (path, code)

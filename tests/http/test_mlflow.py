@@ -1,4 +1,5 @@
-"""Versions go to an MLflow registry and come back the same; what is known there of a model that was made elsewhere is in its provenance."""
+"""Versions go to an MLflow registry and come back the same; what is known there of a model that was
+made elsewhere is in its provenance."""
 
 import importlib
 import json
@@ -58,16 +59,27 @@ def judged(client, plant, tmp_path):
     """The decision on a version that is as the machine."""
     for seed, role in enumerate([Role.ADAPTATION, Role.VALIDATION]):
         client.upload_episode(plant, save(tmp_path, f"{role}.mcap", episode_bytes(seed, role=role)))
-    candidate, gate = client.add_artifact(plant, identified(plant, k=TRUE[0]).manifest)["digest"], client.declare_gate(plant)["digest"]
-    job = client.wait(client.submit(plant, {"kind": "gate", "candidate": candidate, "gate": gate})["id"])
+    candidate, gate = (
+        client.add_artifact(plant, identified(plant, k=TRUE[0]).manifest)["digest"],
+        client.declare_gate(plant)["digest"],
+    )
+    job = client.wait(
+        client.submit(plant, {"kind": "gate", "candidate": candidate, "gate": gate})["id"]
+    )
     return client.decision(plant, job["result"]["decision"])
 
 
-def test_what_serves_goes_there_once_and_is_marked(service, client, mlflow, registry, plant, tmp_path, capsys):
+def test_what_serves_goes_there_once_and_is_marked(
+    service, client, mlflow, registry, plant, tmp_path, capsys
+):
     decision = judged(client, plant, tmp_path)
     client.promote(plant, decision["digest"], 1)
     passing.export(plant, registry=registry, url=service.url, as_json_=True)
-    assert told(capsys) == {"model": f"models:/{plant}/1", "artifact": decision["candidate"], "serving": True}
+    assert told(capsys) == {
+        "model": f"models:/{plant}/1",
+        "artifact": decision["candidate"],
+        "serving": True,
+    }
     there = mlflow.MlflowClient()
     version = there.get_model_version_by_alias(plant, "serving")
     run = there.get_run(version.run_id).data
@@ -91,62 +103,107 @@ def test_what_serves_goes_there_once_and_is_marked(service, client, mlflow, regi
 
 def test_a_version_comes_back_as_it_went(service, client, mlflow, registry, plant, capsys):
     went = client.add_artifact(plant, identified(plant).manifest)["digest"]
-    passing.export(plant, artifact=went, name=f"{plant}-elsewhere", registry=registry, url=service.url)
+    passing.export(
+        plant, artifact=went, name=f"{plant}-elsewhere", registry=registry, url=service.url
+    )
     assert f"{went} is models:/{plant}-elsewhere/1" in capsys.readouterr().out
-    passing.import_(f"models:/{plant}-elsewhere/1", plant, registry=registry, url=service.url, as_json_=True)
+    passing.import_(
+        f"models:/{plant}-elsewhere/1", plant, registry=registry, url=service.url, as_json_=True
+    )
     assert told(capsys)["digest"] == went
     with pytest.raises(MlflowRefused, match="alias"):
-        passing.import_(f"models:/{plant}-elsewhere@serving", plant, registry=registry, url=service.url)
+        passing.import_(
+            f"models:/{plant}-elsewhere@serving", plant, registry=registry, url=service.url
+        )
     other = plant_document(f"{plant}-b")
     other["nominal"]["parameters"]["k"] = 9.0
     client.register_plant(other)
     with pytest.raises(Problem, match="another plant"):
-        passing.import_(f"models:/{plant}-elsewhere/1", other["name"], registry=registry, url=service.url)
+        passing.import_(
+            f"models:/{plant}-elsewhere/1", other["name"], registry=registry, url=service.url
+        )
 
 
 def logged(mlflow, folder, name, params):
     """A version that somebody else logged: a pickle, and a run with params."""
     there = mlflow.MlflowClient()
     experiment = there.get_experiment_by_name("elsewhere")
-    run = there.create_run(experiment.experiment_id if experiment else there.create_experiment("elsewhere")).info
+    run = there.create_run(
+        experiment.experiment_id if experiment else there.create_experiment("elsewhere")
+    ).info
     for key, x in params.items():
         there.log_param(run.run_id, key, x)
     there.log_metric(run.run_id, "rmse", 0.25)
     there.log_metric(run.run_id, "worst", float("inf"))
     folder.mkdir()
-    (folder / FILE).write_text("flavors:\n  sklearn: {pickled_model: m.pkl}\nutc_time_created: 2026-01-02 10:00:00\n")
+    (folder / FILE).write_text(
+        "flavors:\n  sklearn: {pickled_model: m.pkl}\nutc_time_created: 2026-01-02 10:00:00\n"
+    )
     there.log_artifacts(run.run_id, str(folder), "model")
     there.create_registered_model(name)
-    there.create_model_version(name, f"{run.artifact_uri}/model", run.run_id, tags={"who": "</script>"})
+    there.create_model_version(
+        name, f"{run.artifact_uri}/model", run.run_id, tags={"who": "</script>"}
+    )
     return run.run_id
 
 
-def test_a_model_from_elsewhere_becomes_a_candidate_that_says_so(service, client, mlflow, registry, plant, tmp_path, capsys):
+def test_a_model_from_elsewhere_becomes_a_candidate_that_says_so(
+    service, client, mlflow, registry, plant, tmp_path, capsys
+):
     run = logged(mlflow, tmp_path / "m", plant, {"k": "1.5", "c": 0.25, "b": 2, "solver": "lm"})
     passing.import_(f"models:/{plant}/1", plant, registry=registry, url=service.url, as_json_=True)
     found = told(capsys)
     assert (found["kind"], found["job"], found["version"]) == ("identified", None, 2)
-    manifest = json.loads(client.fetch(plant, found["digest"], tmp_path / "got").joinpath("manifest.json").read_text())
+    manifest = json.loads(
+        client.fetch(plant, found["digest"], tmp_path / "got").joinpath("manifest.json").read_text()
+    )
     assert manifest["predictor"]["parameters"] == {"k": 1.5, "c": 0.25, "b": 2.0}
     assert manifest["provenance"]["origin"] == "mlflow"
     known = manifest["provenance"]["mlflow"]
-    assert (known["source"], known["run"], known["registry"]) == (f"models:/{plant}/1", run, "sqlite")
-    assert (known["flavors"], known["created"], known["tags"]) == (["sklearn"], "2026-01-02 10:00:00", {"who": "</script>"})
+    assert (known["source"], known["run"], known["registry"]) == (
+        f"models:/{plant}/1",
+        run,
+        "sqlite",
+    )
+    assert (known["flavors"], known["created"], known["tags"]) == (
+        ["sklearn"],
+        "2026-01-02 10:00:00",
+        {"who": "</script>"},
+    )
     assert known["metrics"]["rmse"] == 0.25
-    assert known["metrics"]["worst"] is None or known["metrics"]["worst"] > 1e300  # this registry keeps an infinity as its largest number
+    assert (
+        known["metrics"]["worst"] is None or known["metrics"]["worst"] > 1e300
+    )  # this registry keeps an infinity as its largest number
     assert known["params"]["solver"] == "lm"
 
 
-@pytest.mark.parametrize(("b", "complaint"), [(None, "of its b"), ("x", "no numbers"), ("nan", "finite")])
-def test_what_makes_no_predictor_of_the_plant_is_refused(service, client, mlflow, registry, plant, tmp_path, b, complaint):
+@pytest.mark.parametrize(
+    ("b", "complaint"), [(None, "of its b"), ("x", "no numbers"), ("nan", "finite")]
+)
+def test_what_makes_no_predictor_of_the_plant_is_refused(
+    service, client, mlflow, registry, plant, tmp_path, b, complaint
+):
     logged(mlflow, tmp_path / "m", plant, {"k": 1, "c": 2, **({"b": b} if b else {})})
     with pytest.raises(NotImportable, match=complaint):
         passing.import_(f"models:/{plant}/1", plant, registry=registry, url=service.url)
     assert len(list(client.artifacts(plant))) == 1
 
 
-@pytest.mark.parametrize("text", ["- a\n- list\n", "{", None, "flavors: 7\n", "at: 2026-13-45\n", "2026-01-02: 3\n", "a: &x [*x]\n"])
-def test_folders_that_mlflow_did_not_write_are_refused(service, mlflow, registry, plant, tmp_path, text):
+@pytest.mark.parametrize(
+    "text",
+    [
+        "- a\n- list\n",
+        "{",
+        None,
+        "flavors: 7\n",
+        "at: 2026-13-45\n",
+        "2026-01-02: 3\n",
+        "a: &x [*x]\n",
+    ],
+)
+def test_folders_that_mlflow_did_not_write_are_refused(
+    service, mlflow, registry, plant, tmp_path, text
+):
     (tmp_path / "m").mkdir()
     if text is not None:
         (tmp_path / "m" / FILE).write_text(text)
@@ -154,7 +211,9 @@ def test_folders_that_mlflow_did_not_write_are_refused(service, mlflow, registry
         passing.import_(str(tmp_path / "m"), plant, registry=registry, url=service.url)
 
 
-def test_what_names_no_version_or_no_registry_is_told(service, mlflow, registry, plant, monkeypatch):
+def test_what_names_no_version_or_no_registry_is_told(
+    service, mlflow, registry, plant, monkeypatch
+):
     with pytest.raises(NotImportable, match="names no version"):
         passing.import_("models:/x/latest", plant, registry=registry, url=service.url)
     with pytest.raises(MlflowRefused, match=r"http://127\.0\.0\.1:1: ") as refused:
@@ -162,7 +221,9 @@ def test_what_names_no_version_or_no_registry_is_told(service, mlflow, registry,
     assert "secret" not in str(refused.value)
     with pytest.raises(MlflowRefused, match="no registry"):
         passing.export(plant, url=service.url)
-    monkeypatch.setattr(importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name)))
+    monkeypatch.setattr(
+        importlib, "import_module", lambda name: (_ for _ in ()).throw(ImportError(name))
+    )
     with pytest.raises(NotInstalled) as refused:
         passing.export(plant, registry=registry, url=service.url)
     assert "trueup[mlflow]" in refused.value.hint
@@ -187,15 +248,22 @@ def test_an_artifact_becomes_a_folder_that_loads_by_either_flavor(service, mlflo
     assert [x.name for x in session.get_inputs()] == ["state", "command"]
     document = json.loads((tmp_path / "m" / FILE).read_text())
     assert holds_artifact(document)
-    assert [c["name"] for c in json.loads(document["signature"]["inputs"])] == ["t_s", "u", "q", "v"]
+    assert [c["name"] for c in json.loads(document["signature"]["inputs"])] == [
+        "t_s",
+        "u",
+        "q",
+        "v",
+    ]
     (tmp_path / "m" / "artifact" / "manifest.json").write_text("{}")
     with pytest.raises(BadArtifact):
-        found.__class__.__module__ and importlib.import_module(flavors["python_function"]["loader_module"])._load_pyfunc(
-            str(tmp_path / "m" / "artifact")
-        )
+        found.__class__.__module__ and importlib.import_module(
+            flavors["python_function"]["loader_module"]
+        )._load_pyfunc(str(tmp_path / "m" / "artifact"))
 
 
-def test_what_was_changed_in_the_registry_is_not_taken_for_what_it_was(service, mlflow, registry, plant, tmp_path):
+def test_what_was_changed_in_the_registry_is_not_taken_for_what_it_was(
+    service, mlflow, registry, plant, tmp_path
+):
     kept(unpack(identified(plant)), tmp_path / "m" / "artifact")
     write_mlflow_model(tmp_path / "m", None, "2026-01-02T03:04:05Z")
     kept(unpack(identified(plant, k=99.0)), tmp_path / "m" / "artifact")
@@ -207,7 +275,14 @@ def test_what_was_changed_in_the_registry_is_not_taken_for_what_it_was(service, 
 
 
 @pytest.mark.parametrize(
-    "address", ["http://u:s3@h:5/x", "postgresql://u:s/3@h/db", "postgresql://h/db?password=s3", "sqlite:///x@y.db", "/a/b"]
+    "address",
+    [
+        "http://u:s3@h:5/x",
+        "postgresql://u:s/3@h/db",
+        "postgresql://h/db?password=s3",
+        "sqlite:///x@y.db",
+        "/a/b",
+    ],
 )
 def test_what_is_told_of_a_registry_holds_no_password(service, address):
     assert passing.where(address) in {"http://h:5", "postgresql", "sqlite", "file"}
@@ -225,6 +300,6 @@ def test_a_robot_loads_as_a_function_alone(service, tmp_path):
     model = write_mlflow_model(tmp_path / "m", None, "2026-01-02T03:04:05Z")
     assert set(json.loads((tmp_path / "m" / FILE).read_text())["flavors"]) == {"python_function"}
     assert not (tmp_path / "m" / "model.onnx").exists()
-    assert set(passing.numbers(model)) == {passing.key(name) for name in Plant.from_document(plant.document).dynamics.parameter_names} | {
-        "kind"
-    }
+    assert set(passing.numbers(model)) == {
+        passing.key(name) for name in Plant.from_document(plant.document).dynamics.parameter_names
+    } | {"kind"}

@@ -1,4 +1,5 @@
-"""Thirteen questions that a registry should answer safely, as they were asked of a widely used one, which answers three."""
+"""Thirteen questions that a registry should answer safely, as they were asked of a widely used one,
+which answers three."""
 
 import hashlib
 import json
@@ -30,20 +31,31 @@ def test_1_a_move_that_expects_an_older_position_is_refused(client, moved):
 
 
 def test_2_bytes_that_are_not_what_their_digest_names_are_refused(service, moved):
-    found = problem(service, "PUT", f"/v1/blobs/{'0' * 64}", b"bytes", Content_Type="application/octet-stream")
+    found = problem(
+        service, "PUT", f"/v1/blobs/{'0' * 64}", b"bytes", Content_Type="application/octet-stream"
+    )
     assert found[:2] == (422, "digest-mismatch")
 
 
 def test_3_the_bytes_of_what_is_registered_cannot_be_replaced(service, client, moved):
     digest = client.serving(moved[0]).artifact
     before = request(service, "GET", f"/v1/plants/{moved[0]}/artifacts/{digest}/manifest")[2]
-    assert request(service, "PUT", f"/v1/plants/{moved[0]}/artifacts/{digest}/manifest", b"{}", **JSON)[0] == 405
-    assert request(service, "GET", f"/v1/plants/{moved[0]}/artifacts/{digest}/manifest")[2] == before
+    assert (
+        request(
+            service, "PUT", f"/v1/plants/{moved[0]}/artifacts/{digest}/manifest", b"{}", **JSON
+        )[0]
+        == 405
+    )
+    assert (
+        request(service, "GET", f"/v1/plants/{moved[0]}/artifacts/{digest}/manifest")[2] == before
+    )
 
 
 def test_4_what_serves_cannot_be_deleted(service, client, moved):
     serving = client.serving(moved[0])
-    assert problem(service, "DELETE", f"/v1/plants/{moved[0]}/artifacts/{serving.artifact}")[:2] == (409, "kept")
+    assert problem(service, "DELETE", f"/v1/plants/{moved[0]}/artifacts/{serving.artifact}")[
+        :2
+    ] == (409, "kept")
     assert client.serving(moved[0]) == serving
 
 
@@ -52,18 +64,27 @@ def test_5_one_key_makes_one_version_and_is_refused_for_another(service, client,
     path, key = f"/v1/plants/{moved[0]}/artifacts", uuid.uuid4().hex
     answers = [request(service, "POST", path, one, Idempotency_Key=key, **JSON) for _ in range(2)]
     assert answers[0][2] == answers[1][2]
-    assert problem(service, "POST", path, other, Idempotency_Key=key, **JSON)[:2] == (409, "idempotency-key-reused")
+    assert problem(service, "POST", path, other, Idempotency_Key=key, **JSON)[:2] == (
+        409,
+        "idempotency-key-reused",
+    )
     assert [a["version"] for a in client.artifacts(moved[0])] == [1, 2, 3]
 
 
 def test_6_an_answer_that_has_not_changed_is_not_sent_again(service, moved):
     status, headers, _ = request(service, "GET", f"/v1/plants/{moved[0]}/serving")
     assert status == 200
-    assert request(service, "GET", f"/v1/plants/{moved[0]}/serving", If_None_Match=headers["etag"])[0] == 304
+    assert (
+        request(service, "GET", f"/v1/plants/{moved[0]}/serving", If_None_Match=headers["etag"])[0]
+        == 304
+    )
 
 
 def test_7_what_served_when_is_kept(client, moved):
-    assert [(s.generation, s.version, s.decision) for s in client.history(moved[0])] == [(1, 1, None), (2, 2, moved[1])]
+    assert [(s.generation, s.version, s.decision) for s in client.history(moved[0])] == [
+        (1, 1, None),
+        (2, 2, moved[1]),
+    ]
 
 
 def test_8_the_interface_describes_itself(service):
@@ -83,23 +104,36 @@ def test_10_nothing_serves_that_was_not_judged(client, moved):
     assert client.serving(moved[0]).generation == 2
 
 
-@pytest.mark.parametrize("name", ["../../etc/passwd", "..%2f..%2fetc%2fpasswd", "%2e%2e", "a/b", "file:///etc/passwd"])
+@pytest.mark.parametrize(
+    "name", ["../../etc/passwd", "..%2f..%2fetc%2fpasswd", "%2e%2e", "a/b", "file:///etc/passwd"]
+)
 def test_11_a_name_is_never_a_path(service, name):
     assert request(service, "GET", f"/v1/plants/{name}/serving")[0] in (404, 422)
     assert request(service, "GET", f"/v1/blobs/{name}")[0] in (404, 422)
 
 
-@pytest.mark.parametrize("source", ["http://127.0.0.1:1/model", "file:///etc/passwd", "s3://bucket/key"])
+@pytest.mark.parametrize(
+    "source", ["http://127.0.0.1:1/model", "file:///etc/passwd", "s3://bucket/key"]
+)
 def test_12_no_address_that_a_client_gives_is_taken(service, moved, source):
     manifest = json.dumps({"schema": "trueup.artifact/1", "source": source, "uri": source}).encode()
-    assert 400 <= problem(service, "POST", f"/v1/plants/{moved[0]}/artifacts", manifest, **JSON)[0] < 500
+    assert (
+        400
+        <= problem(service, "POST", f"/v1/plants/{moved[0]}/artifacts", manifest, **JSON)[0]
+        < 500
+    )
     body = json.dumps({"kind": "fit", "method": "identify", "source": source})
-    assert problem(service, "POST", f"/v1/plants/{moved[0]}/jobs", body, **JSON)[:2] == (422, "invalid-request")
+    assert problem(service, "POST", f"/v1/plants/{moved[0]}/jobs", body, **JSON)[:2] == (
+        422,
+        "invalid-request",
+    )
 
 
 def test_13_the_same_bytes_are_the_same_thing_and_come_back_as_they_were(client, moved, tmp_path):
     data = episode_bytes(77)
-    first, again = (client.upload_episode(moved[0], save(tmp_path, "e.mcap", data)) for _ in range(2))
+    first, again = (
+        client.upload_episode(moved[0], save(tmp_path, "e.mcap", data)) for _ in range(2)
+    )
     assert first == again
     client.download_episode(moved[0], first["digest"], tmp_path / "back")
     assert hashlib.sha256((tmp_path / "back").read_bytes()).hexdigest() == first["digest"]

@@ -1,4 +1,5 @@
-"""What is too large, and what is no longer what it was: bodies over the limit, damaged bytes, listings of long documents."""
+"""What is too large, and what is no longer what it was: bodies over the limit, damaged bytes,
+listings of long documents."""
 
 import hashlib
 import http.client
@@ -28,9 +29,19 @@ def plant(client):
 
 def test_json_over_the_limit_is_413_on_every_route_that_reads_a_body(service, plant):
     body = json.dumps({"name": "x" * (5 << 20)})
-    for path in ("/v1/plants", f"/v1/plants/{plant}/gates", f"/v1/plants/{plant}/jobs", f"/v1/plants/{plant}/evidence", "/v1/tokens"):
+    for path in (
+        "/v1/plants",
+        f"/v1/plants/{plant}/gates",
+        f"/v1/plants/{plant}/jobs",
+        f"/v1/plants/{plant}/evidence",
+        "/v1/tokens",
+    ):
         status, code, document = problem(service, "POST", path, body, **JSON)
-        assert (status, code, document["facts"]["limit_bytes"]) == (413, "upload-too-large", 4 << 20)
+        assert (status, code, document["facts"]["limit_bytes"]) == (
+            413,
+            "upload-too-large",
+            4 << 20,
+        )
 
 
 # -- damaged bytes
@@ -119,7 +130,10 @@ def test_a_damaged_manifest_is_not_sent(tmp_path):
             kept.execute("DROP TRIGGER IF EXISTS artifacts_kept")
             kept.execute("UPDATE artifacts SET manifest = replace(manifest, '0.4', '0.5')")
         kept.close()
-        assert problem(service, "GET", f"/v1/plants/p/artifacts/{digest}/manifest")[:2] == (500, "broken-chain")
+        assert problem(service, "GET", f"/v1/plants/p/artifacts/{digest}/manifest")[:2] == (
+            500,
+            "broken-chain",
+        )
         done = command(service, "fetch", "p", str(tmp_path / "model"), check=False)
         assert done.returncode == 4, done.stderr
         client.close()
@@ -152,16 +166,29 @@ def test_evidence_is_listed_in_pages_that_are_bounded_in_bytes(service, client, 
         page = json.loads(body)
         assert page["items"]
         found, after = found + page["items"], page["next"]
-    assert [e["digest"] for e in found] == added == [e["digest"] for e in client.evidence(plant, artifact)]
+    assert (
+        [e["digest"] for e in found]
+        == added
+        == [e["digest"] for e in client.evidence(plant, artifact)]
+    )
     assert [e["document"]["figures"]["number"] for e in found] == list(range(12))
     few = json.loads(request(service, "GET", f"{path}?limit=1")[2])
     assert ([e["digest"] for e in few["items"]], bool(few["next"])) == (added[:1], True)
-    assert json.loads(request(service, "GET", f"{path}?limit=1&after={found[-2]['created_at']}_{added[-2]}")[2])["next"] is None
+    assert (
+        json.loads(
+            request(service, "GET", f"{path}?limit=1&after={found[-2]['created_at']}_{added[-2]}")[
+                2
+            ]
+        )["next"]
+        is None
+    )
 
 
 def test_evidence_that_is_a_book_is_refused(service, client, plant):
     artifact = client.serving(plant).artifact
     for field in ("shows", "cannot_show"):
         body = json.dumps(said(artifact, 0, **{field: "x" * 10_001}))
-        status, code, document = problem(service, "POST", f"/v1/plants/{plant}/evidence", body, **JSON)
+        status, code, document = problem(
+            service, "POST", f"/v1/plants/{plant}/evidence", body, **JSON
+        )
         assert (status, code, document["facts"]["field"]) == (422, "bad-evidence", field)

@@ -1,4 +1,5 @@
-"""What people do wrong at the command, each told with what to do next, in words or as JSON, and never as a traceback."""
+"""What people do wrong at the command, each told with what to do next, in words or as JSON, and
+never as a traceback."""
 
 import json
 import time
@@ -27,7 +28,9 @@ def wrong(service):
     def told(*arguments):
         """What is printed, and as JSON."""
         said = command(service, *map(str, arguments), check=False)
-        assert (said.returncode, said.stdout, "Traceback" in said.stderr) == (1, "", False), said.stderr
+        assert (said.returncode, said.stdout, "Traceback" in said.stderr) == (1, "", False), (
+            said.stderr
+        )
         document = command(service, *map(str, arguments), "--json", check=False)
         assert document.returncode == 1
         found = json.loads(document.stdout)
@@ -41,14 +44,22 @@ def test_files_that_are_not_there_or_not_json_are_named(wrong, plant, tmp_path):
     (tmp_path / "plant.json").write_bytes(b"\x89\xff not json")
     (tmp_path / "bare").mkdir()
     assert "nothere.mcap" in wrong("upload", plant, tmp_path / "nothere.mcap")[0]
-    assert wrong("gate", plant, "ab", "--rules", tmp_path / "nothere.json")[1]["code"] in {"file", "no-such-digest"}
+    assert wrong("gate", plant, "ab", "--rules", tmp_path / "nothere.json")[1]["code"] in {
+        "file",
+        "no-such-digest",
+    }
     assert wrong("plant", "register", tmp_path / "plant.json")[1]["code"] == "bad-plant"
     assert "plant.json" in wrong("plant", "register", tmp_path / "bare")[0]
     assert "holds no *.mcap" in wrong("upload", plant, tmp_path / "bare")[0]
-    assert "there is no folder" in wrong("diagnose", tmp_path / "nowhere", "--out", tmp_path / "out")[0]
+    assert (
+        "there is no folder"
+        in wrong("diagnose", tmp_path / "nowhere", "--out", tmp_path / "out")[0]
+    )
 
 
-def test_the_broken_one_of_several_recordings_is_named_and_what_is_no_mcap_is_told_so(wrong, plant, tmp_path):
+def test_the_broken_one_of_several_recordings_is_named_and_what_is_no_mcap_is_told_so(
+    wrong, plant, tmp_path
+):
     whole, case = episode_bytes(1), tmp_path / "case"
     case.mkdir()
     (case / "plant.json").write_text(json.dumps(plant_document()))
@@ -62,7 +73,9 @@ def test_the_broken_one_of_several_recordings_is_named_and_what_is_no_mcap_is_to
     assert "It is no MCAP file" in wrong("upload", plant, tmp_path / "c.mcap")[0]
 
 
-def test_digests_may_be_short_and_a_candidate_is_no_decision(service, client, wrong, plant, tmp_path):
+def test_digests_may_be_short_and_a_candidate_is_no_decision(
+    service, client, wrong, plant, tmp_path
+):
     for seed, role in enumerate([Role.ADAPTATION, Role.VALIDATION]):
         client.upload_episode(plant, save(tmp_path, f"{role}.mcap", episode_bytes(seed, role=role)))
     candidate = client.add_artifact(plant, identified(plant, k=TRUE[0]).manifest)["digest"]
@@ -72,11 +85,15 @@ def test_digests_may_be_short_and_a_candidate_is_no_decision(service, client, wr
     judged = command(service, "gate", plant, candidate[:12]).stdout
     assert "every window of 2 s in 1 held-out episode" in judged
     decision = json.loads(command(service, "decisions", plant, "--json").stdout)[0]["digest"]
-    assert f"trueup promote {plant} {decision[:12]}" in wrong("promote", plant, candidate)[1]["hint"]
+    assert (
+        f"trueup promote {plant} {decision[:12]}" in wrong("promote", plant, candidate)[1]["hint"]
+    )
     promoted = command(service, "promote", plant, decision[:12]).stdout
     assert promoted == command(service, "promote", plant, decision).stdout  # it serves already
     assert candidate[:12] in command(service, "versions", plant).stdout
-    assert json.loads(command(service, "audit", "provenance", plant, candidate[:12], "--json").stdout)
+    assert json.loads(
+        command(service, "audit", "provenance", plant, candidate[:12], "--json").stdout
+    )
     command(service, "fetch", plant, str(tmp_path / "model"), "--artifact", candidate[:12])
 
 
@@ -91,11 +108,18 @@ def test_names_and_tokens_that_nobody_knows_lead_on(service, wrong, monkeypatch,
 def test_a_gate_says_what_it_needs_and_a_case_is_not_written_over(service, wrong, plant, tmp_path):
     (tmp_path / "gate.json").write_text("{}")
     candidate = json.loads(command(service, "versions", plant, "--json").stdout)[0]["digest"]
-    assert "a gate needs 'schema'" in wrong("gate", plant, candidate, "--rules", tmp_path / "gate.json")[0]
+    assert (
+        "a gate needs 'schema'"
+        in wrong("gate", plant, candidate, "--rules", tmp_path / "gate.json")[0]
+    )
     bag, case = tmp_path / "bag", tmp_path / "case"
     bag.mkdir()
     for seed in range(3):
-        save(bag, f"{seed}.mcap", episode_bytes(seed, role=Role.VALIDATION if seed == 2 else Role.ADAPTATION))
+        save(
+            bag,
+            f"{seed}.mcap",
+            episode_bytes(seed, role=Role.VALIDATION if seed == 2 else Role.ADAPTATION),
+        )
     command(service, "init", str(bag), "--out", str(case))
     (case / "plant.json").write_text("{}")
     assert "holds a plant.json already" in wrong("init", bag, "--out", case)[0]

@@ -1,4 +1,5 @@
-"""What others wrote never acts on the terminal of whoever runs a command, whatever a server answers and however files are named."""
+"""What others wrote never acts on the terminal of whoever runs a command, whatever a server answers
+and however files are named."""
 
 import json
 import logging
@@ -18,7 +19,9 @@ from trueup_cli.complaints import trace
 from trueup_client import Client
 from trueup_service.logs import JsonLines
 
-OURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\[\?25[lh]|\x1b\[[12][AK]|\r")  # colours, and what moves a progress bar
+OURS = re.compile(
+    r"\x1b\[[0-9;]*m|\x1b\[\?25[lh]|\x1b\[[12][AK]|\r"
+)  # colours, and what moves a progress bar
 JSON = {"Content_Type": "application/json"}
 COMMANDS = {  # each prints what others wrote, and ends with this code
     "plant list": 0,
@@ -42,7 +45,14 @@ COMMANDS = {  # each prints what others wrote, and ends with this code
     "upload PLANT FILE": 1,
     "predict --model FILE --episode FILE --horizon 1 --out OUT": 1,
 }
-AS_JSON = ("plant list", "plant show PLANT", "versions PLANT", "evidence PLANT --artifact ARTIFACT", "audit", "serving nobody")
+AS_JSON = (
+    "plant list",
+    "plant show PLANT",
+    "versions PLANT",
+    "evidence PLANT --artifact ARTIFACT",
+    "audit",
+    "serving nobody",
+)
 
 
 @pytest.fixture(scope="module")
@@ -57,19 +67,39 @@ def filled(service, tmp_path_factory):
     client.close()
     file = tmp_path_factory.mktemp("files") / f"{EVIL.replace('/', '')}.mcap"
     file.write_bytes(b"no recording")
-    names = {"PLANT": plant, "ARTIFACT": artifact, "DECISION": decision, "FILE": str(file), "NEW": plant, "OUT": str(file.parent / "out")}
+    names = {
+        "PLANT": plant,
+        "ARTIFACT": artifact,
+        "DECISION": decision,
+        "FILE": str(file),
+        "NEW": plant,
+        "OUT": str(file.parent / "out"),
+    }
     with hostile(service.port) as url:
         yield url, names
 
 
 def evidence(artifact, shows="that it moves", cannot_show="anything else"):
     said = {"shows": shows, "cannot_show": cannot_show}
-    return {"schema": SCHEMA, "artifact": artifact, "stage": "SIL", "passed": True, "figures": {}, **said}
+    return {
+        "schema": SCHEMA,
+        "artifact": artifact,
+        "stage": "SIL",
+        "passed": True,
+        "figures": {},
+        **said,
+    }
 
 
 def told(filled, tmp_path, line, *options, **environment):
     url, names = filled
-    here = {**os.environ, "TRUEUP_URL": url, "TRUEUP_TOKEN": ADMIN, "XDG_STATE_HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
+    here = {
+        **os.environ,
+        "TRUEUP_URL": url,
+        "TRUEUP_TOKEN": ADMIN,
+        "XDG_STATE_HOME": str(tmp_path),
+        "XDG_CONFIG_HOME": str(tmp_path),
+    }
     arguments = [names.get(word, word) for word in line.split()]
     return run("trueup_cli.main", [*arguments, *options], {**here, **environment}, ROOT)
 
@@ -78,7 +108,12 @@ def told(filled, tmp_path, line, *options, **environment):
 @pytest.mark.parametrize("terminal", [False, True], ids=["pipe", "terminal"])
 @pytest.mark.parametrize("line", COMMANDS)
 def test_nothing_that_a_terminal_obeys_comes_out_of_a_command(filled, tmp_path, line, terminal):
-    done = told(filled, tmp_path, line, **({"FORCE_COLOR": "1", "TERM": "xterm", "COLUMNS": "400"} if terminal else {}))
+    done = told(
+        filled,
+        tmp_path,
+        line,
+        **({"FORCE_COLOR": "1", "TERM": "xterm", "COLUMNS": "400"} if terminal else {}),
+    )
     said = done.stdout + done.stderr
     said = OURS.sub("", said) if terminal else said
     assert not OBEYED & set(said)
@@ -87,7 +122,13 @@ def test_nothing_that_a_terminal_obeys_comes_out_of_a_command(filled, tmp_path, 
 
 
 @pytest.mark.parametrize(
-    "words", [["upload", "p", "--\x1b]0;x\x07"], ["\u202e"], ["look", "--data", "\x9b2J"], ["gc", "--older", "\x1b[2J"]]
+    "words",
+    [
+        ["upload", "p", "--\x1b]0;x\x07"],
+        ["\u202e"],
+        ["look", "--data", "\x9b2J"],
+        ["gc", "--older", "\x1b[2J"],
+    ],
 )
 def test_what_is_misused_is_shown_and_not_obeyed(words):
     done = run("trueup_cli.main", words, {**os.environ, "NO_COLOR": "1", "COLUMNS": "200"}, ROOT)
@@ -108,25 +149,40 @@ def texts(value):
     """Every text in a JSON value."""
     if isinstance(value, str):
         yield value
-    for x in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+    for x in (
+        value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    ):
         yield from texts(x)
 
 
 @pytest.mark.parametrize("character", ["\x1b", "\x9b", "\x7f", "\u202e", "\u2028", "\r"])
 def test_evidence_in_words_that_a_terminal_obeys_is_refused(service, filled, character):
     plant, artifact = filled[1]["PLANT"], filled[1]["ARTIFACT"]
-    for document in (evidence(artifact, shows=f"a{character}b"), evidence(artifact, cannot_show=f"a{character}b")):
-        found = problem(service, "POST", f"/v1/plants/{plant}/evidence", json.dumps(document), **JSON)
+    for document in (
+        evidence(artifact, shows=f"a{character}b"),
+        evidence(artifact, cannot_show=f"a{character}b"),
+    ):
+        found = problem(
+            service, "POST", f"/v1/plants/{plant}/evidence", json.dumps(document), **JSON
+        )
         assert found[:2] == (422, "bad-evidence")
         assert f"U+{ord(character):04X}" in found[2]["detail"]
-    several = json.dumps(evidence(artifact, shows="one line\nand another,\twith a tab: é and \u200d"))
-    assert request(service, "POST", f"/v1/plants/{plant}/evidence", several, **JSON)[0] in (200, 201)
+    several = json.dumps(
+        evidence(artifact, shows="one line\nand another,\twith a tab: é and \u200d")
+    )
+    assert request(service, "POST", f"/v1/plants/{plant}/evidence", several, **JSON)[0] in (
+        200,
+        201,
+    )
 
 
 def test_an_actor_that_a_terminal_obeys_is_refused(service):
     body = json.dumps(plant_document(f"p{uuid.uuid4().hex[:12]}"))
     for actor in ("a\x9b2J", "a\tb", "a\x85b"):
-        assert problem(service, "POST", "/v1/plants", body, Trueup_Actor=actor, **JSON)[:2] == (400, "bad-request")
+        assert problem(service, "POST", "/v1/plants", body, Trueup_Actor=actor, **JSON)[:2] == (
+            400,
+            "bad-request",
+        )
     for actor in ("a\x1b[2J", "a\x7f"):  # no header may hold these
         assert request(service, "POST", "/v1/plants", body, Trueup_Actor=actor, **JSON)[0] == 400
     assert request(service, "POST", "/v1/plants", body, Trueup_Actor="Zoé", **JSON)[0] == 201
@@ -139,7 +195,9 @@ def test_names_of_tokens_and_reasons_are_one_line_of_text(service):
 
 
 def test_a_line_of_the_log_is_one_line_of_ascii():
-    record = logging.makeLogRecord({"msg": EVIL, "levelname": "INFO", "name": "x", "path": EVIL, "half": "\ud800"})
+    record = logging.makeLogRecord(
+        {"msg": EVIL, "levelname": "INFO", "name": "x", "path": EVIL, "half": "\ud800"}
+    )
     line = JsonLines().format(record)
     assert line.isascii()
     assert not OBEYED & set(line)

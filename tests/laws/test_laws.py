@@ -8,7 +8,14 @@ import pytest
 
 from tests.support.robots import ARM, EVERYTHING
 from trueup.chapter.data import PLANT, draw
-from trueup.checks import detector_laws, dynamics_laws, effect_laws, family_laws, predictor_laws, rule_laws
+from trueup.checks import (
+    detector_laws,
+    dynamics_laws,
+    effect_laws,
+    family_laws,
+    predictor_laws,
+    rule_laws,
+)
 from trueup.checks.law import LawBroken
 from trueup.fit.residual import fit_blind, fit_conditioned, fit_residual
 from trueup.fit.rollout_fit import Directions, Fitter
@@ -43,7 +50,12 @@ def predictors():
 
 
 def _corrected():
-    fitter = Fitter(PLANT.form, Directions.of_family(PLANT.dynamics.parameter_names), [Scales(0.6, 0.5, 0.7, 1.0)], np.ones(2))
+    fitter = Fitter(
+        PLANT.form,
+        Directions.of_family(PLANT.dynamics.parameter_names),
+        [Scales(0.6, 0.5, 0.7, 1.0)],
+        np.ones(2),
+    )
     values = fitter.with_effect(fitter.begin((1.2, 0.6, 0.8)), "coulomb_friction", (0.2,))
     values = fitter.with_effect(values, "actuator_lag", (0.1,))
     both = Hypothesis() | "coulomb_friction" | "actuator_lag"
@@ -89,10 +101,16 @@ def forget_nulls():
 
 
 @pytest.mark.parametrize(
-    "law", [effect_laws.vanishes_at_its_null, effect_laws.every_parameter_matters, effect_laws.its_value_is_found_again]
+    "law",
+    [
+        effect_laws.vanishes_at_its_null,
+        effect_laws.every_parameter_matters,
+        effect_laws.its_value_is_found_again,
+    ],
 )
 def test_an_effect_that_is_not_what_it_says_is_caught(law, monkeypatch):
-    """Another effect's numbers in this one's rows: the null is no null, numbers do nothing, values are not found."""
+    """Another effect's numbers in this one's rows: the null is no null, numbers do nothing, values
+    are not found."""
     deadband = effects()["deadband"]
     wrong = tuple(replace(n, null=0.3) for n in deadband.params)
     monkeypatch.setattr(deadband, "params", wrong)
@@ -101,10 +119,15 @@ def test_an_effect_that_is_not_what_it_says_is_caught(law, monkeypatch):
         effect_laws,
         "switches",
         lambda h, joints=1: (
-            np.zeros((len(effects()), joints), np.uint8) if law is not effect_laws.vanishes_at_its_null else switches(h, joints)
+            np.zeros((len(effects()), joints), np.uint8)
+            if law is not effect_laws.vanishes_at_its_null
+            else switches(h, joints)
         ),
     )
-    monkeypatch.setattr("trueup.fit.rollout_fit.switches", lambda h, joints: np.zeros((len(effects()), joints), np.uint8))
+    monkeypatch.setattr(
+        "trueup.fit.rollout_fit.switches",
+        lambda h, joints: np.zeros((len(effects()), joints), np.uint8),
+    )
     try:
         with pytest.raises(LawBroken):
             law(deadband)
@@ -122,7 +145,11 @@ def _makers():
     """Each family, and robots from MJCF, with parameters about their own."""
     rng = np.random.default_rng(5)
     for name, family in families().items():
-        yield name, CompiledFamily(family), rng.uniform(0.2, 1.5, (dynamics_laws.VECTORS, len(family.params)))
+        yield (
+            name,
+            CompiledFamily(family),
+            rng.uniform(0.2, 1.5, (dynamics_laws.VECTORS, len(family.params))),
+        )
     for name, text in (("arm", ARM), ("branches and slides", EVERYTHING)):
         tree = tree_of(mujoco, mujoco.MjModel.from_xml_string(text))
         own = np.array(tree.parameters)
@@ -131,7 +158,11 @@ def _makers():
 
 
 @pytest.mark.parametrize("law", dynamics_laws.LAWS, ids=lambda f: f.__name__)
-@pytest.mark.parametrize(("name", "dynamics", "parameters"), list(_makers()), ids=lambda x: x if isinstance(x, str) else "")
+@pytest.mark.parametrize(
+    ("name", "dynamics", "parameters"),
+    list(_makers()),
+    ids=lambda x: x if isinstance(x, str) else "",
+)
 def test_dynamics(law, name, dynamics, parameters):
     law(dynamics, parameters, name)
 
@@ -186,7 +217,9 @@ def test_a_planted_fault_in_a_family_is_caught(law):
 
 def test_a_family_that_compiles_to_something_else_is_caught():
     with pytest.raises(LawBroken):
-        dynamics_laws.compiled_equals_numpy(CompiledFamily(_TwoFaced), np.ones((dynamics_laws.VECTORS, 1)), "two-faced")
+        dynamics_laws.compiled_equals_numpy(
+            CompiledFamily(_TwoFaced), np.ones((dynamics_laws.VECTORS, 1)), "two-faced"
+        )
 
 
 @dataclass
@@ -204,7 +237,14 @@ class _Credulous(Rule):
     name = "credulous"
 
     def __call__(self, trial):
-        return Verdict(self.name, not max(trial.candidate.rollout) > 2 * max(trial.incumbent.rollout), 0.0, 0.0, "1", "")
+        return Verdict(
+            self.name,
+            not max(trial.candidate.rollout) > 2 * max(trial.incumbent.rollout),
+            0.0,
+            0.0,
+            "1",
+            "",
+        )
 
 
 @dataclass
@@ -212,7 +252,14 @@ class _Perverse(Rule):
     name = "perverse"
 
     def __call__(self, trial):
-        return Verdict(self.name, bool(np.mean(trial.candidate.rollout) > np.mean(trial.incumbent.rollout)), 0.0, 0.0, "1", "")
+        return Verdict(
+            self.name,
+            bool(np.mean(trial.candidate.rollout) > np.mean(trial.incumbent.rollout)),
+            0.0,
+            0.0,
+            "1",
+            "",
+        )
 
 
 @dataclass
@@ -231,7 +278,12 @@ class _Inverted(Rule):
 
     def __call__(self, trial):
         return Verdict(
-            self.name, bool(self.slack * np.mean(trial.candidate.rollout) <= np.mean(trial.incumbent.rollout)), 0.0, 0.0, "1", ""
+            self.name,
+            bool(self.slack * np.mean(trial.candidate.rollout) <= np.mean(trial.incumbent.rollout)),
+            0.0,
+            0.0,
+            "1",
+            "",
         )
 
 
@@ -273,7 +325,9 @@ class _Drifting(Nominal):
         return super().predict_batch(states, issued, h_s) + 1e-13 * states
 
 
-@pytest.mark.parametrize(("law", "kind"), list(zip(predictor_laws.LAWS, (_Mixing, _Scribbling, _Drifting), strict=True)))
+@pytest.mark.parametrize(
+    ("law", "kind"), list(zip(predictor_laws.LAWS, (_Mixing, _Scribbling, _Drifting), strict=True))
+)
 def test_a_planted_fault_in_a_predictor_is_caught(law, kind):
     with pytest.raises(LawBroken):
         law(kind(PLANT))
@@ -332,7 +386,9 @@ class _Deaf(QuantileRun):
 
 
 @pytest.mark.parametrize(
-    ("law", "kind"), list(zip(detector_laws.LAWS, (_Amnesic, _Late, _Foreseeing, _Nervous, _Deaf), strict=True)), ids=lambda x: x.__name__
+    ("law", "kind"),
+    list(zip(detector_laws.LAWS, (_Amnesic, _Late, _Foreseeing, _Nervous, _Deaf), strict=True)),
+    ids=lambda x: x.__name__,
 )
 def test_a_planted_fault_in_a_detector_is_caught(law, kind, calibrated):
     healthy = calibrated["quantile_run"]

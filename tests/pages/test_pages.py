@@ -1,4 +1,5 @@
-"""What people see, in a real browser: by keyboard alone, at two widths, in light and dark, with names that are hostile."""
+"""What people see, in a real browser: by keyboard alone, at two widths, in light and dark, with
+names that are hostile."""
 
 import json
 import re
@@ -22,7 +23,10 @@ HOSTILE = "<img src=x onerror=\"document.title='taken'\"><script>document.title=
 LIGHTEST = 500_000
 A_MINUTE = 120_000  # and another, on a slow machine [ms]
 expect.set_options(timeout=A_MINUTE)
-FOCUSED = "[document.activeElement].map(e => e.getAttribute('aria-label') || e.innerText || e.name || '')[0]"
+FOCUSED = (
+    "[document.activeElement].map(e => e.getAttribute('aria-label') || e.innerText || "
+    "e.name || '')[0]"
+)
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +46,30 @@ def known(running):
     """The real recordings, one accepted and promoted candidate, and a diagnosis."""
     command(running, "plant", "register", str(EXAMPLE))
     command(running, "upload", "emps", str(EXAMPLE))
-    fitted = json.loads(command(running, "fit", "emps", "--method", "identify", "--json").stdout)["result"]["artifact"]
-    decision = json.loads(command(running, "gate", "emps", fitted, "--rules", str(EXAMPLE / "gate.json"), "--json").stdout)
+    fitted = json.loads(command(running, "fit", "emps", "--method", "identify", "--json").stdout)[
+        "result"
+    ]["artifact"]
+    decision = json.loads(
+        command(
+            running, "gate", "emps", fitted, "--rules", str(EXAMPLE / "gate.json"), "--json"
+        ).stdout
+    )
     command(running, "promote", "emps", decision["digest"])
     job = json.loads(command(running, "diagnosis", "emps", "--json").stdout)
     with Client(running.url) as client:
         first, third = (client.version("emps", v)["digest"] for v in (1, 3))
         for episodes in (None, decision["document"]["episodes"][:1]):
-            client.wait(client.submit("emps", {"kind": "compare", "first": first, "second": third, "episodes": episodes})["id"])
-    return {"decision": decision["digest"], "job": job["id"], "episode": decision["document"]["episodes"][0]}
+            client.wait(
+                client.submit(
+                    "emps",
+                    {"kind": "compare", "first": first, "second": third, "episodes": episodes},
+                )["id"]
+            )
+    return {
+        "decision": decision["digest"],
+        "job": job["id"],
+        "episode": decision["document"]["episodes"][0],
+    }
 
 
 @pytest.fixture(scope="module")
@@ -71,13 +90,26 @@ def pages(known):
 class Seat:
     """Somebody at a browser, signed in; what the page complains of is kept."""
 
-    def __init__(self, browser, service, width=1280, scheme="light", *, scripts=True, signed_in=True):
+    def __init__(
+        self, browser, service, width=1280, scheme="light", *, scripts=True, signed_in=True
+    ):
         self.url, self.faults, self.loaded = service.url, [], []
-        self.context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, java_script_enabled=scripts)
-        self.context.set_default_timeout(3 * A_MINUTE)  # a browser that has a twelfth of one core gets there, too
+        self.context = browser.new_context(
+            viewport={"width": width, "height": 900},
+            color_scheme=scheme,
+            java_script_enabled=scripts,
+        )
+        self.context.set_default_timeout(
+            3 * A_MINUTE
+        )  # a browser that has a twelfth of one core gets there, too
         self.page = self.context.new_page()
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.page.on("console", lambda said: self.faults.append(said.text) if said.type in ("error", "warning") else None)
+        self.page.on(
+            "console",
+            lambda said: (
+                self.faults.append(said.text) if said.type in ("error", "warning") else None
+            ),
+        )
         self.page.on("response", lambda response: self.loaded.extend([response]))
         if signed_in:
             self.go("/sign-in")
@@ -115,7 +147,9 @@ def seat(browser, running, known):
 
 
 @pytest.mark.parametrize("width", WIDTHS.values(), ids=WIDTHS)
-def test_no_page_is_wider_than_the_screen_or_has_a_serious_fault_in_either_scheme(browser, running, pages, width):
+def test_no_page_is_wider_than_the_screen_or_has_a_serious_fault_in_either_scheme(
+    browser, running, pages, width
+):
     seat = Seat(browser, running, width)
     for name, path in pages.items():
         seat.go(path)
@@ -130,13 +164,19 @@ def test_no_page_is_wider_than_the_screen_or_has_a_serious_fault_in_either_schem
 
 
 def _faults(page, **options):
-    return [v for v in Axe().run(page, options=options).response["violations"] if v["impact"] in SERIOUS]
+    return [
+        v for v in Axe().run(page, options=options).response["violations"] if v["impact"] in SERIOUS
+    ]
 
 
 def test_nothing_is_loaded_from_elsewhere_and_a_diagnosis_is_light(seat, pages, running):
     seat.loaded.clear()
     seat.go(pages["diagnosis"])
-    assert {re.match(r"[a-z]+://[^/]+", r.url).group() for r in seat.loaded if not r.url.startswith("data:")} == {running.url}
+    assert {
+        re.match(r"[a-z]+://[^/]+", r.url).group()
+        for r in seat.loaded
+        if not r.url.startswith("data:")
+    } == {running.url}
     assert sum(len(r.body()) for r in seat.loaded) < LIGHTEST
     policy = seat.loaded[0].headers["content-security-policy"]
     assert "default-src 'none'" in policy
@@ -170,7 +210,9 @@ def test_a_link_signs_in_and_its_token_never_leaves_the_browser(browser, running
     seat.context.close()
 
 
-@pytest.mark.parametrize("to", ["//elsewhere.example/", "https://elsewhere.example/", "/\\elsewhere.example"])
+@pytest.mark.parametrize(
+    "to", ["//elsewhere.example/", "https://elsewhere.example/", "/\\elsewhere.example"]
+)
 def test_signing_in_leads_nowhere_else(browser, running, known, to):
     seat = Seat(browser, running, signed_in=False)
     seat.go(f"/sign-in?next={to}")
@@ -182,7 +224,10 @@ def test_signing_in_leads_nowhere_else(browser, running, known, to):
 
 def test_a_serious_fault_would_be_found(seat, pages):
     seat.go(pages["plant"])
-    seat.page.evaluate("document.querySelector('main').insertAdjacentHTML('beforeend', '<input><img src=\"data:,\">')")
+    seat.page.evaluate(
+        "document.querySelector('main').insertAdjacentHTML('beforeend', '<input><img "
+        'src="data:,">\')'
+    )
     assert {"label", "image-alt"} <= {v["id"] for v in _faults(seat.page)}
 
 
@@ -192,14 +237,18 @@ def test_a_serious_fault_would_be_found(seat, pages):
 def test_from_all_plants_to_what_a_diagnosis_says_by_keyboard_alone(seat, pages, running):
     seat.go("/")
     seat.press("Tab")
-    assert seat.page.evaluate("document.activeElement.className") == "skip"  # the first stop leads past the navigation
+    assert (
+        seat.page.evaluate("document.activeElement.className") == "skip"
+    )  # the first stop leads past the navigation
     seat.tab_to("emps")
     seat.press("Enter")
     seat.page.wait_for_url(f"{running.url}/plants/emps")
     seat.tab_to("diagnosis succeeded")
     seat.press("Enter")
     seat.page.wait_for_url(running.url + pages["diagnosis"])
-    expect(seat.page.locator("h1")).to_contain_text(re.compile(r"held-out error falls from 0\.37\d* to 0\.00\d+"))
+    expect(seat.page.locator("h1")).to_contain_text(
+        re.compile(r"held-out error falls from 0\.37\d* to 0\.00\d+")
+    )
     seat.tab_to("layer")
     shown = seat.page.locator(".layer.nominal").first
     expect(shown).to_be_visible()
@@ -217,8 +266,12 @@ def test_a_recording_is_looked_through_by_keyboard(seat, pages):
     then = seat.page.locator(".values td").all_inner_texts()
     assert first[0] == then[0] == "q"
     assert first != then
-    assert float(then[4]) == pytest.approx(float(then[3]) - float(then[1]), abs=1e-3)  # corrected less measured
-    assert seat.page.locator("#recordings canvas").count() == 3  # the signal, its error, the command
+    assert float(then[4]) == pytest.approx(
+        float(then[3]) - float(then[1]), abs=1e-3
+    )  # corrected less measured
+    assert (
+        seat.page.locator("#recordings canvas").count() == 3
+    )  # the signal, its error, the command
     other = seat.page.get_by_label("recording")
     other.focus()
     seat.press("ArrowDown")
@@ -254,7 +307,9 @@ def test_two_versions_are_compared_by_a_button(seat, running):
     seat.page.wait_for_url(re.compile("/compare"))
     seat.go("/plants/emps/compare?first=1&second=2")
     changed = seat.page.get_by_role("region", name="what changed", exact=True)
-    expect(changed.get_by_role("row", name="parameter b")).to_contain_text("0.37")  # as it was declared
+    expect(changed.get_by_role("row", name="parameter b")).to_contain_text(
+        "0.37"
+    )  # as it was declared
     seat.tab_to("Compare on what was held out")
     seat.press("Enter")
     expect(seat.page.locator("#recordings canvas").first).to_be_visible(timeout=A_MINUTE)
@@ -264,11 +319,18 @@ def test_two_versions_are_compared_by_a_button(seat, running):
     diagnosed = _ratios(seat)
     assert len(identified) == len(diagnosed) == 2
     for of_numbers, of_effects in zip(identified, diagnosed, strict=True):
-        assert of_effects < 0.05 < of_numbers < 1.0  # other numbers take a part of the declared model's error, effects nearly all
+        assert (
+            of_effects < 0.05 < of_numbers < 1.0
+        )  # other numbers take a part of the declared model's error, effects nearly all
 
 
 def _ratios(seat):
-    return [float(r) for r in seat.page.get_by_role("region", name="errors by episode").locator("td:last-child").all_inner_texts()]
+    return [
+        float(r)
+        for r in seat.page.get_by_role("region", name="errors by episode")
+        .locator("td:last-child")
+        .all_inner_texts()
+    ]
 
 
 def test_an_episode_is_looked_through_and_taken_to_foxglove(seat, pages, running, tmp_path):
@@ -276,17 +338,24 @@ def test_an_episode_is_looked_through_and_taken_to_foxglove(seat, pages, running
     seat.tab_to("Roll out again")
     seat.press("Enter")
     expect(seat.page.locator("#recordings canvas").first).to_be_visible(timeout=A_MINUTE)
-    for link, name in (("Download with predictions", "overlay.mcap"), ("Layout for Foxglove", "layout.json")):
+    for link, name in (
+        ("Download with predictions", "overlay.mcap"),
+        ("Layout for Foxglove", "layout.json"),
+    ):
         with seat.page.expect_download() as download:
             seat.page.get_by_role("link", name=link).click()
         download.value.save_as(tmp_path / name)
     panels = json.loads((tmp_path / "layout.json").read_text())["configById"].values()
-    plotted = {line["value"].partition(".")[0] for panel in panels for line in panel.get("paths", ())}
+    plotted = {
+        line["value"].partition(".")[0] for panel in panels for line in panel.get("paths", ())
+    }
     with (tmp_path / "overlay.mcap").open("rb") as file:
         topics = {c.topic for c in make_reader(file).get_summary().channels.values()}
     assert {"/joint_states", "/joint_commands", "/trueup/regions"} <= topics
     assert plotted <= topics
-    assert len(plotted) == 5  # what was recorded, and of two versions the prediction and the residual
+    assert (
+        len(plotted) == 5
+    )  # what was recorded, and of two versions the prediction and the residual
 
 
 # -- going back
@@ -326,7 +395,11 @@ def test_the_log_is_filtered_and_held_against_a_head_that_was_kept(seat, running
     assert "not as it was" not in seat.page.locator("main").inner_text()
     name, size, root, *signed = kept.split("\n")
     changed = "\n".join([name, size, f"{root[1:-1]}{root[0]}=", *signed])
-    for note, said in ((kept, "extends the checkpoint"), (changed, "are not those of the checkpoint"), ("hello", "no checkpoint")):
+    for note, said in (
+        (kept, "extends the checkpoint"),
+        (changed, "are not those of the checkpoint"),
+        ("hello", "no checkpoint"),
+    ):
         seat.page.get_by_label("Checkpoint").fill(note)
         seat.page.get_by_role("button", name="Compare").click()
         expect(seat.page.get_by_role("status")).to_contain_text(said)
@@ -347,7 +420,12 @@ def test_hostile_names_are_text(browser, running, known, tmp_path):
             client.add_artifact("hostile", made.manifest, made.arrays)
     seat = Seat(browser, running)
     searched = f"/?q={HOSTILE[:60]}", f"/audit?kind={HOSTILE[:30]}"
-    for path in ("/plants/hostile", f"/plants/hostile/episodes/{digest}", "/audit?plant=hostile", *searched):
+    for path in (
+        "/plants/hostile",
+        f"/plants/hostile/episodes/{digest}",
+        "/audit?plant=hostile",
+        *searched,
+    ):
         seat.go(path)
         assert seat.page.title() != "taken", path
         assert seat.page.locator("main img").count() == 0, path
@@ -383,7 +461,9 @@ def test_a_report_is_the_same_page_as_one_file(browser, running, pages, seat, tm
     alone.goto((tmp_path / "report.html").as_uri())
     assert alone.locator("h1").inner_text() == seat.page.locator("h1").inner_text()
     assert alone.locator("#recordings canvas").count() == 3
-    assert [h.inner_text() for h in alone.locator("h2").all()] == [h.inner_text() for h in seat.page.locator("h2").all()]
+    assert [h.inner_text() for h in alone.locator("h2").all()] == [
+        h.inner_text() for h in seat.page.locator("h2").all()
+    ]
     assert faults == []
     assert len(Path(tmp_path / "report.html").read_bytes()) < LIGHTEST
 

@@ -25,7 +25,10 @@ from trueup_service.registry.store import Reader, Writer
 from trueup_worker.schedule import submit_due
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
-FOUND = {"episode": "e" * 64, "document": {"since_ns": "0", "detectors": {}, "change": {"words": []}}}
+FOUND = {
+    "episode": "e" * 64,
+    "document": {"since_ns": "0", "detectors": {}, "change": {"words": []}},
+}
 
 
 def at(second: float) -> Stamp:
@@ -46,7 +49,11 @@ def add_episode(parts, name: str, role: str, second: float, start_ns: int = 0) -
     digest = name * 64
     summary = {"conditions": {}, "ranges": {}, "period_s": 0.1}
     with parts.database.write() as connection:
-        Writer(connection).add_episode(EpisodeRecord("p", digest, 1, role, start_ns, start_ns, summary, at(second).now, "robot"))
+        Writer(connection).add_episode(
+            EpisodeRecord(
+                "p", digest, 1, role, start_ns, start_ns, summary, at(second).now, "robot"
+            )
+        )
     return digest
 
 
@@ -88,13 +95,19 @@ def finish(parts, kind: str, **result: object) -> None:
 def test_a_monitor_moves_on_once_over_what_it_has_not_seen(parts):
     add_episode(parts, "a", "reference", 1)
     monitor = add_monitor_of(parts, serving(parts), 2)
-    later, earlier = add_episode(parts, "b", "telemetry", 3, start_ns=9), add_episode(parts, "c", "adaptation", 4, start_ns=5)
+    later, earlier = (
+        add_episode(parts, "b", "telemetry", 3, start_ns=9),
+        add_episode(parts, "c", "adaptation", 4, start_ns=5),
+    )
     add_episode(parts, "d", "test", 5)
     with parts.database.write() as connection:
         writer = Writer(connection)
         before = writer.watching("p")
         assert [e.digest for e in writer.unwatched(before, WATCHED, 10)] == [earlier, later]
-        seen = [Watch("p", monitor, i + 1, d, {"seconds": 1.0}, at(6).now) for i, d in enumerate([earlier, later])]
+        seen = [
+            Watch("p", monitor, i + 1, d, {"seconds": 1.0}, at(6).now)
+            for i, d in enumerate([earlier, later])
+        ]
         followed = Followed(before, {"detector": [1.5]}, seen, None)
         assert record_watch(writer, followed, "0" * 32, at(6))
         assert not record_watch(writer, followed, "1" * 32, at(6))
@@ -112,7 +125,9 @@ def test_while_an_alarm_is_open_no_other_is_raised(parts):
         close_alarm(writer, "p", first.id, "mended", at(3))
         with pytest.raises(Conflict):
             close_alarm(writer, "p", first.id, "again", at(4))
-        assert raise_alarm(writer, "2" * 32, "p", None, serving_of(writer), FOUND, at(5)) is not None
+        assert (
+            raise_alarm(writer, "2" * 32, "p", None, serving_of(writer), FOUND, at(5)) is not None
+        )
         with pytest.raises(NotFound):
             close_alarm(writer, "q", first.id, "another's", at(6))
 
@@ -130,10 +145,14 @@ def test_a_look_is_asked_for_once_and_not_of_a_monitor_of_another_model(parts):
     assert jobs(parts) == ["watch"]
 
 
-def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_twice_as_much(parts):
+def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_twice_as_much(
+    parts,
+):
     add_episode(parts, "a", "adaptation", 1, start_ns=-5)  # from before the change
     with parts.database.write() as connection:
-        raise_alarm(writer := Writer(connection), "0" * 32, "p", None, serving_of(writer), FOUND, at(2))
+        raise_alarm(
+            writer := Writer(connection), "0" * 32, "p", None, serving_of(writer), FOUND, at(2)
+        )
     add_episode(parts, "b", "adaptation", 3, start_ns=1)
     go_on(parts, 4)
     assert jobs(parts) == []
@@ -150,7 +169,9 @@ def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_
     assert jobs(parts) == ["diagnose"] * 2
     with parts.database.read() as connection:
         reader = Reader(connection)
-        assert reader.job(reader.open_alarm("p").job).request["episodes"] == [d * 64 for d in "bcde"]
+        assert reader.job(reader.open_alarm("p").job).request["episodes"] == [
+            d * 64 for d in "bcde"
+        ]
     finish(parts, "diagnose", report={"verdict": "effect"}, artifact="f" * 64)
     for i, d in enumerate("0123"):
         add_episode(parts, d, "validation", 12 + i, start_ns=6 + i)
@@ -162,7 +183,9 @@ def test_a_policy_that_asks_leaves_every_step_to_a_person(parts):
     with parts.database.write() as connection:
         writer = Writer(connection)
         gate, _ = declare_gate(writer, "p", None, at(1))
-        held, new = declare_policy(writer, "p", UpdatePolicy(gate.digest, on_alarm="ask").document(), at(2))
+        held, new = declare_policy(
+            writer, "p", UpdatePolicy(gate.digest, on_alarm="ask").document(), at(2)
+        )
         assert new
         assert not declare_policy(writer, "p", held.document, at(3))[1]
         raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(4))
@@ -178,7 +201,10 @@ def test_a_policy_names_a_gate_that_was_declared(parts):
 
 
 def test_a_spent_held_out_episode_is_not_judged_on_again(parts):
-    spent, fresh = add_episode(parts, "a", "validation", 1), add_episode(parts, "b", "validation", 2)
+    spent, fresh = (
+        add_episode(parts, "a", "validation", 1),
+        add_episode(parts, "b", "validation", 2),
+    )
     with parts.database.write() as connection:
         writer = Writer(connection)
         default, _ = declare_gate(writer, "p", None, at(3))
@@ -189,7 +215,9 @@ def test_a_spent_held_out_episode_is_not_judged_on_again(parts):
         left = submit_gate(writer, parts.queue, "2" * 32, "p", request, at(5))
         assert (left.request["episodes"], left.request["spent"]) == ([fresh], [spent])
         with pytest.raises(HeldOutSpent, match="2 held-out episodes were used 1 times"):
-            submit_gate(writer, parts.queue, "3" * 32, "p", {**request, "episodes": [spent, fresh]}, at(6))
+            submit_gate(
+                writer, parts.queue, "3" * 32, "p", {**request, "episodes": [spent, fresh]}, at(6)
+            )
         with pytest.raises(HeldOutSpent):
             submit_gate(writer, parts.queue, "4" * 32, "p", request, at(7))
 
@@ -198,8 +226,12 @@ def test_validation_is_due_without_any_alarm_and_not_before_its_time(parts):
     with parts.database.write() as connection:
         writer = Writer(connection)
         gate, _ = declare_gate(writer, "p", None, at(1))
-        declare_policy(writer, "p", UpdatePolicy(gate.digest, validate_every_h=1.0).document(), at(2))
-    assert submit_due(parts, NOW + timedelta(seconds=3)) == []  # nothing was held out since the model serves
+        declare_policy(
+            writer, "p", UpdatePolicy(gate.digest, validate_every_h=1.0).document(), at(2)
+        )
+    assert (
+        submit_due(parts, NOW + timedelta(seconds=3)) == []
+    )  # nothing was held out since the model serves
     for i, name in enumerate("abcd"):
         add_episode(parts, name, "validation", 4 + 0.1 * i)
     assert submit_due(parts, NOW + timedelta(seconds=5)) == []  # four differ by luck alone
@@ -252,10 +284,16 @@ def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policy
     with parts.database.write() as connection:
         writer = Writer(connection)
         strict_document = default_gate(2.0).document()
-        meant = {"rules": [{"rule": "rollout_improves", "ratio": 1e9}], "vacuous": True, "because": "any serves"}
+        meant = {
+            "rules": [{"rule": "rollout_improves", "ratio": 1e9}],
+            "vacuous": True,
+            "because": "any serves",
+        }
         lax, _ = declare_gate(writer, "p", {**strict_document, **meant}, at(1))
         strict, _ = declare_gate(writer, "p", strict_document, at(1))
-        declare_policy(writer, "p", UpdatePolicy(strict.digest, on_acceptance="promote").document(), at(2))
+        declare_policy(
+            writer, "p", UpdatePolicy(strict.digest, on_acceptance="promote").document(), at(2)
+        )
         raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(3))
     for i, role in enumerate(["adaptation", "validation", "validation"]):
         add_episode(parts, "bcd"[i], role, 4 + i, start_ns=1 + i)
@@ -263,18 +301,46 @@ def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policy
     candidate = "f" * 64
     with parts.database.write() as connection:
         writer = Writer(connection)
-        writer.add_artifact(ArtifactRecord("p", 2, candidate, "corrected", "{}", None, None, at(9).now, "worker"))
+        writer.add_artifact(
+            ArtifactRecord("p", 2, candidate, "corrected", "{}", None, None, at(9).now, "worker")
+        )
         cycle = Cycle(writer, parts.queue, lambda: "3" * 32, at(9))
         cycle.diagnosed(writer.last_job("p", "diagnose"), candidate, "effect")
         trial = writer.job(writer.open_alarm("p").trial)
-        assert (trial.kind, trial.request["gate"], trial.request["episodes"]) == ("gate", strict.digest, ["c" * 64, "d" * 64])
-        by_hand = submit_gate(writer, parts.queue, "9" * 32, "p", {"candidate": candidate, "gate": strict.digest}, at(10))
-    for job, gate, promoted in ((by_hand, lax, 1), (by_hand, strict, 1), (trial, lax, 1), (trial, strict, 2)):
+        assert (trial.kind, trial.request["gate"], trial.request["episodes"]) == (
+            "gate",
+            strict.digest,
+            ["c" * 64, "d" * 64],
+        )
+        by_hand = submit_gate(
+            writer,
+            parts.queue,
+            "9" * 32,
+            "p",
+            {"candidate": candidate, "gate": strict.digest},
+            at(10),
+        )
+    for job, gate, promoted in (
+        (by_hand, lax, 1),
+        (by_hand, strict, 1),
+        (trial, lax, 1),
+        (trial, strict, 2),
+    ):
         with parts.database.write() as connection:
             writer = Writer(connection)
             now = writer.serving("p")
-            against = {"incumbent": now.artifact, "generation": now.generation, "episodes": trial.request["episodes"]}
-            document = {"gate": gate.digest, "candidate": candidate, "accepted": True, "by": job.id, **against}
+            against = {
+                "incumbent": now.artifact,
+                "generation": now.generation,
+                "episodes": trial.request["episodes"],
+            }
+            document = {
+                "gate": gate.digest,
+                "candidate": candidate,
+                "accepted": True,
+                "by": job.id,
+                **against,
+            }
             made = record_decision(writer, "p", document, job.id, at(11))
             Cycle(writer, parts.queue, lambda: "8" * 32, at(12)).judged(job, made, {"seconds": 0.0})
             assert writer.serving("p").generation == promoted
@@ -294,8 +360,12 @@ def test_a_refused_trial_is_tried_again_with_twice_as_much(parts):
     finish(parts, "diagnose", report={"verdict": "effect"}, artifact="f" * 64)
     with parts.database.write() as connection:
         writer = Writer(connection)
-        writer.add_artifact(ArtifactRecord("p", 2, "f" * 64, "corrected", "{}", None, None, at(7).now, "worker"))
-        Cycle(writer, parts.queue, lambda: "7" * 32, at(7)).diagnosed(writer.last_job("p", "diagnose"), "f" * 64, "effect")
+        writer.add_artifact(
+            ArtifactRecord("p", 2, "f" * 64, "corrected", "{}", None, None, at(7).now, "worker")
+        )
+        Cycle(writer, parts.queue, lambda: "7" * 32, at(7)).diagnosed(
+            writer.last_job("p", "diagnose"), "f" * 64, "effect"
+        )
     add_episode(parts, "d", "adaptation", 8, start_ns=3)
     add_episode(parts, "e", "validation", 9, start_ns=4)
     go_on(parts, 10)

@@ -1,4 +1,5 @@
-"""What somebody with the database or the disk may have put there, found without the log being told."""
+"""What somebody with the database or the disk may have put there, found without the log being
+told."""
 
 import os
 
@@ -52,21 +53,37 @@ def test_what_was_made_here_is_as_it_was_made(parts):
 def test_a_second_row_of_one_name_is_found(parts):
     columns = ", ".join(c.name for c in t.moves.columns)
     without_key = f"CREATE TABLE other AS SELECT {columns} FROM moves"
-    twice = f"INSERT INTO other SELECT {columns.replace('actor', chr(39) + 'nobody' + chr(39))} FROM moves"
+    twice = (
+        f"INSERT INTO other SELECT {columns.replace('actor', chr(39) + 'nobody' + chr(39))} "
+        "FROM moves"
+    )
     edit(parts, without_key, twice, "DROP TABLE moves", "ALTER TABLE other RENAME TO moves")
     assert ("moves/p/1", "it is there more than once") in findings(parts)
     assert ("moves", "it is no table with the key plant, generation") in schema(parts)
 
 
-@pytest.mark.parametrize("storage", ["embedded"], indirect=True)  # elsewhere a column of text holds text
+@pytest.mark.parametrize(
+    "storage", ["embedded"], indirect=True
+)  # elsewhere a column of text holds text
 def test_a_row_under_a_key_of_bytes_is_found(parts):
-    token = TokenRecord("carol", "0" * 64, "carol", ["operator"], None, None, STAMP.now, "tester", None)
+    token = TokenRecord(
+        "carol", "0" * 64, "carol", ["operator"], None, None, STAMP.now, "tester", None
+    )
     with writing(parts.database) as writer:
         issue_token(writer, token, STAMP)
     columns = [c.name for c in t.tokens.columns]
     other = {"prefix": "CAST(prefix AS BLOB)", "digest": "digest || '0'"}
-    edit(parts, f"INSERT INTO tokens ({', '.join(columns)}) SELECT {', '.join(other.get(name, name) for name in columns)} FROM tokens")
-    assert any(where == "tokens" and "holds bytes in its column prefix" in what for where, what in findings(parts))
+    edit(
+        parts,
+        (
+            f"INSERT INTO tokens ({', '.join(columns)}) SELECT "
+            f"{', '.join(other.get(name, name) for name in columns)} FROM tokens"
+        ),
+    )
+    assert any(
+        where == "tokens" and "holds bytes in its column prefix" in what
+        for where, what in findings(parts)
+    )
 
 
 def test_a_trigger_is_found(parts):
@@ -76,13 +93,18 @@ def test_a_trigger_is_found(parts):
         edit(
             parts,
             "CREATE FUNCTION planted() RETURNS trigger LANGUAGE plpgsql AS 'BEGIN RETURN NEW; END'",
-            "CREATE TRIGGER planted AFTER INSERT ON episodes FOR EACH ROW EXECUTE FUNCTION planted()",
+            (
+                "CREATE TRIGGER planted AFTER INSERT ON episodes FOR EACH ROW EXECUTE "
+                "FUNCTION planted()"
+            ),
         )
     assert schema(parts) == [("episodes", "it has a trigger, planted")]
 
 
 def test_every_table_of_the_log_has_its_key(parts):
-    assert {table: KEYS[table] for table in KEYS} == {name: tuple(c.name for c in t.metadata.tables[name].primary_key) for name in KEYS}
+    assert {table: KEYS[table] for table in KEYS} == {
+        name: tuple(c.name for c in t.metadata.tables[name].primary_key) for name in KEYS
+    }
 
 
 @pytest.mark.parametrize("storage", ["embedded"], indirect=True)

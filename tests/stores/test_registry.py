@@ -53,7 +53,9 @@ def at(second: int) -> Stamp:
 
 def add_version(writer: Writer, plant: str, version: int) -> str:
     digest = hashlib.sha256(f"{plant}{version}".encode()).hexdigest()
-    writer.add_artifact(ArtifactRecord(plant, version, digest, "identified", "{}", None, None, STAMP.now, "tester"))
+    writer.add_artifact(
+        ArtifactRecord(plant, version, digest, "identified", "{}", None, None, STAMP.now, "tester")
+    )
     return digest
 
 
@@ -62,7 +64,13 @@ def decide(writer: Writer, plant: str, candidate: str) -> str:
     serving = writer.serving(plant)
     gate, _ = declare_gate(writer, plant, None, STAMP)
     against = {"incumbent": serving.artifact, "generation": serving.generation}
-    document = {"gate": gate.digest, "candidate": candidate, "accepted": True, "episodes": [], **against}
+    document = {
+        "gate": gate.digest,
+        "candidate": candidate,
+        "accepted": True,
+        "episodes": [],
+        **against,
+    }
     record_decision(writer, plant, document, None, STAMP)
     return digest_of(document)
 
@@ -71,7 +79,9 @@ def promote(parts, plant, version, second):
     with parts.database.write() as connection:
         writer = Writer(connection)
         decision = decide(writer, plant, add_version(writer, plant, version))
-        return promote_decision(writer, plant, decision, writer.serving(plant).generation, {}, at(second))
+        return promote_decision(
+            writer, plant, decision, writer.serving(plant).generation, {}, at(second)
+        )
 
 
 def test_a_fresh_database_is_at_the_head_and_migrating_again_changes_nothing(parts):
@@ -82,14 +92,21 @@ def test_a_fresh_database_is_at_the_head_and_migrating_again_changes_nothing(par
 def test_a_database_that_says_another_schema_than_it_has_is_refused_in_words(parts):
     with parts.database.write() as connection:
         connection.execute(text("UPDATE alembic_version SET version_num = '0007'"))
-    with pytest.raises(NotWhole, match="says that its schema is 0007, and cannot be brought from there"):
+    with pytest.raises(
+        NotWhole, match="says that its schema is 0007, and cannot be brought from there"
+    ):
         migrate(parts.database)
 
 
 def test_registering_makes_the_nominal_model_serve_at_generation_1(parts, plant):
     with read(parts) as connection:
         serving = Reader(connection).serving(plant)
-        assert (serving.generation, serving.version, serving.kind, serving.decision) == (1, 1, "registered", None)
+        assert (serving.generation, serving.version, serving.kind, serving.decision) == (
+            1,
+            1,
+            "registered",
+            None,
+        )
         assert Reader(connection).artifact(plant, serving.artifact).kind == "nominal"
 
 
@@ -119,7 +136,9 @@ def test_the_pointer_goes_forward_and_back_like_a_stack(parts, plant):
     versions = []
     for generation in (3, 4):
         with parts.database.write() as connection:
-            versions.append(roll_back_pointer(Writer(connection), plant, generation, {}, at(generation)).version)
+            versions.append(
+                roll_back_pointer(Writer(connection), plant, generation, {}, at(generation)).version
+            )
     assert versions == [2, 1]
     with pytest.raises(NothingToRollBackTo), parts.database.write() as connection:
         roll_back_pointer(Writer(connection), plant, 5, {}, at(9))
@@ -132,7 +151,10 @@ def test_history_says_what_was_live_at_a_time(parts, plant):
     promote(parts, plant, 3, 20)
     with read(parts) as connection:
         reader = Reader(connection)
-        live = {second: reader.served_at(plant, at(second).now).version for second in (0, 9, 10, 19, 20, 59)}
+        live = {
+            second: reader.served_at(plant, at(second).now).version
+            for second in (0, 9, 10, 19, 20, 59)
+        }
         assert live == {0: 1, 9: 1, 10: 2, 19: 2, 20: 3, 59: 3}
         assert reader.served_at(plant, "2025-12-31T23:59:59.999999Z") is None
 
@@ -152,7 +174,9 @@ def test_of_many_racing_promotions_one_wins(parts, plant):
         gate.wait()
         try:
             with parts.database.write() as connection:
-                return promote_decision(Writer(connection), plant, decision, 1, {}, STAMP).generation
+                return promote_decision(
+                    Writer(connection), plant, decision, 1, {}, STAMP
+                ).generation
         except PointerMoved:
             return None
 
@@ -160,13 +184,23 @@ def test_of_many_racing_promotions_one_wins(parts, plant):
         outcomes = list(pool.map(race, range(8)))
     assert sorted(outcomes, key=str) == [2, *[None] * 7]
     with read(parts) as connection:
-        assert len([e for e in Reader(connection).audit_entries(0, 99) if e.kind == "pointer:moved"]) == 1
+        assert (
+            len([e for e in Reader(connection).audit_entries(0, 99) if e.kind == "pointer:moved"])
+            == 1
+        )
 
 
 def test_the_audit_tree_holds_under_concurrent_writers(parts):
     def write(n):
         with parts.database.write() as connection:
-            Writer(connection).append_audit(at=STAMP.now, kind="thing:done", actor=f"a{n}", plant=None, subject=str(n), facts={"n": n})
+            Writer(connection).append_audit(
+                at=STAMP.now,
+                kind="thing:done",
+                actor=f"a{n}",
+                plant=None,
+                subject=str(n),
+                facts={"n": n},
+            )
 
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(write, range(40)))
@@ -179,7 +213,9 @@ def test_the_audit_tree_holds_under_concurrent_writers(parts):
 
 def test_an_audit_entry_is_bound_to_its_transaction(parts):
     with pytest.raises(RuntimeError), parts.database.write() as connection:
-        Writer(connection).append_audit(at=STAMP.now, kind="thing:done", actor="a", plant=None, subject="s", facts={})
+        Writer(connection).append_audit(
+            at=STAMP.now, kind="thing:done", actor="a", plant=None, subject="s", facts={}
+        )
         raise RuntimeError
     with read(parts) as connection:
         assert Reader(connection).audit_entries(0, 9) == []
@@ -203,7 +239,9 @@ def test_an_idempotency_key_repeats_its_answer_and_refuses_another_request(parts
 
 
 def test_a_finished_job_never_changes(parts, plant):
-    job = JobRecord("0" * 32, plant, "fit", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "t", STAMP.now)
+    job = JobRecord(
+        "0" * 32, plant, "fit", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "t", STAMP.now
+    )
     with parts.database.write() as connection:
         writer = Writer(connection)
         writer.add_job(job)
@@ -213,7 +251,9 @@ def test_a_finished_job_never_changes(parts, plant):
 
 
 def test_reads_of_a_job_are_noted_once(parts, plant):
-    job = JobRecord("0" * 32, plant, "fit", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "t", STAMP.now)
+    job = JobRecord(
+        "0" * 32, plant, "fit", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "t", STAMP.now
+    )
     with parts.database.write() as connection:
         writer = Writer(connection)
         writer.add_job(job)
@@ -230,7 +270,10 @@ def test_the_serving_pointer_alone_reads_no_other_version(parts, plant):
         for version in range(2, 40):
             add_version(writer, plant, version)
     if parts.database.is_sqlite:
-        query = "EXPLAIN QUERY PLAN SELECT * FROM moves JOIN serving USING (plant, generation) WHERE serving.plant = 'p'"
+        query = (
+            "EXPLAIN QUERY PLAN SELECT * FROM moves JOIN serving USING (plant, generation) "
+            "WHERE serving.plant = 'p'"
+        )
         with read(parts) as connection:
             plan = [row[-1] for row in connection.execute(text(query))]
         assert all(line.startswith("SEARCH") for line in plan), plan
@@ -296,7 +339,13 @@ def test_a_registry_from_before_the_tree_is_migrated_and_holds(storage):
         upgrade(connection, "0002")
         when = {"at": STAMP.now, "by": "tester", "d": digest_of({}), "doc": "{}"}
         connection.execute(text("INSERT INTO plants VALUES ('p', :d, :doc, :at, :by)"), when)
-        connection.execute(text("INSERT INTO audit VALUES (1, :at, 'plant:registered', :by, 'p', 's', :doc, 'd', 'd')"), when)
+        connection.execute(
+            text(
+                "INSERT INTO audit VALUES (1, :at, 'plant:registered', :by, 'p', 's', :doc, "
+                "'d', 'd')"
+            ),
+            when,
+        )
         connection.execute(text("UPDATE audit_head SET sequence = 1"))
     old.close()
     parts = storage.build()

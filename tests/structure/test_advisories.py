@@ -22,9 +22,31 @@ UNKNOWN = {"name": "unknown", "skip_reason": "not found"}
     [
         ([SOUND, SOUND], ["advisories: 2 of 2 pinned packages looked up, none is known"], 0),
         ([SOUND, UNKNOWN], ["advisories: 1 of 2 pinned packages looked up, none is known"], 0),
-        ([SOUND, HOLED], ["advisories: 2 of 2 pinned packages looked up", "  holed 2.0: PYSEC-1, mended in 2.1"], 1),
-        ([UNKNOWN], ["advisories: not one pinned package could be looked up, their source does not answer here"], 3),
-        ([], ["advisories: not one pinned package could be looked up, their source does not answer here"], 3),
+        (
+            [SOUND, HOLED],
+            ["advisories: 2 of 2 pinned packages looked up", "  holed 2.0: PYSEC-1, mended in 2.1"],
+            1,
+        ),
+        (
+            [UNKNOWN],
+            [
+                (
+                    "advisories: not one pinned package could be looked up, their source "
+                    "does not answer here"
+                )
+            ],
+            3,
+        ),
+        (
+            [],
+            [
+                (
+                    "advisories: not one pinned package could be looked up, their source "
+                    "does not answer here"
+                )
+            ],
+            3,
+        ),
     ],
 )
 def test_what_is_known_is_told_and_what_could_not_be_asked(packages, says, ends):
@@ -32,6 +54,13 @@ def test_what_is_known_is_told_and_what_could_not_be_asked(packages, says, ends)
 
 
 def test_every_pinned_package_is_asked_for():
-    pinned = {line.partition("==")[0] for name in advisories.PINNED for line in (ROOT / name).read_text().splitlines() if "==" in line}
+    pinned = {
+        line.partition("==")[0]
+        for name in advisories.PINNED
+        for line in (ROOT / name).read_text().splitlines()
+        if "==" in line
+    }
     found = advisories.looked_up(ROOT)
-    assert not found or len({p["name"].lower().replace("_", "-") for p in found}) >= 0.8 * len(pinned)  # others are for other platforms
+    assert not found or len({p["name"].lower().replace("_", "-") for p in found}) >= 0.8 * len(
+        pinned
+    )  # others are for other platforms

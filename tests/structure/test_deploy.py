@@ -1,4 +1,5 @@
-"""What is deployed with: held against the published schemas, and against the settings and files that there are."""
+"""What is deployed with: held against the published schemas, and against the settings and files
+that there are."""
 
 import json
 import re
@@ -38,7 +39,9 @@ def test_the_compose_file_is_one():
     jsonschema.validate(COMPOSE, json.loads((schemas / "compose-spec.json").read_text()))
 
 
-@pytest.mark.parametrize(("name", "document"), MANIFESTS, ids=lambda x: x if isinstance(x, str) else x["kind"])
+@pytest.mark.parametrize(
+    ("name", "document"), MANIFESTS, ids=lambda x: x if isinstance(x, str) else x["kind"]
+)
 def test_a_manifest_is_what_kubernetes_takes(name, document):
     kubernetes_validate.validate(document, kubernetes_validate.latest_version(), strict=True)
 
@@ -49,13 +52,26 @@ def test_the_kustomization_names_every_manifest():
 
 
 def test_every_setting_that_is_set_is_one():
-    named = set(re.findall(r"TRUEUP_[A-Z0-9_]+", "".join(p.read_text() for p in DEPLOY.rglob("*") if p.is_file())))
+    named = set(
+        re.findall(
+            r"TRUEUP_[A-Z0-9_]+", "".join(p.read_text() for p in DEPLOY.rglob("*") if p.is_file())
+        )
+    )
     assert named <= SETTINGS
-    assert {"TRUEUP_DATABASE_URL", "TRUEUP_SIGNING_KEY", "TRUEUP_ADMIN_TOKEN", "TRUEUP_S3_BUCKET"} <= named
+    assert {
+        "TRUEUP_DATABASE_URL",
+        "TRUEUP_SIGNING_KEY",
+        "TRUEUP_ADMIN_TOKEN",
+        "TRUEUP_S3_BUCKET",
+    } <= named
 
 
 def test_every_command_that_is_run_is_one():
-    run = [service["command"][0] for service in COMPOSE["services"].values() if service.get("image", "").startswith("trueup")]
+    run = [
+        service["command"][0]
+        for service in COMPOSE["services"].values()
+        if service.get("image", "").startswith("trueup")
+    ]
     run += [container["args"][0] for container in containers()]
     assert set(run) == {"serve", "work", "migrate"} <= set(_COMMANDS)
 
@@ -67,31 +83,55 @@ def test_nothing_runs_as_root_and_probes_ask_what_there_is():
         assert container["securityContext"]["readOnlyRootFilesystem"]
         assert container["securityContext"]["capabilities"] == {"drop": ["ALL"]}
     server = next(c for c in found if c["name"] == "server")
-    assert {server[f"{kind}Probe"]["httpGet"]["path"] for kind in ("startup", "liveness", "readiness")} == {"/healthz", "/readyz"}
+    assert {
+        server[f"{kind}Probe"]["httpGet"]["path"] for kind in ("startup", "liveness", "readiness")
+    } == {"/healthz", "/readyz"}
     assert "USER 10001" in (DEPLOY / "Dockerfile").read_text()
 
 
 def test_workers_hold_neither_the_logs_key_nor_an_admins_token():
     secret = {"TRUEUP_SIGNING_KEY", "TRUEUP_ADMIN_TOKEN"}
-    held = {name: secret & set(service.get("environment", {})) for name, service in COMPOSE["services"].items()}
+    held = {
+        name: secret & set(service.get("environment", {}))
+        for name, service in COMPOSE["services"].items()
+    }
     assert held == {name: secret if name == "server" else set() for name in COMPOSE["services"]}
-    named = {c["name"]: {source["secretRef"]["name"] for source in c["envFrom"] if "secretRef" in source} for c in containers()}
-    assert named == {"server": {"trueup", "trueup-server"}, "worker": {"trueup"}, "migrate": {"trueup"}}
+    named = {
+        c["name"]: {source["secretRef"]["name"] for source in c["envFrom"] if "secretRef" in source}
+        for c in containers()
+    }
+    assert named == {
+        "server": {"trueup", "trueup-server"},
+        "worker": {"trueup"},
+        "migrate": {"trueup"},
+    }
 
 
 def test_the_image_copies_what_there_is():
     lines = (DEPLOY / "Dockerfile").read_text().splitlines()
-    copied = [source for line in lines if line.startswith("COPY ") and "--from" not in line for source in line.split()[1:-1]]
+    copied = [
+        source
+        for line in lines
+        if line.startswith("COPY ") and "--from" not in line
+        for source in line.split()[1:-1]
+    ]
     assert set(copied) == {*PARTS, "deploy/server.txt", "deploy/worker.txt"}
     assert all((ROOT / source).exists() for source in copied)
 
 
 def test_the_image_has_the_version_that_this_is():
-    images = {name: service["image"] for name, service in COMPOSE["services"].items() if "build" in service}
+    images = {
+        name: service["image"]
+        for name, service in COMPOSE["services"].items()
+        if "build" in service
+    }
     ours = {"server": "trueup-server", "worker": "trueup-worker", "migrate": "trueup-server"}
     assert images == {name: f"{image}:{__version__}" for name, image in ours.items()}
     tags = {
-        image["name"]: image["newTag"] for image in yaml.safe_load((DEPLOY / "kubernetes" / "kustomization.yaml").read_text())["images"]
+        image["name"]: image["newTag"]
+        for image in yaml.safe_load((DEPLOY / "kubernetes" / "kustomization.yaml").read_text())[
+            "images"
+        ]
     }
     assert tags == dict.fromkeys(ours.values(), __version__)
     assert {c["name"]: c["image"] for c in containers()} == ours

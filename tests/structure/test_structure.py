@@ -28,18 +28,33 @@ from trueup_service.registry.store import Reader
 from trueup_service.registry.tables import metadata
 from trueup_service.settings import Settings
 
-PACKAGES = ("trueup", "trueup_client", "trueup_pages", "trueup_service", "trueup_worker", "trueup_cli")
-SOURCES = sorted(p for part in PARTS for p in (ROOT / part).rglob("*.py") if "versions" not in p.parts)
+PACKAGES = (
+    "trueup",
+    "trueup_client",
+    "trueup_pages",
+    "trueup_service",
+    "trueup_worker",
+    "trueup_cli",
+)
+SOURCES = sorted(
+    p for part in PARTS for p in (ROOT / part).rglob("*.py") if "versions" not in p.parts
+)
 
 
 def tracked() -> list[Path]:
-    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+    listed = subprocess.run(
+        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
     return [ROOT / name for name in listed if (ROOT / name).is_file()]
 
 
 def run(*command: str) -> str:
     done = subprocess.run(
-        [str(Path(sys.executable).parent / command[0]), *command[1:]], cwd=ROOT, capture_output=True, text=True, check=False
+        [str(Path(sys.executable).parent / command[0]), *command[1:]],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-2000:]
     return done.stdout
@@ -47,7 +62,9 @@ def run(*command: str) -> str:
 
 def all_errors() -> list[type[errors.TrueupError]]:
     for package in PACKAGES:
-        for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+        for module in pkgutil.walk_packages(
+            importlib.import_module(package).__path__, f"{package}."
+        ):
             if not module.name.endswith(("cli.main", "worker.main")):
                 importlib.import_module(module.name)
     found, left = [], [errors.TrueupError]
@@ -78,7 +95,12 @@ def test_the_migrations_add_up_to_the_tables(storage):
     with database.write() as connection:
         upgrade(connection)
     with database.read() as connection:
-        assert compare_metadata(MigrationContext.configure(connection, opts={"compare_type": True}), metadata) == []
+        assert (
+            compare_metadata(
+                MigrationContext.configure(connection, opts={"compare_type": True}), metadata
+            )
+            == []
+        )
         migrated = connection.execute(text("SELECT id, size, frontier FROM audit_head")).all()
     database.close()
     assert [(row.id, row.size, bytes(row.frontier)) for row in migrated] == [(1, 0, b"")]
@@ -87,7 +109,12 @@ def test_the_migrations_add_up_to_the_tables(storage):
 def test_an_empty_database_is_made_as_the_migrations_would(storage):
     parts = storage.build()
     with parts.database.read() as connection:
-        assert compare_metadata(MigrationContext.configure(connection, opts={"compare_type": True}), metadata) == []
+        assert (
+            compare_metadata(
+                MigrationContext.configure(connection, opts={"compare_type": True}), metadata
+            )
+            == []
+        )
         assert Reader(connection).audit_tree() == NOTHING
     assert current(parts.database) == HEAD == ScriptDirectory(str(FOLDER)).get_current_head()
     parts.close()
@@ -121,7 +148,9 @@ def test_every_setting_is_documented():
     assert all(setting.description for setting in Settings.model_fields.values())
 
 
-@pytest.mark.parametrize("page", ["commands", "settings", "effects", "access", "api", "gates", "figures"])
+@pytest.mark.parametrize(
+    "page", ["commands", "settings", "effects", "access", "api", "gates", "figures"]
+)
 def test_pages_made_from_the_code_are_up_to_date(page):
     written = subprocess.run(
         [sys.executable, "-c", f"import make_{page}; print(make_{page}.page(), end='')"],
@@ -139,7 +168,9 @@ def test_every_public_name_is_documented_and_typed(path):
     if path.stat().st_size:
         assert ast.get_docstring(tree), "the module says nothing of itself"
     for node in tree.body:
-        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) and not node.name.startswith("_"):
+        if isinstance(
+            node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+        ) and not node.name.startswith("_"):
             is_model = path.name == "schemas.py" or (path.parent.name == "routers")
             assert ast.get_docstring(node) or is_model or path.name == "find.py", node.name
 
@@ -154,7 +185,13 @@ def test_the_readmes_commands_are_what_ci_runs():
 
 
 def test_no_package_registry_is_named():
-    hosts = [b"py" + b"pi.org", b"pythonhosted" + b".org", b"crates" + b".io", b"registry." + b"npmjs", b"maven." + b"org"]
+    hosts = [
+        b"py" + b"pi.org",
+        b"pythonhosted" + b".org",
+        b"crates" + b".io",
+        b"registry." + b"npmjs",
+        b"maven." + b"org",
+    ]
     for path in tracked():
         if path.suffix not in {".mcap", ".png"}:
             content = path.read_bytes()
@@ -172,33 +209,53 @@ def test_a_command_prints_through_show_alone_in_forms_that_stand_in_its_code():
     for path in sorted((ROOT / "cli").rglob("*.py")):
         if path.name == "show.py":
             continue
-        for call in (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)):
+        for call in (
+            node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)
+        ):
             name = getattr(call.func, "attr", getattr(call.func, "id", ""))
             assert name not in {"print", "print_json", "from_markup"}, f"{path.name}:{call.lineno}"
-            assert not ast.unparse(call.func).startswith(("sys.stdout.write", "sys.stderr.write")), f"{path.name}:{call.lineno}"
+            assert not ast.unparse(call.func).startswith(
+                ("sys.stdout.write", "sys.stderr.write")
+            ), f"{path.name}:{call.lineno}"
             if name == "say":
                 form = call.args[0]
                 forms = (form.body, form.orelse) if isinstance(form, ast.IfExp) else (form,)
-                assert all(isinstance(f, ast.Constant) and isinstance(f.value, str) for f in forms), f"{path.name}:{call.lineno}"
+                assert all(
+                    isinstance(f, ast.Constant) and isinstance(f.value, str) for f in forms
+                ), f"{path.name}:{call.lineno}"
 
 
 def test_the_robots_client_imports_the_standard_library_alone():
     code = "import sys, trueup_client; print(*{m.split('.')[0] for m in sys.modules})"
-    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split())
+    loaded = set(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+        ).stdout.split()
+    )
     assert not loaded & {"numpy", "orjson", "trueup", "pydantic", "httpx", "rich"}
 
 
 def test_a_server_that_only_serves_loads_no_heavy_library():
     code = "import sys, trueup_service.http.serve; print(*{m.split('.')[0] for m in sys.modules})"
-    loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split())
+    loaded = set(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+        ).stdout.split()
+    )
     assert not loaded & {"numpy", "numba", "scipy", "dbos", "alembic", "safetensors", "obstore"}
 
 
 def test_the_job_engine_is_imported_in_one_place():
     """Whoever imports it elsewhere would have it unpickle what a row says is pickled."""
     every = (path for part in PARTS for path in (ROOT / part).rglob("*.py"))
-    importing = [path for path in every if re.search(r"^\s*(from|import) dbos\b", path.read_text(), re.MULTILINE)]
-    assert [p.relative_to(ROOT).as_posix() for p in importing] == ["service/trueup_service/engine.py"]
+    importing = [
+        path
+        for path in every
+        if re.search(r"^\s*(from|import) dbos\b", path.read_text(), re.MULTILINE)
+    ]
+    assert [p.relative_to(ROOT).as_posix() for p in importing] == [
+        "service/trueup_service/engine.py"
+    ]
 
 
 def test_links_in_the_documentation_lead_somewhere():
@@ -210,6 +267,9 @@ def test_links_in_the_documentation_lead_somewhere():
 @pytest.mark.parametrize("part", PARTS)
 def test_the_version_is_one_and_every_part_needs_the_others_of_its_own(part):
     project = tomllib.loads((ROOT / part / "pyproject.toml").read_text())["project"]
-    needed = [*project["dependencies"], *(n for more in project.get("optional-dependencies", {}).values() for n in more)]
+    needed = [
+        *project["dependencies"],
+        *(n for more in project.get("optional-dependencies", {}).values() for n in more),
+    ]
     assert project["version"] == trueup.__version__
     assert all(n.endswith(f"=={trueup.__version__}") for n in needed if n.startswith("trueup"))

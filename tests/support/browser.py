@@ -26,10 +26,15 @@ def chromium() -> str:
     """Where it is; installed first where that can be done."""
     found = next((path for name in NAMES if (path := shutil.which(name))), None)
     if found is None and os.geteuid() == 0 and shutil.which("apt-get"):
-        for command in (["apt-get", "update", "-qq"], ["apt-get", "install", "-y", "-qq", "--no-install-recommends", "chromium"]):
+        for command in (
+            ["apt-get", "update", "-qq"],
+            ["apt-get", "install", "-y", "-qq", "--no-install-recommends", "chromium"],
+        ):
             subprocess.run(command, check=False, capture_output=True, timeout=600)
         found = next((path for name in NAMES if (path := shutil.which(name))), None)
-    return found or pytest.fail("a Chromium is needed: install it (Debian: apt-get install chromium)")
+    return found or pytest.fail(
+        "a Chromium is needed: install it (Debian: apt-get install chromium)"
+    )
 
 
 @contextmanager

@@ -1,9 +1,11 @@
 """The 416 variants of the MCAP conformance suite, written from the format's specification.
 
-A variant is a content (nothing, a message, ten, an attachment, a metadata record) and a set of features: ch chunks, mx message index, st
-statistics, rsh and rch repeated schemas and channels, ax and mdx attachment and metadata index, chx chunk index, sum summary offsets, pad
-bytes behind a record's known fields. The 72 files at hand, and more whose SHA-256 is published, show that these bytes are the suite's.
-Source: MCAP specification, "Records"; foxglove/mcap, tests/conformance (names and contents of the variants).
+A variant is a content (nothing, a message, ten, an attachment, a metadata record) and a set of
+features: ch chunks, mx message index, st statistics, rsh and rch repeated schemas and channels, ax
+and mdx attachment and metadata index, chx chunk index, sum summary offsets, pad bytes behind a
+record's known fields. The 72 files at hand, and more whose SHA-256 is published, show that these
+bytes are the suite's. Source: MCAP specification, "Records"; foxglove/mcap, tests/conformance
+(names and contents of the variants).
 """
 
 from __future__ import annotations
@@ -19,7 +21,14 @@ PAD = b"\x01\xff\xff"
 EXAMPLE, SCHEMALESS = (1, "example", "a", 1, {"foo": "bar"}), (1, "example", "text", 0, {})
 TIMES = (0, 2, 1, 3, 3, 5, 4, 7, 8, 9)
 IN_CHUNKS, OF_MESSAGES = ("chx", "mx"), ("pad", "rch", "rsh", "st")
-SUMMARY = {"chx", "rch", "rsh", "st", "ax", "mdx"}  # features that put something into the summary section
+SUMMARY = {
+    "chx",
+    "rch",
+    "rsh",
+    "st",
+    "ax",
+    "mdx",
+}  # features that put something into the summary section
 
 
 @dataclass(frozen=True)
@@ -51,7 +60,11 @@ def variants() -> Iterator[Variant]:
 
 
 def _subsets(features: tuple[str, ...]) -> list[set[str]]:
-    return [set(found) for size in range(len(features) + 1) for found in itertools.combinations(features, size)]
+    return [
+        set(found)
+        for size in range(len(features) + 1)
+        for found in itertools.combinations(features, size)
+    ]
 
 
 def _summed(name: str, messages: int, features: set[str]) -> Iterator[Variant]:
@@ -81,13 +94,21 @@ def _variant(name: str, count: int, features: set[str]) -> Variant:
     written: list[tuple[int, bytes]] = []
     if count:
         number, topic, encoding, schema_id, values = channel
-        schema = struct.pack("<H", 1) + _text("Example") + _text("c") + struct.pack("<I", 3) + b"\4\5\6" if schema_id else b""
-        described = struct.pack("<HH", number, schema_id) + _text(topic) + _text(encoding) + _map(values)
+        schema = (
+            struct.pack("<H", 1) + _text("Example") + _text("c") + struct.pack("<I", 3) + b"\4\5\6"
+            if schema_id
+            else b""
+        )
+        described = (
+            struct.pack("<HH", number, schema_id) + _text(topic) + _text(encoding) + _map(values)
+        )
         times = TIMES if count > 1 else (2,)
         sequences = range(count) if count > 1 else (10,)
         published = TIMES if count > 1 else (1,)
         for sequence, log, at in zip(sequences, times, published, strict=True):
-            written.append((log, _record(5, struct.pack("<HIQQ", number, sequence, log, at) + b"\1\2\3")))
+            written.append(
+                (log, _record(5, struct.pack("<HIQQ", number, sequence, log, at) + b"\1\2\3"))
+            )
             messages.append((number, log, b"\1\2\3"))
     body, offsets, head = b"", [], pad if "ch" not in features else b""
     body += _record(3, schema, head) if schema else b""
@@ -99,7 +120,13 @@ def _variant(name: str, count: int, features: set[str]) -> Variant:
     chunk_index = b""
     if "ch" in features:
         start = len(out)
-        out += _record(6, struct.pack("<QQQI", first, last, len(body), zlib.crc32(body)) + _text("") + struct.pack("<Q", len(body)) + body)
+        out += _record(
+            6,
+            struct.pack("<QQQI", first, last, len(body), zlib.crc32(body))
+            + _text("")
+            + struct.pack("<Q", len(body))
+            + body,
+        )
         chunk_length, indexed = len(out) - start, len(out)
         if "mx" in features:
             entries = b"".join(struct.pack("<QQ", *entry) for entry in offsets)
@@ -107,15 +134,25 @@ def _variant(name: str, count: int, features: set[str]) -> Variant:
             out += index
         where = struct.pack("<HQ", 1, indexed) if index else b""
         chunk_index = struct.pack("<QQQQI", first, last, start, chunk_length, len(where)) + where
-        chunk_index += struct.pack("<Q", len(index)) + _text("") + struct.pack("<QQ", len(body), len(body))
+        chunk_index += (
+            struct.pack("<Q", len(index)) + _text("") + struct.pack("<QQ", len(body), len(body))
+        )
     else:
         out += body
     attachment_index = metadata_index = b""
     if name == "OneAttachment":
         start, kind = len(out), "application/octet-stream"
-        content = struct.pack("<QQ", 2, 1) + _text("myFile") + _text(kind) + struct.pack("<Q", 3) + b"\1\2\3"
+        content = (
+            struct.pack("<QQ", 2, 1)
+            + _text("myFile")
+            + _text(kind)
+            + struct.pack("<Q", 3)
+            + b"\1\2\3"
+        )
         out += _record(9, content + struct.pack("<I", zlib.crc32(content)))
-        attachment_index = struct.pack("<QQQQQ", start, len(out) - start, 2, 1, 3) + _text("myFile") + _text(kind)
+        attachment_index = (
+            struct.pack("<QQQQQ", start, len(out) - start, 2, 1, 3) + _text("myFile") + _text(kind)
+        )
     if name == "OneMetadata":
         start = len(out)
         out += _record(12, _text("myMetadata") + _map({"foo": "bar"}), pad)
@@ -143,7 +180,13 @@ def _variant(name: str, count: int, features: set[str]) -> Variant:
         (13, metadata_index if "mdx" in features else b""),
     )
     return Variant(
-        "-".join([name, *sorted(features - {"sum", "pad", "st"} | features & {"pad"}), *(f for f in ("st", "sum") if f in features)]),
+        "-".join(
+            [
+                name,
+                *sorted(features - {"sum", "pad", "st"} | features & {"pad"}),
+                *(f for f in ("st", "sum") if f in features),
+            ]
+        ),
         _ended(out, groups, pad, "sum" in features),
         messages,
         {1: "example"} if count else {},

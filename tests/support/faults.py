@@ -1,8 +1,9 @@
 """Run the command with a fault waiting in it: `python -m tests.support.faults serve …`.
 
-The fault is written to the file that FAULT_FILE names, as `<what> <n>`: at the n-th step towards the disk or the database from then on,
-the process is killed (`kill`), or that step fails (`ENOSPC`, `EIO`, …). Steps are every write of an upload, fsync, link, rename, put into a
-store, and both sides of every commit. Once it has struck, the file is gone.
+The fault is written to the file that FAULT_FILE names, as `<what> <n>`: at the n-th step towards
+the disk or the database from then on, the process is killed (`kill`), or that step fails (`ENOSPC`,
+`EIO`, …). Steps are every write of an upload, fsync, link, rename, put into a store, and both sides
+of every commit. Once it has struck, the file is gone.
 """
 
 from __future__ import annotations

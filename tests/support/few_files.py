@@ -1,4 +1,5 @@
-"""The command in a process that may open few files: `trueup …` with a limit of TRUEUP_TEST_FILES descriptors."""
+"""The command in a process that may open few files: `trueup …` with a limit of TRUEUP_TEST_FILES
+descriptors."""
 
 import os
 import resource

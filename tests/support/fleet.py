@@ -1,4 +1,5 @@
-"""A robot that wears: two builds of one machine, recorded over short and long travel, and what its fleet's service is told."""
+"""A robot that wears: two builds of one machine, recorded over short and long travel, and what its
+fleet's service is told."""
 
 from __future__ import annotations
 
@@ -26,7 +27,10 @@ TRAVEL = {"short": 0.5, "long": 1.0}  # of the command's limit
 PATIENCE_S = 120.0
 GATE = {
     "schema": "trueup.gate/1",
-    "rules": [{"rule": "rollout_improves", "ratio": 0.98}, {"rule": "retained_conditions", "slack": 1.1}],
+    "rules": [
+        {"rule": "rollout_improves", "ratio": 0.98},
+        {"rule": "retained_conditions", "slack": 1.1},
+    ],
     "scoring": {"horizon_s": 2.0, "windows": "every"},
     "conditions": ["travel"],
     "held_out_uses": 20,
@@ -36,7 +40,11 @@ GATE = {
 def plant_document(name: str) -> dict:
     return {
         "name": name,
-        "nominal": {"family": "oscillator", "parameters": {"k": K, "c": C, "b": B}, "timestep_s": STEP_S},
+        "nominal": {
+            "family": "oscillator",
+            "parameters": {"k": K, "c": C, "b": B},
+            "timestep_s": STEP_S,
+        },
         "commands": [{"name": "u", "unit": "rad/s^2", "limits": [-1.0, 1.0]}],
         "observations": [{"name": "q", "unit": "rad"}, {"name": "v", "unit": "rad/s"}],
         "evaluation": {"horizon_s": 2.0},
@@ -44,7 +52,8 @@ def plant_document(name: str) -> dict:
 
 
 class Fleet:
-    """One plant of a service, and the machine behind it. Episodes are recorded one after another."""
+    """One plant of a service, and the machine behind it. Episodes are recorded one after
+    another."""
 
     def __init__(self, client: Client, name: str, folder: Path, *rules: dict) -> None:
         self.client, self.name, self.folder = client, name, folder
@@ -54,7 +63,9 @@ class Fleet:
 
     def machine(self) -> Machine:
         made = Machine("oscillator", K, C, B, 1.0)
-        return made.having("coulomb_friction", {"level": self.friction}).having("cubic_stiffness", {"coefficient": CUBIC})
+        return made.having("coulomb_friction", {"level": self.friction}).having(
+            "cubic_stiffness", {"coefficient": CUBIC}
+        )
 
     def record(self, role: Role, travel: str, size: float = 1.0) -> dict:
         """Run the machine, and upload what was recorded."""
@@ -68,7 +79,14 @@ class Fleet:
         columns = {"observations": found.observed, "commands": found.issued[:, None]}
         with path.open("wb") as file:
             conditions = {"stage": "SIL", "travel": travel}
-            write_episode(file, stamps_ns=stamps, layout=self.layout, role=role, conditions=conditions, **columns)
+            write_episode(
+                file,
+                stamps_ns=stamps,
+                layout=self.layout,
+                role=role,
+                conditions=conditions,
+                **columns,
+            )
         return self.client.upload_episode(self.name, path)
 
     def visit(self, *roles: Role) -> None:
@@ -82,12 +100,18 @@ class Fleet:
         self.client.register_plant(plant_document(self.name))
         self.visit(Role.ADAPTATION, Role.ADAPTATION, Role.VALIDATION)
         self.gate = self.client.declare_gate(self.name, self._gate)["digest"]
-        diagnosed = self.client.wait(self.client.submit(self.name, {"kind": "diagnose"})["id"])["result"]
+        diagnosed = self.client.wait(self.client.submit(self.name, {"kind": "diagnose"})["id"])[
+            "result"
+        ]
         self.promote(diagnosed["artifact"])
 
     def judge(self, candidate: str) -> dict:
         """What the gate decides of a candidate."""
-        job = self.client.wait(self.client.submit(self.name, {"kind": "gate", "candidate": candidate, "gate": self.gate})["id"])
+        job = self.client.wait(
+            self.client.submit(
+                self.name, {"kind": "gate", "candidate": candidate, "gate": self.gate}
+            )["id"]
+        )
         return self.client.decision(self.name, job["result"]["decision"])
 
     def promote(self, candidate: str) -> None:
@@ -99,11 +123,18 @@ class Fleet:
         """Record healthy operation, and calibrate a monitor on it."""
         for _ in range(episodes // 2):
             self.visit(Role.REFERENCE)
-        self.client.wait(self.client.submit(self.name, {"kind": "calibrate", "promise_h": promise_h})["id"])
+        self.client.wait(
+            self.client.submit(self.name, {"kind": "calibrate", "promise_h": promise_h})["id"]
+        )
 
     def let_go(self, **choices: object) -> None:
         """Declare what may happen without a person: everything, if nothing else is said."""
-        policy = {"schema": "trueup.policy/1", "gate": self.gate, "on_acceptance": "promote", **choices}
+        policy = {
+            "schema": "trueup.policy/1",
+            "gate": self.gate,
+            "on_acceptance": "promote",
+            **choices,
+        }
         self.client.declare_policy(self.name, policy)
 
     def until(self, holds: object, what: str) -> None:
@@ -114,9 +145,12 @@ class Fleet:
             time.sleep(0.1)
 
     def forgetful(self) -> str:
-        """A candidate that has what wore, and has lost what only long travel shows: added as a version, its digest."""
+        """A candidate that has what wore, and has lost what only long travel shows: added as a
+        version, its digest."""
         serving = self.client.serving(self.name).artifact
-        model = load(self.client.fetch(self.name, serving, self.folder / "served"), serving).predictor
+        model = load(
+            self.client.fetch(self.name, serving, self.folder / "served"), serving
+        ).predictor
         assert isinstance(model, Corrected)
         values = list(model.values)
         rows = model.plant.block.rows_of("coulomb_friction")
@@ -124,4 +158,6 @@ class Fleet:
         values[model.plant.block.rows_of("cubic_stiffness")["coefficient"]] = 0.0
         artifact = pack(replace(model, values=tuple(values)), {"origin": "by hand"})
         unpack(artifact)
-        return str(self.client.add_artifact(self.name, artifact.manifest, artifact.arrays)["digest"])
+        return str(
+            self.client.add_artifact(self.name, artifact.manifest, artifact.arrays)["digest"]
+        )

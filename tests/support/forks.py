@@ -1,7 +1,8 @@
-"""Processes of the service without the seconds that each takes to load what it imports: forked from one that has loaded it.
+"""Processes of the service without the seconds that each takes to load what it imports: forked from
+one that has loaded it.
 
-Each is a process of its own with its own environment, that runs a module as `python -m` does, and dies as processes die; but no `atexit`
-handler runs in it.
+Each is a process of its own with its own environment, that runs a module as `python -m` does, and
+dies as processes die; but no `atexit` handler runs in it.
 """
 
 from __future__ import annotations
@@ -20,9 +21,13 @@ from multiprocessing.reduction import DupFd
 from pathlib import Path
 from typing import Any
 
-LOADED = [  # what the command imports; not its own modules, which look at the environment and the terminal as they are loaded
-    "cyclopts", "dbos", "fastapi", "numba", "obstore", "psycopg", "rich.console", "rich.progress", "rich.table", "uvicorn", "uvloop",
-    "trueup.gate.recompute", "trueup_client", "trueup_service.http.app", "trueup_service.http.serve", "trueup_service.identity",
+# what the command imports; not its own modules, which look at the environment and the terminal as
+# they are loaded
+LOADED = [
+    "cyclopts", "dbos", "fastapi", "numba", "obstore", "psycopg", "rich.console", "rich.progress",
+    "rich.table", "uvicorn", "uvloop",
+    "trueup.gate.recompute", "trueup_client", "trueup_service.http.app",
+    "trueup_service.http.serve", "trueup_service.identity",
     "trueup_service.logs", "trueup_worker.main",
 ]  # fmt: skip
 _context = multiprocessing.get_context("forkserver")
@@ -33,11 +38,18 @@ class Forked:
     """A child, with what `subprocess.Popen` has that tests use."""
 
     def __init__(
-        self, module: str, arguments: Sequence[str], environment: Mapping[str, str], cwd: Path, outputs: Sequence[int] = (1, 2)
+        self,
+        module: str,
+        arguments: Sequence[str],
+        environment: Mapping[str, str],
+        cwd: Path,
+        outputs: Sequence[int] = (1, 2),
     ) -> None:
         """`outputs` are the descriptors of what is its standard output and standard error."""
         passed = [_Descriptor(number) for number in outputs]
-        self._process = _context.Process(target=_run, args=(module, list(arguments), dict(environment), cwd, passed))
+        self._process = _context.Process(
+            target=_run, args=(module, list(arguments), dict(environment), cwd, passed)
+        )
         self._process.start()
         self.pid = self._process.pid
 
@@ -66,7 +78,9 @@ class Forked:
         self.send_signal(signal.SIGKILL)
 
 
-def run(module: str, arguments: Sequence[str], environment: Mapping[str, str], cwd: Path) -> subprocess.CompletedProcess:
+def run(
+    module: str, arguments: Sequence[str], environment: Mapping[str, str], cwd: Path
+) -> subprocess.CompletedProcess:
     """What `subprocess.run` gives, its output captured as text."""
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         code = Forked(module, arguments, environment, cwd, [out.fileno(), err.fileno()]).wait()
@@ -89,7 +103,13 @@ def _taken(handed: Any) -> int:
     return handed.detach()
 
 
-def _run(module: str, arguments: list[str], environment: dict[str, str], cwd: Path, outputs: Sequence[int]) -> None:
+def _run(
+    module: str,
+    arguments: list[str],
+    environment: dict[str, str],
+    cwd: Path,
+    outputs: Sequence[int],
+) -> None:
     for number, file in enumerate(outputs, 1):
         os.dup2(file, number)
         os.close(file)

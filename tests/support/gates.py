@@ -1,4 +1,5 @@
-"""Gates that tests declare on purpose, and that a service takes only because they say what they are."""
+"""Gates that tests declare on purpose, and that a service takes only because they say what they
+are."""
 
 from typing import Any
 
@@ -14,7 +15,8 @@ LENIENT: dict[str, Any] = {
 
 
 def in_force(client: Client, plant: str, **other: Any) -> dict[str, Any]:
-    """The lenient gate, with other fields if there are any, declared in the place of the one in force unless it is that one."""
+    """The lenient gate, with other fields if there are any, declared in the place of the one in
+    force unless it is that one."""
     document = LENIENT | other
     try:
         before = client.gate_in_force(plant)

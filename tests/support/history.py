@@ -1,4 +1,5 @@
-"""What a service acknowledged, held against what it has in the end: nothing lost, nothing torn, nothing done twice, every job ended."""
+"""What a service acknowledged, held against what it has in the end: nothing lost, nothing torn,
+nothing done twice, every job ended."""
 
 from __future__ import annotations
 
@@ -12,12 +13,21 @@ from trueup_service.registry.records import FINAL
 from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
-ONCE = ("episode:ingested", "artifact:added", "gate:declared", "decision:made", "job:submitted", "job:finished", "plant:registered")
+ONCE = (
+    "episode:ingested",
+    "artifact:added",
+    "gate:declared",
+    "decision:made",
+    "job:submitted",
+    "job:finished",
+    "plant:registered",
+)
 
 
 @dataclass
 class History:
-    """Acknowledged episodes and gates by plant and digest, jobs by id, moves by plant, generation and artifact."""
+    """Acknowledged episodes and gates by plant and digest, jobs by id, moves by plant, generation
+    and artifact."""
 
     episodes: set[tuple[str, str]] = field(default_factory=set)
     gates: set[tuple[str, str]] = field(default_factory=set)
@@ -35,7 +45,9 @@ class History:
 
 def problems(history: History, parts: Parts) -> list[str]:
     """What is lost, torn, doubled or never ended."""
-    found = [f"torn: {f.where}: {f.what}" for f in verify(Kept(parts.database, parts.blobs)).findings]
+    found = [
+        f"torn: {f.where}: {f.what}" for f in verify(Kept(parts.database, parts.blobs)).findings
+    ]
     found += [f"lost: {f.where}: {f.what}" for f in lost_jobs(parts)]
     with parts.database.read() as connection:
         reader = Reader(connection)
@@ -52,5 +64,7 @@ def problems(history: History, parts: Parts) -> list[str]:
         entries = reader.audit_entries(0, 10**9)
     counted = Counter((e.kind, e.plant, e.subject) for e in entries if e.kind in ONCE)
     found += [f"doubled: {key}" for key, times in counted.items() if times > 1]
-    generations = Counter((e.plant, e.facts["generation"]) for e in entries if e.kind == "pointer:moved")
+    generations = Counter(
+        (e.plant, e.facts["generation"]) for e in entries if e.kind == "pointer:moved"
+    )
     return found + [f"doubled: generation {key}" for key, times in generations.items() if times > 1]

@@ -1,4 +1,5 @@
-"""A service as an attacker would run it: a real one's answers, with what terminals obey in every text of them."""
+"""A service as an attacker would run it: a real one's answers, with what terminals obey in every
+text of them."""
 
 from __future__ import annotations
 
@@ -11,7 +12,19 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 EVIL = "\x1b[2J[red]x[/]\x9b31m\x1b]0;owned\x07\r\x7f\u202e\u2028\u2066\ttab\nnext"
-OBEYED = set(map(chr, [*range(32), *range(127, 160), 0x2028, 0x2029, *range(0x202A, 0x202F), *range(0x2066, 0x206A)])) - {"\n", "\t"}
+OBEYED = set(
+    map(
+        chr,
+        [
+            *range(32),
+            *range(127, 160),
+            0x2028,
+            0x2029,
+            *range(0x202A, 0x202F),
+            *range(0x2066, 0x206A),
+        ],
+    )
+) - {"\n", "\t"}
 
 
 def spoiled(value: Any) -> Any:
@@ -21,7 +34,9 @@ def spoiled(value: Any) -> Any:
     if isinstance(value, list):
         return [spoiled(x) for x in value]
     if isinstance(value, dict):
-        return {key: x if key == "next" else spoiled(x) for key, x in value.items()}  # a list of many pages has to end
+        return {
+            key: x if key == "next" else spoiled(x) for key, x in value.items()
+        }  # a list of many pages has to end
     return value
 
 
@@ -35,7 +50,12 @@ def hostile(port: int) -> Iterator[str]:
         def do_GET(self) -> None:
             body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
             connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
-            connection.request(self.command, self.path, body, {k: v for k, v in self.headers.items() if k.lower() != "host"})
+            connection.request(
+                self.command,
+                self.path,
+                body,
+                {k: v for k, v in self.headers.items() if k.lower() != "host"},
+            )
             answer = connection.getresponse()
             content = answer.read()
             connection.close()

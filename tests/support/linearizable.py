@@ -1,7 +1,9 @@
-"""Two servers on one database, read and moved by many at once: is the pointer one register, and does the log explain every read?
+"""Two servers on one database, read and moved by many at once: is the pointer one register, and
+does the log explain every read?
 
-Each move takes a generation of its own, so a history is linearizable exactly if no operation that began after another had ended shows an
-earlier generation, every generation shows one artifact, and each acknowledged move has its generation alone.
+Each move takes a generation of its own, so a history is linearizable exactly if no operation that
+began after another had ended shows an earlier generation, every generation shows one artifact, and
+each acknowledged move has its generation alone.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from trueup_service.wiring import Parts
 
 @dataclass(frozen=True)
 class Operation:
-    """What was asked of which server, when it began and ended [s], and the position that it showed; None where it was refused."""
+    """What was asked of which server, when it began and ended [s], and the position that it showed;
+    None where it was refused."""
 
     kind: str
     began: float
@@ -38,9 +41,12 @@ Decisions = Mapping["tuple[int, str]", str]  # generation and incumbent to an ac
 
 
 def prepare(parts: Parts, client: Client, plant: str, folder: Path, generations: int) -> Decisions:
-    """A plant with two versions, and for each generation that its pointer may reach a decision from either to the other."""
+    """A plant with two versions, and for each generation that its pointer may reach a decision from
+    either to the other."""
     client.register_plant(plant_document(plant))
-    client.upload_episode(plant, save(folder, f"{plant}.mcap", episode_bytes(9, 60, role=Role.VALIDATION)))
+    client.upload_episode(
+        plant, save(folder, f"{plant}.mcap", episode_bytes(9, 60, role=Role.VALIDATION))
+    )
     candidate = identified(plant, 1.2)
     client.add_artifact(plant, candidate.manifest)
     gate, episode = client.declare_gate(plant)["digest"], next(client.episodes(plant))["digest"]
@@ -49,14 +55,29 @@ def prepare(parts: Parts, client: Client, plant: str, folder: Path, generations:
     with writing(parts.database) as writer:
         for generation in range(1, generations + 1):
             for incumbent, other in (versions, versions[::-1]):
-                document: dict[str, Any] = {"gate": gate, "candidate": other, "incumbent": incumbent, "generation": generation}
+                document: dict[str, Any] = {
+                    "gate": gate,
+                    "candidate": other,
+                    "incumbent": incumbent,
+                    "generation": generation,
+                }
                 document |= {"accepted": True, "episodes": [episode], "figures": {}, "verdicts": []}
                 stamp = Stamp("bench", "2026-01-01T00:00:00.000000Z")
-                made[generation, incumbent] = record_decision(writer, plant, document, None, stamp).digest
+                made[generation, incumbent] = record_decision(
+                    writer, plant, document, None, stamp
+                ).digest
     return made
 
 
-def run(urls: Sequence[str], token: str, plant: str, decisions: Decisions, threads: int, operations: int, seed: int) -> list[Operation]:
+def run(
+    urls: Sequence[str],
+    token: str,
+    plant: str,
+    decisions: Decisions,
+    threads: int,
+    operations: int,
+    seed: int,
+) -> list[Operation]:
     """Everybody reads, rolls back and promotes what may be promoted, at any server, all at once."""
     found: list[Operation] = []
     gate = threading.Barrier(threads)
@@ -95,14 +116,20 @@ def _act(client: Client, plant: str, decisions: Decisions, kind: str) -> Serving
         return now
     if kind == "rollback":
         return client.roll_back(plant, now.generation)
-    return client.promote(plant, decisions.get((now.generation, now.artifact), "0" * 64), now.generation)
+    return client.promote(
+        plant, decisions.get((now.generation, now.artifact), "0" * 64), now.generation
+    )
 
 
 def violations(operations: Sequence[Operation], told: Sequence[Serving]) -> list[str]:
     """What no single register could have shown; `told` are the positions that the log tells of."""
     by_generation = {s.generation: s.artifact for s in told}
     shown = [o for o in operations if o.generation is not None]
-    found = [f"generation {o.generation} was shown as {o.artifact}" for o in shown if by_generation.get(o.generation or 0) != o.artifact]
+    found = [
+        f"generation {o.generation} was shown as {o.artifact}"
+        for o in shown
+        if by_generation.get(o.generation or 0) != o.artifact
+    ]
     moves = [o.generation for o in shown if o.kind != "read"]
     found += [f"generation {g} was taken twice" for g in set(moves) if moves.count(g) > 1]
     latest, ended = 0, sorted(shown, key=lambda o: o.ended)
@@ -113,5 +140,8 @@ def violations(operations: Sequence[Operation], told: Sequence[Serving]) -> list
             index += 1
         least = latest + (operation.kind != "read")
         if (operation.generation or 0) < least:
-            found.append(f"a {operation.kind} showed generation {operation.generation} after {latest} had been shown")
+            found.append(
+                f"a {operation.kind} showed generation {operation.generation} after {latest} "
+                "had been shown"
+            )
     return found

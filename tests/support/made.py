@@ -28,7 +28,10 @@ def plant_document(name: str = "bench-joint") -> dict:
             "integrator": "semi_implicit_euler",
         },
         "commands": [{"name": "u", "unit": "m/s^2", "limits": [-1.0, 1.0]}],
-        "observations": [{"name": "q", "unit": "m", "scale": 1.0}, {"name": "v", "unit": "m/s", "scale": 1.0}],
+        "observations": [
+            {"name": "q", "unit": "m", "scale": 1.0},
+            {"name": "v", "unit": "m/s", "scale": 1.0},
+        ],
         "envelope": {"q": [-0.9, 0.9], "v": [-3.0, 3.0]},
         "evaluation": {"horizon_s": 2.0},
         "topics": {"observation": "/joint_states", "command": "/joint_commands"},
@@ -37,7 +40,9 @@ def plant_document(name: str = "bench-joint") -> dict:
 
 def identified(name: str, k: float = 1.2) -> Artifact:
     """A version of a plant's model with other numbers, as somebody would upload it."""
-    return pack(Identified(Plant.from_document(plant_document(name)), (k, 0.6, 0.8)), {"origin": "test"})
+    return pack(
+        Identified(Plant.from_document(plant_document(name)), (k, 0.6, 0.8)), {"origin": "test"}
+    )
 
 
 def arm_layout(joints: int) -> Layout:
@@ -46,7 +51,9 @@ def arm_layout(joints: int) -> Layout:
     observations = [Channel(f"q{n}", "rad", Field.POSITION, n) for n in names] + [
         Channel(f"v{n}", "rad/s", Field.VELOCITY, n) for n in names
     ]
-    return Layout(tuple(observations), tuple(Channel(f"u{n}", "N·m", Field.EFFORT, n) for n in names))
+    return Layout(
+        tuple(observations), tuple(Channel(f"u{n}", "N·m", Field.EFFORT, n) for n in names)
+    )
 
 
 def episode_bytes(
@@ -59,12 +66,22 @@ def episode_bytes(
 ) -> bytes:
     """An excited run of an oscillator with these parameters, without noise."""
     plant, rng = Plant.from_document(plant_document()), np.random.default_rng(seed)
-    issued = np.clip(np.convolve(rng.normal(size=samples), np.ones(8) / 4, "same"), -1.0, 1.0)[:, None]
+    issued = np.clip(np.convolve(rng.normal(size=samples), np.ones(8) / 4, "same"), -1.0, 1.0)[
+        :, None
+    ]
     states = np.empty((samples, 2))
     states[0] = rng.normal(scale=0.3, size=2)
     for i in range(samples - 1):
         states[i + 1] = plant.update(states[i : i + 1], issued[i : i + 1], parameters)[0]
-    return mcap_bytes(plant.layout, states, issued, role=role, encoding=encoding, start_ns=T0_NS + seed * 10**12, **conditions)
+    return mcap_bytes(
+        plant.layout,
+        states,
+        issued,
+        role=role,
+        encoding=encoding,
+        start_ns=T0_NS + seed * 10**12,
+        **conditions,
+    )
 
 
 def mcap_bytes(
@@ -79,7 +96,9 @@ def mcap_bytes(
     **conditions: str,
 ) -> bytes:
     stream = io.BytesIO()
-    stamps = start_ns + np.arange(len(observations)) * 50_000_000 if stamps_ns is None else stamps_ns
+    stamps = (
+        start_ns + np.arange(len(observations)) * 50_000_000 if stamps_ns is None else stamps_ns
+    )
     write_episode(
         stream,
         stamps_ns=stamps,

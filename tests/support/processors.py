@@ -1,7 +1,9 @@
-"""Diagnoses of the same recordings as other processors would make them, and by how much they differ.
+"""Diagnoses of the same recordings as other processors would make them, and by how much they
+differ.
 
-A child process takes the kernels of linear algebra, the vector instructions of numpy, those of the C library and the code of the compiled
-rollouts from its environment. `python -m tests.support.processors OUT CASE…` diagnoses case folders and writes the reports to a file; a
+A child process takes the kernels of linear algebra, the vector instructions of numpy, those of the
+C library and the code of the compiled rollouts from its environment. `python -m
+tests.support.processors OUT CASE…` diagnoses case folders and writes the reports to a file; a
 folder of a model among them is judged on the first case.
 """
 
@@ -32,7 +34,11 @@ VARIANTS: Mapping[str, Mapping[str, str]] = {
     "numpy without AVX-512": {"NPY_DISABLE_CPU_FEATURES": NO_AVX512},
     "C library without FMA": {"GLIBC_TUNABLES": OLD_LIBC},
 }
-MOVED, WIDTH, ERROR = 0.02, 0.02, 0.01  # of a half-width, of a width, of a held-out error: what two processors may differ by
+MOVED, WIDTH, ERROR = (
+    0.02,
+    0.02,
+    0.01,
+)  # of a half-width, of a width, of a held-out error: what two processors may differ by
 
 
 def start(variant: Mapping[str, str], out: Path, cases: Sequence[Path]) -> subprocess.Popen[str]:
@@ -44,7 +50,8 @@ def start(variant: Mapping[str, str], out: Path, cases: Sequence[Path]) -> subpr
 
 @dataclass(frozen=True)
 class Difference:
-    """By how much two reports of one case differ: whether they answer alike, and the largest of each difference."""
+    """By how much two reports of one case differ: whether they answer alike, and the largest of
+    each difference."""
 
     alike: bool
     moved: float
@@ -64,9 +71,17 @@ def difference(one: Mapping, other: Mapping) -> Difference:
     shared = [(here[name], there[name]) for name in here.keys() & there.keys()]
     halves = [((b - a) / 2.0, (d - c) / 2.0, abs(x - y)) for (x, a, b), (y, c, d) in shared]
     moved = max((by / half if half else float(by > 0.0) for half, _, by in halves), default=0.0)
-    width = max((abs(second / half - 1.0) if half else float(second > 0.0) for half, second, _ in halves), default=0.0)
+    width = max(
+        (abs(second / half - 1.0) if half else float(second > 0.0) for half, second, _ in halves),
+        default=0.0,
+    )
     after = one["gap"]["after"], other["gap"]["after"]
-    return Difference(ours == its and here.keys() == there.keys(), moved, width, abs(after[1] / after[0] - 1.0) if after[0] else 0.0)
+    return Difference(
+        ours == its and here.keys() == there.keys(),
+        moved,
+        width,
+        abs(after[1] / after[0] - 1.0) if after[0] else 0.0,
+    )
 
 
 def _answer(report: Mapping) -> tuple:
@@ -79,18 +94,25 @@ def _estimates(report: Mapping) -> dict[tuple, tuple[float, float, float]]:
     """Each estimate with its interval, by effect, joint and name."""
     found = {("", "", name): (p["value"], *p["ci95"]) for name, p in report["parameters"].items()}
     for e in report["effects"]:
-        found |= {(e["effect"], e.get("joint", ""), name): (x["value"], *x["ci95"]) for name, x in e["estimate"].items()}
+        found |= {
+            (e["effect"], e.get("joint", ""), name): (x["value"], *x["ci95"])
+            for name, x in e["estimate"].items()
+        }
     return found
 
 
 def processor() -> str:
     """What this machine calls its own."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
-    return next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), platform.processor())
+    return next(
+        (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")),
+        platform.processor(),
+    )
 
 
 def judged(model: Path, case: Path) -> dict:
-    """The decision of a gate on a corrected model against the nominal one, on a case's validation episodes."""
+    """The decision of a gate on a corrected model against the nominal one, on a case's validation
+    episodes."""
     from trueup.artifact.model import load
     from trueup.diagnose.case import read_case
     from trueup.episode.role import Role
@@ -102,9 +124,14 @@ def judged(model: Path, case: Path) -> dict:
 
     plant, episodes = read_case(case)
     held_out = [e for e in episodes if e.role is Role.VALIDATION]
-    gate = Gate((rules()["rollout_improves"](0.98), rules()["tracking_no_worse"](1.05)), Scoring(plant.horizon_s, EVERY))
+    gate = Gate(
+        (rules()["rollout_improves"](0.98), rules()["tracking_no_worse"](1.05)),
+        Scoring(plant.horizon_s, EVERY),
+    )
     trial = run_trial(gate, load(model).predictor, Nominal(plant), held_out).trial
-    return judge(gate, trial, plant="plant", candidate="candidate", incumbent="incumbent", generation=1).document()
+    return judge(
+        gate, trial, plant="plant", candidate="candidate", incumbent="incumbent", generation=1
+    ).document()
 
 
 def main() -> None:

@@ -24,7 +24,9 @@ class S3:
     def new_bucket(self) -> str:
         """The name of a fresh bucket."""
         name = f"b{uuid.uuid4().hex[:16]}"
-        urllib.request.urlopen(urllib.request.Request(f"{self.endpoint}/{name}", method="PUT")).close()
+        urllib.request.urlopen(
+            urllib.request.Request(f"{self.endpoint}/{name}", method="PUT")
+        ).close()
         return name
 
 
@@ -32,7 +34,11 @@ class S3:
 def start_s3() -> Iterator[S3]:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    child = subprocess.Popen([sys.executable, "-m", "moto.server", "-p", str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    child = subprocess.Popen(
+        [sys.executable, "-m", "moto.server", "-p", str(port)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         until_listening(port, child)
         yield S3(f"http://127.0.0.1:{port}")

@@ -25,7 +25,8 @@ def free_port() -> int:
 
 
 class Service:
-    """A server and workers on one storage, with `settings` by their name, as in `long_poll_limit_s=1`."""
+    """A server and workers on one storage, with `settings` by their name, as in
+    `long_poll_limit_s=1`."""
 
     def __init__(self, storage: Storage, **settings: object) -> None:
         self.storage = storage
@@ -46,8 +47,12 @@ class Service:
         finally:
             self.stop()
 
-    def start_server(self, worker: bool = False, module: str = "trueup_cli.main", *, kept: bool = False) -> Forked:
-        child = self._start(module, "serve", "--port", str(self.port), *([] if kept else ["--no-worker"]))
+    def start_server(
+        self, worker: bool = False, module: str = "trueup_cli.main", *, kept: bool = False
+    ) -> Forked:
+        child = self._start(
+            module, "serve", "--port", str(self.port), *([] if kept else ["--no-worker"])
+        )
         until_listening(self.port, child)
         if worker and not kept:
             self.start_worker()
@@ -66,7 +71,11 @@ class Service:
         self._children = [child for child in self._children if child not in stopped]
 
     def _start(self, module: str, *arguments: str) -> Forked:
-        quiet = {"TRUEUP_LOG_LEVEL": "WARNING", "PYTHONWARNINGS": "default", "TRUEUP_JOB_POLL_INTERVAL_S": "0.3"}
+        quiet = {
+            "TRUEUP_LOG_LEVEL": "WARNING",
+            "PYTHONWARNINGS": "default",
+            "TRUEUP_JOB_POLL_INTERVAL_S": "0.3",
+        }
         environment = {**os.environ, **self.storage.environment, **quiet, **self._settings}
         child = Forked(module, arguments, environment, ROOT)
         self._children.append(child)

@@ -23,7 +23,11 @@ def plant_of(bench: Bench, *, velocity: bool = True) -> Plant:
     return Plant.from_document(
         {
             "name": "simulated",
-            "nominal": {"family": bench.kind, "parameters": parameters, "timestep_s": bench.timestep_s},
+            "nominal": {
+                "family": bench.kind,
+                "parameters": parameters,
+                "timestep_s": bench.timestep_s,
+            },
             "commands": [{"name": "u", "unit": "rad/s^2", "limits": [-bench.limit, bench.limit]}],
             "observations": observations if velocity else observations[:1],
             "envelope": {"q": [-5.0, 5.0]},
@@ -35,16 +39,36 @@ def plant_of(bench: Bench, *, velocity: bool = True) -> Plant:
 def episodes_of(plant: Plant, trial: Trial, runs: int | None = None) -> list[Episode]:
     """The first runs of each role, or all."""
     roles = Role.ADAPTATION, Role.VALIDATION
-    return [episode_of(plant, run, role, f"{role}-{i}") for role in roles for i, run in enumerate(trial.of(role)[:runs])]
+    return [
+        episode_of(plant, run, role, f"{role}-{i}")
+        for role in roles
+        for i, run in enumerate(trial.of(role)[:runs])
+    ]
 
 
 def episode_of(plant: Plant, run: Run, role: Role, digest: str) -> Episode:
     seen = run.observed[:, : len(plant.layout.observations)].copy()
-    return Episode(run.t_s.copy(), run.issued[:, None].copy(), seen, plant.layout, role, {"stage": "SIL"}, 0, digest)
+    return Episode(
+        run.t_s.copy(),
+        run.issued[:, None].copy(),
+        seen,
+        plant.layout,
+        role,
+        {"stage": "SIL"},
+        0,
+        digest,
+    )
 
 
 def recorded(
-    tier: str, names: list[str], seed: int, *, shifted: bool = True, velocity: bool = True, law: Noise = WHITE, runs: int | None = None
+    tier: str,
+    names: list[str],
+    seed: int,
+    *,
+    shifted: bool = True,
+    velocity: bool = True,
+    law: Noise = WHITE,
+    runs: int | None = None,
 ) -> tuple[Plant, list[Episode], Trial]:
     rng = np.random.default_rng(seed)
     bench = replace(draw_bench(tier, rng), law=law)

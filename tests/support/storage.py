@@ -22,14 +22,26 @@ class Storage:
     environment: dict[str, str]
 
     def settings(self) -> Settings:
-        return Settings(**{key.removeprefix("TRUEUP_").lower(): value for key, value in self.environment.items()})
+        return Settings(
+            **{
+                key.removeprefix("TRUEUP_").lower(): value
+                for key, value in self.environment.items()
+            }
+        )
 
     def build(self) -> Parts:
         return build(self.settings())
 
 
 def embedded(folder: Path) -> Storage:
-    return Storage("embedded", {"TRUEUP_DATA_DIR": str(folder), "TRUEUP_JOB_POLL_INTERVAL_S": "0.05", "TRUEUP_TAKEOVER_INTERVAL_S": "0.2"})
+    return Storage(
+        "embedded",
+        {
+            "TRUEUP_DATA_DIR": str(folder),
+            "TRUEUP_JOB_POLL_INTERVAL_S": "0.05",
+            "TRUEUP_TAKEOVER_INTERVAL_S": "0.2",
+        },
+    )
 
 
 def scaled(folder: Path, postgres: Postgres, s3: S3) -> Storage:

@@ -1,4 +1,5 @@
-"""Flip one byte of what an installation keeps: of a row of the registry or the log, or of a blob."""
+"""Flip one byte of what an installation keeps: of a row of the registry or the log, or of a
+blob."""
 
 from __future__ import annotations
 
@@ -32,13 +33,18 @@ class Flip:
 
 
 def promoted(client: Client, folder: Path) -> tuple[str, str]:
-    """A plant `p` whose fitted candidate was judged and promoted; the candidate and the decision."""
+    """A plant `p` whose fitted candidate was judged and promoted; the candidate and the
+    decision."""
     client.register_plant(plant_document("p"))
     for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
         client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
-    candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])["result"]["artifact"]
+    candidate = client.wait(client.submit("p", {"kind": "fit", "method": "residual"})["id"])[
+        "result"
+    ]["artifact"]
     gate = client.declare_gate("p", LENIENT)["digest"]
-    decision = client.wait(client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"])["result"]["decision"]
+    decision = client.wait(
+        client.submit("p", {"kind": "gate", "candidate": candidate, "gate": gate})["id"]
+    )["result"]["decision"]
     client.promote("p", decision, 1)
     return candidate, decision
 
@@ -47,9 +53,16 @@ def cut(parts: Parts, entries: Sequence[AuditEntry], size: int) -> None:
     """Cut the log to a size, entries, tree and head alike, so that what is left is a sound log."""
     with parts.database.write() as connection:
         connection.execute(text("DELETE FROM audit WHERE sequence > :n"), {"n": size})
-        connection.execute(text("DELETE FROM audit_tree WHERE (((node & 281474976710655) + 1) << (node >> 48)) > :n"), {"n": size})
+        connection.execute(
+            text(
+                "DELETE FROM audit_tree WHERE (((node & 281474976710655) + 1) << (node >> 48)) > :n"
+            ),
+            {"n": size},
+        )
         frontier = rebuild(entries[:size]).to_bytes()
-        connection.execute(text("UPDATE audit_head SET size = :n, frontier = :f"), {"n": size, "f": frontier})
+        connection.execute(
+            text("UPDATE audit_head SET size = :n, frontier = :f"), {"n": size, "f": frontier}
+        )
 
 
 def flip(parts: Parts, rng: random.Random) -> Flip:
@@ -68,7 +81,11 @@ def _flip_row(parts: Parts, rng: random.Random) -> Flip:
     while True:
         table = rng.choice(TAMPERED)
         with parts.database.read() as connection:
-            rows = [r for r in connection.execute(select(table)).mappings() if table.name not in KEYS or must_be_named(table.name, r)]
+            rows = [
+                r
+                for r in connection.execute(select(table)).mappings()
+                if table.name not in KEYS or must_be_named(table.name, r)
+            ]
         if not rows:
             continue
         row = rng.choice(rows)
@@ -102,7 +119,9 @@ def _write(parts: Parts, table: Any, row: Any, column: Any, changed: Any) -> Fli
     def put(key: dict[str, Any], value: Any) -> None:
         kept = sqlite3.connect(parts.settings.data_dir / "trueup.sqlite")
         where = " AND ".join(f'"{name}" = ?' for name in key)
-        done = kept.execute(f'UPDATE "{table.name}" SET "{column.name}" = ? WHERE {where}', (value, *key.values()))
+        done = kept.execute(
+            f'UPDATE "{table.name}" SET "{column.name}" = ? WHERE {where}', (value, *key.values())
+        )
         assert done.rowcount == 1
         kept.commit()
         kept.close()

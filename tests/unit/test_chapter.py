@@ -8,7 +8,10 @@ from trueup.chapter.published import PUBLISHED, printed_like
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
 
 DIGITS = [
-    (table, row, column, digits) for table, rows in PUBLISHED.items() for row, columns in rows.items() for column, digits in columns.items()
+    (table, row, column, digits)
+    for table, rows in PUBLISHED.items()
+    for row, columns in rows.items()
+    for column, digits in columns.items()
 ]
 
 
@@ -23,7 +26,9 @@ def test_a_published_digit_comes_out_of_the_run(tables, table, row, column, digi
 
 
 def test_the_nominal_curve_of_the_delay_sweep_falls(tables):
-    errors = [row["nominal"] for name, row in tables["Delay sweep"].items() if name.startswith("delay ")]
+    errors = [
+        row["nominal"] for name, row in tables["Delay sweep"].items() if name.startswith("delay ")
+    ]
     assert errors == sorted(errors, reverse=True)
     assert len(errors) == 6
 

@@ -16,7 +16,12 @@ from trueup_cli import exits, main, show
 from trueup_cli.complaints import complain
 from trueup_client.problem import NotSigned, Problem, Unreachable, Untrue
 
-FOR_PEOPLE = {"serve", "work", "demo", "completion"}  # what runs until it is stopped, what is to be watched, what a shell reads
+FOR_PEOPLE = {
+    "serve",
+    "work",
+    "demo",
+    "completion",
+}  # what runs until it is stopped, what is to be watched, what a shell reads
 SHELLS = ("bash", "zsh", "fish", "powershell")
 
 
@@ -46,7 +51,9 @@ def test_a_command_says_what_it_takes_prints_json_and_names_its_exit_codes(name,
 
 
 def test_every_argument_is_explained():
-    said = re.findall(r"^\* `(.+?)`:(.*)$", (ROOT / "docs" / "commands.md").read_text(), flags=re.MULTILINE)
+    said = re.findall(
+        r"^\* `(.+?)`:(.*)$", (ROOT / "docs" / "commands.md").read_text(), flags=re.MULTILINE
+    )
     assert len(said) > 100
     assert [name for name, text in said if not re.sub(r"\*+\[.*?\]\*+", "", text).strip()] == []
 
@@ -66,16 +73,26 @@ def test_exit_codes_are_what_they_are_told_to_be(tmp_path):
     assert "Exit codes: 0 done; 1 refused" in run("diagnose", "--help", COLUMNS="200").stdout
     assert run("serving").returncode == exits.MISUSED
     assert run("serving", "emps").returncode == exits.UNREACHABLE
-    refused = run("predict", "--model", str(tmp_path), "--episode", "x", "--horizon", "1", "--out", "y")
+    refused = run(
+        "predict", "--model", str(tmp_path), "--episode", "x", "--horizon", "1", "--out", "y"
+    )
     assert (refused.returncode, refused.stderr.split()[0]) == (exits.REFUSED, "bad-artifact")
     assert complain(Untrue("x")) == complain(NotSigned("x")) == exits.DISAGREES
-    assert (complain(Unreachable("x")), complain(Problem(409, {})), complain(ValueError("x"))) == (exits.UNREACHABLE, exits.REFUSED, None)
+    assert (complain(Unreachable("x")), complain(Problem(409, {})), complain(ValueError("x"))) == (
+        exits.UNREACHABLE,
+        exits.REFUSED,
+        None,
+    )
 
 
 @pytest.mark.parametrize("command", [("completion", "zsh"), ("doctor",)], ids=" ".join)
 def test_who_stops_reading_gets_no_traceback(command):
     child = subprocess.Popen(
-        [sys.executable, "-m", "trueup_cli.main", *command], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True
+        [sys.executable, "-m", "trueup_cli.main", *command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=ROOT,
+        text=True,
     )
     child.stdout.close()
     with child.stderr:
@@ -94,7 +111,15 @@ def test_an_answer_is_printed_with_its_warnings_and_names_as_they_are(capsys):
     rival = [{"effect": "backlash", "joint": "[bold]"}]
     episodes = [{"sha256": "0" * 64, "role": "adaptation", "period_s": 0.0053}]
     evidence = {"timestep_s": 0.005, "episodes": episodes}
-    show.answer({"verdict": "unknown_effect", "gap": gap, "indistinguishable": [rival], "where": {}, "evidence": evidence})
+    show.answer(
+        {
+            "verdict": "unknown_effect",
+            "gap": gap,
+            "indistinguishable": [rival],
+            "where": {},
+            "evidence": evidence,
+        }
+    )
     sentence, clock, numbers = capsys.readouterr().out.splitlines()
     assert sentence.endswith("cannot tell this from backlash at [bold].")
     assert "off the declared step" in clock
@@ -111,8 +136,15 @@ def test_shells_complete_commands_and_options_and_plants(tmp_path):
         assert "diagnose" in run("completion", shell).stdout
     script = run("completion", "bash").stdout
     (tmp_path / "c.sh").write_text(script)
-    said = 'source "$1"; COMP_WORDS=(trueup fetch --a); COMP_CWORD=2; _trueup; echo "${COMPREPLY[@]}"'
-    assert subprocess.run(["bash", "-c", said, "_", tmp_path / "c.sh"], capture_output=True, text=True, check=True).stdout == "--artifact\n"
+    said = (
+        'source "$1"; COMP_WORDS=(trueup fetch --a); COMP_CWORD=2; _trueup; echo "${COMPREPLY[@]}"'
+    )
+    assert (
+        subprocess.run(
+            ["bash", "-c", said, "_", tmp_path / "c.sh"], capture_output=True, text=True, check=True
+        ).stdout
+        == "--artifact\n"
+    )
     run("completion", "bash", "--install", "--to", str(tmp_path / "there.sh"))
     assert (tmp_path / "there.sh").read_text().strip() == script.strip()
     unknown = run("completion", SHELL="/bin/nothing", PATH="/nowhere")

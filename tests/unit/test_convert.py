@@ -1,4 +1,5 @@
-"""`trueup convert`: a fetched model as a file that other programs read, or a refusal that says what to do."""
+"""`trueup convert`: a fetched model as a file that other programs read, or a refusal that says what
+to do."""
 
 import json
 
@@ -18,7 +19,10 @@ from trueup_cli.convert import convert
 
 
 def test_one_joint_becomes_onnx_and_mjcf(tmp_path, capsys):
-    digest = kept(model_of("oscillator", {"backlash": {"gap": 0.1}, "coulomb_friction": {"level": 0.1}}), tmp_path / "m")
+    digest = kept(
+        model_of("oscillator", {"backlash": {"gap": 0.1}, "coulomb_friction": {"level": 0.1}}),
+        tmp_path / "m",
+    )
     convert(tmp_path / "m", tmp_path / "m.onnx", as_json_=True)
     told = json.loads(capsys.readouterr().out)
     assert told == {"file": str(tmp_path / "m.onnx"), "artifact": digest, "not_expressed": []}

@@ -1,4 +1,5 @@
-"""The page of a diagnosis: what is ranked above the line, and that nothing in a report can become markup."""
+"""The page of a diagnosis: what is ranked above the line, and that nothing in a report can become
+markup."""
 
 import pytest
 
@@ -20,7 +21,15 @@ def row(validation, *effects, answer=False, in_set=False, worse=(0.5, 1.5)):
 
 
 def report(*rows, verdict="effect", plant="p"):
-    gap = {"before": 1.0, "parameters_only": 0.5, "after": 0.1, "floor": 0.05, "closed": 0.9, "ci95": [0.8, 1.0], "horizon_s": 1.0}
+    gap = {
+        "before": 1.0,
+        "parameters_only": 0.5,
+        "after": 0.1,
+        "floor": 0.05,
+        "closed": 0.9,
+        "ci95": [0.8, 1.0],
+        "horizon_s": 1.0,
+    }
     return {
         "plant": plant,
         "verdict": verdict,
@@ -29,38 +38,75 @@ def report(*rows, verdict="effect", plant="p"):
         "excluded": [],
         "not_excited": [{"effect": "hard_stop", "why": HOSTILE}],
         "parameters": {HOSTILE: {"nominal": 1.0, "value": 1.1, "ci95": [1.0, 1.2]}},
-        "where": {"channels": [{"channel": HOSTILE, "share": 1.0}], "ports": [], "regions": [], "bands": []},
+        "where": {
+            "channels": [{"channel": HOSTILE, "share": 1.0}],
+            "ports": [],
+            "regions": [],
+            "bands": [],
+        },
         "gap": {**gap, "beginnings": "counted"},
         "next_experiment": None,
-        "evidence": {"episodes": [], "hypotheses": list(rows), "uses_of_validation": 3, "seed": 0, "version": "0"},
+        "evidence": {
+            "episodes": [],
+            "hypotheses": list(rows),
+            "uses_of_validation": 3,
+            "seed": 0,
+            "version": "0",
+        },
     }
 
 
 def test_what_cannot_be_told_from_the_answer_is_above_the_line():
-    rows = [row(9.0, "backlash"), row(2.1, "stribeck_friction", in_set=True), row(2.0, "coulomb_friction", answer=True), row(50.0)]
+    rows = [
+        row(9.0, "backlash"),
+        row(2.1, "stribeck_friction", in_set=True),
+        row(2.0, "coulomb_friction", answer=True),
+        row(50.0),
+    ]
     found = ranking(report(*rows))
-    assert [r["name"] for r in found] == ["Coulomb friction", "Stribeck friction", "backlash", "fitted parameters alone"]
+    assert [r["name"] for r in found] == [
+        "Coulomb friction",
+        "Stribeck friction",
+        "backlash",
+        "fitted parameters alone",
+    ]
     assert [r["divide"] for r in found] == ["", "", INSEPARABLE, ""]
     assert found[0]["said"] == "the answer"
 
 
 @pytest.mark.parametrize(("verdict", "line"), [("effect", ALONE), ("unknown_effect", NOT_ENOUGH)])
 def test_the_line_says_what_the_verdict_says(verdict, line):
-    found = ranking(report(row(2.0, "coulomb_friction", answer=True), row(9.0, "backlash"), verdict=verdict))
+    found = ranking(
+        report(row(2.0, "coulomb_friction", answer=True), row(9.0, "backlash"), verdict=verdict)
+    )
     assert found[1]["divide"] == line
     assert ("answer" in found[0]["said"]) == (verdict == "effect")
 
 
 def test_what_fits_closer_and_is_not_the_answer_is_explained():
-    found = ranking(report(row(2.0, "coulomb_friction", answer=True), row(1.9, "coulomb_friction", "backlash")))
+    found = ranking(
+        report(row(2.0, "coulomb_friction", answer=True), row(1.9, "coulomb_friction", "backlash"))
+    )
     assert "more numbers" in found[1]["said"]
 
 
 def test_nothing_in_a_report_becomes_markup():
-    trace = {"name": HOSTILE, "unit": HOSTILE, "measured": [0.0, 1.0], "nominal": [0.0, 2.0], "corrected": [0.0, 1.0]}
+    trace = {
+        "name": HOSTILE,
+        "unit": HOSTILE,
+        "measured": [0.0, 1.0],
+        "nominal": [0.0, 2.0],
+        "corrected": [0.0, 1.0],
+    }
     trace["rms"] = {"nominal": 1.0, "corrected": 0.0}
     episode = {"sha256": "0" * 64, "t_s": [0.0, 1.0], "channels": [trace], "commands": []}
-    figures = {"horizon_s": 1.0, "stride_s": 0.1, "episodes": [episode], "maps": [], "experiment": None}
+    figures = {
+        "horizon_s": 1.0,
+        "stride_s": 0.1,
+        "episodes": [episode],
+        "maps": [],
+        "experiment": None,
+    }
     page = report_page(report(row(2.0, HOSTILE, answer=True), plant=HOSTILE), figures)
     assert HOSTILE not in page
     assert "<img" not in page
@@ -71,6 +117,8 @@ def test_nothing_in_a_report_becomes_markup():
 def test_what_is_left_beside_the_noise_is_said_where_intervals_are(after, said):
     found = report(row(2.0, "coulomb_friction", answer=True))
     estimate = {"level": {"value": 0.2, "unit": "m/s^2", "ci95": [0.19, 0.21]}}
-    found["effects"] = [{"effect": "coulomb_friction", "channel": "joint", "estimate": estimate, "share": 0.5}]
+    found["effects"] = [
+        {"effect": "coulomb_friction", "channel": "joint", "estimate": estimate, "share": 0.5}
+    ]
     found["gap"] |= {"after": after, "floor": 0.05}
     assert ("What is left is 4 times the noise floor" in report_page(found, None)) == said

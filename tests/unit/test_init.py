@@ -1,4 +1,5 @@
-"""From recordings that say nothing of themselves to a case folder: what is found, what is assumed, what is asked."""
+"""From recordings that say nothing of themselves to a case folder: what is found, what is assumed,
+what is asked."""
 
 import json
 
@@ -27,7 +28,9 @@ LAYOUT = Layout(
 def moved(seed, samples=600):
     """States and commands of an excited oscillator."""
     rng = np.random.default_rng(seed)
-    issued = np.clip(np.convolve(rng.normal(size=samples), np.ones(8) / 4, "same"), -0.87, 0.87)[:, None]
+    issued = np.clip(np.convolve(rng.normal(size=samples), np.ones(8) / 4, "same"), -0.87, 0.87)[
+        :, None
+    ]
     issued[7] = 0.87
     states = np.zeros((samples, 2))
     for i in range(samples - 1):
@@ -35,14 +38,23 @@ def moved(seed, samples=600):
     return states + rng.normal(scale=1e-4, size=states.shape), issued
 
 
-def record(path, seed, *, role=None, layout=LAYOUT, encoding=Encoding.CDR, states=None, issued=None):
+def record(
+    path, seed, *, role=None, layout=LAYOUT, encoding=Encoding.CDR, states=None, issued=None
+):
     """A recording as `ros2 bag` leaves it: no role, no conditions."""
     made = moved(seed)
     states, issued = made[0] if states is None else states, made[1] if issued is None else issued
     stamps = T0_NS + 10**12 * seed + np.arange(len(states)) * 50_000_000
     with path.open("wb") as file:
         write_episode(
-            file, stamps_ns=stamps, observations=states, commands=issued, layout=layout, role=role, conditions={}, encoding=encoding
+            file,
+            stamps_ns=stamps,
+            observations=states,
+            commands=issued,
+            layout=layout,
+            role=role,
+            conditions={},
+            encoding=encoding,
         )
     return path
 
@@ -69,13 +81,21 @@ def test_a_bag_of_several_files_becomes_a_case(tmp_path):
     make_case(bag, tmp_path / "case", Wanted())
     document = json.loads((tmp_path / "case" / "plant.json").read_text())
     assert document["name"] == "my-bag-3"
-    assert document["topics"] == {"observation": "/robot/joint_states", "command": "/robot/effort_command"}
+    assert document["topics"] == {
+        "observation": "/robot/joint_states",
+        "command": "/robot/effort_command",
+    }
     assert document["commands"][0]["limits"] == [-0.87, 0.87]
     assert document["nominal"]["timestep_s"] == 0.05
     assert document["nominal"]["family"] == "oscillator"
     assert list(document["nominal"]["parameters"].values()) == pytest.approx(TRUE, rel=0.02)
     _, episodes = read_case(tmp_path / "case")
-    assert sorted(str(e.role) for e in episodes) == ["adaptation", "adaptation", "adaptation", "validation"]
+    assert sorted(str(e.role) for e in episodes) == [
+        "adaptation",
+        "adaptation",
+        "adaptation",
+        "validation",
+    ]
     assert {e.conditions["stage"] for e in episodes} == {"physical"}
 
 
@@ -89,16 +109,25 @@ def test_the_end_of_a_single_file_is_held_out_and_nothing_is_in_both(tmp_path):
 
 
 def test_roles_that_files_declare_are_kept_byte_by_byte(tmp_path):
-    paths = [record(tmp_path / f"{i}.mcap", i, role=role) for i, role in enumerate((Role.VALIDATION, Role.ADAPTATION))]
+    paths = [
+        record(tmp_path / f"{i}.mcap", i, role=role)
+        for i, role in enumerate((Role.VALIDATION, Role.ADAPTATION))
+    ]
     make_case(tmp_path, tmp_path / "case", Wanted())
-    kept = {p.name.split("-")[1].removesuffix(".mcap"): p.read_bytes() for p in (tmp_path / "case").glob("*.mcap")}
+    kept = {
+        p.name.split("-")[1].removesuffix(".mcap"): p.read_bytes()
+        for p in (tmp_path / "case").glob("*.mcap")
+    }
     assert kept == {"validation": paths[0].read_bytes(), "adaptation": paths[1].read_bytes()}
 
 
 def test_a_family_may_be_given_and_an_unknown_one_is_refused(tmp_path):
     path = record(tmp_path / "bag.mcap", 2)
     make_case(path, tmp_path / "case", Wanted(family="pendulum"))
-    assert json.loads((tmp_path / "case" / "plant.json").read_text())["nominal"]["family"] == "pendulum"
+    assert (
+        json.loads((tmp_path / "case" / "plant.json").read_text())["nominal"]["family"]
+        == "pendulum"
+    )
     with pytest.raises(BadPlant, match="no family") as refused:
         make_case(path, tmp_path / "other", Wanted(family="rocket"))
     assert "inertia" in refused.value.hint
@@ -106,13 +135,19 @@ def test_a_family_may_be_given_and_an_unknown_one_is_refused(tmp_path):
 
 def test_several_joints_are_asked_about(tmp_path):
     states, issued = moved(3)
-    both = {"states": np.hstack([states[:, :1], states[:, :1], states[:, 1:], states[:, 1:]]), "issued": np.hstack([issued, issued])}
+    both = {
+        "states": np.hstack([states[:, :1], states[:, :1], states[:, 1:], states[:, 1:]]),
+        "issued": np.hstack([issued, issued]),
+    }
     path = record(tmp_path / "arm.mcap", 3, layout=arm_layout(2), **both)
     with pytest.raises(BadPlant, match="2 joints") as refused:
         make_case(path, tmp_path / "case", Wanted())
     assert "j0, j1" in refused.value.hint
     make_case(path, tmp_path / "case", Wanted(joint="j1"))
-    assert json.loads((tmp_path / "case" / "plant.json").read_text())["observations"][0]["joint"] == "j1"
+    assert (
+        json.loads((tmp_path / "case" / "plant.json").read_text())["observations"][0]["joint"]
+        == "j1"
+    )
 
 
 def test_what_cannot_be_found_is_named_with_what_there_is(tmp_path):

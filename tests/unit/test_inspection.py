@@ -31,7 +31,9 @@ async def inspecting(memory_bytes=MEMORY, timeout_s=60.0):
 def of(inspector):
     """The inspector's process and its children."""
     pid = inspector._process.pid
-    return pid, [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return pid, [
+        int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    ]
 
 
 @pytest.fixture
@@ -60,7 +62,10 @@ def test_a_file_that_is_no_episode_is_told_with_its_code(tmp_path):
     assert refused.value.code != BadEpisode.code
 
 
-@pytest.mark.parametrize(("limits", "limit"), [((64 << 20, 60.0), "inspection_memory_bytes"), ((MEMORY, 1e-4), "inspection_timeout_s")])
+@pytest.mark.parametrize(
+    ("limits", "limit"),
+    [((64 << 20, 60.0), "inspection_memory_bytes"), ((MEMORY, 1e-4), "inspection_timeout_s")],
+)
 def test_a_limit_is_told(tmp_path, limits, limit):
     large = save(tmp_path, "large.mcap", episode_bytes(1, 20_000))
 
@@ -77,7 +82,9 @@ def test_a_batch_of_telemetry_becomes_an_episode_beside_it(tmp_path):
     batch = {
         "start_ns": "1000000000",
         "t_s": [0.05 * i for i in range(60)],
-        "observations": {c["name"]: [0.1 * i for i in range(60)] for c in plant_document("p")["observations"]},
+        "observations": {
+            c["name"]: [0.1 * i for i in range(60)] for c in plant_document("p")["observations"]
+        },
         "commands": {c["name"]: [0.0] * 60 for c in plant_document("p")["commands"]},
     }
     path = save(tmp_path, "batch.json", json.dumps(batch).encode())

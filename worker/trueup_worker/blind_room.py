@@ -1,7 +1,8 @@
 """Blind room: a process of its own that diagnoses case folders and knows nothing else.
 
-It is started with an empty environment, is told folders on its standard input, and answers each with one line of JSON. What
-it diagnoses was drawn by the process that started it, whose memory alone holds the labels.
+It is started with an empty environment, is told folders on its standard input, and answers each
+with one line of JSON. What it diagnoses was drawn by the process that started it, whose memory
+alone holds the labels.
 """
 
 from __future__ import annotations
@@ -19,11 +20,18 @@ from types import TracebackType
 from typing import Any
 
 NO_ANSWER = "no-answer"
-PASSED_ON = ("PATH", "HOME", "TMPDIR", "NUMBA_CACHE_DIR", "LANG")  # what a process needs to find its libraries and its cache
+PASSED_ON = (
+    "PATH",
+    "HOME",
+    "TMPDIR",
+    "NUMBA_CACHE_DIR",
+    "LANG",
+)  # what a process needs to find its libraries and its cache
 
 
 class Room:
-    """One such process, on one core. Use it in a `with` block, or as what diagnoses in a blind trial."""
+    """One such process, on one core. Use it in a `with` block, or as what diagnoses in a blind
+    trial."""
 
     def __init__(self, core: int) -> None:
         self._core = core
@@ -33,16 +41,24 @@ class Room:
         kept = {name: os.environ[name] for name in PASSED_ON if name in os.environ}
         command = [sys.executable, "-I", "-m", "trueup_worker.blind_room", str(self._core)]
         pipe = subprocess.PIPE
-        return subprocess.Popen(command, stdin=pipe, stdout=pipe, env=kept, cwd="/", text=True, start_new_session=True)
+        return subprocess.Popen(
+            command, stdin=pipe, stdout=pipe, env=kept, cwd="/", text=True, start_new_session=True
+        )
 
     def __call__(self, folder: Path) -> Mapping[str, Any]:
-        """`report`, `manifest` and `arrays` (base64), or `problem`; and `seconds`. A room that ends unanswered is opened once more."""
+        """`report`, `manifest` and `arrays` (base64), or `problem`; and `seconds`. A room that ends
+        unanswered is opened once more."""
         answer = self._asked(folder)
         if answer is None:
             self._close()
             self._process = self._started()
             answer = self._asked(folder)
-        return answer or {"problem": f"{NO_ANSWER}: the diagnosing process ended with code {self._process.wait()}", "seconds": 0.0}
+        return answer or {
+            "problem": (
+                f"{NO_ANSWER}: the diagnosing process ended with code {self._process.wait()}"
+            ),
+            "seconds": 0.0,
+        }
 
     def _asked(self, folder: Path) -> Mapping[str, Any] | None:
         assert self._process.stdin is not None
@@ -64,7 +80,12 @@ class Room:
     def __enter__(self) -> Room:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._close()
 
 
@@ -81,7 +102,10 @@ def _answer(folder: Path) -> Mapping[str, Any]:
     except TrueupError as error:
         return {"problem": f"{error.code}: {error.message}", "seconds": time.monotonic() - began}
     except Exception as error:  # noqa: BLE001  (a diagnosis that breaks is a miss of that machine, and of no other)
-        return {"problem": f"failed: {type(error).__name__}: {error}", "seconds": time.monotonic() - began}
+        return {
+            "problem": f"failed: {type(error).__name__}: {error}",
+            "seconds": time.monotonic() - began,
+        }
     packed = {"manifest": model.manifest.decode(), "arrays": b64encode(model.arrays).decode()}
     return {"report": dict(found.document), **packed, "seconds": time.monotonic() - began}
 

@@ -1,10 +1,12 @@
 """Conduct a blind trial: draw, commit, have diagnosed in rooms of their own, open.
 
 lots        what is hidden, by a secret that exists in this process alone
-recordings  case folders on disk, held against their labels: nothing in them may spell what is hidden
+recordings  case folders on disk, held against their labels: nothing in them may spell what is
+            hidden
 commitment  published before the first diagnosis
 rooms       processes that are told a folder and nothing else
-opening     labels, salts and the secret, so that anybody can hold them against the commitments, or draw it all again
+opening     labels, salts and the secret, so that anybody can hold them against the commitments, or
+            draw it all again
 """
 
 from __future__ import annotations
@@ -51,7 +53,10 @@ class NoRoom(TrueupError):
     """No process of its own could be started to diagnose in."""
 
     code = "no-room"
-    hint = "Install trueup into the environment that runs it: the processes are started without any other path."
+    hint = (
+        "Install trueup into the environment that runs it: the processes are started "
+        "without any other path."
+    )
 
 
 @dataclass(frozen=True)
@@ -78,14 +83,16 @@ def conduct(
 ) -> dict[str, Any]:
     """The report of `count` trials after a user's plant and episodes.
 
-    A `secret` draws an opened trial again; without one it is drawn too. `commit` is called with the commitments before the first diagnosis.
-    `keep` is a folder for the cases, made when the first is written; without one they are removed.
-    Raises NotIdentifiable, LabelLeaked, NoRoom.
+    A `secret` draws an opened trial again; without one it is drawn too. `commit` is called with the
+    commitments before the first diagnosis. `keep` is a folder for the cases, made when the first is
+    written; without one they are removed. Raises NotIdentifiable, LabelLeaked, NoRoom.
     """
     bench, hidden = bench_of(plant, episodes), secret or os.urandom(SECRET_BYTES)
     with tempfile.TemporaryDirectory(prefix="blind-") as temporary:
         sealed = []
-        for trial in _drawn(plant, bench, conditions_of(episodes), count, hidden, keep or Path(temporary)):
+        for trial in _drawn(
+            plant, bench, conditions_of(episodes), count, hidden, keep or Path(temporary)
+        ):
             sealed.append(trial)
             progress("drawing machines and recording them", DRAWING * len(sealed) / count)
         commit([s.commitment for s in sealed])
@@ -96,7 +103,9 @@ def conduct(
     if all(str(a.get("problem", "")).startswith(NO_ANSWER) for a in answers):
         raise NoRoom("no diagnosing process ever answered: " + str(answers[0]["problem"]))
     found = [Answer(a.get("report"), a.get("problem"), float(a["seconds"])) for a in answers]
-    rows = [_row(i, plant, *parts) for i, parts in enumerate(zip(sealed, answers, found, strict=True))]
+    rows = [
+        _row(i, plant, *parts) for i, parts in enumerate(zip(sealed, answers, found, strict=True))
+    ]
     return {
         "schema": SCHEMA,
         "plant": plant.name,
@@ -104,11 +113,16 @@ def conduct(
         **tally(rows, found),
         "rows": list(rows),
         "bench": {
-            "episodes": [{"sha256": e.digest, "role": str(e.role)} for e in sorted(episodes, key=lambda e: e.digest)],
+            "episodes": [
+                {"sha256": e.digest, "role": str(e.role)}
+                for e in sorted(episodes, key=lambda e: e.digest)
+            ],
             "period_s": bench.timestep_s,
             "fine_step_s": bench.timestep_s / bench.parts,
             "sigma": [float(x) for x in bench.sigma] if bench.sigma is not None else [],
-            "feedback": {k: np.ravel(v).tolist() for k, v in asdict(bench.feedback).items()} if bench.feedback else None,
+            "feedback": {k: np.ravel(v).tolist() for k, v in asdict(bench.feedback).items()}
+            if bench.feedback
+            else None,
             "robot": isinstance(bench, RobotBench),
             "left_out": spelled_out(plant),
         },
@@ -118,7 +132,12 @@ def conduct(
 
 
 def _drawn(
-    plant: Plant, bench: Bench | RobotBench, conditions: Mapping[str, str], count: int, secret: bytes, where: Path
+    plant: Plant,
+    bench: Bench | RobotBench,
+    conditions: Mapping[str, str],
+    count: int,
+    secret: bytes,
+    where: Path,
 ) -> Iterator[Sealed]:
     rng = np.random.default_rng(int.from_bytes(bytes.fromhex(digest_of_bytes(secret + b"/lots"))))
     own: Json = [dict(plant.document), dict(conditions)]
@@ -136,7 +155,9 @@ def _drawn(
         yield Sealed(folder, label, salt, commitment(label, salt), tests(plant, trial), trial.sigma)
 
 
-def _answered(folders: Sequence[Path], given: Sequence[Diagnose] | None) -> Iterator[Mapping[str, Any]]:
+def _answered(
+    folders: Sequence[Path], given: Sequence[Diagnose] | None
+) -> Iterator[Mapping[str, Any]]:
     """Every folder's answer, in order; as many rooms as there are cores."""
     with ExitStack() as stack:
         rooms: Sequence[Diagnose] = given or [stack.enter_context(Room(core)) for core in _cores()]
@@ -156,10 +177,16 @@ def _answered(folders: Sequence[Path], given: Sequence[Diagnose] | None) -> Iter
 
 
 def _cores() -> list[int]:
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+    return (
+        sorted(os.sched_getaffinity(0))
+        if hasattr(os, "sched_getaffinity")
+        else list(range(os.cpu_count() or 1))
+    )
 
 
-def _row(index: int, plant: Plant, sealed: Sealed, answer: Mapping[str, Any], found: Answer) -> dict[str, Json]:
+def _row(
+    index: int, plant: Plant, sealed: Sealed, answer: Mapping[str, Any], found: Answer
+) -> dict[str, Json]:
     closed = None
     if "manifest" in answer:
         model = Artifact(answer["manifest"].encode(), b64decode(answer["arrays"]))

@@ -16,5 +16,7 @@ def code_identity() -> dict[str, Json]:
     root = Path(trueup.__file__).parent
     hashed = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
-        hashed.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+        hashed.update(
+            path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0"
+        )
     return {"version": trueup.__version__, "sha256": hashed.hexdigest()}

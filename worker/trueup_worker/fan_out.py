@@ -1,7 +1,9 @@
-"""Fan out: a diagnosis asks workers that have nothing else to do for help with its tasks, and does itself what nobody took.
+"""Fan out: a diagnosis asks workers that have nothing else to do for help with its tasks, and does
+itself what nobody took.
 
 - A parcel of tasks is named by its content, so that asking twice is asking once.
-- What a helper answers is what we would have found: it declines where its code or processor is another.
+- What a helper answers is what we would have found: it declines where its code or processor is
+  another.
 - Nobody is waited for in vain: what a helper took and does not bring back is done here.
 - While nobody helps, one parcel is all that is offered, so that asking costs nothing worth a name.
 """
@@ -29,12 +31,16 @@ log = logging.getLogger("trueup.worker")
 
 MOST_PARCELS = 12  # of one step of a search
 LOOK_S = 0.05  # between looks at what others did
-PATIENCE_S, PATIENCE = 2.0, 3.0  # a helper may take so long at least, and so many times what our own longest parcel took
+PATIENCE_S, PATIENCE = (
+    2.0,
+    3.0,
+)  # a helper may take so long at least, and so many times what our own longest parcel took
 PREFIX = "help."  # of a parcel's name; the job's id and the parcel's digest follow
 
 
 class FanOut:
-    """Solves the tasks of one job's diagnosis. Use it as a context: at its end nothing is left of what was asked."""
+    """Solves the tasks of one job's diagnosis. Use it as a context: at its end nothing is left of
+    what was asked."""
 
     def __init__(self, queue: JobQueue, job: str) -> None:
         self._queue, self._job = queue, job
@@ -43,7 +49,12 @@ class FanOut:
     def __enter__(self) -> FanOut:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         self._queue.forget(f"{PREFIX}{self._job}.")
 
     def __call__(self, problem: Problem, tasks: Sequence[Task], told: Share) -> list[Any]:
@@ -52,8 +63,13 @@ class FanOut:
         size = max(cores(), -(-len(tasks) // MOST_PARCELS))
         parcels = [range(i, min(i + size, len(tasks))) for i in range(0, len(tasks), size)]
         offered = parcels[1:] if self._is_helped else parcels[1:][-1:]
-        named = {self._name(text): (part, text) for part, text in ((p, pack_tasks(problem, [tasks[i] for i in p])) for p in offered)}
-        self._queue.ask_for_help(self._job, {name: f"{likeness()} {text}" for name, (_, text) in reversed(named.items())})
+        named = {
+            self._name(text): (part, text)
+            for part, text in ((p, pack_tasks(problem, [tasks[i] for i in p])) for p in offered)
+        }
+        self._queue.ask_for_help(
+            self._job, {name: f"{likeness()} {text}" for name, (_, text) in reversed(named.items())}
+        )
         step = _Step(problem, tasks, [i for p in parcels if p not in offered for i in p])
         asked = _Asked(self._queue, {name: part for name, (part, _) in named.items()})
         try:
@@ -83,7 +99,10 @@ class _Step:
         self.answers: list[Any] = [None] * len(tasks)
         self.missing = set(range(len(tasks)))
         self.longest_s = 0.0
-        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(min(cores(), len(tasks)))]
+        self._threads = [
+            threading.Thread(target=self._work, daemon=True)
+            for _ in range(min(cores(), len(tasks)))
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -163,7 +182,8 @@ class _Asked:
         self.was_heard = False
 
     def look(self, step: _Step) -> None:
-        """Gather what was done, and give our own idle hands the first part that nobody has, or that was taken too long ago."""
+        """Gather what was done, and give our own idle hands the first part that nobody has, or that
+        was taken too long ago."""
         if not self._parts:
             return
         now, waiting, late = time.monotonic(), [], []
@@ -181,7 +201,9 @@ class _Asked:
                 waiting.append(name)
             else:
                 self.was_heard = True
-                if now - self._taken.setdefault(name, now) > max(PATIENCE_S, PATIENCE * step.longest_s * len(part)):
+                if now - self._taken.setdefault(name, now) > max(
+                    PATIENCE_S, PATIENCE * step.longest_s * len(part)
+                ):
                     late.append(name)
         if step.has_idle_hands and (waiting or late):
             name = [*waiting, *late][0]

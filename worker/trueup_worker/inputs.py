@@ -26,8 +26,15 @@ def read_plant(parts: Parts, job: JobRecord) -> Plant:
         return Plant.from_document(find.plant(Reader(connection), job.plant).document)
 
 
-def read_episodes(parts: Parts, job: JobRecord, plant: Plant, roles: Sequence[Role], progress: Callable[[float], None]) -> list[Episode]:
-    """The episodes that the job's request names. Raises RoleRefused, BadEpisode if the stored bytes are not what their digest names."""
+def read_episodes(
+    parts: Parts,
+    job: JobRecord,
+    plant: Plant,
+    roles: Sequence[Role],
+    progress: Callable[[float], None],
+) -> list[Episode]:
+    """The episodes that the job's request names. Raises RoleRefused, BadEpisode if the stored bytes
+    are not what their digest names."""
     digests: Any = job.request["episodes"]
     with writing(parts.database) as writer:
         writer.add_reads(job.id, digests, job.kind)
@@ -35,7 +42,11 @@ def read_episodes(parts: Parts, job: JobRecord, plant: Plant, roles: Sequence[Ro
     for count, digest in enumerate(digests):
         episode = read_episode(parts.blobs.get(digest), plant.layout).require(*roles)
         if episode.digest != digest:
-            raise BadEpisode("the stored bytes are not the episode that was ingested", expected=digest, found=episode.digest)
+            raise BadEpisode(
+                "the stored bytes are not the episode that was ingested",
+                expected=digest,
+                found=episode.digest,
+            )
         episodes.append(episode)
         progress((count + 1) / len(digests))
     return episodes
@@ -51,4 +62,7 @@ def read_predictor(parts: Parts, job: JobRecord, digest: str) -> Predictor:
 
 def sources(episodes: Sequence[Episode]) -> list[Json]:
     """Episodes as provenance names them: digest, role, collection conditions."""
-    return [{"sha256": e.digest, "role": str(e.role), "conditions": dict(e.conditions)} for e in episodes]
+    return [
+        {"sha256": e.digest, "role": str(e.role), "conditions": dict(e.conditions)}
+        for e in episodes
+    ]

@@ -15,7 +15,8 @@ from trueup_worker.code_identity import code_identity
 
 @cache
 def likeness() -> str:
-    """A digest that two workers share only if they compute the same: kernels are compiled for the processor at hand."""
+    """A digest that two workers share only if they compute the same: kernels are compiled for the
+    processor at hand."""
     found: dict[str, Json] = {
         "code": code_identity(),
         "python": platform.python_version(),

@@ -31,7 +31,8 @@ RETRIED: StepOptions = {
 
 
 def work(parts: Parts, *, with_parent: bool = False) -> None:
-    """Run jobs until SIGTERM or SIGINT; with `with_parent` also until standard input closes, as it does when the parent dies."""
+    """Run jobs until SIGTERM or SIGINT; with `with_parent` also until standard input closes, as it
+    does when the parent dies."""
     name = f"{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
     lives = _lives(parts)
     lives.begin(name)
@@ -42,8 +43,14 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
         threading.Thread(target=_until_parent_is_gone, args=(stop,), daemon=True).start()
     _launch(parts, name)
     log.info("working", extra={"worker": name})
-    threading.Thread(target=watch, args=(parts.database, lives, name, parts.settings.takeover_interval_s, stop), daemon=True).start()
-    threading.Thread(target=keep, args=(parts, parts.settings.schedule_interval_s, stop), daemon=True).start()
+    threading.Thread(
+        target=watch,
+        args=(parts.database, lives, name, parts.settings.takeover_interval_s, stop),
+        daemon=True,
+    ).start()
+    threading.Thread(
+        target=keep, args=(parts, parts.settings.schedule_interval_s, stop), daemon=True
+    ).start()
     stop.wait()
     log.info("stopping", extra={"worker": name})
     DBOS.destroy(workflow_completion_timeout_sec=0)
@@ -77,7 +84,9 @@ def _launch(parts: Parts, name: str) -> None:
 
     DBOS.launch()
     every_s = parts.settings.job_poll_interval_s
-    DBOS.register_queue(QUEUE, worker_concurrency=1, polling_interval_sec=every_s, on_conflict="always_update")
+    DBOS.register_queue(
+        QUEUE, worker_concurrency=1, polling_interval_sec=every_s, on_conflict="always_update"
+    )
     DBOS.register_queue(
         WATCHING,
         worker_concurrency=WATCHED_AT_ONCE,
@@ -96,7 +105,11 @@ class _Withdrawn(logging.Filter):
 
 
 def _lives(parts: Parts) -> Lives:
-    return FileLives(parts.settings.data_dir / "workers") if parts.settings.embedded else PostgresLives(parts.database)
+    return (
+        FileLives(parts.settings.data_dir / "workers")
+        if parts.settings.embedded
+        else PostgresLives(parts.database)
+    )
 
 
 def _until_parent_is_gone(stop: threading.Event) -> None:

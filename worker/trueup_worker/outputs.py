@@ -13,13 +13,20 @@ from trueup_service.wiring import Parts, keep_bytes
 
 
 def keep_arrays(parts: Parts, artifact: Artifact) -> str | None:
-    """Put an artifact's arrays into the blob store; their digest, None where it has none. Repeating it changes nothing."""
+    """Put an artifact's arrays into the blob store; their digest, None where it has none. Repeating
+    it changes nothing."""
     return keep_bytes(parts, artifact.arrays) if artifact.arrays else None
 
 
 def keep_file(parts: Parts, name: str, media_type: str, content: bytes) -> dict[str, Json]:
-    """Put a file that a job leaves behind into the blob store; what its row will say. Repeating it changes nothing."""
-    return {"name": name, "media_type": media_type, "size_bytes": len(content), "digest": keep_bytes(parts, content)}
+    """Put a file that a job leaves behind into the blob store; what its row will say. Repeating it
+    changes nothing."""
+    return {
+        "name": name,
+        "media_type": media_type,
+        "size_bytes": len(content),
+        "digest": keep_bytes(parts, content),
+    }
 
 
 def add_files(writer: Writer, job: JobRecord, files: Sequence[dict[str, Any]]) -> None:

@@ -30,7 +30,8 @@ class Progress:
         self._written = 0.0
 
     def stage(self, name: str, begin: float, end: float) -> Progress:
-        """From now on the job is in this stage, which takes it from one share to another; told again, nothing changes."""
+        """From now on the job is in this stage, which takes it from one share to another; told
+        again, nothing changes."""
         if (name, begin, end) == (self._stage, self._begin, self._end):
             return self
         self._stage, self._begin, self._end, self._written = name, begin, end, 0.0
@@ -43,7 +44,9 @@ class Progress:
         self._written = time.monotonic()
         done = self._begin + share * (self._end - self._begin)
         with writing(self._parts.database) as writer:
-            writer.update_job(self._job.id, now=time_text(datetime.now(UTC)), progress=done, stage=self._stage)
+            writer.update_job(
+                self._job.id, now=time_text(datetime.now(UTC)), progress=done, stage=self._stage
+            )
             found = writer.job(self._job.id)
         if found is None or found.state in (JobState.CANCELLING, JobState.CANCELLED):
             raise Cancelled

@@ -1,4 +1,5 @@
-"""Run a blind trial: labels are committed in the audit log before the first diagnosis, and opened with the job's end."""
+"""Run a blind trial: labels are committed in the audit log before the first diagnosis, and opened
+with the job's end."""
 
 from __future__ import annotations
 
@@ -19,9 +20,16 @@ READING = 0.02  # of the job's time
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """The report. Repeating it draws and commits anew: an auditor sees every commitment, and which of them was opened."""
+    """The report. Repeating it draws and commits anew: an auditor sees every commitment, and which
+    of them was opened."""
     plant = read_plant(parts, job)
-    episodes = read_episodes(parts, job, plant, (Role.ADAPTATION, Role.VALIDATION), progress.stage("reading episodes", 0.0, READING))
+    episodes = read_episodes(
+        parts,
+        job,
+        plant,
+        (Role.ADAPTATION, Role.VALIDATION),
+        progress.stage("reading episodes", 0.0, READING),
+    )
     request: dict[str, Any] = dict(job.request)
 
     def commit(commitments: list[str]) -> None:
@@ -36,10 +44,21 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
             )
 
     trials = int(request["trials"])
-    return {"report": conduct(plant, episodes, trials, None, commit, lambda stage, part: progress.stage(stage, READING, 1.0)(part))}
+    return {
+        "report": conduct(
+            plant,
+            episodes,
+            trials,
+            None,
+            commit,
+            lambda stage, part: progress.stage(stage, READING, 1.0)(part),
+        )
+    }
 
 
-def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: object) -> None:
+def effects(
+    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: object
+) -> None:
     """None beside its result: what was opened stands in it."""
 
 

@@ -24,7 +24,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     request: dict[str, Any] = job.request
     plant = read_plant(parts, job)
     predictor = read_predictor(parts, job, request["artifact"])
-    episodes = read_episodes(parts, job, plant, HEALTHY, progress.stage("reading episodes", 0.0, READING))
+    episodes = read_episodes(
+        parts, job, plant, HEALTHY, progress.stage("reading episodes", 0.0, READING)
+    )
     monitor = calibrate(
         predictor,
         request["artifact"],
@@ -34,16 +36,27 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         request.get("detectors") or (),
         lambda stage, part: progress.stage(stage, READING, 1.0)(part),
     )
-    return {"monitor": monitor.document(), "kept": {name: list(state) for name, state in monitor.begin().items()}}
+    return {
+        "monitor": monitor.document(),
+        "kept": {name: list(state) for name, state in monitor.begin().items()},
+    }
 
 
-def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(
+    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+) -> None:
     """The monitor watches from when it was asked for."""
-    add_monitor(writer, job.plant, outcome["monitor"], outcome["kept"], job.id, job.created_at, stamp)
+    add_monitor(
+        writer, job.plant, outcome["monitor"], outcome["kept"], job.id, job.created_at, stamp
+    )
     cycle_of(parts, writer, stamp).go_on(job.plant)
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
     """What the job answers with."""
     document = outcome["monitor"]
-    return {"monitor": digest_of(document), "promise_h": document["promise_h"], "figures": document["figures"]}
+    return {
+        "monitor": digest_of(document),
+        "promise_h": document["promise_h"],
+        "figures": document["figures"],
+    }

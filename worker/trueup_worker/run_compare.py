@@ -1,4 +1,5 @@
-"""Run a comparison: two versions on the same recordings, as numbers to be drawn; of one recording also as an MCAP to be looked at."""
+"""Run a comparison: two versions on the same recordings, as numbers to be drawn; of one recording
+also as an MCAP to be looked at."""
 
 from __future__ import annotations
 
@@ -28,7 +29,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     request: dict[str, Any] = job.request
     plant = read_plant(parts, job)
     first, second = (read_predictor(parts, job, request[which]) for which in ("first", "second"))
-    episodes = read_episodes(parts, job, plant, tuple(Role), progress.stage("reading episodes", 0.0, 0.3))
+    episodes = read_episodes(
+        parts, job, plant, tuple(Role), progress.stage("reading episodes", 0.0, 0.3)
+    )
     progress.stage("rolling out", 0.3, 0.8)(0.0)
     compared = side_by_side(first, second, episodes)
     files = [keep_file(parts, COMPARISON_FILE, "application/json", canonical_bytes(compared))]
@@ -36,16 +39,27 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         progress.stage("writing the overlay", 0.8, 1.0)(0.0)
         with parts.database.read() as connection:
             reader = Reader(connection)
-            names = {f"v{find.artifact(reader, job.plant, request[which]).version}": which for which in ("first", "second")}
+            names = {
+                f"v{find.artifact(reader, job.plant, request[which]).version}": which
+                for which in ("first", "second")
+            }
         models = {"first": first, "second": second}
         said = {name: predicted(models[which], episodes[0]) for name, which in names.items()}
         written = BytesIO()
-        write_overlay(written, parts.blobs.get(episodes[0].digest), episodes[0], said, regions_of_samples(plant, episodes[0]))
+        write_overlay(
+            written,
+            parts.blobs.get(episodes[0].digest),
+            episodes[0],
+            said,
+            regions_of_samples(plant, episodes[0]),
+        )
         files.append(keep_file(parts, OVERLAY_FILE, "application/vnd.mcap", written.getvalue()))
     return {"files": list(files), "by_episode": compared["by_episode"]}
 
 
-def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(
+    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+) -> None:
     """The files stand beside the job."""
     add_files(writer, job, outcome["files"])
 

@@ -1,4 +1,5 @@
-"""Run a diagnosis: adaptation and validation episodes become a report and the corrected model, a candidate like any other."""
+"""Run a diagnosis: adaptation and validation episodes become a report and the corrected model, a
+candidate like any other."""
 
 from __future__ import annotations
 
@@ -28,33 +29,62 @@ READING = 0.1  # of the job's time
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Diagnose, keep the arrays, and give the manifest and the report. Repeating it gives the same bytes."""
+    """Diagnose, keep the arrays, and give the manifest and the report. Repeating it gives the same
+    bytes."""
     plant = read_plant(parts, job)
     roles = Role.ADAPTATION, Role.VALIDATION
-    episodes = read_episodes(parts, job, plant, roles, progress.stage("reading episodes", 0.0, READING))
+    episodes = read_episodes(
+        parts, job, plant, roles, progress.stage("reading episodes", 0.0, READING)
+    )
     request: dict[str, Any] = dict(job.request)
     seed = int(request["seed"])
     with FanOut(parts.queue, job.id) as fan_out:
-        found = diagnose(plant, episodes, seed, lambda stage, part: progress.stage(stage, READING, 1.0)(part), fan_out)
+        found = diagnose(
+            plant,
+            episodes,
+            seed,
+            lambda stage, part: progress.stage(stage, READING, 1.0)(part),
+            fan_out,
+        )
     provenance: dict[str, Json] = {
         "origin": "diagnosis",
         "episodes": sources(episodes),
-        "coverage": [c.document() for c in coverage_of(plant, [e for e in episodes if e.role is Role.ADAPTATION])],
+        "coverage": [
+            c.document()
+            for c in coverage_of(plant, [e for e in episodes if e.role is Role.ADAPTATION])
+        ],
         "configuration": {"sha256": digest_of(job.request), "document": job.request},
         "code": code_identity(),
         "seed": seed,
         "parent": job.request["parent"],
-        "report": {"sha256": digest_of(dict(found.document)), "verdict": found.document["verdict"], "sentence": sentence(found.document)},
+        "report": {
+            "sha256": digest_of(dict(found.document)),
+            "verdict": found.document["verdict"],
+            "sentence": sentence(found.document),
+        },
     }
     artifact = pack(found.predictor, provenance)
-    files = [keep_file(parts, FIGURES_FILE, "application/json", canonical_bytes(figures(found, episodes)))]
+    files = [
+        keep_file(
+            parts, FIGURES_FILE, "application/json", canonical_bytes(figures(found, episodes))
+        )
+    ]
     if found.experiment is not None and found.experiment.command is not None:
-        files.append(keep_file(parts, COMMAND_FILE, "text/csv", found.experiment.csv(plant).encode()))
+        files.append(
+            keep_file(parts, COMMAND_FILE, "text/csv", found.experiment.csv(plant).encode())
+        )
     report = dict(found.document)
-    return {"manifest": artifact.manifest.decode(), "arrays": keep_arrays(parts, artifact), "report": report, "files": list(files)}
+    return {
+        "manifest": artifact.manifest.decode(),
+        "arrays": keep_arrays(parts, artifact),
+        "report": report,
+        "files": list(files),
+    }
 
 
-def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(
+    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+) -> None:
     """The corrected model becomes the plant's next version, and is judged if a policy says so."""
     add_files(writer, job, outcome.get("files", ()))
     artifact = Artifact(outcome["manifest"].encode(), b"")

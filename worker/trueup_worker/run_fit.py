@@ -27,24 +27,41 @@ SEED = 0  # both methods are deterministic; the field stands so that every prove
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Fit, keep the arrays, and give the manifest and the report. Repeating it gives the same bytes."""
+    """Fit, keep the arrays, and give the manifest and the report. Repeating it gives the same
+    bytes."""
     plant = read_plant(parts, job)
-    episodes = read_episodes(parts, job, plant, (Role.ADAPTATION,), progress.stage("reading episodes", 0.0, 0.5))
+    episodes = read_episodes(
+        parts, job, plant, (Role.ADAPTATION,), progress.stage("reading episodes", 0.0, 0.5)
+    )
     predictor, report = _fit(plant, episodes, job.request, progress.stage("fitting", 0.5, 0.95))
     progress.stage("packing", 0.95, 1.0)
     artifact = pack(predictor, _provenance(job, plant, episodes, report))
-    return {"manifest": artifact.manifest.decode(), "arrays": keep_arrays(parts, artifact), "report": report}
+    return {
+        "manifest": artifact.manifest.decode(),
+        "arrays": keep_arrays(parts, artifact),
+        "report": report,
+    }
 
 
-def _fit(plant: Plant, episodes: list[Episode], request: dict[str, Any], progress: Progress) -> tuple[Predictor, dict[str, Json]]:
+def _fit(
+    plant: Plant, episodes: list[Episode], request: dict[str, Any], progress: Progress
+) -> tuple[Predictor, dict[str, Json]]:
     if request["method"] == "identify":
         identified, found = identify(plant, episodes, progress)
         return identified, {"method": "identify", **found.document()}
-    residual, missed = fit_residual(plant, episodes, tuple(request.get("features") or ()), request.get("penalty") or RIDGE, progress)
+    residual, missed = fit_residual(
+        plant,
+        episodes,
+        tuple(request.get("features") or ()),
+        request.get("penalty") or RIDGE,
+        progress,
+    )
     return residual, {"method": "residual", **missed.document()}
 
 
-def _provenance(job: JobRecord, plant: Plant, episodes: list[Episode], report: dict[str, Json]) -> dict[str, Json]:
+def _provenance(
+    job: JobRecord, plant: Plant, episodes: list[Episode], report: dict[str, Json]
+) -> dict[str, Json]:
     return {
         "origin": "fit",
         "episodes": sources(episodes),
@@ -57,7 +74,9 @@ def _provenance(job: JobRecord, plant: Plant, episodes: list[Episode], report: d
     }
 
 
-def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(
+    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+) -> None:
     """The candidate becomes the plant's next version."""
     add_artifact(writer, job.plant, Artifact(outcome["manifest"].encode(), b""), job.id, stamp)
 

@@ -1,4 +1,5 @@
-"""Run a gate: candidate and incumbent are scored on held-out episodes, and the frozen rules decide."""
+"""Run a gate: candidate and incumbent are scored on held-out episodes, and the frozen rules
+decide."""
 
 from __future__ import annotations
 
@@ -34,34 +35,73 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     plant = read_plant(parts, job)
     with parts.database.read() as connection:
         declared = find.gate(Reader(connection), job.plant, request["gate"])
-        known = request.get("known") or known_at(Reader(connection), job.plant, declared, request["candidate"], request["episodes"])
+        known = request.get("known") or known_at(
+            Reader(connection), job.plant, declared, request["candidate"], request["episodes"]
+        )
     gate = Gate.from_document(declared.document)
-    candidate, incumbent, copy = (read_predictor(parts, job, request[which]) for which in ("candidate", "incumbent", "incumbent"))
-    episodes = read_episodes(parts, job, plant, HELD_OUT, progress.stage("reading episodes", 0.0, 0.4))
-    beside = {digest: read_predictor(parts, job, digest) for digest in request["beside"]} if "beside" in request else None
-    run = run_trial(gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0), copy, beside)
+    candidate, incumbent, copy = (
+        read_predictor(parts, job, request[which])
+        for which in ("candidate", "incumbent", "incumbent")
+    )
+    episodes = read_episodes(
+        parts, job, plant, HELD_OUT, progress.stage("reading episodes", 0.0, 0.4)
+    )
+    beside = (
+        {digest: read_predictor(parts, job, digest) for digest in request["beside"]}
+        if "beside" in request
+        else None
+    )
+    run = run_trial(
+        gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0), copy, beside
+    )
     named = {name: request[name] for name in ("candidate", "incumbent", "generation")}
     told = {"known": known, "uses": request.get("uses", ()), "selection": request.get("selection")}
-    decision = judge(gate, run.trial, plant=plant.digest, controls=run.controls, beside=run.beside, **told, **named)
+    decision = judge(
+        gate,
+        run.trial,
+        plant=plant.digest,
+        controls=run.controls,
+        beside=run.beside,
+        **told,
+        **named,
+    )
     outcome: dict[str, Json] = {
         "decision": decision.document(),
         "rehearsed": _rehearsed(parts, job, episodes, gate, candidate) if decision.accepted else {},
     }
     if not request.get("scales"):
         return outcome
-    return {**outcome, "scales": sensitivity(gate, run, plant.scales, [c.name for c in plant.layout.observations])}
+    return {
+        **outcome,
+        "scales": sensitivity(gate, run, plant.scales, [c.name for c in plant.layout.observations]),
+    }
 
 
-def _rehearsed(parts: Parts, job: JobRecord, episodes: Sequence[Episode], gate: Gate, candidate: Predictor) -> dict[str, Json]:
+def _rehearsed(
+    parts: Parts, job: JobRecord, episodes: Sequence[Episode], gate: Gate, candidate: Predictor
+) -> dict[str, Json]:
     """The way back, tried before anybody goes forward."""
     request: dict[str, Any] = job.request
     with parts.database.read() as connection:
         reader = Reader(connection)
-        back, registered = find.artifact(reader, job.plant, request["incumbent"]), find.plant_digest(reader, job.plant)
-    return rehearse(parts.blobs, back, registered, candidate, episodes[0], gate.scoring, time_text(datetime.now(UTC)))
+        back, registered = (
+            find.artifact(reader, job.plant, request["incumbent"]),
+            find.plant_digest(reader, job.plant),
+        )
+    return rehearse(
+        parts.blobs,
+        back,
+        registered,
+        candidate,
+        episodes[0],
+        gate.scoring,
+        time_text(datetime.now(UTC)),
+    )
 
 
-def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(
+    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+) -> None:
     """The decision stands in the registry, and its candidate is promoted if a policy says so."""
     decision = record_decision(writer, job.plant, outcome["decision"], job.id, stamp)
     driven: Any = outcome["decision"]["figures"].get("closed_loop")
@@ -87,4 +127,8 @@ def _evidence(decision: dict[str, Any], driven: dict[str, Any]) -> dict[str, Any
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
     """What the job answers with."""
     scales = {"scales": outcome["scales"]} if "scales" in outcome else {}
-    return {"decision": digest_of(outcome["decision"]), "accepted": outcome["decision"]["accepted"], **scales}
+    return {
+        "decision": digest_of(outcome["decision"]),
+        "accepted": outcome["decision"]["accepted"],
+        **scales,
+    }

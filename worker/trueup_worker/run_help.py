@@ -27,7 +27,8 @@ class Helping:
         self._known: tuple[str, Helper] | None = None
 
     def answer(self, job: str, parcel: str) -> str:
-        """What the tasks of a parcel answer; DECLINED where whoever asked has to do them: it would, if we had died."""
+        """What the tasks of a parcel answer; DECLINED where whoever asked has to do them: it would,
+        if we had died."""
         like, _, text = parcel.partition(" ")
         if like != likeness():
             log.info("declined to help a worker that computes otherwise", extra={"job": job})
@@ -52,6 +53,8 @@ class Helping:
             return None
         if self._known is None or self._known[0] != job:
             plant = read_plant(self._parts, found)
-            episodes = read_episodes(self._parts, found, plant, (Role.ADAPTATION, Role.VALIDATION), lambda _: None)
+            episodes = read_episodes(
+                self._parts, found, plant, (Role.ADAPTATION, Role.VALIDATION), lambda _: None
+            )
             self._known = job, Helper(plant, episodes)
         return self._known[1]

@@ -1,7 +1,8 @@
 """Run one job in two steps that may each be repeated: compute, then finish.
 
-Computing has no effect but blobs, which are named by their content. Finishing is one transaction that happens only if the job is not
-finished yet: so a job has its effects once, however often its worker was killed.
+Computing has no effect but blobs, which are named by their content. Finishing is one transaction
+that happens only if the job is not finished yet: so a job has its effects once, however often its
+worker was killed.
 """
 
 from __future__ import annotations
@@ -60,7 +61,10 @@ def compute(parts: Parts, job_id: str) -> dict[str, Json]:
     try:
         if job.state == JobState.CANCELLING:
             raise Cancelled
-        return {"state": JobState.SUCCEEDED.value, "outcome": KINDS[job.kind].compute(parts, job, Progress(parts, job))}
+        return {
+            "state": JobState.SUCCEEDED.value,
+            "outcome": KINDS[job.kind].compute(parts, job, Progress(parts, job)),
+        }
     except SQLAlchemyError:
         raise  # the database, not the job: the engine tries this step again
     except Cancelled as error:
@@ -71,7 +75,12 @@ def compute(parts: Parts, job_id: str) -> dict[str, Json]:
         log.exception("the job failed unexpectedly", extra={"job": job_id})
         return {
             "state": JobState.FAILED.value,
-            "problem": _problem(TrueupError(f"the worker failed: {type(error).__name__}: {error}", hint="Read the worker's log.")),
+            "problem": _problem(
+                TrueupError(
+                    f"the worker failed: {type(error).__name__}: {error}",
+                    hint="Read the worker's log.",
+                )
+            ),
         }
 
 
@@ -96,13 +105,21 @@ def finish(parts: Parts, job_id: str, found: dict[str, Any]) -> str:
 
 def _failed(parts: Parts, job: JobRecord, error: Exception, stamp: Stamp) -> JobState:
     """Close a job whose outcome cannot be written down."""
-    log.error("the job could not be closed with what came of it", extra={"job": job.id}, exc_info=error)
-    told = error if isinstance(error, TrueupError) else TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
+    log.error(
+        "the job could not be closed with what came of it", extra={"job": job.id}, exc_info=error
+    )
+    told = (
+        error
+        if isinstance(error, TrueupError)
+        else TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
+    )
     _close(parts, job, JobState.FAILED, _problem(told), stamp)
     return JobState.FAILED
 
 
-def _finish(parts: Parts, job: JobRecord, state: JobState, outcome: dict[str, Any], stamp: Stamp) -> None:
+def _finish(
+    parts: Parts, job: JobRecord, state: JobState, outcome: dict[str, Any], stamp: Stamp
+) -> None:
     kind = KINDS[job.kind]
     with writing(parts.database) as writer:
         finish_job(
@@ -115,13 +132,20 @@ def _finish(parts: Parts, job: JobRecord, state: JobState, outcome: dict[str, An
         )
 
 
-def _close(parts: Parts, job: JobRecord, state: JobState, problem: dict[str, Json], stamp: Stamp) -> None:
+def _close(
+    parts: Parts, job: JobRecord, state: JobState, problem: dict[str, Json], stamp: Stamp
+) -> None:
     with writing(parts.database) as writer:
         finish_job(writer, job, state, {"problem": problem}, stamp)
 
 
 def _problem(error: TrueupError) -> dict[str, Json]:
-    return {"code": error.code, "detail": error.message, "hint": error.hint, "facts": {k: str(v) for k, v in error.facts.items()}}
+    return {
+        "code": error.code,
+        "detail": error.message,
+        "hint": error.hint,
+        "facts": {k: str(v) for k, v in error.facts.items()},
+    }
 
 
 def _now() -> str:

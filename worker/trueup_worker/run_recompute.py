@@ -1,4 +1,5 @@
-"""Run a recomputation: a decision is made anew from its bytes, and held against what was recorded."""
+"""Run a recomputation: a decision is made anew from its bytes, and held against what was
+recorded."""
 
 from __future__ import annotations
 
@@ -17,22 +18,36 @@ from trueup_worker.progress import Progress
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Recompute, and say where the two differ. Raises BrokenChain if the kept document is not the one that the digest names."""
+    """Recompute, and say where the two differ. Raises BrokenChain if the kept document is not the
+    one that the digest names."""
     with parts.database.read() as connection:
         reader = Reader(connection)
         made = find.decision(reader, job.plant, str(job.request["decision"]))
-        gate, registered = find.gate(reader, job.plant, made.gate).document, find.plant_digest(reader, job.plant)
+        gate, registered = (
+            find.gate(reader, job.plant, made.gate).document,
+            find.plant_digest(reader, job.plant),
+        )
     recorded: dict[str, Any] = made.document
     if digest_of(recorded) != made.digest:
-        raise BrokenChain("the decision's document is not the one that its digest names", decision=made.digest)
-    predictors = {name: read_predictor(parts, job, digest) for name, digest in models(recorded).items()}
-    episodes = read_episodes(parts, job, read_plant(parts, job), HELD_OUT, progress.stage("reading episodes", 0.0, 0.4))
-    found = recompute(recorded, gate, predictors, episodes, registered, progress.stage("scoring", 0.4, 1.0))
+        raise BrokenChain(
+            "the decision's document is not the one that its digest names", decision=made.digest
+        )
+    predictors = {
+        name: read_predictor(parts, job, digest) for name, digest in models(recorded).items()
+    }
+    episodes = read_episodes(
+        parts, job, read_plant(parts, job), HELD_OUT, progress.stage("reading episodes", 0.0, 0.4)
+    )
+    found = recompute(
+        recorded, gate, predictors, episodes, registered, progress.stage("scoring", 0.4, 1.0)
+    )
     wrong: list[Json] = list(differences(recorded, found))
     return {"decision": made.digest, "agrees": not wrong, "differences": wrong, "recomputed": found}
 
 
-def effects(parts: Parts, writer: object, job: JobRecord, outcome: dict[str, Any], stamp: object) -> None:
+def effects(
+    parts: Parts, writer: object, job: JobRecord, outcome: dict[str, Any], stamp: object
+) -> None:
     """None beside its result."""
 
 

@@ -1,4 +1,5 @@
-"""Run a validation without any alarm: is what serves as right on what was held out since as it was when it was promoted?"""
+"""Run a validation without any alarm: is what serves as right on what was held out since as it was
+when it was promoted?"""
 
 from __future__ import annotations
 
@@ -30,21 +31,36 @@ Array = NDArray[np.float64]
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Score what serves on the episodes of its promotion and on those that came since, with the same rollouts."""
+    """Score what serves on the episodes of its promotion and on those that came since, with the
+    same rollouts."""
     request: dict[str, Any] = job.request
     plant, predictor = read_plant(parts, job), read_predictor(parts, job, request["artifact"])
-    episodes = read_episodes(parts, job, plant, HELD_OUT, progress.stage("reading episodes", 0.0, READING))
+    episodes = read_episodes(
+        parts, job, plant, HELD_OUT, progress.stage("reading episodes", 0.0, READING)
+    )
     progress.stage("scoring", READING, 1.0)
     scoring = Scoring(plant.horizon_s, EVERY)
     errors = score(predictor, episodes, scoring).rollout
     new = np.array([e.digest in request["new"] for e in episodes])
     cells = cells_of(episodes, request["conditions"])
-    both = {c for c, n in zip(cells, new, strict=True) if n} & {c for c, n in zip(cells, new, strict=True) if not n}
-    alike = np.array([c in both for c in cells]) if both else np.ones(len(cells), np.bool_)  # another task is no worse model
+    both = {c for c, n in zip(cells, new, strict=True) if n} & {
+        c for c, n in zip(cells, new, strict=True) if not n
+    }
+    alike = (
+        np.array([c in both for c in cells]) if both else np.ones(len(cells), np.bool_)
+    )  # another task is no worse model
     before, now = errors[~new & alike], errors[new & alike]
     with parts.database.read() as connection:
-        first = min((find.episode(Reader(connection), job.plant, d) for d in request["new"]), key=lambda e: e.start_ns)
-    return {"validation": _compared(before, now), "artifact": request["artifact"], "first": first.digest, "since_ns": str(first.start_ns)}
+        first = min(
+            (find.episode(Reader(connection), job.plant, d) for d in request["new"]),
+            key=lambda e: e.start_ns,
+        )
+    return {
+        "validation": _compared(before, now),
+        "artifact": request["artifact"],
+        "first": first.digest,
+        "since_ns": str(first.start_ns),
+    }
 
 
 def _compared(before: Array, now: Array) -> dict[str, Json]:
@@ -56,21 +72,35 @@ def _compared(before: Array, now: Array) -> dict[str, Json]:
         "error_before": float(before.mean()) if len(before) and np.isfinite(before).all() else None,
     }
     if found["error"] is None or not found["error_before"]:
-        return {**found, "ratio": None, "ratio_ci95": None, "worse": found["error"] is None}  # what runs away is worse than anything
+        return {
+            **found,
+            "ratio": None,
+            "ratio_ci95": None,
+            "worse": found["error"] is None,
+        }  # what runs away is worse than anything
     drawn = [x[rng.integers(0, len(x), (RESAMPLES, len(x)))].mean(axis=1) for x in (now, before)]
     ratios = drawn[0] / np.maximum(drawn[1], 1e-300)
     low, high = (float(np.quantile(ratios, q)) for q in (0.025, 0.975))
-    return {**found, "ratio": float(now.mean() / before.mean()), "ratio_ci95": [low, high], "worse": low > WORSE}
+    return {
+        **found,
+        "ratio": float(now.mean() / before.mean()),
+        "ratio_ci95": [low, high],
+        "worse": low > WORSE,
+    }
 
 
-def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(
+    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+) -> None:
     """Worse is an alarm like a monitor's."""
     found = outcome["validation"]
     if found["worse"] and find.serving(writer, job.plant).artifact == outcome["artifact"]:
         writer.lock_plant(job.plant)
         ratio = found["ratio"]
         words = (
-            "the model runs away" if ratio is None else f"held-out episodes are predicted {ratio:.2g} times as badly as at its promotion"
+            "the model runs away"
+            if ratio is None
+            else f"held-out episodes are predicted {ratio:.2g} times as badly as at its promotion"
         )
         document = {
             "detectors": {"scheduled_validation": {"at_s": 0.0, "leading": words}},
@@ -80,7 +110,13 @@ def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any
             "change": {"words": [words]},
         }
         raise_alarm(
-            writer, uuid.uuid4().hex, job.plant, None, outcome["artifact"], {"episode": outcome["first"], "document": document}, stamp
+            writer,
+            uuid.uuid4().hex,
+            job.plant,
+            None,
+            outcome["artifact"],
+            {"episode": outcome["first"], "document": document},
+            stamp,
         )
         cycle_of(parts, writer, stamp).go_on(job.plant)
 

@@ -1,7 +1,8 @@
-"""Run a look at new episodes: the plant's monitor follows them, in the order of their start, and says what changed if it alarms.
+"""Run a look at new episodes: the plant's monitor follows them, in the order of their start, and
+says what changed if it alarms.
 
-Following is repeatable, and what it found is written down only if the monitor still stands where it began: of two such jobs at once one
-does nothing.
+Following is repeatable, and what it found is written down only if the monitor still stands where it
+began: of two such jobs at once one does nothing.
 """
 
 from __future__ import annotations
@@ -39,10 +40,18 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         reader = Reader(connection)
         watching = reader.watching(job.plant)
         if watching is None or watching.monitor != job.request["monitor"]:
-            return {"monitor": job.request["monitor"], "from": None, "seen": [], "kept": {}, "alarm": None}
+            return {
+                "monitor": job.request["monitor"],
+                "from": None,
+                "seen": [],
+                "kept": {},
+                "alarm": None,
+            }
         monitor = Monitor.from_document(find.monitor(reader, job.plant, watching.monitor).document)
         waiting = reader.unwatched(watching, WATCHED, AT_ONCE)
-        history = reader.watches(job.plant, watching.monitor, max(watching.sequence - HISTORY, 0), HISTORY)
+        history = reader.watches(
+            job.plant, watching.monitor, max(watching.sequence - HISTORY, 0), HISTORY
+        )
     with writing(parts.database) as writer:
         writer.add_reads(job.id, [e.digest for e in waiting], job.kind)
     plant, predictor = read_plant(parts, job), read_predictor(parts, job, monitor.artifact)
@@ -54,9 +63,19 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     progress.stage("following episodes", 0.0, 1.0)
     for record in waiting:
         try:
-            kept, found = monitor.follow(kept, predictor, read_episode(parts.blobs.get(record.digest), plant.layout))
-        except (BadEpisode, BlobMissing) as error:  # it is told, and does not keep the others from being looked at
-            seen.append({"episode": record.digest, "seen": {"not_followed": error.message, "seconds": 0.0, "alarms": {}}})
+            kept, found = monitor.follow(
+                kept, predictor, read_episode(parts.blobs.get(record.digest), plant.layout)
+            )
+        except (
+            BadEpisode,
+            BlobMissing,
+        ) as error:  # it is told, and does not keep the others from being looked at
+            seen.append(
+                {
+                    "episode": record.digest,
+                    "seen": {"not_followed": error.message, "seconds": 0.0, "alarms": {}},
+                }
+            )
             continue
         document = found.document(channels)
         rows.append((record.digest, document))
@@ -83,7 +102,8 @@ def _alarm(
     at: EpisodeRecord,
     document: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """What an alarm says: which detectors, since which episode, and what is different since then."""
+    """What an alarm says: which detectors, since which episode, and what is different since
+    then."""
     rms = np.array([[seen["channels"][c]["rms"] for c in channels] for _, seen in rows])
     begun = onset(rms, monitor.usual)
     with parts.database.read() as connection:
@@ -101,12 +121,21 @@ def _alarm(
     return {"episode": at.digest, "document": said}
 
 
-def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp) -> None:
+def effects(
+    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+) -> None:
     """The monitor has moved on, an alarm is raised, and what is left is looked at next."""
     if outcome["from"] is not None:
         before = Watching(job.plant, outcome["monitor"], outcome["since"], outcome["from"], {})
         seen = [
-            Watch(job.plant, before.monitor, before.sequence + 1 + i, s["episode"], s["seen"], stamp.now)
+            Watch(
+                job.plant,
+                before.monitor,
+                before.sequence + 1 + i,
+                s["episode"],
+                s["seen"],
+                stamp.now,
+            )
             for i, s in enumerate(outcome["seen"])
         ]
         followed = Followed(before, outcome["kept"], seen, outcome["alarm"])
@@ -116,4 +145,8 @@ def effects(parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
     """What the job answers with."""
-    return {"monitor": outcome["monitor"], "episodes": len(outcome["seen"]), "alarm": outcome["alarm"] is not None}
+    return {
+        "monitor": outcome["monitor"],
+        "episodes": len(outcome["seen"]),
+        "alarm": outcome["alarm"] is not None,
+    }

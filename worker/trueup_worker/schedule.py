@@ -30,8 +30,15 @@ def keep(parts: Parts, interval_s: float, stop: threading.Event) -> None:
 def submit_due(parts: Parts, now: datetime) -> list[str]:
     """Submit a validation of every plant whose policy wants one by now; their names."""
     with parts.database.read() as connection:
-        held = [(p.plant, UpdatePolicy.from_document(p.document)) for p in Reader(connection).policies_that_hold()]
-    due = [(plant, policy.validate_every_h) for plant, policy in held if policy.validate_every_h is not None]
+        held = [
+            (p.plant, UpdatePolicy.from_document(p.document))
+            for p in Reader(connection).policies_that_hold()
+        ]
+    due = [
+        (plant, policy.validate_every_h)
+        for plant, policy in held
+        if policy.validate_every_h is not None
+    ]
     return [plant for plant, every_h in due if _tried(parts, plant, every_h, now)]
 
 

@@ -1,9 +1,9 @@
 """Take over the jobs of dead workers.
 
-Each worker holds a lock under its own name for as long as it lives: a file lock beside an embedded database, a session's advisory
-lock in PostgreSQL. Nobody's clock decides who is dead: whoever gets a worker's lock knows that it is gone, and resumes
-what it had begun. A worker cut off from its database may still be computing; its effects are refused, for the job is
-finished once.
+Each worker holds a lock under its own name for as long as it lives: a file lock beside an embedded
+database, a session's advisory lock in PostgreSQL. Nobody's clock decides who is dead: whoever gets
+a worker's lock knows that it is gone, and resumes what it had begun. A worker cut off from its
+database may still be computing; its effects are refused, for the job is finished once.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ class PostgresLives(Lives):
         self._own.execute(text("SELECT pg_advisory_lock(:key)"), {"key": _key(name)})
 
     def holds(self) -> bool:
-        """Whether the session that holds our own lock still lives; asking keeps it from being closed as idle."""
+        """Whether the session that holds our own lock still lives; asking keeps it from being
+        closed as idle."""
         try:
             return self._own is not None and self._own.scalar(text("SELECT 1")) == 1
         except SQLAlchemyError:
@@ -94,7 +95,11 @@ class PostgresLives(Lives):
     @contextmanager
     def seize(self, name: str) -> Iterator[bool]:
         with self._database.engine.connect() as connection:
-            yield bool(connection.scalar(text("SELECT pg_try_advisory_xact_lock(:key)"), {"key": _key(name)}))
+            yield bool(
+                connection.scalar(
+                    text("SELECT pg_try_advisory_xact_lock(:key)"), {"key": _key(name)}
+                )
+            )
 
 
 def _key(name: str) -> int:
@@ -110,7 +115,9 @@ def take_over(lives: Lives, own: str) -> list[str]:
             if gone:
                 resumed += [
                     _resume(w.workflow_id, w.queue_name or QUEUE, name)
-                    for w in DBOS.list_workflows(status="PENDING", executor_id=name, load_input=False, load_output=False)
+                    for w in DBOS.list_workflows(
+                        status="PENDING", executor_id=name, load_input=False, load_output=False
+                    )
                 ]
     return resumed
 
@@ -122,8 +129,8 @@ def _resume(job: str, queue: str, dead: str) -> str:
 
 
 def revive(database: Database) -> list[str]:
-    """Begin again what the engine gave up on, at the step that failed, such as a job that could not be closed while the database was
-    away; the jobs' ids. What is given up on ATTEMPTS times fails.
+    """Begin again what the engine gave up on, at the step that failed, such as a job that could not
+    be closed while the database was away; the jobs' ids. What is given up on ATTEMPTS times fails.
     """
     given_up = DBOS.list_workflows(status="ERROR", load_input=False, load_output=False)
     revived = []
@@ -138,7 +145,9 @@ def revive(database: Database) -> list[str]:
         if len(attempts) >= ATTEMPTS:
             _fail(database, found)
         else:
-            last = max(attempts, key=lambda a: (a.created_at or 0, len(a.workflow_id), a.workflow_id))
+            last = max(
+                attempts, key=lambda a: (a.created_at or 0, len(a.workflow_id), a.workflow_id)
+            )
             try:
                 _begin_again(found, last.workflow_id, len(attempts))
             except IntegrityError:
@@ -169,11 +178,19 @@ def _fail(database: Database, job: JobRecord) -> None:
         "hint": "Read the worker's log, then submit the job again.",
     }
     with writing(database) as writer:
-        finish_job(writer, job, JobState.FAILED, {"problem": problem}, Stamp(job.created_by, time_text(datetime.now(UTC))))
+        finish_job(
+            writer,
+            job,
+            JobState.FAILED,
+            {"problem": problem},
+            Stamp(job.created_by, time_text(datetime.now(UTC))),
+        )
     log.error("given up", extra={"job": job.id})
 
 
-def watch(database: Database, lives: Lives, own: str, interval_s: float, stop: threading.Event) -> None:
+def watch(
+    database: Database, lives: Lives, own: str, interval_s: float, stop: threading.Event
+) -> None:
     """Look for dead workers until told to stop."""
     while not stop.wait(interval_s):
         try:

@@ -1,4 +1,5 @@
-"""Before and after as one SVG: what was measured, what each model predicted window by window, and by how much it missed."""
+"""Before and after as one SVG: what was measured, what each model predicted window by window, and
+by how much it missed."""
 
 from __future__ import annotations
 
@@ -25,12 +26,26 @@ class Trace:
     colour: str
 
 
-def before_and_after(title: str, subtitle: str, t_s: Array, measured: Array, traces: Sequence[Trace], starts_s: Array, unit: str) -> str:
-    """The picture. Rollouts start anew at `starts_s` [s]; errors are drawn in thousandths of `unit`."""
+def before_and_after(
+    title: str,
+    subtitle: str,
+    t_s: Array,
+    measured: Array,
+    traces: Sequence[Trace],
+    starts_s: Array,
+    unit: str,
+) -> str:
+    """The picture. Rollouts start anew at `starts_s` [s]; errors are drawn in thousandths of
+    `unit`."""
     span = nice(float(t_s[0]), float(t_s[-1]))
     upper = Panel(*TOP_PANEL, span, nice(*range_of([measured, *(t.values for t in traces)])))
-    lower = Panel(*BOTTOM_PANEL, span, nice(*range_of([1e3 * (t.values - measured) for t in traces])))
-    note = "time [s]; each rollout runs on the issued commands alone until the next tick below the axis"
+    lower = Panel(
+        *BOTTOM_PANEL, span, nice(*range_of([1e3 * (t.values - measured) for t in traces]))
+    )
+    note = (
+        "time [s]; each rollout runs on the issued commands alone until the next tick below "
+        "the axis"
+    )
     parts = [
         legend([("measured", MEASURED), *((f"{t.name} ({t.rms})", t.colour) for t in traces)]),
         upper.frame(f"position [{unit}]"),

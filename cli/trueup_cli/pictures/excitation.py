@@ -8,7 +8,17 @@ from numpy.typing import NDArray
 from trueup.collect.bounds import DECLARED, RECORDED, UNBOUNDED
 from trueup.collect.excitation import Excitation
 from trueup.model.plant import Plant
-from trueup_cli.pictures.drawing import PALE, SERIES, WIDTH, Panel, legend, nice, range_of, sheet, text
+from trueup_cli.pictures.drawing import (
+    PALE,
+    SERIES,
+    WIDTH,
+    Panel,
+    legend,
+    nice,
+    range_of,
+    sheet,
+    text,
+)
 
 Array = NDArray[np.float64]
 PANEL, GAP, TOP = 130, 54, 98
@@ -16,7 +26,8 @@ BOUND = "#c23030"
 
 
 def excite_picture(plant: Plant, found: Excitation) -> str:
-    """The picture: one panel for each command and each observation, with limits and envelope as dashed lines."""
+    """The picture: one panel for each command and each observation, with limits and envelope as
+    dashed lines."""
     span = nice(0.0, float(found.t_s[-1]))
     parts: list[str] = []
     top = float(TOP)
@@ -36,15 +47,25 @@ def excite_picture(plant: Plant, found: Excitation) -> str:
         bounds = tuple(kept[column]) if sources[column] != UNBOUNDED else ()
         low, high = paths.min(axis=0), paths.max(axis=0)
         panel = Panel(top, PANEL, span, nice(*range_of([low, high, np.array(bounds)])))
-        parts += [panel.frame(f"{channel.name} [{channel.unit}]", times=True), *(_level(panel, x) for x in bounds)]
+        parts += [
+            panel.frame(f"{channel.name} [{channel.unit}]", times=True),
+            *(_level(panel, x) for x in bounds),
+        ]
         parts += [_band(panel, found.t_s, low, high), *_centres(panel, found, paths)]
         top += PANEL + GAP
     parts += [
-        legend([*zip(_names(found), SERIES, strict=False), (f"limit, {_envelope(plant, found)}", BOUND)], 78),
+        legend(
+            [
+                *zip(_names(found), SERIES, strict=False),
+                (f"limit, {_envelope(plant, found)}", BOUND),
+            ],
+            78,
+        ),
         text(WIDTH / 2, top - 8, "time [s]", PALE, anchor="middle"),
     ]
     words = (
-        f"{len(found.paths)} models drawn anew, {found.breaches} breaches of the {_envelope(plant, found)}, of which "
+        f"{len(found.paths)} models drawn anew, {found.breaches} breaches of the "
+        f"{_envelope(plant, found)}, of which "
         f"{100 * found.bounds.margin:.0f} % is kept free"
     )
     return sheet(f"{plant.name}: a bounded excitation", words, round(top + 10), parts)
@@ -53,18 +74,30 @@ def excite_picture(plant: Plant, found: Excitation) -> str:
 def _envelope(plant: Plant, found: Excitation) -> str:
     """What the bounds of the travel are: declared, or the range of what was recorded."""
     of = set(found.bounds.sources[: len(plant.joints)])
-    return "declared envelope" if of == {DECLARED} else "recorded range" if of == {RECORDED} else "declared envelope and recorded range"
+    return (
+        "declared envelope"
+        if of == {DECLARED}
+        else "recorded range"
+        if of == {RECORDED}
+        else "declared envelope and recorded range"
+    )
 
 
 def _names(found: Excitation) -> list[str]:
     """What the lines of each composition are called."""
     names = list(found.central)
-    return [f"command; {names[0]}" if len(names) > 1 else "command; motion of the central model", *names[1:]]
+    return [
+        f"command; {names[0]}" if len(names) > 1 else "command; motion of the central model",
+        *names[1:],
+    ]
 
 
 def _centres(panel: Panel, found: Excitation, paths: Array) -> list[str]:
     """The central motion of each composition, the answer's above the others."""
-    lines = [panel.line(found.t_s, paths[i], colour, width=1.2) for i, colour in zip(found.central.values(), SERIES, strict=False)]
+    lines = [
+        panel.line(found.t_s, paths[i], colour, width=1.2)
+        for i, colour in zip(found.central.values(), SERIES, strict=False)
+    ]
     return lines[::-1]
 
 
@@ -75,6 +108,12 @@ def _level(panel: Panel, value: float) -> str:
 
 def _band(panel: Panel, t_s: Array, low: Array, high: Array) -> str:
     every = max(1, len(t_s) // WIDTH)
-    there = [f"{panel.x(t):.1f} {panel.y(y):.1f}" for t, y in zip(t_s[::every], high[::every], strict=True)]
-    back = [f"{panel.x(t):.1f} {panel.y(y):.1f}" for t, y in zip(t_s[::-every], low[::-every], strict=True)]
+    there = [
+        f"{panel.x(t):.1f} {panel.y(y):.1f}"
+        for t, y in zip(t_s[::every], high[::every], strict=True)
+    ]
+    back = [
+        f"{panel.x(t):.1f} {panel.y(y):.1f}"
+        for t, y in zip(t_s[::-every], low[::-every], strict=True)
+    ]
     return f'<path d="M{"L".join(there + back)}Z" fill="{SERIES[0]}" opacity="0.25"/>'

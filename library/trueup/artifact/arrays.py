@@ -1,7 +1,8 @@
 """Arrays to safetensors bytes and back, bit for bit.
 
-Two traps of the format's writer are avoided here: it stores strided and Fortran-ordered arrays wrongly without a word, and
-orders metadata at random. So arrays are made C-contiguous, no metadata is written, and what was written is read back.
+Two traps of the format's writer are avoided here: it stores strided and Fortran-ordered arrays
+wrongly without a word, and orders metadata at random. So arrays are made C-contiguous, no metadata
+is written, and what was written is read back.
 """
 
 from __future__ import annotations
@@ -25,8 +26,14 @@ def arrays_to_bytes(arrays: Mapping[str, Array]) -> bytes:
     plain = {name: np.array(arrays[name], dtype=np.float64, order="C") for name in sorted(arrays)}
     data: bytes = save(plain)
     back = arrays_from_bytes(data)
-    if any(back[name].tobytes() != plain[name].tobytes() or back[name].shape != plain[name].shape for name in plain):
-        raise BadArtifact("the arrays did not survive being written", hint="Report this: the array writer is at fault.")
+    if any(
+        back[name].tobytes() != plain[name].tobytes() or back[name].shape != plain[name].shape
+        for name in plain
+    ):
+        raise BadArtifact(
+            "the arrays did not survive being written",
+            hint="Report this: the array writer is at fault.",
+        )
     return data
 
 

@@ -1,8 +1,8 @@
 """Artifact: a predictor as data, named by the SHA-256 of its manifest.
 
-The manifest is canonical JSON and names the arrays file (safetensors) by digest; so one digest names every byte. Nothing in it
-can be executed. `probe` holds inputs with the outputs that the predictor gave when it was made: whoever loads it can see
-that it still gives them.
+The manifest is canonical JSON and names the arrays file (safetensors) by digest; so one digest
+names every byte. Nothing in it can be executed. `probe` holds inputs with the outputs that the
+predictor gave when it was made: whoever loads it can see that it still gives them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from trueup.model.predictor import Nominal, Predictor
 Array = NDArray[np.float64]
 SCHEMA = "trueup.artifact/1"
 PROBES = 8
-PROBE_TOLERANCE = 1e-9  # relative: matrix products differ by some 1e-13 between processors and their libraries
+PROBE_TOLERANCE = (
+    1e-9  # relative: matrix products differ by some 1e-13 between processors and their libraries
+)
 MANIFEST_BYTES = 4 << 20
 
 
@@ -39,10 +41,13 @@ class Artifact:
 
     @staticmethod
     def of(manifest: bytes, arrays: Callable[[Mapping[str, Json]], bytes]) -> Artifact:
-        """An artifact by its manifest and whatever fetches the arrays that its document names. Raises BadArtifact."""
+        """An artifact by its manifest and whatever fetches the arrays that its document names.
+        Raises BadArtifact."""
         document = read_manifest(manifest)
         found = Artifact(manifest, arrays(document))
-        found.__dict__["document"] = document  # read once: it is what the cached property would give
+        found.__dict__["document"] = (
+            document  # read once: it is what the cached property would give
+        )
         return found
 
     @cached_property
@@ -71,12 +76,17 @@ def read_manifest(manifest: bytes) -> Mapping[str, Json]:
 
 
 def pack(predictor: Predictor, provenance: Mapping[str, Json]) -> Artifact:
-    """A predictor and where it comes from, as data. The same predictor and provenance give the same bytes."""
+    """A predictor and where it comes from, as data. The same predictor and provenance give the same
+    bytes."""
     arrays = arrays_to_bytes(predictor.arrays())
     document: dict[str, Json] = {
         "schema": SCHEMA,
         "kind": predictor.kind,
-        "plant": {"name": predictor.plant.name, "sha256": predictor.plant.digest, "document": predictor.plant.document},
+        "plant": {
+            "name": predictor.plant.name,
+            "sha256": predictor.plant.digest,
+            "document": predictor.plant.document,
+        },
         "predictor": predictor.description(),
         "arrays": {"sha256": digest_of_bytes(arrays), "bytes": len(arrays)} if arrays else None,
         "probe": _probe(predictor),
@@ -86,14 +96,21 @@ def pack(predictor: Predictor, provenance: Mapping[str, Json]) -> Artifact:
 
 
 def unpack(artifact: Artifact, digest: str | None = None) -> Predictor:
-    """The predictor, once every digest holds and it answers its own probe. Raises BadArtifact, BadPlant."""
+    """The predictor, once every digest holds and it answers its own probe. Raises BadArtifact,
+    BadPlant."""
     if digest is not None and artifact.digest != digest:
-        raise BadArtifact("the manifest is not the one that this digest names", expected=digest, found=artifact.digest)
+        raise BadArtifact(
+            "the manifest is not the one that this digest names",
+            expected=digest,
+            found=artifact.digest,
+        )
     document: Any = artifact.document
     try:
         _require_arrays(document["arrays"], artifact.arrays)
         plant = _plant(orjson.dumps(document["plant"]["document"]))
-        predictor = KINDS[str(document["kind"])].restore(plant, document["predictor"], arrays_from_bytes(artifact.arrays))
+        predictor = KINDS[str(document["kind"])].restore(
+            plant, document["predictor"], arrays_from_bytes(artifact.arrays)
+        )
         answered = _answers(predictor, document["probe"])
         named = document["plant"]["sha256"]
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
@@ -101,7 +118,9 @@ def unpack(artifact: Artifact, digest: str | None = None) -> Predictor:
     if plant.digest != named:
         raise BadArtifact("the plant in the manifest is not the one that its digest names")
     if not answered:
-        raise BadArtifact("the predictor does not give the recorded outputs for the recorded inputs")
+        raise BadArtifact(
+            "the predictor does not give the recorded outputs for the recorded inputs"
+        )
     return predictor
 
 
@@ -115,15 +134,20 @@ def _require_arrays(declared: Any, arrays: bytes) -> None:
     expected = None if declared is None else declared["sha256"]
     found = digest_of_bytes(arrays) if arrays else None
     if expected != found:
-        raise BadArtifact("the arrays are not those that the manifest names", expected=expected, found=found)
+        raise BadArtifact(
+            "the arrays are not those that the manifest names", expected=expected, found=found
+        )
 
 
 def _probe(predictor: Predictor) -> dict[str, Json]:
-    """States spread over the declared scales and commands over their limits, and where the predictor moves them."""
+    """States spread over the declared scales and commands over their limits, and where the
+    predictor moves them."""
     plant = predictor.plant
     rng = np.random.default_rng(0)
     states = np.zeros((PROBES, 2 * plant.dynamics.joints))
-    states[:, plant.state_columns] = rng.uniform(-1.0, 1.0, (PROBES, len(plant.scales))) * plant.scales
+    states[:, plant.state_columns] = (
+        rng.uniform(-1.0, 1.0, (PROBES, len(plant.scales))) * plant.scales
+    )
     low, high = plant.limits
     issued = rng.uniform(low, high, (PROBES, len(low)))
     after = predictor.predict_batch(states, issued)
@@ -134,10 +158,13 @@ def _answers(predictor: Predictor, probe: Mapping[str, Json]) -> bool:
     states, issued, after = (np.array(probe[key], float) for key in ("states", "issued", "after"))
     found = predictor.predict_batch(states, issued)
     return found.shape == after.shape and bool(
-        np.allclose(found, after, rtol=PROBE_TOLERANCE, atol=PROBE_TOLERANCE * float(np.abs(after).max()))
+        np.allclose(
+            found, after, rtol=PROBE_TOLERANCE, atol=PROBE_TOLERANCE * float(np.abs(after).max())
+        )
     )
 
 
 def nominal_artifact(plant: Plant) -> Artifact:
-    """The plant's declared model as an artifact: what serves until something better has earned it."""
+    """The plant's declared model as an artifact: what serves until something better has earned
+    it."""
     return pack(Nominal(plant), {"origin": "registration"})

@@ -1,10 +1,14 @@
-"""MLflow model: an artifact as the folder that MLflow's registries keep, and that its loaders and other tools read.
+"""MLflow model: an artifact as the folder that MLflow's registries keep, and that its loaders and
+other tools read.
 
-    MLmodel        what MLflow reads: how to load it, what goes in and comes out, and where it comes from
-    artifact/      manifest.json and arrays.safetensors: the artifact itself, every byte as its digest names it
+    MLmodel        what MLflow reads: how to load it, what goes in and comes out, and where it comes
+                   from
+    artifact/      manifest.json and arrays.safetensors: the artifact itself, every byte as its
+                   digest names it
     model.onnx     of one joint, its step
 
-It loads as a `python_function` where trueup is installed, and as `onnx` where it is not. Source of the format: MLflow 3, "MLflow models".
+It loads as a `python_function` where trueup is installed, and as `onnx` where it is not. Source of
+the format: MLflow 3, "MLflow models".
 """
 
 from __future__ import annotations
@@ -33,14 +37,19 @@ TIME = "t_s"
 
 @dataclass(frozen=True)
 class Loaded:
-    """What `mlflow.pyfunc.load_model` gives: predictions of a recording, window by window, from its past alone."""
+    """What `mlflow.pyfunc.load_model` gives: predictions of a recording, window by window, from its
+    past alone."""
 
     model: Model
 
-    def predict(self, model_input: Any, params: Mapping[str, Any] | None = None) -> NDArray[np.float64]:
-        """Observations `(samples, observations)` for a table of columns: `t_s`, the commands, the observations as they were recorded.
+    def predict(
+        self, model_input: Any, params: Mapping[str, Any] | None = None
+    ) -> NDArray[np.float64]:
+        """Observations `(samples, observations)` for a table of columns: `t_s`, the commands, the
+        observations as they were recorded.
 
-        `params` may give `horizon_s` [s], at whose multiples rollouts start. Raises KeyError for a column that is missing.
+        `params` may give `horizon_s` [s], at whose multiples rollouts start. Raises KeyError for a
+        column that is missing.
         """
         commands, observations = self.model.commands, self.model.observations
         return self.model.predict(
@@ -57,13 +66,18 @@ def _load_pyfunc(path: str) -> Loaded:
 
 
 def write_mlflow_model(folder: Path, run: str | None, created: str) -> Model:
-    """Make a folder whose `artifact/` was fetched an MLflow model, which came from a run; the model that it holds.
+    """Make a folder whose `artifact/` was fetched an MLflow model, which came from a run; the model
+    that it holds.
 
     `created` says when the artifact was, in UTC. Raises BadArtifact.
     """
     model = load(folder / ARTIFACT)
     flavors: dict[str, Json] = {
-        "python_function": {"loader_module": __name__, "data": ARTIFACT, "python_version": platform.python_version()},
+        "python_function": {
+            "loader_module": __name__,
+            "data": ARTIFACT,
+            "python_version": platform.python_version(),
+        },
     }
     try:
         (folder / "model.onnx").write_bytes(to_onnx(model.predictor, model.digest))
@@ -77,7 +91,12 @@ def write_mlflow_model(folder: Path, run: str | None, created: str) -> Model:
         "flavors": flavors,
         "signature": _signature(model),
         "metadata": {
-            "trueup": {"version": trueup.__version__, "artifact": model.digest, "plant": model.plant.name, "sha256": model.plant.digest}
+            "trueup": {
+                "version": trueup.__version__,
+                "artifact": model.digest,
+                "plant": model.plant.name,
+                "sha256": model.plant.digest,
+            }
         },
     }
     (folder / FILE).write_text(json.dumps(document, indent=2) + "\n")  # JSON is YAML
@@ -89,7 +108,11 @@ def holds_artifact(document: Mapping[str, Any]) -> bool:
     """Whether an MLmodel document says that an artifact is in its folder."""
     flavors = document.get("flavors")
     found = flavors.get("python_function") if isinstance(flavors, Mapping) else None
-    return isinstance(found, Mapping) and found.get("loader_module") == __name__ and found.get("data") == ARTIFACT
+    return (
+        isinstance(found, Mapping)
+        and found.get("loader_module") == __name__
+        and found.get("data") == ARTIFACT
+    )
 
 
 def artifact_of(document: Mapping[str, Any]) -> object:
@@ -103,9 +126,16 @@ def _signature(model: Model) -> dict[str, Json]:
     """Columns in and out, as MLflow writes them: lists in JSON, as text."""
     after = [c.name for c in model.observations]
     into = [TIME, *(c.name for c in model.commands), *after]
-    horizon = {"name": "horizon_s", "type": "double", "default": model.plant.horizon_s, "shape": None}
+    horizon = {
+        "name": "horizon_s",
+        "type": "double",
+        "default": model.plant.horizon_s,
+        "shape": None,
+    }
     return {
         "inputs": json.dumps([{"type": "double", "name": name, "required": True} for name in into]),
-        "outputs": json.dumps([{"type": "double", "name": name, "required": True} for name in after]),
+        "outputs": json.dumps(
+            [{"type": "double", "name": name, "required": True} for name in after]
+        ),
         "params": json.dumps([horizon]),
     }

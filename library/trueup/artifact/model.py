@@ -1,10 +1,13 @@
 """Model: a fetched artifact, ready to predict.
 
-    model = trueup.load("model")                                   # what `trueup fetch` wrote, every byte verified
+    model = trueup.load("model")                                   # what `trueup fetch` wrote,
+                                                                   every byte verified
     path = model.rollout({"position": 0.1}, commands)              # from a start, on commands alone
-    predicted = model.predict(t_s, commands, observed, horizon_s=2.0)  # of a recording, window by window
+    predicted = model.predict(t_s, commands, observed, horizon_s=2.0)  # of a recording, window by
+                                                                       window
 
-A rollout of one joint needs numpy alone; that of a robot, and predicting a recording, compile their kernel at the first call.
+A rollout of one joint needs numpy alone; that of a robot, and predicting a recording, compile their
+kernel at the first call.
 """
 
 from __future__ import annotations
@@ -59,18 +62,25 @@ class Model:
         return self.plant.timestep_s
 
     def rollout(self, start: Mapping[str, float], commands: ArrayLike) -> Array:
-        """Observations `(samples, observations)` from a start, under commands `(samples, commands)` held for a period each.
+        """Observations `(samples, observations)` from a start, under commands `(samples, commands)`
+        held for a period each.
 
-        `start` gives, by the name of its observation, what is truly so, and 0 where it gives nothing; sample 0 is what the sensors say of
-        it, before its command has acted. Of one joint also many at once: commands `(n, samples, commands)` give
-        `(n, samples, observations)`. A single command may be left without its last axis. Raises ValueError for a name or a shape that does
-        not fit, or without a sample.
+        `start` gives, by the name of its observation, what is truly so, and 0 where it gives
+        nothing; sample 0 is what the sensors say of it, before its command has acted. Of one joint
+        also many at once: commands `(n, samples, commands)` give `(n, samples, observations)`. A
+        single command may be left without its last axis. Raises ValueError for a name or a shape
+        that does not fit, or without a sample.
         """
         issued, state = self._issued(commands), np.zeros(2 * self.plant.dynamics.joints)
-        columns = {c.name: int(column) for c, column in zip(self.observations, self.plant.state_columns, strict=True)}
+        columns = {
+            c.name: int(column)
+            for c, column in zip(self.observations, self.plant.state_columns, strict=True)
+        }
         for name, x in start.items():
             if name not in columns:
-                raise ValueError(f"there is no observation {name!r}: this model has {', '.join(columns)}")
+                raise ValueError(
+                    f"there is no observation {name!r}: this model has {', '.join(columns)}"
+                )
             state[columns[name]] = x
         if isinstance(self.plant.dynamics, CompiledFamily):
             found = self._stepped(state, issued[:, :, 0])
@@ -78,12 +88,19 @@ class Model:
             found = np.stack([self.plant.observe(self.predictor.run(state, one)) for one in issued])
         return found if np.ndim(commands) == 3 else found[0]  # noqa: PLR2004
 
-    def predict(self, t_s: ArrayLike, commands: ArrayLike, observed: ArrayLike, horizon_s: float | None = None) -> Array:
+    def predict(
+        self,
+        t_s: ArrayLike,
+        commands: ArrayLike,
+        observed: ArrayLike,
+        horizon_s: float | None = None,
+    ) -> Array:
         """Predicted observations at every sample of a recording, `(samples, observations)`.
 
-        Rollouts start at each multiple of the horizon [s], the declared one if None, from what the recording's past up to there tells.
-        `t_s` `(samples,)` grows; `observed` `(samples, observations)` may hold nan. A single column may be left without its last axis.
-        Raises ValueError for what does not fit.
+        Rollouts start at each multiple of the horizon [s], the declared one if None, from what the
+        recording's past up to there tells. `t_s` `(samples,)` grows; `observed` `(samples,
+        observations)` may hold nan. A single column may be left without its last axis. Raises
+        ValueError for what does not fit.
         """
         t, layout = np.array(t_s, float), self.plant.layout
         if t.ndim != 1 or len(t) < TWO or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
@@ -100,8 +117,13 @@ class Model:
     def _stepped(self, state: Array, u: Array) -> Array:
         """Observations of one joint from a state `(2,)` under many commands `(n, samples)`."""
         stepper = Stepper.of(self.predictor)
-        now, found = stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), u[:, 0]), []
-        with np.errstate(over="ignore", invalid="ignore"):  # running away is an answer: it ends as inf or nan
+        now, found = (
+            stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), u[:, 0]),
+            [],
+        )
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # running away is an answer: it ends as inf or nan
             for i in range(u.shape[1]):
                 seen, now = stepper.step(now, u[:, i])
                 found.append(np.stack(seen, axis=1))
@@ -112,7 +134,9 @@ class Model:
         given, width = np.array(commands, float), len(self.commands)
         given = given[:, None] if given.ndim == 1 and width == 1 else given
         if given.ndim not in (2, 3) or given.shape[-1] != width or given.shape[-2] == 0:
-            raise ValueError(f"commands are (samples, {width}) or (n, samples, {width}), these are {given.shape}")
+            raise ValueError(
+                f"commands are (samples, {width}) or (n, samples, {width}), these are {given.shape}"
+            )
         return given if given.ndim == 3 else given[None]  # noqa: PLR2004
 
 
@@ -126,9 +150,13 @@ def _columns(what: str, values: ArrayLike, samples: int, width: int) -> Array:
 
 
 def load(folder: str | PathLike[str], digest: str | None = None) -> Model:
-    """The model in a folder that was fetched into, every digest held and its probe answered. Raises BadArtifact."""
+    """The model in a folder that was fetched into, every digest held and its probe answered. Raises
+    BadArtifact."""
     manifest, arrays = Path(folder) / "manifest.json", Path(folder) / "arrays.safetensors"
     if not manifest.is_file():
-        raise BadArtifact(f"{folder} holds no manifest.json", hint="Fetch a model with `trueup fetch PLANT FOLDER`.")
+        raise BadArtifact(
+            f"{folder} holds no manifest.json",
+            hint="Fetch a model with `trueup fetch PLANT FOLDER`.",
+        )
     artifact = Artifact(manifest.read_bytes(), arrays.read_bytes() if arrays.is_file() else b"")
     return Model(unpack(artifact, digest), artifact.digest)

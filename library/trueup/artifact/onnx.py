@@ -1,11 +1,13 @@
-"""ONNX: a predictor of one joint as a graph that any runtime steps, written down by running its own step on symbols.
+"""ONNX: a predictor of one joint as a graph that any runtime steps, written down by running its own
+step on symbols.
 
     inputs   state (n, states), command (n, 1)
-    outputs  observation (n, observations) at the sample of the state, next_state (n, states) one declared period later
+    outputs  observation (n, observations) at the sample of the state, next_state (n, states) one
+             declared period later
 
-The numbers are float64, and the operations those of the step itself, in its order. What the graph's columns are, in which units, how
-often it steps and how a state begins is told by the model's metadata. Source of the format: ONNX 1.12 (IR 8, operator set 17), which
-runtimes since 2022 read.
+The numbers are float64, and the operations those of the step itself, in its order. What the graph's
+columns are, in which units, how often it steps and how a state begins is told by the model's
+metadata. Source of the format: ONNX 1.12 (IR 8, operator set 17), which runtimes since 2022 read.
 """
 
 from __future__ import annotations
@@ -27,9 +29,11 @@ from trueup.model.stepper import Stepper
 IR_VERSION, OPERATOR_SET = 8, 17
 SCHEMA = "trueup.onnx/1"
 OPERATORS: Mapping[str, str] = {
-    "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negative": "Neg", "absolute": "Abs", "sign": "Sign",
+    "add": "Add", "subtract": "Sub", "multiply": "Mul", "divide": "Div", "negative": "Neg",
+    "absolute": "Abs", "sign": "Sign",
     "minimum": "Min", "maximum": "Max", "sin": "Sin", "exp": "Exp", "rint": "Round",
-    "greater": "Greater", "less": "Less", "greater_equal": "GreaterOrEqual", "less_equal": "LessOrEqual", "equal": "Equal",
+    "greater": "Greater", "less": "Less", "greater_equal": "GreaterOrEqual",
+    "less_equal": "LessOrEqual", "equal": "Equal",
 }  # fmt: skip
 COMPARISONS = ("Greater", "Less", "GreaterOrEqual", "LessOrEqual", "Equal")
 
@@ -48,7 +52,10 @@ def to_onnx(predictor: Predictor, artifact: str) -> bytes:
     graph.stack([graph.whole(x, state) for x in seen], "observation")
     graph.stack([graph.whole(after[name], state) for name in names], "next_state")
     ends = {"state": len(names), "command": 1, "observation": len(seen), "next_state": len(names)}
-    values = {name: onnx.helper.make_tensor_value_info(name, onnx.TensorProto.DOUBLE, ["n", size]) for name, size in ends.items()}
+    values = {
+        name: onnx.helper.make_tensor_value_info(name, onnx.TensorProto.DOUBLE, ["n", size])
+        for name, size in ends.items()
+    }
     made = onnx.helper.make_graph(
         graph.needed(("observation", "next_state")),
         predictor.plant.name,
@@ -57,7 +64,10 @@ def to_onnx(predictor: Predictor, artifact: str) -> bytes:
         graph.initializers(),
     )
     model = onnx.helper.make_model(
-        made, ir_version=IR_VERSION, opset_imports=[onnx.helper.make_opsetid("", OPERATOR_SET)], producer_name="trueup"
+        made,
+        ir_version=IR_VERSION,
+        opset_imports=[onnx.helper.make_opsetid("", OPERATOR_SET)],
+        producer_name="trueup",
     )
     onnx.helper.set_model_props(model, _told(stepper, artifact))
     onnx.checker.check_model(model, full_check=True)
@@ -68,11 +78,15 @@ def _package() -> ModuleType:
     try:
         return importlib.import_module("onnx")  # optional, and slow to load
     except ImportError as error:
-        raise NotInstalled("writing ONNX needs the package onnx", hint="Install it with `pip install 'trueup[onnx]'`.") from error
+        raise NotInstalled(
+            "writing ONNX needs the package onnx",
+            hint="Install it with `pip install 'trueup[onnx]'`.",
+        ) from error
 
 
 def _told(stepper: Stepper, artifact: str) -> dict[str, str]:
-    """What the columns are, as metadata. A state begins with the position, the velocity and the first command (limited), or at 0."""
+    """What the columns are, as metadata. A state begins with the position, the velocity and the
+    first command (limited), or at 0."""
     layout, (low, high) = stepper.plant.layout, (float(bound[0]) for bound in stepper.plant.limits)
     u = high if high != 0.0 else low
     q, v = 1e3 * abs(u) + 1.0, 1e3 * abs(u) + 2.0  # three numbers that are not one another, nor 0
@@ -83,10 +97,15 @@ def _told(stepper: Stepper, artifact: str) -> dict[str, str]:
         "artifact": artifact,
         "period_s": stepper.plant.timestep_s,
         "state": [{"name": name, "begins": marks[x]} for name, x in stepper.begin(q, v, u).items()],
-        "command": [{"name": c.name, "unit": c.unit, "limits": list(c.limits or ())} for c in layout.commands],
+        "command": [
+            {"name": c.name, "unit": c.unit, "limits": list(c.limits or ())}
+            for c in layout.commands
+        ],
         "observation": [{"name": c.name, "unit": c.unit} for c in layout.observations],
     }
-    return {name: value if isinstance(value, str) else json.dumps(value) for name, value in told.items()}
+    return {
+        name: value if isinstance(value, str) else json.dumps(value) for name, value in told.items()
+    }
 
 
 class Graph:
@@ -97,7 +116,9 @@ class Graph:
 
     def column(self, source: str, number: int) -> Symbol:
         """A column `(n,)` of an input."""
-        return self.apply("Gather", [Symbol(self, source), self._constant(np.int64(number))], axis=1)
+        return self.apply(
+            "Gather", [Symbol(self, source), self._constant(np.int64(number))], axis=1
+        )
 
     def whole(self, x: Any, state: Mapping[str, Symbol]) -> Symbol:
         """A result as a column, where it is one number for all."""
@@ -105,16 +126,25 @@ class Graph:
 
     def stack(self, columns: list[Symbol], name: str) -> None:
         """Columns beside each other, as an output."""
-        wide = [self.apply("Unsqueeze", [x, self._constant(np.array([1], np.int64))]) for x in columns]
-        self._nodes.append(self._onnx.helper.make_node("Concat", [x.name for x in wide], [name], axis=1))
+        wide = [
+            self.apply("Unsqueeze", [x, self._constant(np.array([1], np.int64))]) for x in columns
+        ]
+        self._nodes.append(
+            self._onnx.helper.make_node("Concat", [x.name for x in wide], [name], axis=1)
+        )
 
     def apply(self, operator: str, inputs: list[Any], **attributes: Any) -> Symbol:
         """What an operator makes of symbols and numbers."""
         given = [x if isinstance(x, Symbol) else self._constant(np.float64(x)) for x in inputs]
         if operator != "Cast" and not (operator == "Equal" and all(x.is_truth for x in given)):
-            given = [self.apply("Cast", [x], to=self._onnx.TensorProto.DOUBLE) if x.is_truth else x for x in given]
+            given = [
+                self.apply("Cast", [x], to=self._onnx.TensorProto.DOUBLE) if x.is_truth else x
+                for x in given
+            ]
         name = f"x{len(self._nodes)}"
-        self._nodes.append(self._onnx.helper.make_node(operator, [x.name for x in given], [name], **attributes))
+        self._nodes.append(
+            self._onnx.helper.make_node(operator, [x.name for x in given], [name], **attributes)
+        )
         return Symbol(self, name, is_truth=operator in COMPARISONS)
 
     def _constant(self, value: np.ndarray | np.generic) -> Symbol:
@@ -147,9 +177,17 @@ class Symbol(NDArrayOperatorsMixin):
         raise NotExportable("an effect decides by a value in a way that no graph can hold")
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **more: Any) -> Symbol:
-        if method != "__call__" or more or (function is not np.copysign and function.__name__ not in OPERATORS):
-            raise NotExportable(f"an effect uses {function.__name__}, which is not written down here")
-        if function is np.copysign:  # of what is not negative, where a zero's own sign does not matter
+        if (
+            method != "__call__"
+            or more
+            or (function is not np.copysign and function.__name__ not in OPERATORS)
+        ):
+            raise NotExportable(
+                f"an effect uses {function.__name__}, which is not written down here"
+            )
+        if (
+            function is np.copysign
+        ):  # of what is not negative, where a zero's own sign does not matter
             size, sign = inputs
             return self.graph.apply("Mul", [size, np.sign(sign)])
         return self.graph.apply(OPERATORS[function.__name__], list(inputs))

@@ -33,8 +33,8 @@ MANY = 100  # lots: each sort is among them
 
 @dataclass(frozen=True, slots=True)
 class Lot:
-    """One machine's fate: terms, each an effect at a joint. A lot of kind `none` has no effect and names a `bait`: what only somebody who
-    read the label can answer.
+    """One machine's fate: terms, each an effect at a joint. A lot of kind `none` has no effect and
+    names a `bait`: what only somebody who read the label can answer.
     """
 
     kind: str
@@ -44,16 +44,25 @@ class Lot:
 
 
 def left_out(plant: Plant) -> tuple[str, ...]:
-    """Terms that the nominal form takes up on this plant's channels: they make no gap, and nothing could name them."""
+    """Terms that the nominal form takes up on this plant's channels: they make no gap, and nothing
+    could name them."""
     if isinstance(plant.dynamics, CompiledTree):
         tree = plant.dynamics.tree
-        return tuple(t for j in range(len(plant.joints)) for t in _left_out_of_robot(plant, tree, j))
+        return tuple(
+            t for j in range(len(plant.joints)) for t in _left_out_of_robot(plant, tree, j)
+        )
     found = []
     if "k" not in plant.dynamics.parameter_names:
         found += ["sensor_bias"]  # nothing says where zero is
     if len(plant.state_columns) == 1:
-        found += ["velocity_lag", "sensor_scale", "clock_skew"]  # there is none; other numbers of the form give the same positions
-        found += ["sensor_drift"] if "sensor_bias" in found else []  # a constant force gives the same
+        found += [
+            "velocity_lag",
+            "sensor_scale",
+            "clock_skew",
+        ]  # there is none; other numbers of the form give the same positions
+        found += (
+            ["sensor_drift"] if "sensor_bias" in found else []
+        )  # a constant force gives the same
     return tuple(found)
 
 
@@ -62,28 +71,52 @@ def _left_out_of_robot(plant: Plant, tree: Tree, j: int) -> list[str]:
     constants, own = tree.constants[j], tree.at_joint[j]
     held = own[SERVO] or own[STIFFNESS]
     down = constants[GRAVITY : GRAVITY + 3]
-    moves_alike = constants[PARENT] < 0.0 and (constants[SLIDE] or np.allclose(np.cross(constants[FRAME + 6 : FRAME + 9], down), 0.0))
+    moves_alike = constants[PARENT] < 0.0 and (
+        constants[SLIDE] or np.allclose(np.cross(constants[FRAME + 6 : FRAME + 9], down), 0.0)
+    )
     last = j not in tree.constants[:, PARENT]  # its link may be turned as well
-    found = ["sensor_bias"] if (moves_alike or last) and not held else []  # nothing says where zero is
+    found = (
+        ["sensor_bias"] if (moves_alike or last) and not held else []
+    )  # nothing says where zero is
     if len(plant.joints) + j not in plant.state_columns:
         found += ["velocity_lag", "sensor_scale", "clock_skew"]
-    found += ["elastic_transmission"] if own[ARMATURE] <= 0.0 else []  # no rotor could be behind a spring
-    found += [name for name, effect in effects().items() if effect.port is Port.COMMAND] if plant.command_columns[j] < 0 else []
+    found += (
+        ["elastic_transmission"] if own[ARMATURE] <= 0.0 else []
+    )  # no rotor could be behind a spring
+    found += (
+        [name for name, effect in effects().items() if effect.port is Port.COMMAND]
+        if plant.command_columns[j] < 0
+        else []
+    )
     return [term(name, j) for name in found]
 
 
 def draw_lots(plant: Plant, count: int, rng: np.random.Generator) -> list[Lot]:
-    """So many lots in the proportions of PARTS, in random order; single effects come in turn, so that each is met as often.
+    """So many lots in the proportions of PARTS, in random order; single effects come in turn, so
+    that each is met as often.
 
     Of a robot each effect acts at a joint by lot, two of them at two joints.
     """
     none = left_out(plant)
     known = [name for name in CATALOGUE if _places(plant, name, none)]
-    fitted = [name for name in known if name != "dropped_frames"]  # a frame is lost or is not: no loss is faint
-    beyond = [name for name in BEYOND if name not in OF_A_SPRING or "k" in plant.dynamics.parameter_names]
-    kinds = ["none", *(kind for kind, part in PARTS.items() for _ in range(round(part * count) - (kind == "none")))]  # one bait at least
+    fitted = [
+        name for name in known if name != "dropped_frames"
+    ]  # a frame is lost or is not: no loss is faint
+    beyond = [
+        name for name in BEYOND if name not in OF_A_SPRING or "k" in plant.dynamics.parameter_names
+    ]
+    kinds = [
+        "none",
+        *(
+            kind
+            for kind, part in PARTS.items()
+            for _ in range(round(part * count) - (kind == "none"))
+        ),
+    ]  # one bait at least
     kinds = (kinds + ["single"] * count)[:count]
-    turns = {kind: _turns({"outside": beyond, "faint": fitted}.get(kind, known), rng) for kind in PARTS}
+    turns = {
+        kind: _turns({"outside": beyond, "faint": fitted}.get(kind, known), rng) for kind in PARTS
+    }
 
     def placed(name: str, elsewhere: int = -1) -> str:
         places = [j for j in _places(plant, name, none) if j != elsewhere]
@@ -97,7 +130,11 @@ def draw_lots(plant: Plant, count: int, rng: np.random.Generator) -> list[Lot]:
         elif kind == "pair":
             first = placed(next(turns[kind]))
             here = joint(first) if len(plant.joints) > 1 else -1
-            other = next(n for n in turns[kind] if _apart(_name(first), n) and set(_places(plant, n, none)) - {here})
+            other = next(
+                n
+                for n in turns[kind]
+                if _apart(_name(first), n) and set(_places(plant, n, none)) - {here}
+            )
             lots.append(Lot(kind, (first, placed(other, here)), moved, None))
         else:
             lots.append(Lot(kind, (placed(next(turns[kind])),), moved, None))
@@ -105,7 +142,8 @@ def draw_lots(plant: Plant, count: int, rng: np.random.Generator) -> list[Lot]:
 
 
 def _places(plant: Plant, name: str, none: Sequence[str]) -> list[int]:
-    """Joints at which an effect may act, of which `none` is left out; what acts on a whole log acts at the first."""
+    """Joints at which an effect may act, of which `none` is left out; what acts on a whole log acts
+    at the first."""
     joints = 1 if name in OF_LOG else len(plant.joints)
     return [j for j in range(joints) if term(name, j) not in none]
 
@@ -122,7 +160,9 @@ def _turns(names: Sequence[str], rng: np.random.Generator) -> Iterator[str]:
         yield from (names[i] for i in rng.permutation(len(names)))
 
 
-def machine_of(plant: Plant, bench: Bench | RobotBench, lot: Lot, rng: np.random.Generator) -> Trial:
+def machine_of(
+    plant: Plant, bench: Bench | RobotBench, lot: Lot, rng: np.random.Generator
+) -> Trial:
     """A machine of a lot and its recordings."""
     gaps = GAPS
     if lot.kind == "faint":
@@ -131,11 +171,27 @@ def machine_of(plant: Plant, bench: Bench | RobotBench, lot: Lot, rng: np.random
     counted = {name for name, effect in effects().items() if effect.counted}
     for _ in range(REDRAWN):
         if isinstance(bench, RobotBench):
-            trial = draw_robot(bench, [(_name(t), joint(t)) for t in lot.effects], lot.moved, rng, gaps, SPREAD)
+            trial = draw_robot(
+                bench, [(_name(t), joint(t)) for t in lot.effects], lot.moved, rng, gaps, SPREAD
+            )
         else:
-            trial = draw(bench if lot.moved else nominal(plant, bench), lot.effects, lot.moved, rng, gaps, SPREAD)
-        seen = bool(counted.intersection(map(_name, lot.effects))) or not lot.effects or trial.gap >= VISIBLE * gaps[0]
-        if seen and all(np.isfinite(run.observed).all() and np.isfinite(run.issued).all() for _, run in trial.runs):
+            trial = draw(
+                bench if lot.moved else nominal(plant, bench),
+                lot.effects,
+                lot.moved,
+                rng,
+                gaps,
+                SPREAD,
+            )
+        seen = (
+            bool(counted.intersection(map(_name, lot.effects)))
+            or not lot.effects
+            or trial.gap >= VISIBLE * gaps[0]
+        )
+        if seen and all(
+            np.isfinite(run.observed).all() and np.isfinite(run.issued).all()
+            for _, run in trial.runs
+        ):
             break
         if not seen:  # a drive that is hardly used cannot grow hot: another effect is hidden
             lot = replace(lot, effects=_drawn(plant, lot, rng))
@@ -156,15 +212,24 @@ def _noise(bench: Bench | RobotBench) -> float:
 
 
 def label_of(plant: Plant, lot: Lot, trial: Trial) -> Mapping[str, Json]:
-    """What is true of a machine: its effects with their numbers, its parameters where they can be told one by one, the gap that an effect
-    makes."""
+    """What is true of a machine: its effects with their numbers, its parameters where they can be
+    told one by one, the gap that an effect makes."""
     m = trial.machine
     numbers = {"k": m.k, "c": m.c, "b": m.b} if isinstance(m, Machine) else {}
-    hidden = m.imperfections if isinstance(m, Machine) else {term(*at): values for at, values in m.imperfections.items()}
+    hidden = (
+        m.imperfections
+        if isinstance(m, Machine)
+        else {term(*at): values for at, values in m.imperfections.items()}
+    )
     return {
         "kind": lot.kind,
-        "effects": {_spelled(plant, t): {k: float(v) for k, v in values.items()} for t, values in hidden.items()},
-        "parameters": {name: float(numbers[name]) for name in plant.dynamics.parameter_names if name in numbers},
+        "effects": {
+            _spelled(plant, t): {k: float(v) for k, v in values.items()}
+            for t, values in hidden.items()
+        },
+        "parameters": {
+            name: float(numbers[name]) for name in plant.dynamics.parameter_names if name in numbers
+        },
         "moved": lot.moved,
         "bait": _spelled(plant, lot.bait) if lot.bait else None,
         "gap": float(trial.gap),
@@ -187,5 +252,6 @@ def _name(of: str) -> str:
 
 
 def spelled(name: str, joint: str = "") -> str:
-    """An effect as labels and tallies have it: `cogging at j2`, or `cogging` where there is one joint or it acts on a whole log."""
+    """An effect as labels and tallies have it: `cogging at j2`, or `cogging` where there is one
+    joint or it acts on a whole log."""
     return f"{name} at {joint}" if joint and name not in OF_LOG else name

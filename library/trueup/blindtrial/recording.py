@@ -1,4 +1,5 @@
-"""Recording: a machine's runs as the case folder that a diagnosis is given, and as the episodes that it never sees."""
+"""Recording: a machine's runs as the case folder that a diagnosis is given, and as the episodes
+that it never sees."""
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ from trueup.simulate.trial import Trial
 
 
 def case_files(plant: Plant, trial: Trial, conditions: Mapping[str, str]) -> dict[str, bytes]:
-    """plant.json and the adaptation and validation recordings, by file name; uncompressed, so that whoever doubts can read them."""
+    """plant.json and the adaptation and validation recordings, by file name; uncompressed, so that
+    whoever doubts can read them."""
     files = {"plant.json": canonical_bytes(dict(plant.document))}
     for role in (Role.ADAPTATION, Role.VALIDATION):
         for i, run in enumerate(trial.of(role)):
@@ -47,7 +49,18 @@ def tests(plant: Plant, trial: Trial) -> list[Episode]:
     found = []
     for i, run in enumerate(trial.of("test")):
         seen = run.observed[:, plant.state_columns].copy()
-        found.append(Episode(run.t_s.copy(), _commands(plant, run), seen, plant.layout, Role.TEST, {}, 0, f"test-{i}"))
+        found.append(
+            Episode(
+                run.t_s.copy(),
+                _commands(plant, run),
+                seen,
+                plant.layout,
+                Role.TEST,
+                {},
+                0,
+                f"test-{i}",
+            )
+        )
     return found
 
 
@@ -58,7 +71,8 @@ def _commands(plant: Plant, run: Run) -> NDArray[np.float64]:
 
 
 def conditions_of(episodes: Sequence[Episode]) -> dict[str, str]:
-    """The collection conditions that all of the user's episodes share: the trial declares the same."""
+    """The collection conditions that all of the user's episodes share: the trial declares the
+    same."""
     shared = dict(episodes[0].conditions)
     for e in episodes[1:]:
         shared = {k: v for k, v in shared.items() if e.conditions.get(k) == v}

@@ -1,8 +1,9 @@
 """Seal: a label committed before the diagnosis and opened after it.
 
-A commitment is the SHA-256 of the canonical bytes of a label and its salt: it binds the label and, as long as the salt is not
-known, tells nothing of it. Labels and salts follow from one secret, so that whoever is given it afterwards can draw everything again.
-Source: M. Naor, Journal of Cryptology 4 (1991), on bit commitment.
+A commitment is the SHA-256 of the canonical bytes of a label and its salt: it binds the label and,
+as long as the salt is not known, tells nothing of it. Labels and salts follow from one secret, so
+that whoever is given it afterwards can draw everything again. Source: M. Naor, Journal of
+Cryptology 4 (1991), on bit commitment.
 """
 
 from __future__ import annotations
@@ -25,7 +26,10 @@ class NotAsCommitted(TrueupError):
     """An opened label is not the one that was committed."""
 
     code = "not-as-committed"
-    hint = "The report was edited, or is not of this trial: compare its commitments with those in the audit log."
+    hint = (
+        "The report was edited, or is not of this trial: compare its commitments with those "
+        "in the audit log."
+    )
 
 
 def salt_of(secret: bytes, index: int) -> str:
@@ -38,15 +42,20 @@ def commitment(label: Mapping[str, Json], salt: str) -> str:
     return digest_of({"label": label, "salt": salt})
 
 
-def require_silent(files: Mapping[str, bytes], label: Mapping[str, Any], salt: str, own: Json) -> None:
-    """Raises LabelLeaked where a file's name or bytes spell an effect or the salt; words of the user's `own` documents are not told."""
+def require_silent(
+    files: Mapping[str, bytes], label: Mapping[str, Any], salt: str, own: Json
+) -> None:
+    """Raises LabelLeaked where a file's name or bytes spell an effect or the salt; words of the
+    user's `own` documents are not told."""
     hidden = [*label["effects"], *([label["bait"]] if label["bait"] else ())]
     words = {*(name.split(" at ")[0] for name in hidden), salt}
     known = canonical_bytes(own).decode()
     for name, data in files.items():
         for word in words:
             if word not in known and (word in name or word.encode() in data):
-                raise LabelLeaked(f"{name} spells {word if word != salt else 'the salt'!r}", file=name)
+                raise LabelLeaked(
+                    f"{name} spells {word if word != salt else 'the salt'!r}", file=name
+                )
 
 
 def require_as_committed(document: Mapping[str, Any], commitments: list[str]) -> None:
@@ -56,4 +65,6 @@ def require_as_committed(document: Mapping[str, Any], commitments: list[str]) ->
         raise NotAsCommitted(f"{len(commitments)} labels were committed, {len(rows)} were opened")
     for row, published in zip(rows, commitments, strict=True):
         if commitment(row["label"], row["salt"]) != published:
-            raise NotAsCommitted(f"the label of trial {row['index']} is not the one committed", trial=row["index"])
+            raise NotAsCommitted(
+                f"the label of trial {row['index']} is not the one committed", trial=row["index"]
+            )

@@ -1,1 +1,2 @@
-"""The experiment that trueup grew from: "Sim-to-Real Deployment and Continual Correction", World Models Handbook."""
+"""The experiment that trueup grew from: "Sim-to-Real Deployment and Continual Correction", World
+Models Handbook."""

@@ -34,7 +34,10 @@ PLANT = Plant.from_document(
             "integrator": "semi_implicit_euler",
         },
         "commands": [{"name": "u", "unit": "m/s^2", "limits": [-U_MAX, U_MAX]}],
-        "observations": [{"name": "q", "unit": "m", "scale": 1.0}, {"name": "v", "unit": "m/s", "scale": 1.0}],
+        "observations": [
+            {"name": "q", "unit": "m", "scale": 1.0},
+            {"name": "v", "unit": "m/s", "scale": 1.0},
+        ],
         "envelope": {"q": [-0.9, 0.9], "v": [-3.0, 3.0]},
         "evaluation": {"horizon_s": 2.0},
     }
@@ -53,7 +56,8 @@ class ChapterData:
 
 
 def excitation(steps: int, rng: np.random.Generator) -> Array:
-    """Smoothed noise, `(steps,)`: x_t = 0.85 x_{t-1} + 0.15 z_t, issued u_t = clip(1.6 x_t, ±u_max)."""
+    """Smoothed noise, `(steps,)`: x_t = 0.85 x_{t-1} + 0.15 z_t, issued u_t = clip(1.6 x_t,
+    ±u_max)."""
     x, issued = 0.0, np.empty(steps)
     for t, z in enumerate(rng.standard_normal(steps)):
         x = 0.85 * x + 0.15 * z
@@ -70,16 +74,32 @@ def drive(parameters: tuple[float, ...], start: Array, issued: Array) -> Array:
     return states
 
 
-def recorded(parameters: tuple[float, ...], start: tuple[float, float], steps: int, rng: np.random.Generator, role: Role) -> Episode:
+def recorded(
+    parameters: tuple[float, ...],
+    start: tuple[float, float],
+    steps: int,
+    rng: np.random.Generator,
+    role: Role,
+) -> Episode:
     """An episode of a plant with these parameters."""
     issued = excitation(steps, rng)
     states = drive(parameters, np.array(start), issued)
     held = np.append(issued, issued[-1])[:, None]
-    return Episode(DT_S * np.arange(steps + 1, dtype=np.float64), held, states, PLANT.layout, role, {"stage": "MIL"}, 0, "")
+    return Episode(
+        DT_S * np.arange(steps + 1, dtype=np.float64),
+        held,
+        states,
+        PLANT.layout,
+        role,
+        {"stage": "MIL"},
+        0,
+        "",
+    )
 
 
 def draw() -> ChapterData:
-    """One generator for training, adaptation, validation and mismatched episodes; another for the test episode."""
+    """One generator for training, adaptation, validation and mismatched episodes; another for the
+    test episode."""
     rng = np.random.default_rng(DATA_SEED)
     pooled = _pool(rng)
     return ChapterData(
@@ -92,7 +112,9 @@ def draw() -> ChapterData:
 
 
 def _pool(rng: np.random.Generator) -> PooledTransitions:
-    plants = [tuple(rng.uniform(*FAMILY_BOX[name]) for name in "kcb") for _ in range(TRAINING_PLANTS)]
+    plants = [
+        tuple(rng.uniform(*FAMILY_BOX[name]) for name in "kcb") for _ in range(TRAINING_PLANTS)
+    ]
     runs = []
     for parameters in plants:
         issued = excitation(TRAINING_STEPS, rng)

@@ -41,7 +41,14 @@ PLANNER_SEED, MONITOR_SEED = 7, 4242
 TICKS = 200
 REFERENCE = 0.55 * np.sin(2.0 * np.pi * 0.15 * (DT_S * np.arange(TICKS))[:, None])
 DELAYS = (0, 1, 2, 3, 5, 8)
-IRREGULAR = (3, 0, 5, 2, 8, 1)  # delays in turn: what is seen comes late, irregularly and out of order
+IRREGULAR = (
+    3,
+    0,
+    5,
+    2,
+    8,
+    1,
+)  # delays in turn: what is seen comes late, irregularly and out of order
 HORIZONS = (1, 10, 50, 200)
 
 
@@ -82,7 +89,9 @@ def run_chapter(progress: Callable[[str, float], None] = lambda _what, _share: N
 
 def _data(data: ChapterData) -> Table:
     observed = family_box(data.pooled)
-    rows: dict[str, dict[str, Value]] = {name: {"low": low, "high": high} for name, (low, high) in observed.items()}
+    rows: dict[str, dict[str, Value]] = {
+        name: {"low": low, "high": high} for name, (low, high) in observed.items()
+    }
     return Table("Training plants", {"transitions": {"pooled": len(data.pooled.states)}, **rows})
 
 
@@ -90,7 +99,11 @@ def _membership(data: ChapterData) -> Table:
     samples = family_box(data.pooled)
     plants = {"deployment": DEPLOYMENT, "shifted": SHIFTED, "(0.65, 0.5, 1.0)": (0.65, 0.5, 1.0)}
     return Table(
-        "Membership", {name: {"family box": _inside(p, FAMILY_BOX), "sample box": _inside(p, samples)} for name, p in plants.items()}
+        "Membership",
+        {
+            name: {"family box": _inside(p, FAMILY_BOX), "sample box": _inside(p, samples)}
+            for name, p in plants.items()
+        },
     )
 
 
@@ -99,17 +112,29 @@ def _inside(parameters: tuple[float, ...], box: Mapping[str, tuple[float, float]
 
 
 def _identification(found: Identification) -> Table:
-    return Table("Identification", {"deployment": {**found.parameters, "rank": found.rank, "condition": found.condition}})
+    return Table(
+        "Identification",
+        {"deployment": {**found.parameters, "rank": found.rank, "condition": found.condition}},
+    )
 
 
 def _stability() -> Table:
     return Table(
         "Strictly stable",
-        {name: {"stable": PLANT.is_stable(p)} for name, p in (("nominal", NOMINAL), ("deployment", DEPLOYMENT), ("shifted", SHIFTED))},
+        {
+            name: {"stable": PLANT.is_stable(p)}
+            for name, p in (("nominal", NOMINAL), ("deployment", DEPLOYMENT), ("shifted", SHIFTED))
+        },
     )
 
 
-def _loop(predictor: Predictor, parameters: tuple[float, ...], *delays: int, u_max: float = U_MAX, forward: bool = False) -> Run:
+def _loop(
+    predictor: Predictor,
+    parameters: tuple[float, ...],
+    *delays: int,
+    u_max: float = U_MAX,
+    forward: bool = False,
+) -> Run:
     return run_loop(
         Deployed(PLANT, parameters, u_max),
         RandomShooting(predictor, u_max),
@@ -128,23 +153,41 @@ def _closed_loop(predictors: Mapping[str, Predictor]) -> list[Table]:
         "deployment + u_max 0.5": (DEPLOYMENT, 0, 0.5),
     }
     runs = {
-        regime: {name: _loop(p, setting[0], setting[1], u_max=setting[2]) for name, p in predictors.items()}
+        regime: {
+            name: _loop(p, setting[0], setting[1], u_max=setting[2])
+            for name, p in predictors.items()
+        }
         for regime, setting in regimes.items()
     }
-    errors = {regime: {name: run.tracking_error(REFERENCE) for name, run in row.items()} for regime, row in runs.items()}
-    breaches = {regime: {name: run.breaches(PLANT) for name, run in row.items()} for regime, row in runs.items()}
+    errors = {
+        regime: {name: run.tracking_error(REFERENCE) for name, run in row.items()}
+        for regime, row in runs.items()
+    }
+    breaches = {
+        regime: {name: run.breaches(PLANT) for name, run in row.items()}
+        for regime, row in runs.items()
+    }
     return [Table("Tracking error", errors), Table("Envelope breaches", breaches)]
 
 
 def _delay_sweep(predictors: Mapping[str, Predictor]) -> Table:
     chosen = {name: predictors[name] for name in ("nominal", "blind", "residual")}
     rows: dict[str, dict[str, Value]] = {
-        f"delay {d}": {name: _loop(p, DEPLOYMENT, d).tracking_error(REFERENCE) for name, p in chosen.items()} for d in DELAYS
+        f"delay {d}": {
+            name: _loop(p, DEPLOYMENT, d).tracking_error(REFERENCE) for name, p in chosen.items()
+        }
+        for d in DELAYS
     }
-    rows["delays in turn"] = {name: _loop(p, DEPLOYMENT, *IRREGULAR).tracking_error(REFERENCE) for name, p in chosen.items()}
+    rows["delays in turn"] = {
+        name: _loop(p, DEPLOYMENT, *IRREGULAR).tracking_error(REFERENCE)
+        for name, p in chosen.items()
+    }
     for row, delays in zip(rows.values(), [*((d,) for d in DELAYS), IRREGULAR], strict=True):
         row |= {
-            f"{name}, brought forward": _loop(p, DEPLOYMENT, *delays, forward=True).tracking_error(REFERENCE) for name, p in chosen.items()
+            f"{name}, brought forward": _loop(p, DEPLOYMENT, *delays, forward=True).tracking_error(
+                REFERENCE
+            )
+            for name, p in chosen.items()
         }
     return Table("Delay sweep", rows)
 
@@ -152,17 +195,23 @@ def _delay_sweep(predictors: Mapping[str, Predictor]) -> Table:
 def _open_loop(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
     scoring = Scoring(HORIZONS[-1] * DT_S)
     errors = {name: rollout_errors(p, data.test, scoring)[0][0] for name, p in predictors.items()}
-    return Table("Open loop", {name: {str(h): float(row[h]) for h in HORIZONS} for name, row in errors.items()})
+    return Table(
+        "Open loop",
+        {name: {str(h): float(row[h]) for h in HORIZONS} for name, row in errors.items()},
+    )
 
 
 def rollout_bound(defect: float, lipschitz: float, steps: int) -> float:
-    """B_H = defect x sum of lipschitz^j for j < H: bounds a rollout from an equal start, and predicts nothing."""
+    """B_H = defect x sum of lipschitz^j for j < H: bounds a rollout from an equal start, and
+    predicts nothing."""
     return defect * float(sum(lipschitz**j for j in range(steps)))
 
 
 def _bound() -> Table:
     zero, linear = rollout_bound(0.001, 1.02, 0), rollout_bound(0.001, 1.0, 50)
-    return Table("Rollout bound", {"no step": {"bound": zero}, "L = 1, 50 steps of 0.001": {"bound": linear}})
+    return Table(
+        "Rollout bound", {"no step": {"bound": zero}, "L = 1, 50 steps of 0.001": {"bound": linear}}
+    )
 
 
 def _monitor() -> Table:
@@ -180,8 +229,12 @@ def _monitor() -> Table:
     declared = len(groups[2][0]) if followed.alarm is None else followed.alarm
     row: dict[str, Value] = {
         "threshold": threshold.level,
-        "held-out exceedance": float(np.mean([threshold.exceedance(_one_channel(r)) for r in groups[1]])),
-        "shifted exceedance": float(np.mean([threshold.exceedance(_one_channel(r)) for r in groups[2]])),
+        "held-out exceedance": float(
+            np.mean([threshold.exceedance(_one_channel(r)) for r in groups[1]])
+        ),
+        "shifted exceedance": float(
+            np.mean([threshold.exceedance(_one_channel(r)) for r in groups[2]])
+        ),
         "first run starts at": declared - threshold.run + 1,
         "alarm declared at": declared,
     }
@@ -205,9 +258,14 @@ def _gate(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
     gate = replace(default_gate(PLANT.horizon_s), scoring=Scoring(PLANT.horizon_s, FIRST))
     nominal = predictors["nominal"]
     rows: dict[str, dict[str, Value]] = {}
-    for name, candidate in (("A", predictors["residual"]), ("B", fit_residual(PLANT, [data.mismatched])[0])):
+    for name, candidate in (
+        ("A", predictors["residual"]),
+        ("B", fit_residual(PLANT, [data.mismatched])[0]),
+    ):
         trial = run_trial(gate, candidate, nominal, [data.validation]).trial
-        decision = judge(gate, trial, plant=PLANT.digest, candidate=name, incumbent="nominal", generation=0)
+        decision = judge(
+            gate, trial, plant=PLANT.digest, candidate=name, incumbent="nominal", generation=0
+        )
         rows["nominal"] = {
             "one-step": float(trial.incumbent.one_step[0]),
             "rollout mean": float(trial.incumbent.rollout[0]),
@@ -222,7 +280,9 @@ def _gate(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
 
 
 def _watchdog() -> Table:
-    found = inject_sensor_failure(control_s=0.010, sensor_s=0.050, timeout_s=0.12, ticks=400, dies_at=200)
+    found = inject_sensor_failure(
+        control_s=0.010, sensor_s=0.050, timeout_s=0.12, ticks=400, dies_at=200
+    )
     row: dict[str, Value] = {
         "first trip [s]": found.first_trip_s or float("nan"),
         "forced commands": found.forced,

@@ -22,13 +22,39 @@ PUBLISHED: Mapping[str, Digits] = {
     },
     "Identification": {"deployment": {"k": "1.250", "c": "0.620", "b": "0.820", "rank": "3"}},
     "Tracking error": {
-        "nominal plant": {"nominal": "0.01459", "blind": "0.01607", "conditioned": "0.01756", "residual": "0.01756"},
-        "deployment plant": {"nominal": "0.02134", "blind": "0.02134", "conditioned": "0.02558", "residual": "0.02558"},
-        "deployment + sensor delay of 3": {"nominal": "0.01564", "blind": "0.01568", "conditioned": "0.01672", "residual": "0.01672"},
-        "deployment + u_max 0.5": {"nominal": "0.03752", "blind": "0.03705", "conditioned": "0.03870", "residual": "0.03870"},
+        "nominal plant": {
+            "nominal": "0.01459",
+            "blind": "0.01607",
+            "conditioned": "0.01756",
+            "residual": "0.01756",
+        },
+        "deployment plant": {
+            "nominal": "0.02134",
+            "blind": "0.02134",
+            "conditioned": "0.02558",
+            "residual": "0.02558",
+        },
+        "deployment + sensor delay of 3": {
+            "nominal": "0.01564",
+            "blind": "0.01568",
+            "conditioned": "0.01672",
+            "residual": "0.01672",
+        },
+        "deployment + u_max 0.5": {
+            "nominal": "0.03752",
+            "blind": "0.03705",
+            "conditioned": "0.03870",
+            "residual": "0.03870",
+        },
     },
     "Envelope breaches": dict.fromkeys(
-        ("nominal plant", "deployment plant", "deployment + sensor delay of 3", "deployment + u_max 0.5"), _NONE
+        (
+            "nominal plant",
+            "deployment plant",
+            "deployment + sensor delay of 3",
+            "deployment + u_max 0.5",
+        ),
+        _NONE,
     ),
     "Open loop": {
         "nominal": {"1": "0.0032", "10": "0.0233", "50": "0.1542", "200": "0.3498"},
@@ -50,7 +76,13 @@ PUBLISHED: Mapping[str, Digits] = {
         "A": {"one-step": "0.00000", "rollout mean": "0.00000", "decision": "accept"},
         "B": {"one-step": "0.00427", "rollout mean": "0.09853", "decision": "reject"},
     },
-    "Watchdog": {"sensor stops at tick 200": {"first trip [s]": "2.08", "forced commands": "192", "peak age [s]": "2.040"}},
+    "Watchdog": {
+        "sensor stops at tick 200": {
+            "first trip [s]": "2.08",
+            "forced commands": "192",
+            "peak age [s]": "2.040",
+        }
+    },
 }
 
 

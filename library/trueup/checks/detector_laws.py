@@ -1,4 +1,5 @@
-"""Laws of a detector: the same residuals, the same answer; nothing looks ahead; what is healthy is rarely an alarm, what is broken is."""
+"""Laws of a detector: the same residuals, the same answer; nothing looks ahead; what is healthy is
+rarely an alarm, what is broken is."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ PATIENCE = 30  # episodes
 
 
 def healthy(rng: np.random.Generator, size: float = 1.0) -> Residuals:
-    """An episode of residuals that are correlated in time and between channels, `size` times the healthy spread."""
+    """An episode of residuals that are correlated in time and between channels, `size` times the
+    healthy spread."""
     n = WINDOWS * SAMPLES
     shocks, x = rng.standard_t(8, (n, CHANNELS)) * np.sqrt(0.75), np.zeros((n, CHANNELS))
     x[0] = shocks[0]
@@ -36,32 +38,46 @@ def healthy(rng: np.random.Generator, size: float = 1.0) -> Residuals:
     common = np.einsum("wsc,scl->wl", by_window, shape) / SAMPLES
     power = np.broadcast_to((shape**2).sum(axis=(0, 1)) / SAMPLES, common.shape)
     t_s = np.asarray(np.arange(1, n + 1) * HORIZON_S / SAMPLES, np.float64)
-    return Residuals(values, t_s, weight, window, WINDOWS * HORIZON_S, np.stack([common, power], axis=2))
+    return Residuals(
+        values, t_s, weight, window, WINDOWS * HORIZON_S, np.stack([common, power], axis=2)
+    )
 
 
 def calibrated(kind: type[Detector]) -> Detector:
     """A detector on a healthy reference."""
     rng = np.random.default_rng(2)
-    fitted, fresh = ([b for _ in range(REFERENCE) for b in blocks(healthy(rng), WINDOWS)] for _ in range(2))
+    fitted, fresh = (
+        [b for _ in range(REFERENCE) for b in blocks(healthy(rng), WINDOWS)] for _ in range(2)
+    )
     return kind.calibrate(Reference(fitted, fresh, WINDOWS, WINDOWS * HORIZON_S, PROMISE_H), rng)
 
 
 def the_same_residuals_give_the_same_answer(detector: Detector) -> None:
-    """Following depends on what is handed in alone, and a detector that was written down follows as it did."""
+    """Following depends on what is handed in alone, and a detector that was written down follows as
+    it did."""
     rng, state = np.random.default_rng(3), detector.begin()
     again = type(detector).restore(detector.document())
     for _ in range(PATIENCE):
         episode = healthy(rng, rng.uniform(0.5, 2.0))
         once, twice = (d.follow(state, episode) for d in (detector, again))
-        same = np.array_equal(once.statistic, twice.statistic) and (once.alarm, once.state) == (twice.alarm, twice.state)
+        same = np.array_equal(once.statistic, twice.statistic) and (once.alarm, once.state) == (
+            twice.alarm,
+            twice.state,
+        )
         require(same, "the same residuals give the same answer", detector.name)
         state = once.state
 
 
 def an_alarm_is_where_the_statistic_first_passes_the_level(detector: Detector) -> None:
     """It is declared there, and nowhere else; what led to it has a name."""
-    rng, state, law = np.random.default_rng(4), detector.begin(), "an alarm is where the statistic first passes the level"
-    labels = detector.labels([f"c{i}" for i in range(CHANNELS)], [f"s{i}" for i in range(SIGNATURES)])
+    rng, state, law = (
+        np.random.default_rng(4),
+        detector.begin(),
+        "an alarm is where the statistic first passes the level",
+    )
+    labels = detector.labels(
+        [f"c{i}" for i in range(CHANNELS)], [f"s{i}" for i in range(SIGNATURES)]
+    )
     for i in range(PATIENCE):
         found = detector.follow(state, healthy(rng, 1.0 + i / 10.0))
         beyond = np.flatnonzero(found.statistic > detector.level)
@@ -80,15 +96,24 @@ def it_looks_only_back(detector: Detector) -> None:
         later.values[episode.window == WINDOWS - 1] *= BROKEN
         later.evidence[WINDOWS - 1, :, 0] *= BROKEN
         before = episode.window < WINDOWS - 1
-        one, other = (detector.follow(detector.begin(), e).statistic[before] for e in (episode, later))
-        upto = slice(None, -1)  # the last sample of a window is where the next may count for the first time
+        one, other = (
+            detector.follow(detector.begin(), e).statistic[before] for e in (episode, later)
+        )
+        upto = slice(
+            None, -1
+        )  # the last sample of a window is where the next may count for the first time
         require(np.array_equal(one[upto], other[upto]), "it looks only back", detector.name)
 
 
 def healthy_episodes_alarm_no_more_often_than_promised(detector: Detector) -> None:
     """On fresh healthy episodes, within what a short reference can say."""
     alarms, hours = _alarms(detector, [1.0] * FRESH)
-    require(alarms / hours <= SLACK / PROMISE_H, "healthy episodes alarm no more often than promised", detector.name, f"{alarms} alarms")
+    require(
+        alarms / hours <= SLACK / PROMISE_H,
+        "healthy episodes alarm no more often than promised",
+        detector.name,
+        f"{alarms} alarms",
+    )
 
 
 def what_is_broken_alarms(detector: Detector) -> None:

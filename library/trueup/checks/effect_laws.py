@@ -1,5 +1,6 @@
-"""Laws of an effect: it vanishes at its null, every number of it matters, it means the same everywhere, it looks only back, its value
-is found again, and it says where it comes from and what cannot show it.
+"""Laws of an effect: it vanishes at its null, every number of it matters, it means the same
+everywhere, it looks only back, its value is found again, and it says where it comes from and what
+cannot show it.
 """
 
 from __future__ import annotations
@@ -31,7 +32,11 @@ FOUND = 0.02  # of a value, or of its scale: how near a fit must come to it
 PLANT = Plant.from_document(
     {
         "name": "law",
-        "nominal": {"family": "oscillator", "parameters": {"k": 1.3, "c": 0.5, "b": 1.0}, "timestep_s": PERIOD_S},
+        "nominal": {
+            "family": "oscillator",
+            "parameters": {"k": 1.3, "c": 0.5, "b": 1.0},
+            "timestep_s": PERIOD_S,
+        },
         "commands": [{"name": "u", "unit": "m/s^2", "limits": [-1.0, 1.0]}],
         "observations": [{"name": "q", "unit": "m"}, {"name": "v", "unit": "m/s"}],
         "evaluation": {"horizon_s": 2.0},
@@ -42,7 +47,9 @@ PLANT = Plant.from_document(
 def _episode(commands: Array, observations: Array | None = None) -> Episode:
     t = np.asarray(np.arange(len(commands)) * PERIOD_S, np.float64)
     seen = np.zeros((len(t), 2)) if observations is None else observations
-    return Episode(t, commands[:, None].copy(), seen.copy(), PLANT.layout, Role.ADAPTATION, {}, 0, "law")
+    return Episode(
+        t, commands[:, None].copy(), seen.copy(), PLANT.layout, Role.ADAPTATION, {}, 0, "law"
+    )
 
 
 def _commands(seed: int = 0) -> Array:
@@ -54,7 +61,9 @@ def _commands(seed: int = 0) -> Array:
 
 
 def _values(effect: type[Effect], start: int) -> Array:
-    fitter = Fitter(PLANT.form, Directions.of_family(PLANT.dynamics.parameter_names), [SCALES], np.ones(2))
+    fitter = Fitter(
+        PLANT.form, Directions.of_family(PLANT.dynamics.parameter_names), [SCALES], np.ones(2)
+    )
     return fitter.with_effect(fitter.begin(PLANT.parameters), effect.name, _strong(effect, start))
 
 
@@ -64,15 +73,24 @@ def _usual(effect: type[Effect]) -> int:
 
 
 def _strong(effect: type[Effect], start: int) -> tuple[float, ...]:
-    """One of the effect's own starts, all its numbers asked for; those that are made to be weak are made visible."""
+    """One of the effect's own starts, all its numbers asked for; those that are made to be weak are
+    made visible."""
     asked = dict(zip(effect.optional, effect.tries[0], strict=True)) if effect.tries else {}
-    chosen = [asked.get(n.name, x) for n, x in zip(effect.params, effect.starts[start], strict=True)]
+    chosen = [
+        asked.get(n.name, x) for n, x in zip(effect.params, effect.starts[start], strict=True)
+    ]
     if effect.periodic:
         chosen[:2] = [0.1, 0.05]
     return tuple(chosen)
 
 
-def _rolled(values: Array, effect: type[Effect] | None, scheme: Scheme, commands: Array, start: tuple[float, float] = (0.3, -0.2)) -> Array:
+def _rolled(
+    values: Array,
+    effect: type[Effect] | None,
+    scheme: Scheme,
+    commands: Array,
+    start: tuple[float, float] = (0.3, -0.2),
+) -> Array:
     s = whole(PLANT, _episode(commands), scheme, np.array([0]))
     init = np.repeat(np.array([[start[0]], [start[1]]])[None], BLOCK, axis=2)
     on = switches(Hypothesis((effect.name,) if effect else ()))
@@ -85,7 +103,9 @@ def vanishes_at_its_null(effect: type[Effect]) -> None:
     values = PLANT.block.nulls.copy()
     values[: len(PLANT.parameters)] = PLANT.parameters
     for scheme in (DECLARED, SYMMETRIC):
-        same = np.array_equal(_rolled(values, effect, scheme, _commands()), _rolled(values, None, scheme, _commands()))
+        same = np.array_equal(
+            _rolled(values, effect, scheme, _commands()), _rolled(values, None, scheme, _commands())
+        )
         require(same, "vanishes at its null", effect.name)
 
 
@@ -97,13 +117,16 @@ def every_parameter_matters(effect: type[Effect]) -> None:
             values = _values(effect, start)
             moved = values.copy()
             moved[row] += 0.2 * max(abs(values[row]), 0.2 * SCALES.of(number.scale))
-            changed = _rolled(moved, effect, SYMMETRIC, _commands()) - _rolled(values, effect, SYMMETRIC, _commands())
+            changed = _rolled(moved, effect, SYMMETRIC, _commands()) - _rolled(
+                values, effect, SYMMETRIC, _commands()
+            )
             seen = max(seen, float(np.nan_to_num(np.abs(changed)).max()))
         require(seen > VISIBLE, "every parameter matters", effect.name, number.name)
 
 
 def compiled_equals_numpy(effect: type[Effect]) -> None:
-    """One compiled step gives what the effect's own function gives on arrays, its states as they begin."""
+    """One compiled step gives what the effect's own function gives on arrays, its states as they
+    begin."""
     if effect.port is Port.OBSERVATION or effect.delays():
         return  # they act on the log, not in a step
     rng = np.random.default_rng(3)
@@ -114,8 +137,15 @@ def compiled_equals_numpy(effect: type[Effect]) -> None:
         for _ in range(20):
             state, u = rng.normal(size=2) * 0.6, rng.uniform(-1.0, 1.0)
             expected = model.predict_batch(state[None], np.array([[u]]))[0]
-            found = _rolled(values, effect, single, np.array([u, u]), (float(state[0]), float(state[1])))[1]
-            require(np.allclose(found, expected, atol=ROUNDING), "compiled equals numpy", effect.name, f"{found} for {expected}")
+            found = _rolled(
+                values, effect, single, np.array([u, u]), (float(state[0]), float(state[1]))
+            )[1]
+            require(
+                np.allclose(found, expected, atol=ROUNDING),
+                "compiled equals numpy",
+                effect.name,
+                f"{found} for {expected}",
+            )
 
 
 def looks_only_back(effect: type[Effect]) -> None:
@@ -123,46 +153,84 @@ def looks_only_back(effect: type[Effect]) -> None:
     commands, values = _commands(), _values(effect, _usual(effect))
     other = commands.copy()
     other[SAMPLES // 2 :] = -other[SAMPLES // 2 :]
-    half = SAMPLES // 2 + 1  # the sample at which the first changed command starts to act is still the same
+    half = (
+        SAMPLES // 2 + 1
+    )  # the sample at which the first changed command starts to act is still the same
     same = np.array_equal(
-        _rolled(values, effect, SYMMETRIC, commands)[:half], _rolled(values, effect, SYMMETRIC, other)[:half], equal_nan=True
+        _rolled(values, effect, SYMMETRIC, commands)[:half],
+        _rolled(values, effect, SYMMETRIC, other)[:half],
+        equal_nan=True,
     )
     require(same, "looks only back", effect.name)
 
 
 def its_value_is_found_again(effect: type[Effect]) -> None:
-    """A fit that begins a fifth off finds the value with which a log was made, from the noise-free log alone."""
+    """A fit that begins a fifth off finds the value with which a log was made, from the noise-free
+    log alone."""
     values = _values(effect, _usual(effect))
     number, row = effect.params[0], PLANT.block.rows(effect.name)[0]
     log = _rolled(values, effect, SYMMETRIC, _commands())
     if effect.counted:
         return  # found as the lattice of the values, not by a fit
     s: Series = whole(PLANT, _episode(_commands(), log), SYMMETRIC, np.array([0]))
-    fitter = Fitter(PLANT.form, Directions.of_family(PLANT.dynamics.parameter_names), [SCALES], np.array([1e-3, 1e-3]))
+    fitter = Fitter(
+        PLANT.form,
+        Directions.of_family(PLANT.dynamics.parameter_names),
+        [SCALES],
+        np.array([1e-3, 1e-3]),
+    )
     begin = values.copy()
-    begin[row] = begin[row] * (1.02 if number.name in effect.threshold else 1.2) + 1e-3 * SCALES.of(number.scale)
+    begin[row] = begin[row] * (1.02 if number.name in effect.threshold else 1.2) + 1e-3 * SCALES.of(
+        number.scale
+    )
     others = [(effect.name, n.name) for n in effect.params[1:]]
     family = [("", name) for name in PLANT.dynamics.parameter_names]
     if effect.zoomed:  # the error is flat between corners: the best of a grid, as a search finds it
-        begins = [np.where(np.arange(len(values)) == row, values[row] * factor, values) for factor in np.linspace(0.9, 1.1, 81)]
+        begins = [
+            np.where(np.arange(len(values)) == row, values[row] * factor, values)
+            for factor in np.linspace(0.9, 1.1, 81)
+        ]
         tried = [fitter.fit([s], Hypothesis((effect.name,)), b, iterations=0) for b in begins]
         found = min(tried, key=lambda f: f.cost)
     else:
-        found = fitter.fit([s], Hypothesis((effect.name,)), begin, iterations=60, fixed=[*others, *family], tolerance=1e-12)
-    off = abs(found.values[row] - values[row]) / max(abs(values[row]), FOUND * SCALES.of(number.scale))
-    require(off < FOUND, "its value is found again", effect.name, f"{number.name} {found.values[row]:g} for {values[row]:g}")
+        found = fitter.fit(
+            [s],
+            Hypothesis((effect.name,)),
+            begin,
+            iterations=60,
+            fixed=[*others, *family],
+            tolerance=1e-12,
+        )
+    off = abs(found.values[row] - values[row]) / max(
+        abs(values[row]), FOUND * SCALES.of(number.scale)
+    )
+    require(
+        off < FOUND,
+        "its value is found again",
+        effect.name,
+        f"{number.name} {found.values[row]:g} for {values[row]:g}",
+    )
 
 
 def it_documents_itself(effect: type[Effect]) -> None:
-    """The docstring states the equation, its source, and the data that cannot show it; each state says where it begins."""
+    """The docstring states the equation, its source, and the data that cannot show it; each state
+    says where it begins."""
     text = inspect.getdoc(effect) or ""
     for word in ("Equation:", "Source:", "Blind:"):
         require(word in text, "documents itself", effect.name, f"{word} is missing")
     require(
-        len(effect.states) == len(effect.begins) == len(effect.memory), "documents itself", effect.name, "a state without its beginning"
+        len(effect.states) == len(effect.begins) == len(effect.memory),
+        "documents itself",
+        effect.name,
+        "a state without its beginning",
     )
     sizes = {len(s) for s in effect.starts}
-    require(sizes == {len(effect.params)}, "documents itself", effect.name, "a start without a value for each parameter")
+    require(
+        sizes == {len(effect.params)},
+        "documents itself",
+        effect.name,
+        "a start without a value for each parameter",
+    )
 
 
 LAWS = (

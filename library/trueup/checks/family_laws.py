@@ -1,4 +1,5 @@
-"""Laws of a family: its regressors are its derivative, every parameter matters, and it says where it comes from."""
+"""Laws of a family: its regressors are its derivative, every parameter matters, and it says where
+it comes from."""
 
 from __future__ import annotations
 
@@ -18,7 +19,11 @@ def regressors_are_the_derivative(family: type[Family]) -> None:
     q, v, u = rng.normal(size=(3, 50))
     parameters = rng.normal(size=len(family.params))
     total = sum(p * r for p, r in zip(parameters, family.regressors(q, v, u), strict=True))
-    require(np.allclose(total, family.acceleration(q, v, u, *parameters), atol=DIFFERENCE), "regressors are the derivative", family.name)
+    require(
+        np.allclose(total, family.acceleration(q, v, u, *parameters), atol=DIFFERENCE),
+        "regressors are the derivative",
+        family.name,
+    )
 
 
 def every_parameter_matters(family: type[Family]) -> None:
@@ -29,7 +34,10 @@ def every_parameter_matters(family: type[Family]) -> None:
     for i, param in enumerate(family.params):
         moved = base.copy()
         moved[i] += 0.5
-        changed = np.abs(family.acceleration(q, v, u, *moved) - family.acceleration(q, v, u, *base)).max() > DIFFERENCE
+        changed = (
+            np.abs(family.acceleration(q, v, u, *moved) - family.acceleration(q, v, u, *base)).max()
+            > DIFFERENCE
+        )
         require(bool(changed), "every parameter matters", family.name, f"{param.name} does not")
 
 
@@ -37,7 +45,12 @@ def says_where_it_comes_from(family: type[Family]) -> None:
     """The docstring gives equation and source, and each parameter its unit."""
     text = inspect.getdoc(family) or ""
     require("Equation:" in text and "Source:" in text, "says where it comes from", family.name)
-    require(all(p.unit for p in family.params), "says where it comes from", family.name, "a parameter has no unit")
+    require(
+        all(p.unit for p in family.params),
+        "says where it comes from",
+        family.name,
+        "a parameter has no unit",
+    )
 
 
 LAWS = (regressors_are_the_derivative, every_parameter_matters, says_where_it_comes_from)

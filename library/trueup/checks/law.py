@@ -15,4 +15,6 @@ class LawBroken(TrueupError):
 def require(holds: bool, law: str, subject: str, why: str = "") -> None:
     """Raises LawBroken unless it holds."""
     if not holds:
-        raise LawBroken(f"{subject} breaks the law: {law}. {why}".rstrip(". ") + ".", law=law, subject=subject)
+        raise LawBroken(
+            f"{subject} breaks the law: {law}. {why}".rstrip(". ") + ".", law=law, subject=subject
+        )

@@ -1,4 +1,5 @@
-"""Laws of a predictor: rows are independent, it never writes to its inputs, and as an artifact it is the same predictor, bit for bit."""
+"""Laws of a predictor: rows are independent, it never writes to its inputs, and as an artifact it
+is the same predictor, bit for bit."""
 
 from __future__ import annotations
 
@@ -18,7 +19,11 @@ def rows_are_independent(predictor: Predictor) -> None:
     whole = predictor.predict_batch(states, issued)
     for i in range(ROWS):
         alone = predictor.predict_batch(states[i : i + 1], issued[i : i + 1])[0]
-        require(np.allclose(alone, whole[i], rtol=ROUNDING, atol=ROUNDING), "rows are independent", predictor.kind)
+        require(
+            np.allclose(alone, whole[i], rtol=ROUNDING, atol=ROUNDING),
+            "rows are independent",
+            predictor.kind,
+        )
 
 
 def inputs_stay_as_they_are(predictor: Predictor) -> None:
@@ -26,7 +31,11 @@ def inputs_stay_as_they_are(predictor: Predictor) -> None:
     states, issued = _inputs(predictor)
     before = states.copy(), issued.copy()
     predictor.predict_batch(states, issued)
-    require(np.array_equal(states, before[0]) and np.array_equal(issued, before[1]), "inputs stay as they are", predictor.kind)
+    require(
+        np.array_equal(states, before[0]) and np.array_equal(issued, before[1]),
+        "inputs stay as they are",
+        predictor.kind,
+    )
 
 
 def it_survives_as_an_artifact(predictor: Predictor) -> None:
@@ -34,13 +43,24 @@ def it_survives_as_an_artifact(predictor: Predictor) -> None:
     artifact = pack(predictor, {"origin": "law"})
     back = unpack(artifact, artifact.digest)
     inputs = _inputs(predictor)
-    require(np.array_equal(back.predict_batch(*inputs), predictor.predict_batch(*inputs)), "it survives as an artifact", predictor.kind)
-    require(pack(back, {"origin": "law"}).digest == artifact.digest, "it survives as an artifact", predictor.kind, "another digest")
+    require(
+        np.array_equal(back.predict_batch(*inputs), predictor.predict_batch(*inputs)),
+        "it survives as an artifact",
+        predictor.kind,
+    )
+    require(
+        pack(back, {"origin": "law"}).digest == artifact.digest,
+        "it survives as an artifact",
+        predictor.kind,
+        "another digest",
+    )
 
 
 def _inputs(predictor: Predictor) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(5)
-    return rng.normal(size=(ROWS, 2 * predictor.plant.dynamics.joints)), rng.normal(size=(ROWS, len(predictor.plant.layout.commands)))
+    return rng.normal(size=(ROWS, 2 * predictor.plant.dynamics.joints)), rng.normal(
+        size=(ROWS, len(predictor.plant.layout.commands))
+    )
 
 
 LAWS = (rows_are_independent, inputs_stay_as_they_are, it_survives_as_an_artifact)

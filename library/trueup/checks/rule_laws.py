@@ -1,4 +1,5 @@
-"""Laws of a gate rule: it answers, always the same, never passes what is no number, and never punishes a smaller error."""
+"""Laws of a gate rule: it answers, always the same, never passes what is no number, and never
+punishes a smaller error."""
 
 from __future__ import annotations
 
@@ -25,7 +26,12 @@ def _trials() -> Iterator[Trial]:
 
 def _trial(candidate: Score, incumbent: Score, names: tuple[str, ...]) -> Trial:
     """A trial whose runs in closed loop go as its rollouts do."""
-    return Trial(candidate, incumbent, names, tracking=Tracking(candidate.rollout, incumbent.rollout, (0.0, 0.0), (1.0,)))
+    return Trial(
+        candidate,
+        incumbent,
+        names,
+        tracking=Tracking(candidate.rollout, incumbent.rollout, (0.0, 0.0), (1.0,)),
+    )
 
 
 def the_same_trial_gives_the_same_verdict(rule: Rule) -> None:
@@ -38,12 +44,23 @@ def what_is_no_number_never_passes(rule: Rule) -> None:
     """One nan anywhere in the figures that a rule judges refuses; all nan always does."""
     nan = np.full(EPISODES, np.nan)
     for trial in _trials():
-        for candidate in (Score(nan, nan), Score(np.full(EPISODES, np.inf), np.full(EPISODES, np.inf))):
-            require(not rule(_trial(candidate, trial.incumbent, trial.episodes)).passed, "what is no number never passes", rule.name)
+        for candidate in (
+            Score(nan, nan),
+            Score(np.full(EPISODES, np.inf), np.full(EPISODES, np.inf)),
+        ):
+            require(
+                not rule(_trial(candidate, trial.incumbent, trial.episodes)).passed,
+                "what is no number never passes",
+                rule.name,
+            )
         for at in range(EPISODES):
             spoiled = Score(trial.candidate.rollout.copy(), trial.candidate.one_step.copy())
             spoiled.rollout[at] = spoiled.one_step[at] = np.nan
-            require(not rule(_trial(spoiled, trial.incumbent, trial.episodes)).passed, "what is no number never passes", rule.name)
+            require(
+                not rule(_trial(spoiled, trial.incumbent, trial.episodes)).passed,
+                "what is no number never passes",
+                rule.name,
+            )
 
 
 def a_smaller_error_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
@@ -51,18 +68,25 @@ def a_smaller_error_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
     rng = np.random.default_rng(4)
     for trial in _trials():
         better = Score(
-            trial.candidate.rollout * rng.uniform(0.1, 1.0, EPISODES), trial.candidate.one_step * rng.uniform(0.1, 1.0, EPISODES)
+            trial.candidate.rollout * rng.uniform(0.1, 1.0, EPISODES),
+            trial.candidate.one_step * rng.uniform(0.1, 1.0, EPISODES),
         )
-        kept = not rule(trial).passed or rule(_trial(better, trial.incumbent, trial.episodes)).passed
+        kept = (
+            not rule(trial).passed or rule(_trial(better, trial.incumbent, trial.episodes)).passed
+        )
         require(kept, "a smaller error never turns a pass into a refusal", rule.name)
 
 
 def it_can_refuse_and_it_can_pass(rule: Rule) -> None:
     """A rule that always gives one answer is none."""
     trial = next(_trials())
-    far, near = (Score(f * trial.incumbent.rollout, f * trial.incumbent.one_step) for f in (10.0, 0.1))
+    far, near = (
+        Score(f * trial.incumbent.rollout, f * trial.incumbent.one_step) for f in (10.0, 0.1)
+    )
     require(rule(_trial(near, trial.incumbent, trial.episodes)).passed, "it can pass", rule.name)
-    require(not rule(_trial(far, trial.incumbent, trial.episodes)).passed, "it can refuse", rule.name)
+    require(
+        not rule(_trial(far, trial.incumbent, trial.episodes)).passed, "it can refuse", rule.name
+    )
 
 
 def a_larger_bound_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
@@ -75,12 +99,19 @@ def a_larger_bound_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
 
 
 def requiring_the_bound_is_stricter(rule: Rule) -> None:
-    """What passes at the bound of its interval passes at the mean, and says what its interval was."""
+    """What passes at the bound of its interval passes at the mean, and says what its interval
+    was."""
     strict = replace(rule, require=BOUND)  # type: ignore[type-var]
     for trial in _trials():
         at_bound = strict(trial)
-        require(not at_bound.passed or rule(trial).passed, "requiring the bound is stricter", rule.name)
-        require(not at_bound.passed or at_bound.ci95 is not None, "requiring the bound is stricter", rule.name)
+        require(
+            not at_bound.passed or rule(trial).passed, "requiring the bound is stricter", rule.name
+        )
+        require(
+            not at_bound.passed or at_bound.ci95 is not None,
+            "requiring the bound is stricter",
+            rule.name,
+        )
 
 
 LAWS = (

@@ -1,7 +1,7 @@
 """Bounds: what an excitation must keep, of command, rate, travel, speed, band and time.
 
-Travel is bounded by the envelope that plant.json declares, and where it declares none by what was recorded; speed and the rate of a command
-by what was recorded, unless they are given.
+Travel is bounded by the envelope that plant.json declares, and where it declares none by what was
+recorded; speed and the rate of a command by what was recorded, unless they are given.
 """
 
 from __future__ import annotations
@@ -19,14 +19,21 @@ from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 SMOOTHED = 0.85  # of a random excitation, from sample to sample: at 0.05 s the chapter's
-DECLARED, RECORDED, GIVEN, BAND, UNBOUNDED = "declared", "recorded", "given", "band", "unbounded"  # where a bound comes from
+DECLARED, RECORDED, GIVEN, BAND, UNBOUNDED = (
+    "declared",
+    "recorded",
+    "given",
+    "band",
+    "unbounded",
+)  # where a bound comes from
 LONGEST_S = 3600.0  # of an excitation
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What a machine has done: `ranges` `(2 x joints, 2)` of positions and velocities, nan where not observed, and `rate` `(joints,)`, the
-    fastest change of each command [command/s]. Velocities are bounded alike in both directions.
+    """What a machine has done: `ranges` `(2 x joints, 2)` of positions and velocities, nan where
+    not observed, and `rate` `(joints,)`, the fastest change of each command [command/s]. Velocities
+    are bounded alike in both directions.
     """
 
     ranges: Array
@@ -52,9 +59,10 @@ class Recorded:
 class Bounds:
     """What an excitation must keep.
 
-    `low` and `high` of the command `(joints,)`, `rate` [command/s] `(joints,)`, `envelope` `(2 x joints, 2)` of positions and velocities
-    with its `margin` taken off, `band_hz`, `duration_s` [s] without the hold at the end. `sources` `(2 x joints,)` says where each row of
-    the envelope comes from, `rate_sources` `(joints,)` where each rate does.
+    `low` and `high` of the command `(joints,)`, `rate` [command/s] `(joints,)`, `envelope` `(2 x
+    joints, 2)` of positions and velocities with its `margin` taken off, `band_hz`, `duration_s` [s]
+    without the hold at the end. `sources` `(2 x joints,)` says where each row of the envelope comes
+    from, `rate_sources` `(joints,)` where each rate does.
     """
 
     low: Array
@@ -78,24 +86,39 @@ class Bounds:
         speed: float | None = None,
         recorded: Recorded | None = None,
     ) -> Bounds:
-        """A plant's own, and where it declares none what was `recorded`. No command crosses its range faster than in a fifth of the band's
-        shortest period.
+        """A plant's own, and where it declares none what was `recorded`. No command crosses its
+        range faster than in a fifth of the band's shortest period.
 
         Raises BadPlant, and NotIdentifiable where nothing bounds the travel of a joint.
         """
         if not 0.0 <= margin < 1.0 or not 0.0 < duration_s <= LONGEST_S:
-            raise BadPlant("an excitation needs a margin from 0 to below 1, and a duration above 0 and of an hour at most", field="margin")
+            raise BadPlant(
+                (
+                    "an excitation needs a margin from 0 to below 1, and a duration above 0 and "
+                    "of an hour at most"
+                ),
+                field="margin",
+            )
         if not all(given is None or given > 0.0 for given in (rate, speed)):
             raise BadPlant("a rate and a speed are positive", field="rate")
         joints = len(plant.joints)
-        low, high = (np.where(plant.command_columns >= 0, bound[plant.command_columns], 0.0) for bound in plant.limits)
+        low, high = (
+            np.where(plant.command_columns >= 0, bound[plant.command_columns], 0.0)
+            for bound in plant.limits
+        )
         band = band_hz or (1.0 / duration_s, min(0.1 / plant.timestep_s, 20.0 / duration_s))
         been = Recorded.of(plant, []) if recorded is None else recorded
         ranges, sources = _ranges(plant, been, speed)
         if len(free := np.flatnonzero(~_bounded(ranges[:joints]))):
             raise NotIdentifiable(
-                f"nothing says how far {' and '.join(plant.joint_name(int(j)) for j in free)} may travel",
-                hint="Declare the range under envelope in plant.json, or put an adaptation recording into the case folder.",
+                (
+                    "nothing says how far "
+                    f"{' and '.join(plant.joint_name(int(j)) for j in free)} may travel"
+                ),
+                hint=(
+                    "Declare the range under envelope in plant.json, or put an adaptation "
+                    "recording into the case folder."
+                ),
             )
         envelope = _widened(ranges, 1.0 - margin)
         fastest = 5.0 * band[1] * np.maximum(high - low, 1e-12)
@@ -103,7 +126,9 @@ class Bounds:
             rates, rate_sources = np.full(joints, rate), (GIVEN,) * joints
         else:
             rates = np.fmin(been.rate, fastest)
-            rate_sources = tuple(RECORDED if recorded_binds else BAND for recorded_binds in been.rate <= fastest)
+            rate_sources = tuple(
+                RECORDED if recorded_binds else BAND for recorded_binds in been.rate <= fastest
+            )
         return Bounds(low, high, rates, envelope, margin, band, duration_s, sources, rate_sources)
 
     def inside(self, paths: Array) -> bool:
@@ -112,27 +137,36 @@ class Bounds:
         return bool(((paths >= low) & (paths <= high)).all())
 
     def used(self, paths: Array, start: Array) -> float:
-        """The largest part of the room between a state `start` `(2 x joints,)` and the envelope less its margin that paths `(members,
-        samples, 2 x joints)` take: above 1 one leaves it.
+        """The largest part of the room between a state `start` `(2 x joints,)` and the envelope
+        less its margin that paths `(members, samples, 2 x joints)` take: above 1 one leaves it.
         """
         low, high = self.envelope.T
         with np.errstate(invalid="ignore", divide="ignore"):
-            parts = [(paths - start).max(axis=(0, 1)) / (high - start), (start - paths).max(axis=(0, 1)) / (start - low)]
+            parts = [
+                (paths - start).max(axis=(0, 1)) / (high - start),
+                (start - paths).max(axis=(0, 1)) / (start - low),
+            ]
         most = float(np.max(np.nan_to_num(parts, nan=np.inf, posinf=np.inf, neginf=np.inf)))
         return most if np.isfinite(paths).all() else np.inf
 
     def room(self, state: Array) -> float:
-        """How far a state `(2 x joints,)` is from the nearest end of the envelope, as a part of half its width; negative outside of it."""
+        """How far a state `(2 x joints,)` is from the nearest end of the envelope, as a part of
+        half its width; negative outside of it."""
         bounded = _bounded(self.envelope)
         (low, high), within = self.envelope[bounded].T, state[bounded]
-        return float((np.minimum(within - low, high - within) / np.maximum((high - low) / 2.0, 1e-300)).min(initial=1.0))
+        return float(
+            (np.minimum(within - low, high - within) / np.maximum((high - low) / 2.0, 1e-300)).min(
+                initial=1.0
+            )
+        )
 
     def whole(self) -> Array:
         """The envelope without its margin, `(2 x joints, 2)`."""
         return _widened(self.envelope, 1.0 / (1.0 - self.margin))
 
     def random(self, hold: Array, like: Array, rng: np.random.Generator) -> Array:
-        """Smoothed noise about a command `hold` `(joints,)`, of the energy of another one `(samples, joints)`, within the limits."""
+        """Smoothed noise about a command `hold` `(joints,)`, of the energy of another one
+        `(samples, joints)`, within the limits."""
         x = np.zeros_like(like)
         for i in range(1, len(x)):
             x[i] = SMOOTHED * x[i - 1] + (1.0 - SMOOTHED) * rng.standard_normal(x.shape[1])
@@ -153,11 +187,14 @@ def _widened(ranges: Array, by: float) -> Array:
     bounded = _bounded(ranges)[:, None]
     kept = np.where(bounded, ranges, 0.0)
     middle, half = kept.mean(axis=1, keepdims=True), by * np.diff(kept, axis=1) / 2.0
-    return np.where(bounded, np.concatenate([middle - half, middle + half], axis=1), [-np.inf, np.inf])
+    return np.where(
+        bounded, np.concatenate([middle - half, middle + half], axis=1), [-np.inf, np.inf]
+    )
 
 
 def _ranges(plant: Plant, been: Recorded, speed: float | None) -> tuple[Array, tuple[str, ...]]:
-    """The range of each position and velocity `(2 x joints, 2)`, infinite where nothing bounds it, and where it comes from."""
+    """The range of each position and velocity `(2 x joints, 2)`, infinite where nothing bounds it,
+    and where it comes from."""
     joints, known = len(plant.joints), _bounded(been.ranges)
     ranges = np.where(known[:, None], been.ranges, [-np.inf, np.inf])
     sources = [RECORDED if found else UNBOUNDED for found in known]
@@ -165,9 +202,14 @@ def _ranges(plant: Plant, been: Recorded, speed: float | None) -> tuple[Array, t
         if channel.name in plant.envelope:
             declared = np.array(plant.envelope[channel.name])
             if sources[column] == DECLARED:  # two sensors of one motion: it keeps within both
-                declared = np.array([max(declared[0], ranges[column][0]), min(declared[1], ranges[column][1])])
+                declared = np.array(
+                    [max(declared[0], ranges[column][0]), min(declared[1], ranges[column][1])]
+                )
             if not declared[0] < declared[1]:
-                raise NotIdentifiable(f"the ranges of {channel.name} and of another channel of the same motion have nothing in common")
+                raise NotIdentifiable(
+                    f"the ranges of {channel.name} and of another channel of the same motion "
+                    "have nothing in common"
+                )
             ranges[column], sources[column] = declared, DECLARED
     if speed is not None:
         for column in range(joints, 2 * joints):

@@ -1,4 +1,5 @@
-"""Checklist: what a person must check before a designed command is played on a machine, and the command as it is handed over."""
+"""Checklist: what a person must check before a designed command is played on a machine, and the
+command as it is handed over."""
 
 from __future__ import annotations
 
@@ -16,13 +17,18 @@ from trueup.model.plant import Plant
 
 Array = NDArray[np.float64]
 LEAST = 1e-300  # to divide by
-WHENCE = {DECLARED: "declared in plant.json", RECORDED: "as recorded, for no envelope is declared", GIVEN: "as asked for"}
+WHENCE = {
+    DECLARED: "declared in plant.json",
+    RECORDED: "as recorded, for no envelope is declared",
+    GIVEN: "as asked for",
+}
 SPEED_WHENCE = {**WHENCE, RECORDED: "as recorded"}
 RATE_WHENCE = {RECORDED: "as recorded", GIVEN: "as asked for", BAND: "by the band alone"}
 
 
 def checks(plant: Plant, found: Excitation, *, diagnosed: bool) -> list[str]:
-    """Sentences, the one that comes first in time first; `diagnosed` is whether the models in play are those that a diagnosis left."""
+    """Sentences, the one that comes first in time first; `diagnosed` is whether the models in play
+    are those that a diagnosis left."""
     return [
         _begin(plant, found),
         *_travel(plant, found),
@@ -35,23 +41,35 @@ def checks(plant: Plant, found: Excitation, *, diagnosed: bool) -> list[str]:
 
 def begins_at(plant: Plant, state: Array) -> str:
     """The positions of a state `(2 x joints,)` in words."""
-    return ", ".join(f"{_position(plant, j).name} = {state[j]:.4g} {_position(plant, j).unit}" for j in range(len(plant.joints)))
+    return ", ".join(
+        f"{_position(plant, j).name} = {state[j]:.4g} {_position(plant, j).unit}"
+        for j in range(len(plant.joints))
+    )
 
 
 def command_table(plant: Plant, t_s: Array, command: Array, first: Sequence[str]) -> str:
-    """A command `(samples, joints)` as CSV: `t` [s], then each command channel in its own unit; before it, as comments, what to check."""
+    """A command `(samples, joints)` as CSV: `t` [s], then each command channel in its own unit;
+    before it, as comments, what to check."""
     text = StringIO(newline="")
     text.writelines(f"# {line}\r\n" for line in first)
     writer = csv.writer(text)
     writer.writerow(["t", *(c.name for c in plant.layout.commands)])
     columns = command[:, [plant.joint_of(c) for c in plant.layout.commands]]
-    writer.writerows([repr(float(t)), *(repr(float(u)) for u in row)] for t, row in zip(t_s, columns, strict=True))
+    writer.writerows(
+        [repr(float(t)), *(repr(float(u)) for u in row)]
+        for t, row in zip(t_s, columns, strict=True)
+    )
     return text.getvalue()
 
 
 def _begin(plant: Plant, found: Excitation) -> str:
-    held = ", ".join(f"{c.name} = {found.hold[plant.joint_of(c)]:.4g} {c.unit}" for c in plant.layout.commands)
-    return f"Bring the machine to rest at {begins_at(plant, found.start)}, under the command {held}: the design begins there."
+    held = ", ".join(
+        f"{c.name} = {found.hold[plant.joint_of(c)]:.4g} {c.unit}" for c in plant.layout.commands
+    )
+    return (
+        f"Bring the machine to rest at {begins_at(plant, found.start)}, under the command "
+        f"{held}: the design begins there."
+    )
 
 
 def _travel(plant: Plant, found: Excitation) -> list[str]:
@@ -60,7 +78,8 @@ def _travel(plant: Plant, found: Excitation) -> list[str]:
         (low, high), whence = found.bounds.whole()[j], WHENCE[found.bounds.sources[j]]
         free, position = 100 * found.bounds.margin, _position(plant, j)
         said.append(
-            f"See that {position.name} may go from {low:.4g} to {high:.4g} {position.unit} ({whence}); {free:.0f} % of it is kept free."
+            f"See that {position.name} may go from {low:.4g} to {high:.4g} {position.unit} "
+            f"({whence}); {free:.0f} % of it is kept free."
         )
     return said
 
@@ -74,7 +93,10 @@ def _speed(plant: Plant, found: Excitation) -> list[str]:
             said.append(f"{of} is not bounded: none is recorded or declared; --speed bounds it.")
         else:
             whence = SPEED_WHENCE[found.bounds.sources[joints + j]]
-            said.append(f"{of} stays between {low:.4g} and {high:.4g} {_position(plant, j).unit}/s ({whence}).")
+            said.append(
+                f"{of} stays between {low:.4g} and {high:.4g} {_position(plant, j).unit}/s "
+                f"({whence})."
+            )
     return said
 
 
@@ -85,29 +107,46 @@ def _command(plant: Plant, found: Excitation) -> list[str]:
         low, high = found.command[:, j].min(), found.command[:, j].max()
         whence = RATE_WHENCE[found.bounds.rate_sources[j]]
         said.append(
-            f"The command {channel.name} goes from {low:.4g} to {high:.4g} {channel.unit} and changes by at most "
+            f"The command {channel.name} goes from {low:.4g} to {high:.4g} {channel.unit} "
+            "and changes by at most "
             f"{found.bounds.rate[j]:.4g} {channel.unit}/s ({whence})."
         )
     return said
 
 
 def _end(plant: Plant, found: Excitation) -> str:
-    speeds = ", ".join(f"{x:.2g} {_position(plant, j).unit}/s" for j, x in enumerate(found.speed_at_end))
+    speeds = ", ".join(
+        f"{x:.2g} {_position(plant, j).unit}/s" for j, x in enumerate(found.speed_at_end)
+    )
     if found.rests:
         part = 100 * float((found.speed_at_end / np.maximum(found.largest_speed, LEAST)).max())
         models = f"every one of {len(found.paths)} models"
-        return f"It ends at rest under {models}: none is faster than {speeds}, {part:.1f} % of the largest speed."
-    return f"It does NOT end at rest: under one of {len(found.paths)} models the machine still moves at {speeds}. Be ready to stop it."
+        return (
+            f"It ends at rest under {models}: none is faster than {speeds}, {part:.1f} % of "
+            "the largest speed."
+        )
+    return (
+        f"It does NOT end at rest: under one of {len(found.paths)} models the machine still "
+        f"moves at {speeds}. Be ready to stop it."
+    )
 
 
 def _models(diagnosed: bool) -> str:
-    left, guessed = "those that the diagnosis left", "the nominal numbers and a spread about them, which no diagnosis has confirmed"
+    left, guessed = (
+        "those that the diagnosis left",
+        "the nominal numbers and a spread about them, which no diagnosis has confirmed",
+    )
     return (
-        f"The models are {left if diagnosed else guessed}. A stop, an obstacle or a load that none of them has is not foreseen: whoever "
+        f"The models are {left if diagnosed else guessed}. A stop, an obstacle or a load "
+        "that none of them has is not foreseen: whoever "
         "plays this keeps a hand on an emergency stop that does not depend on this command."
     )
 
 
 def _position(plant: Plant, joint: int) -> Channel:
     """The channel that observes a joint's position."""
-    return next(c for c, column in zip(plant.layout.observations, plant.state_columns, strict=True) if column == joint)
+    return next(
+        c
+        for c, column in zip(plant.layout.observations, plant.state_columns, strict=True)
+        if column == joint
+    )

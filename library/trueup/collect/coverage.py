@@ -1,10 +1,15 @@
-"""Coverage: does an episode stay where a model has been? Of each joint its position, velocity and applied command.
+"""Coverage: does an episode stay where a model has been? Of each joint its position, velocity and
+applied command.
 
-box      inside the range of each of the three by itself, as recorded when the model was fitted (the sample box)
-hull     inside the convex hull of what was recorded: corners of the box that were never visited are outside
+box      inside the range of each of the three by itself, as recorded when the model was fitted (the
+         sample box)
+hull     inside the convex hull of what was recorded: corners of the box that were never visited are
+         outside
 density  near enough to a recorded sample: a hole inside the hull is outside
-The declared envelope and limits are another box, of what may be visited; an episode can be inside that and outside all of these.
-Source: membership by conditional gradients: M. Frank, P. Wolfe, Naval Research Logistics Quarterly 3 (1956).
+The declared envelope and limits are another box, of what may be visited; an episode
+can be inside that and outside all of these.
+Source: membership by conditional gradients: M. Frank, P. Wolfe, Naval Research Logistics Quarterly
+  3 (1956).
 """
 
 from __future__ import annotations
@@ -35,7 +40,8 @@ DIGITS = 6  # of the numbers that are kept
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """Where one joint has been: ranges `(3,)`, corners of the hull `(corners, 3)`, samples `(samples, 3)`, and how near is near.
+    """Where one joint has been: ranges `(3,)`, corners of the hull `(corners, 3)`, samples
+    `(samples, 3)`, and how near is near.
 
     Corners and samples are in units of the ranges.
     """
@@ -60,15 +66,24 @@ class Coverage:
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
-        rows = {name: [[round(float(x), DIGITS) for x in row] for row in getattr(self, name)] for name in ("corners", "samples")}
-        told: dict[str, Json] = {name: [float(x) for x in getattr(self, name)] for name in ("low", "high")}
+        rows = {
+            name: [[round(float(x), DIGITS) for x in row] for row in getattr(self, name)]
+            for name in ("corners", "samples")
+        }
+        told: dict[str, Json] = {
+            name: [float(x) for x in getattr(self, name)] for name in ("low", "high")
+        }
         return {"joint": self.joint, **told, **rows, "near": self.near}
 
     @staticmethod
     def from_document(document: Mapping[str, Any]) -> Coverage:
         """Read it back. Raises KeyError, TypeError, ValueError."""
-        low, high, corners, samples = (np.array(document[name], np.float64) for name in ("low", "high", "corners", "samples"))
-        return Coverage(str(document["joint"]), low, high, corners, samples, float(document["near"]))
+        low, high, corners, samples = (
+            np.array(document[name], np.float64) for name in ("low", "high", "corners", "samples")
+        )
+        return Coverage(
+            str(document["joint"]), low, high, corners, samples, float(document["near"])
+        )
 
 
 def coverage_of(plant: Plant, episodes: Sequence[Episode]) -> list[Coverage]:
@@ -80,14 +95,19 @@ def coverage_of(plant: Plant, episodes: Sequence[Episode]) -> list[Coverage]:
         x = (triples - low) / np.maximum(high - low, LEAST)
         corners = x[np.unique((x @ _directions().T).argmax(axis=0))]
         kept = x[:: -(-len(x) // SAMPLES)]
-        between = x[len(x) // (2 * SAMPLES) :: -(-len(x) // SAMPLES)]  # as far from kept ones as samples can be
+        between = x[
+            len(x) // (2 * SAMPLES) :: -(-len(x) // SAMPLES)
+        ]  # as far from kept ones as samples can be
         near = float(np.quantile(_from_samples(kept, between), NEAR)) + TOUCH
         found.append(Coverage(plant.joint_name(joint), low, high, corners, kept, near))
     return found
 
 
-def compared(plant: Plant, episode: Episode, fitted_on: Sequence[Coverage], warnings: list[str]) -> dict[str, Json]:
-    """Of each joint the share of the episode outside of what a model was fitted on; what is worth a warning is added in words."""
+def compared(
+    plant: Plant, episode: Episode, fitted_on: Sequence[Coverage], warnings: list[str]
+) -> dict[str, Json]:
+    """Of each joint the share of the episode outside of what a model was fitted on; what is worth a
+    warning is added in words."""
     told: dict[str, Json] = {}
     for joint, been in enumerate(fitted_on):
         triples = _triples(plant, episode, joint)
@@ -95,15 +115,23 @@ def compared(plant: Plant, episode: Episode, fitted_on: Sequence[Coverage], warn
         told[been.joint] = {**shares}
         if shares["hull"] > TOLD:
             warnings.append(
-                f"{100 * shares['hull']:.0f} % of {been.joint} lies outside of what the serving model was fitted on (convex hull of "
-                f"position, velocity and command; {100 * shares['box']:.0f} % outside of its ranges)"
+                f"{100 * shares['hull']:.0f} % of {been.joint} lies outside of what the "
+                "serving model was fitted on (convex hull of "
+                f"position, velocity and command; {100 * shares['box']:.0f} % outside of "
+                "its ranges)"
             )
     return told
 
 
 def _triples(plant: Plant, episode: Episode, joint: int) -> Array:
     states = smoothed_states(plant, episode)
-    rows = np.column_stack([states[:, joint], states[:, len(plant.joints) + joint], plant.applied(episode.commands)[:, joint]])
+    rows = np.column_stack(
+        [
+            states[:, joint],
+            states[:, len(plant.joints) + joint],
+            plant.applied(episode.commands)[:, joint],
+        ]
+    )
     return np.asarray(rows[np.isfinite(rows).all(axis=1)])
 
 

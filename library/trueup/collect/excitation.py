@@ -1,7 +1,8 @@
 """Excitation: the bounded command that serves a goal best, safe under every model still in play.
 
-Of many waves the one is chosen, and then improved, that is worth most for the goal, each as large as is safe; the final one is checked
-under members drawn anew, and compared with random excitations of the same energy.
+Of many waves the one is chosen, and then improved, that is worth most for the goal, each as large
+as is safe; the final one is checked under members drawn anew, and compared with random excitations
+of the same energy.
 """
 
 from __future__ import annotations
@@ -23,20 +24,26 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 MEMBERS, JUDGED = 48, 3  # that bound a wave, and that its worth is a mean over
 TRIED, IMPROVED = 160, 240  # waves drawn, and changes of the best
-SETTLED_S, SETTLED = 60.0, 1e-3  # within which time, and to which part of the largest speed, a machine is at rest
+SETTLED_S, SETTLED = (
+    60.0,
+    1e-3,
+)  # within which time, and to which part of the largest speed, a machine is at rest
 SMALLEST = 0.01  # of the command's reach: less is no excitation
 SHRINK = 0.97
 CHECKED = 1000  # members drawn anew, under each of which the final command must hold
 DETECTABLE = 4.0  # standard errors between two predictions, over the whole experiment
 ALONE = 0.3  # of the effort, to see whether anything parts an alternative
 RANDOM = 20  # random excitations of the same energy to compare with
-SHARE = 0.45  # of the limit: root mean square of a random excitation to compare with while designing
+SHARE = (
+    0.45  # of the limit: root mean square of a random excitation to compare with while designing
+)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is excited: the models in play, its bounds, each observation's noise `(observations,)` as a standard deviation, and the state
-    `start` `(2 x joints,)` in which it rests under the command `hold` `(joints,)`.
+    """What is excited: the models in play, its bounds, each observation's noise `(observations,)`
+    as a standard deviation, and the state `start` `(2 x joints,)` in which it rests under the
+    command `hold` `(joints,)`.
     """
 
     play: InPlay
@@ -52,12 +59,14 @@ class Setting:
 
 @dataclass(frozen=True)
 class Excitation:
-    """A designed command `(samples, joints)` at `t_s` [s], from the state `start`, with what it promises.
+    """A designed command `(samples, joints)` at `t_s` [s], from the state `start`, with what it
+    promises.
 
-    It begins from rest under the command `hold` `(joints,)`. `paths` `(members, samples, 2 x joints)` are the motions under members drawn
-    anew, of which `central` says where those of each composition begin, its central one first; `breaches` is how many leave the envelope,
-    `used` the largest part of it that one takes, `rests` whether every one is at rest at the end; `information` is what it tells, `random`
-    what random excitations of the same energy do.
+    It begins from rest under the command `hold` `(joints,)`. `paths` `(members, samples, 2 x
+    joints)` are the motions under members drawn anew, of which `central` says where those of each
+    composition begin, its central one first; `breaches` is how many leave the envelope, `used` the
+    largest part of it that one takes, `rests` whether every one is at rest at the end;
+    `information` is what it tells, `random` what random excitations of the same energy do.
     """
 
     title: str
@@ -106,11 +115,15 @@ class Excitation:
         }
 
 
-def resting(ensemble: Ensemble, bounds: Bounds, candidates: Sequence[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Where to begin: of `candidates`, each a command to hold `(joints,)` and a state to seek rest from `(2 x joints,)`, the one whose rest
-    has the most room within the envelope; its command and that rest.
+def resting(
+    ensemble: Ensemble, bounds: Bounds, candidates: Sequence[tuple[Array, Array]]
+) -> tuple[Array, Array]:
+    """Where to begin: of `candidates`, each a command to hold `(joints,)` and a state to seek rest
+    from `(2 x joints,)`, the one whose rest has the most room within the envelope; its command and
+    that rest.
 
-    Raises NotIdentifiable where it comes to rest under none of them, or under none inside the envelope.
+    Raises NotIdentifiable where it comes to rest under none of them, or under none inside the
+    envelope.
     """
     best: tuple[float, Array, Array] | None = None
     refused: NotIdentifiable | None = None
@@ -130,15 +143,20 @@ def resting(ensemble: Ensemble, bounds: Bounds, candidates: Sequence[tuple[Array
         where = ", ".join(f"{x:.4g}" for x in best[2][: len(best[1])])
         raise NotIdentifiable(
             f"the machine comes to rest at {where}, outside of the envelope less its margin",
-            hint="Widen the envelope, or put a recording into the case folder that begins at rest inside of it.",
+            hint=(
+                "Widen the envelope, or put a recording into the case folder that begins at "
+                "rest inside of it."
+            ),
         )
     return best[1], best[2]
 
 
 def at_rest(ensemble: Ensemble, start: Array, hold: Array) -> Array:
-    """The state `(2 x joints,)` in which the central model stays under the command `hold`, sought from `start`.
+    """The state `(2 x joints,)` in which the central model stays under the command `hold`, sought
+    from `start`.
 
-    Raises NotIdentifiable where it never comes to rest: such a machine must be held by a controller while it is excited.
+    Raises NotIdentifiable where it never comes to rest: such a machine must be held by a controller
+    while it is excited.
     """
     plant = ensemble.plant
     t_s = np.asarray(np.arange(round(SETTLED_S / plant.timestep_s)) * plant.timestep_s, np.float64)
@@ -148,46 +166,82 @@ def at_rest(ensemble: Ensemble, start: Array, hold: Array) -> Array:
     if not np.isfinite(path).all() or speed[-1].max() > SETTLED * max(float(speed.max()), SETTLED):
         raise NotIdentifiable(
             "under a constant command the machine does not come to rest",
-            hint="Excite it through its controller: describe the loop as a position servo, or add the wave to a trajectory.",
+            hint=(
+                "Excite it through its controller: describe the loop as a position servo, "
+                "or add the wave to a trajectory."
+            ),
         )
     return np.concatenate([path[-1, :joints], np.zeros(joints)])
 
 
 def identification(
-    setting: Setting, rng: np.random.Generator, progress: Progress = lambda _stage, _part: None, effort: float = 1.0
+    setting: Setting,
+    rng: np.random.Generator,
+    progress: Progress = lambda _stage, _part: None,
+    effort: float = 1.0,
 ) -> Excitation:
-    """The excitation that tells the numbers of the first ensemble; `effort` scales how many waves are tried.
+    """The excitation that tells the numbers of the first ensemble; `effort` scales how many waves
+    are tried.
 
     Raises NotIdentifiable where no wave is safe.
     """
     maker, bounds, hold = setting.maker(rng), setting.bounds, setting.hold
-    t_s = np.asarray(np.arange(round(bounds.duration_s / maker.period_s) + 1) * maker.period_s, np.float64)
+    t_s = np.asarray(
+        np.arange(round(bounds.duration_s / maker.period_s) + 1) * maker.period_s, np.float64
+    )
     even = np.tile(hold + SHARE * np.minimum(bounds.high - hold, hold - bounds.low), (len(t_s), 1))
     drawn = [bounds.random(hold, even, rng) for _ in range(RANDOM)]
-    goal = Identification.of(setting.play.ensembles[0], setting.noise, setting.start, maker.members[0][:, :JUDGED], t_s, drawn)
+    goal = Identification.of(
+        setting.play.ensembles[0],
+        setting.noise,
+        setting.start,
+        maker.members[0][:, :JUDGED],
+        t_s,
+        drawn,
+    )
     return _checked(maker, goal, _best(maker, goal, rng, progress, effort)[1], rng, progress)
 
 
 def splitting(
-    setting: Setting, rng: np.random.Generator, progress: Progress = lambda _stage, _part: None, effort: float = 1.0
+    setting: Setting,
+    rng: np.random.Generator,
+    progress: Progress = lambda _stage, _part: None,
+    effort: float = 1.0,
 ) -> Excitation:
     """The same, to tell the first ensemble from each of the others, whichever is right.
 
-    An alternative that no command parts by DETECTABLE standard errors is told, and does not keep the others from being parted.
+    An alternative that no command parts by DETECTABLE standard errors is told, and does not keep
+    the others from being parted.
     """
-    maker, every = setting.maker(rng), Splitting(setting.play.ensembles, setting.noise, setting.start)
+    maker, every = (
+        setting.maker(rng),
+        Splitting(setting.play.ensembles, setting.noise, setting.start),
+    )
     least, wave = _best(maker, every, rng, progress, effort)
     answer, *others = setting.play.ensembles
     if least < np.log(DETECTABLE) and len(others) > 1:
-        alone = [(e, _best(maker, replace(every, ensembles=(answer, e)), rng, progress, ALONE * effort)[0]) for e in others]
+        alone = [
+            (
+                e,
+                _best(maker, replace(every, ensembles=(answer, e)), rng, progress, ALONE * effort)[
+                    0
+                ],
+            )
+            for e in others
+        ]
         parted = [e for e, value in alone if value >= np.log(DETECTABLE)]
         if 0 < len(parted) < len(others):
-            wave = _best(maker, replace(every, ensembles=(answer, *parted)), rng, progress, effort)[1]
+            wave = _best(maker, replace(every, ensembles=(answer, *parted)), rng, progress, effort)[
+                1
+            ]
     return _checked(maker, every, wave, rng, progress)
 
 
-def _best(maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress, effort: float) -> tuple[float, Wave]:
-    """What the best wave that was found is worth for a goal, and the wave. Raises NotIdentifiable where none is safe or tells anything."""
+def _best(
+    maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress, effort: float
+) -> tuple[float, Wave]:
+    """What the best wave that was found is worth for a goal, and the wave. Raises NotIdentifiable
+    where none is safe or tells anything."""
     best: tuple[float, Wave] | None = None
     tried, improved = max(1, round(effort * TRIED)), round(effort * IMPROVED)
     for i in range(tried):
@@ -205,7 +259,10 @@ def _best(maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress
     if best[0] == -np.inf:
         raise NotIdentifiable(
             "no excitation within the bounds tells the numbers apart",
-            hint="Allow a longer duration, a wider band or envelope, or leave out numbers that this machine cannot show.",
+            hint=(
+                "Allow a longer duration, a wider band or envelope, or leave out numbers "
+                "that this machine cannot show."
+            ),
         )
     return best
 
@@ -215,8 +272,11 @@ def _worth(maker: Maker, goal: Goal, wave: Wave, above: float) -> float:
     return -np.inf if made is None else goal.value(made[0], made[1], above)
 
 
-def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, progress: Progress) -> Excitation:
-    """The wave, made a little smaller until not one of CHECKED members drawn anew breaches the envelope's margin.
+def _checked(
+    maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, progress: Progress
+) -> Excitation:
+    """The wave, made a little smaller until not one of CHECKED members drawn anew breaches the
+    envelope's margin.
 
     Those get as long a hold as they need to come to rest, if there is one.
     """
@@ -228,7 +288,10 @@ def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, pro
         if size < SMALLEST:
             raise NotIdentifiable(
                 "a model still in play leaves the envelope under the smallest excitation",
-                hint="Narrow the spread of the numbers, widen the envelope, or hold the machine where there is room.",
+                hint=(
+                    "Narrow the spread of the numbers, widen the envelope, or hold the "
+                    "machine where there is room."
+                ),
             )
         progress("checking on members drawn anew", 0.5)
     low, high = maker.bounds.whole().T
@@ -240,7 +303,10 @@ def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, pro
     others = [maker.bounds.random(maker.hold, held.command, rng) for _ in range(RANDOM)]
     told, random = goal.told(held.t_s, [held.command]), goal.told(held.t_s, others)
     begins = np.cumsum([0, *(m.shape[1] for m in fresh)])
-    central = {" + ".join(e.effects) or "no effect": int(first) for e, first in zip(maker.play.ensembles, begins, strict=False)}
+    central = {
+        " + ".join(e.effects) or "no effect": int(first)
+        for e, first in zip(maker.play.ensembles, begins, strict=False)
+    }
     return Excitation(
         title=goal.title,
         t_s=held.t_s,
@@ -259,7 +325,8 @@ def _checked(maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, pro
 
 
 def _held(maker: Maker, sized: Held, members: tuple[Array, ...]) -> Held:
-    """A command with a hold that brings these members to a standstill, else with one that brings them to rest, else the longest."""
+    """A command with a hold that brings these members to a standstill, else with one that brings
+    them to rest, else the longest."""
     for rest, longest in ((STILL, LONG), (AT_REST, LONGEST)):
         held = maker.held(sized.t_s, sized.command, members, rest, longest)
         if held.rests or not held.safe:

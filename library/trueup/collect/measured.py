@@ -1,6 +1,8 @@
-"""Measured: under which conditions an episode was collected, whether it kept the envelope, and what it can tell.
+"""Measured: under which conditions an episode was collected, whether it kept the envelope, and what
+it can tell.
 
-Nothing here refuses an episode: a recording that went wrong is worth keeping. What is amiss is said in words.
+Nothing here refuses an episode: a recording that went wrong is worth keeping. What is amiss is said
+in words.
 """
 
 from __future__ import annotations
@@ -29,7 +31,8 @@ STILL = 0.05  # of the command's range: less is hardly an excitation
 
 
 def measured(plant: Plant, episode: Episode, fitted_on: Sequence[Coverage] = ()) -> dict[str, Json]:
-    """Conditions, envelope, excitation, how much of it lies where the serving model was `fitted_on`, and warnings in words."""
+    """Conditions, envelope, excitation, how much of it lies where the serving model was
+    `fitted_on`, and warnings in words."""
     off = off_step(episode.period_s, plant.timestep_s)
     warnings = [*([off] if off else []), *episode.clock_doubts]
     found: dict[str, Json] = {
@@ -46,17 +49,28 @@ def _conditions(episode: Episode, warnings: list[str]) -> dict[str, Json]:
     declared = {name: episode.conditions[name] for name in CONDITIONS if name in episode.conditions}
     stage = declared.get("stage")
     if stage is None:
-        warnings.append(f"the stage is not declared: it says what this recording can show ({', '.join(STAGES)})")
+        warnings.append(
+            f"the stage is not declared: it says what this recording can show ({', '.join(STAGES)})"
+        )
     elif stage not in STAGES:
         warnings.append(f"the stage {stage!r} is none of {', '.join(STAGES)}")
-    missing = [name for name in ("safeguards", "supervisor", "stop_criterion") if name not in declared]
+    missing = [
+        name for name in ("safeguards", "supervisor", "stop_criterion") if name not in declared
+    ]
     if stage in ON_A_MACHINE and missing:
-        warnings.append(f"recorded on a machine, and its metadata do not say: {', '.join(missing).replace('_', ' ')}")
-    return {"declared": dict(declared), "missing": [name for name in CONDITIONS if name not in declared]}
+        warnings.append(
+            "recorded on a machine, and its metadata do not say: "
+            f"{', '.join(missing).replace('_', ' ')}"
+        )
+    return {
+        "declared": dict(declared),
+        "missing": [name for name in CONDITIONS if name not in declared],
+    }
 
 
 def _envelope(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str, Json]:
-    """Of each channel with a declared range the samples outside it: how many, the first [s], and how far the worst is."""
+    """Of each channel with a declared range the samples outside it: how many, the first [s], and
+    how far the worst is."""
     breaches: dict[str, Json] = {}
     for channel, values in zip(plant.layout.observations, episode.observations.T, strict=True):
         if channel.name not in plant.envelope:
@@ -73,33 +87,55 @@ def _envelope(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str, 
                 "worst": float(values[worst]),
             }
             warnings.append(
-                f"{channel.name} left its envelope [{low:g}, {high:g}] {channel.unit} in {len(outside)} samples, first at "
+                f"{channel.name} left its envelope [{low:g}, {high:g}] {channel.unit} in "
+                f"{len(outside)} samples, first at "
                 f"{episode.t_s[outside[0]]:.3g} s, as far as {values[worst]:.4g}"
             )
     return {"declared": bool(plant.envelope), "breaches": breaches}
 
 
 def _excitation(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str, Json] | None:
-    """Rank and condition of the regression that a family's numbers are identified by, and the part of the command's range that was used."""
+    """Rank and condition of the regression that a family's numbers are identified by, and the part
+    of the command's range that was used."""
     applied = plant.applied(episode.commands)
     low, high = plant.limits
     used = np.ptp(episode.commands, axis=0) / np.maximum(high - low, 1e-12)
     if episode.role in (Role.ADAPTATION, Role.TRAINING) and (used < STILL).any():
-        still = [c.name for c, part in zip(plant.layout.commands, used, strict=True) if part < STILL]
-        warnings.append(f"{', '.join(still)} hardly moves: {100 * float(used.min()):.1f} % of the range")
-    told: dict[str, Json] = {"range_used": {c.name: float(part) for c, part in zip(plant.layout.commands, used, strict=True)}}
+        still = [
+            c.name for c, part in zip(plant.layout.commands, used, strict=True) if part < STILL
+        ]
+        warnings.append(
+            f"{', '.join(still)} hardly moves: {100 * float(used.min()):.1f} % of the range"
+        )
+    told: dict[str, Json] = {
+        "range_used": {
+            c.name: float(part) for c, part in zip(plant.layout.commands, used, strict=True)
+        }
+    }
     if not isinstance(plant.dynamics, CompiledFamily):
         return {**told, "rank": None, "condition": None, "numbers": None}
     states = smoothed_states(plant, episode)
-    columns = np.stack(plant.dynamics.family.regressors(states[:, 0], states[:, 1], applied[:, 0]), axis=1)
+    columns = np.stack(
+        plant.dynamics.family.regressors(states[:, 0], states[:, 1], applied[:, 0]), axis=1
+    )
     rank, condition = _rank(columns[np.isfinite(columns).all(axis=1)])
     names = plant.dynamics.parameter_names
     if episode.role in (Role.ADAPTATION, Role.TRAINING):
         if rank < len(names):
-            warnings.append(f"the motion tells {rank} of the {len(names)} numbers {', '.join(names)}: move at several speeds, both ways")
+            warnings.append(
+                f"the motion tells {rank} of the {len(names)} numbers {', '.join(names)}: "
+                "move at several speeds, both ways"
+            )
         elif condition > WEAK:
-            warnings.append(f"the numbers {', '.join(names)} are told apart poorly: condition {condition:.0f}")
-    return {**told, "rank": rank, "condition": condition if np.isfinite(condition) else None, "numbers": len(names)}
+            warnings.append(
+                f"the numbers {', '.join(names)} are told apart poorly: condition {condition:.0f}"
+            )
+    return {
+        **told,
+        "rank": rank,
+        "condition": condition if np.isfinite(condition) else None,
+        "numbers": len(names),
+    }
 
 
 def _rank(columns: Array) -> tuple[int, float]:

@@ -1,8 +1,10 @@
-"""Wave: a multisine made into a command that is bounded, safe under every model in play, and ends at rest.
+"""Wave: a multisine made into a command that is bounded, safe under every model in play, and ends
+at rest.
 
-Cut off at the command's limits and slowed to its rate, it rises from rest, ends in a brake that is fitted to the members, and a hold until
-every one of them is at rest; it is as large as the envelope, less a margin, allows under every member.
-Source: J. Swevers et al., IEEE Transactions on Robotics and Automation 13 (1997), on periodic excitation of robots.
+Cut off at the command's limits and slowed to its rate, it rises from rest, ends in a brake that is
+fitted to the members, and a hold until every one of them is at rest; it is as large as the
+envelope, less a margin, allows under every member. Source: J. Swevers et al., IEEE Transactions on
+Robotics and Automation 13 (1997), on periodic excitation of robots.
 """
 
 from __future__ import annotations
@@ -27,9 +29,18 @@ BRAKED = 3  # times it is fitted, for its limits cut some of it off
 NUDGED = 1e-3  # of the command's reach: how much a tent is pushed to see what it moves
 CUT = (1.0, 2.0, 4.0)  # times the limit before a wave is cut off there
 SIZES = 8  # that are tried of a wave
-ALMOST, ENOUGH = 0.96, 0.9  # of the room: what the next size is aimed at, and what the largest size takes of it
+ALMOST, ENOUGH = (
+    0.96,
+    0.9,
+)  # of the room: what the next size is aimed at, and what the largest size takes of it
 LEAST = 1e-9  # of the room, to divide by: a machine that sticks takes none
-AT_REST, STILL = 0.05, 0.01  # of the largest speed under any member: what counts as rest, and what is waited for if that is not LONG
+AT_REST, STILL = (
+    0.05,
+    0.01,
+    # of the largest speed under any member: what counts as rest, and what is waited for if that is
+    # not
+    # LONG
+)
 LONG, LONGEST = 1.0, 3.0  # times the excitation: how long a hold may be
 CHANGED = 0.3  # of the lines, at once
 TOUCH = 1e-9  # of a command: it is the hold
@@ -37,7 +48,8 @@ TOUCH = 1e-9  # of a command: it is the hold
 
 @dataclass(frozen=True)
 class Wave:
-    """Lines `(joints, LINES)` of a multisine: frequencies [Hz], phases, sizes; and where it is cut off, in limits."""
+    """Lines `(joints, LINES)` of a multisine: frequencies [Hz], phases, sizes; and where it is cut
+    off, in limits."""
 
     hertz: Array
     phases: Array
@@ -49,8 +61,12 @@ class Wave:
         some = rng.random(self.phases.shape) < CHANGED
         return Wave(
             self.hertz,
-            np.where(some, self.phases + by * np.pi * rng.standard_normal(self.phases.shape), self.phases),
-            np.where(some, np.abs(self.sizes + by * rng.standard_normal(self.sizes.shape)), self.sizes),
+            np.where(
+                some, self.phases + by * np.pi * rng.standard_normal(self.phases.shape), self.phases
+            ),
+            np.where(
+                some, np.abs(self.sizes + by * rng.standard_normal(self.sizes.shape)), self.sizes
+            ),
             float(rng.choice(CUT)) if rng.random() < by / 2.0 else self.cut,
         )
 
@@ -69,8 +85,9 @@ def followed(wanted, begin, step):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True)
 class Held:
-    """A command `(samples, joints)` at `t_s` with a hold at its end, the motions `paths` `(members, samples, 2 x joints)` under it, the
-    part of the room that they have `used`, and whether every member `rests` when it is over.
+    """A command `(samples, joints)` at `t_s` with a hold at its end, the motions `paths` `(members,
+    samples, 2 x joints)` under it, the part of the room that they have `used`, and whether every
+    member `rests` when it is over.
     """
 
     t_s: Array
@@ -87,7 +104,8 @@ class Held:
 
 @dataclass(frozen=True)
 class Maker:
-    """Makes commands of waves for machines at rest in the state `start` `(2 x joints,)` under the command `hold` `(joints,)`."""
+    """Makes commands of waves for machines at rest in the state `start` `(2 x joints,)` under the
+    command `hold` `(joints,)`."""
 
     play: InPlay
     bounds: Bounds
@@ -105,10 +123,16 @@ class Maker:
         low, high = self.bounds.band_hz
         joints = len(self.hold)
         lines = np.linspace(low, high, LINES)[None, :] * np.ones((joints, 1))
-        return Wave(lines, rng.uniform(0.0, 2.0 * np.pi, lines.shape), rng.exponential(1.0, lines.shape), float(rng.choice(CUT)))
+        return Wave(
+            lines,
+            rng.uniform(0.0, 2.0 * np.pi, lines.shape),
+            rng.exponential(1.0, lines.shape),
+            float(rng.choice(CUT)),
+        )
 
     def made(self, wave: Wave) -> tuple[Array, Array, float] | None:
-        """Times, the largest safe command, and its size; None where even the smallest leaves the envelope.
+        """Times, the largest safe command, and its size; None where even the smallest leaves the
+        envelope.
 
         Motions grow about as the command does, so a size tells the next one to try.
         """
@@ -145,10 +169,13 @@ class Maker:
         return np.asarray(followed(wanted, self.hold, self.bounds.rate * self.period_s))
 
     def _braked(self, t: Array, command: Array, active: int) -> Array:
-        """The command with an end that brings the members nearest to rest: least squares on the tents of the brake."""
+        """The command with an end that brings the members nearest to rest: least squares on the
+        tents of the brake."""
         n, joints = len(t), len(self.hold)
         knots = np.linspace(active, n - 1, KNOTS + 2)
-        tents = np.stack([np.interp(np.arange(n), knots, np.eye(KNOTS + 2)[i]) for i in range(1, KNOTS + 1)])
+        tents = np.stack(
+            [np.interp(np.arange(n), knots, np.eye(KNOTS + 2)[i]) for i in range(1, KNOTS + 1)]
+        )
         some = tuple(m[:, :BRAKED_BY] for m in self.members)
         reach = np.maximum(self.bounds.high - self.bounds.low, 1e-12)
         ended = self._ends(some, t, command)
@@ -162,22 +189,29 @@ class Maker:
         size = 1e-3 * np.linalg.norm(moves) + 1e-12
         penalised = np.vstack([moves, size * np.eye(len(columns))])
         for again in range(BRAKED):
-            by = rounded(np.linalg.lstsq(penalised, np.append(-ended, np.zeros(len(columns))), rcond=None)[0])
-            command = self._slowed(command + np.einsum("jk,kt->tj", by.reshape(joints, KNOTS) * reach[:, None], tents))
+            by = rounded(
+                np.linalg.lstsq(penalised, np.append(-ended, np.zeros(len(columns))), rcond=None)[0]
+            )
+            command = self._slowed(
+                command + np.einsum("jk,kt->tj", by.reshape(joints, KNOTS) * reach[:, None], tents)
+            )
             if again + 1 < BRAKED:
                 ended = self._ends(some, t, command)
         return command
 
     def _ends(self, members: tuple[Array, ...], t: Array, command: Array) -> Array:
-        """How far members end from where they began, velocities in the time of the brake, `(members x 2 x joints,)`."""
+        """How far members end from where they began, velocities in the time of the brake, `(members
+        x 2 x joints,)`."""
         joints = len(self.hold)
         last = self.play.responses(members, t, command, self.start)[:, -1] - self.start
         last[:, joints:] *= BRAKE * self.bounds.duration_s / 3.0
         return np.nan_to_num(last, nan=1e6, posinf=1e6, neginf=-1e6).ravel()
 
-    def held(self, t: Array, command: Array, members: tuple[Array, ...], rest: float, longest: float) -> Held:
-        """The command with as long a hold as these members need to come to `rest`, a part of their largest speed, and at the `longest` so
-        many times the excitation.
+    def held(
+        self, t: Array, command: Array, members: tuple[Array, ...], rest: float, longest: float
+    ) -> Held:
+        """The command with as long a hold as these members need to come to `rest`, a part of their
+        largest speed, and at the `longest` so many times the excitation.
         """
         more = round(longest * self.bounds.duration_s / self.period_s)
         times = np.asarray(np.arange(len(t) + more) * self.period_s, np.float64)
@@ -187,4 +221,10 @@ class Maker:
         moving = np.flatnonzero(speed > rest * speed.max())
         still = np.flatnonzero((np.abs(whole - self.hold) > TOUCH).any(axis=1))
         end = max(int(moving[-1]) if len(moving) else 0, int(still[-1]) if len(still) else 0) + 2
-        return Held(times[:end], whole[:end], paths[:, :end], self.bounds.used(paths, self.start), end <= len(times))
+        return Held(
+            times[:end],
+            whole[:end],
+            paths[:, :end],
+            self.bounds.used(paths, self.start),
+            end <= len(times),
+        )

@@ -1,8 +1,10 @@
-"""Closed loop: does a better prediction track better? A fixed planner drives a simulated machine with one model and with another.
+"""Closed loop: does a better prediction track better? A fixed planner drives a simulated machine
+with one model and with another.
 
-Both drive the same machine, follow the same references, and draw the same: what differs is the model that the planner
-rolls out. Stage MIL: it shows what the models do to this planner on this machine as simulated, and nothing of hardware, of time on a
-computer, or of what the simulated machine leaves out.
+Both drive the same machine, follow the same references, and draw the same: what differs is the
+model that the planner rolls out. Stage MIL: it shows what the models do to this planner on this
+machine as simulated, and nothing of hardware, of time on a computer, or of what the simulated
+machine leaves out.
 """
 
 from __future__ import annotations
@@ -34,17 +36,22 @@ TICKS_A_HORIZON = 40
 TURNS = (0.15, 0.3, 0.6)  # of the reference in a horizon: the chapter's is the middle one
 SEEDS = 4
 SHARE = 0.6  # of the envelope, or of the travel that was recorded
-EFFORT = 0.066  # of the squared amplitude, for the whole command: the chapter's 0.02 at its amplitude of 0.55
+# of the squared amplitude, for the whole command: the chapter's 0.02 at its amplitude of 0.55
+EFFORT = 0.066
 FAST = 0.99  # of the recorded speeds are no higher than the highest: one glitch is none
 MOVED = 20.0  # times what noise moves a joint
 BEGINS = 0.2  # of the amplitude: where a robot's joints begin
 RESAMPLES = 1000
-CANNOT = "hardware, the time that a controller's computer takes, and whatever the simulated machine leaves out"
+CANNOT = (
+    "hardware, the time that a controller's computer takes, and whatever the simulated "
+    "machine leaves out"
+)
 
 
 @dataclass(frozen=True)
 class Travelled:
-    """How far each joint has been recorded, `low` and `high` `(joints,)`, how fast, `speed` `(joints,)`, and which of them `moved`."""
+    """How far each joint has been recorded, `low` and `high` `(joints,)`, how fast, `speed`
+    `(joints,)`, and which of them `moved`."""
 
     low: Array
     high: Array
@@ -56,18 +63,24 @@ class Travelled:
         """In episodes; a single joint is taken to go as far to either side."""
         joints = len(plant.joints)
         states = np.concatenate([smoothed_states(plant, e) for e in episodes])
-        positions, speed = states[:, :joints], np.nanquantile(np.abs(states[:, joints:]), FAST, axis=0)
+        positions, speed = (
+            states[:, :joints],
+            np.nanquantile(np.abs(states[:, joints:]), FAST, axis=0),
+        )
         if joints == 1:
             far = np.nanmax(np.abs(positions), axis=0)
             return Travelled(-far, far, speed, np.ones(1, np.bool_))
         low, high = np.nanmin(positions, axis=0), np.nanmax(positions, axis=0)
-        shakes = np.nanstd(np.diff(positions, n=2, axis=0), axis=0)  # what noise alone moves from sample to sample
+        shakes = np.nanstd(
+            np.diff(positions, n=2, axis=0), axis=0
+        )  # what noise alone moves from sample to sample
         return Travelled(low, high, speed, (high > low) & (high - low > MOVED * shakes))
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """Tracking errors of paired runs `(scenarios x seeds,)` with a candidate and with the incumbent, and breaches' shares.
+    """Tracking errors of paired runs `(scenarios x seeds,)` with a candidate and with the
+    incumbent, and breaches' shares.
 
     An error is a mean square, of a robot in squares of each joint's `amplitude` `(joints,)`.
     """
@@ -78,16 +91,20 @@ class Tracking:
     amplitude: tuple[float, ...]
 
     def change_ci95(self) -> tuple[float, float] | None:
-        """The bootstrap interval of the paired difference over runs, relative to the incumbent's mean; None where runs ran away."""
+        """The bootstrap interval of the paired difference over runs, relative to the incumbent's
+        mean; None where runs ran away."""
         rng = np.random.default_rng(0)
         drawn = rng.integers(0, len(self.candidate), (RESAMPLES, len(self.candidate)))
         with np.errstate(invalid="ignore"):
-            change = (self.candidate - self.incumbent)[drawn].mean(axis=1) / max(float(self.incumbent.mean()), 1e-300)
+            change = (self.candidate - self.incumbent)[drawn].mean(axis=1) / max(
+                float(self.incumbent.mean()), 1e-300
+            )
             low, high = (float(np.quantile(change, q)) for q in (0.025, 0.975))
         return (low, high) if isfinite(low) and isfinite(high) else None
 
     def document(self) -> dict[str, Json]:
-        """Both means, the paired difference with a bootstrap interval, relative to the incumbent's, breaches, and what this can show."""
+        """Both means, the paired difference with a bootstrap interval, relative to the incumbent's,
+        breaches, and what this can show."""
         base = max(float(self.incumbent.mean()), 1e-300)
         numbers = {
             "candidate": float(self.candidate.mean()),
@@ -102,7 +119,9 @@ class Tracking:
             **told,
             "change_ci95": None if (change := self.change_ci95()) is None else list(change),
             "breaches": {"candidate": self.breaches[0], "incumbent": self.breaches[1]},
-            "shows": "what either model does to the fixed planner on the machine as it was diagnosed",
+            "shows": (
+                "what either model does to the fixed planner on the machine as it was diagnosed"
+            ),
             "cannot_show": CANNOT,
         }
 
@@ -114,24 +133,40 @@ def compare(
     travelled: Travelled,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Tracking:
-    """Paired runs of both models on a machine that a diagnosis described, as far as it has been recorded and its envelope allows.
+    """Paired runs of both models on a machine that a diagnosis described, as far as it has been
+    recorded and its envelope allows.
 
     Raises NotIdentifiable where a joint is not commanded.
     """
     plant, joints = machine.plant, len(machine.plant.joints)
     if (plant.command_columns < 0).any():
-        raise NotIdentifiable("a joint without a command cannot follow anything", hint="Leave closed-loop rules out of this plant's gates.")
+        raise NotIdentifiable(
+            "a joint without a command cannot follow anything",
+            hint="Leave closed-loop rules out of this plant's gates.",
+        )
     if not travelled.moved.any():
-        raise NotIdentifiable("no joint of the robot moved", hint="Hold out an episode in which the joints move.")
+        raise NotIdentifiable(
+            "no joint of the robot moved", hint="Hold out an episode in which the joints move."
+        )
     low, high = _allowed(plant, travelled)
-    middle, amplitude = (low + high) / 2.0, SHARE * np.where(travelled.moved, (high - low) / 2.0, 0.0)
-    scale = np.where(travelled.moved, amplitude, amplitude[travelled.moved].mean())  # what never moved is held still
+    middle, amplitude = (
+        (low + high) / 2.0,
+        SHARE * np.where(travelled.moved, (high - low) / 2.0, 0.0),
+    )
+    scale = np.where(
+        travelled.moved, amplitude, amplitude[travelled.moved].mean()
+    )  # what never moved is held still
     every = max(1, round(plant.horizon_s / TICKS_A_HORIZON / plant.timestep_s))
     t_s = np.arange(TICKS) * every * plant.timestep_s
     fastest = (
         1.0
         if joints == 1
-        else min(1.0, _slowest(amplitude[travelled.moved], travelled.speed[travelled.moved]) * plant.horizon_s / TURNS[-1])
+        else min(
+            1.0,
+            _slowest(amplitude[travelled.moved], travelled.speed[travelled.moved])
+            * plant.horizon_s
+            / TURNS[-1],
+        )
     )
     errors: dict[str, list[float]] = {"candidate": [], "incumbent": []}
     outside: dict[str, list[float]] = {"candidate": [], "incumbent": []}
@@ -147,21 +182,31 @@ def compare(
                 if joints > 1:  # what chance decides of a planner that does not draw
                     begin[:joints] = middle + BEGINS * amplitude * rng.uniform(-1.0, 1.0, joints)
                 run = _run(machine, _planner(model, scale, every), reference, every, begin, rng)
-                errors[name].append(run.tracking_error(reference, np.ones(1) if joints == 1 else scale))
+                errors[name].append(
+                    run.tracking_error(reference, np.ones(1) if joints == 1 else scale)
+                )
                 outside[name].append(run.breaches(plant))
                 progress(sum(len(e) for e in errors.values()) / total)
     shares = float(np.mean(outside["candidate"])), float(np.mean(outside["incumbent"]))
-    return Tracking(np.array(errors["candidate"]), np.array(errors["incumbent"]), shares, tuple(map(float, amplitude)))
+    return Tracking(
+        np.array(errors["candidate"]),
+        np.array(errors["incumbent"]),
+        shares,
+        tuple(map(float, amplitude)),
+    )
 
 
 def _allowed(plant: Plant, travelled: Travelled) -> tuple[Array, Array]:
-    """The range of each joint's references, `(joints,)` each: of one joint its envelope, of a robot's what was recorded of it, too."""
+    """The range of each joint's references, `(joints,)` each: of one joint its envelope, of a
+    robot's what was recorded of it, too."""
     low, high = travelled.low.copy(), travelled.high.copy()
     for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
         if column < len(plant.joints) and channel.name in plant.envelope:
             near, far = plant.envelope[channel.name]
             one = len(plant.joints) == 1
-            low[column], high[column] = (near, far) if one else (max(near, low[column]), min(far, high[column]))
+            low[column], high[column] = (
+                (near, far) if one else (max(near, low[column]), min(far, high[column]))
+            )
     return low, high
 
 
@@ -177,21 +222,35 @@ def _planner(model: Predictor, scale: Array, every: int) -> Planner:
     return RandomShooting(model, limit, effort=EFFORT * float(scale[0]) ** 2 / limit**2, hold=every)
 
 
-def _run(machine: Corrected, planner: Planner, reference: Array, every: int, begin: Array, rng: np.random.Generator) -> Run:
-    """One run from rest: the planner sees what the machine's sensors show, and the machine remembers what its effects remember.
+def _run(
+    machine: Corrected,
+    planner: Planner,
+    reference: Array,
+    every: int,
+    begin: Array,
+    rng: np.random.Generator,
+) -> Run:
+    """One run from rest: the planner sees what the machine's sensors show, and the machine
+    remembers what its effects remember.
 
-    What was seen is brought forward through the commands under way, over the delay that the planner's own model knows of.
+    What was seen is brought forward through the commands under way, over the delay that the
+    planner's own model knows of.
     """
     plant, joints = machine.plant, len(machine.plant.joints)
     samples = len(reference) * every + 1
     t_s = np.asarray(np.arange(samples) * plant.timestep_s, np.float64)
     lanes = np.repeat(np.array(machine.values)[:, None], BLOCK, axis=1)
     on, init = switches(machine.hypothesis, joints), np.repeat(begin[None, :, None], BLOCK, axis=2)
-    issued, applied = np.zeros((len(reference), len(plant.layout.commands))), np.zeros((samples, joints))
+    issued, applied = (
+        np.zeros((len(reference), len(plant.layout.commands))),
+        np.zeros((samples, joints)),
+    )
     states = np.zeros((len(reference) + 1, 2 * joints))
     states[0] = begin
     estimator, late_s = Estimator(planner.predictor), transport_delay_s(planner.predictor)
-    ticks = np.arange(len(reference)) + late_s / (every * plant.timestep_s)  # when what is commanded shows
+    ticks = np.arange(len(reference)) + late_s / (
+        every * plant.timestep_s
+    )  # when what is commanded shows
     aims = np.stack([np.interp(ticks, np.arange(len(reference)), r) for r in reference.T], axis=1)
     for tick in range(len(reference)):
         now, then = tick * every, (tick + 1) * every
@@ -199,7 +258,15 @@ def _run(machine: Corrected, planner: Planner, reference: Array, every: int, beg
         issued[tick] = planner.plan(estimator.state(t_s[now] + late_s), aims[tick:], rng)
         estimator.commanded(t_s[now] + late_s, issued[tick])
         applied[now : then + 1] = plant.applied(issued[tick])
-        series = unobserved(machine.scheme, t_s[: then + 1], applied[: then + 1], plant.command_scales, plant.timestep_s)
-        with np.errstate(over="ignore", invalid="ignore"):  # a loop that runs away ends as inf, and no rule passes that
+        series = unobserved(
+            machine.scheme,
+            t_s[: then + 1],
+            applied[: then + 1],
+            plant.command_scales,
+            plant.timestep_s,
+        )
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # a loop that runs away ends as inf, and no rule passes that
             states[tick + 1] = roll(series, plant.form, lanes, on, init)[-1, :, 0]
     return Run(states, issued)

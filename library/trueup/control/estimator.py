@@ -1,8 +1,10 @@
-"""Estimator: the state at a time, from observations that come late, irregularly and out of order, and the commands known to act until then.
+"""Estimator: the state at a time, from observations that come late, irregularly and out of order,
+and the commands known to act until then.
 
-What was observed last, by its own stamp and not by its arrival, is rolled forward through the commands that act between, in steps of the
-predictor and a last shorter one. So a late sensor costs what the model does not know of a few steps, and not the delay.
-Source: O. J. M. Smith, Chemical Engineering Progress 53 (1957), on controlling across a known delay by predicting over it.
+What was observed last, by its own stamp and not by its arrival, is rolled forward through the
+commands that act between, in steps of the predictor and a last shorter one. So a late sensor costs
+what the model does not know of a few steps, and not the delay. Source: O. J. M. Smith, Chemical
+Engineering Progress 53 (1957), on controlling across a known delay by predicting over it.
 """
 
 from __future__ import annotations
@@ -25,10 +27,12 @@ WHOLE = 1e-6  # of a step: stamps that far from a whole number of steps are on i
 
 @dataclass
 class Estimator:
-    """Feed it what was observed and what was commanded, each with the time for which it holds; ask it for the state at any later time.
+    """Feed it what was observed and what was commanded, each with the time for which it holds; ask
+    it for the state at any later time.
 
-    A command acts from its time until the next one's; what was before the first is taken to be the first. Observations are states: what a
-    model's effects remember beyond them (a lag, play, heat) begins anew where it is rolled on from.
+    A command acts from its time until the next one's; what was before the first is taken to be the
+    first. Observations are states: what a model's effects remember beyond them (a lag, play, heat)
+    begins anew where it is rolled on from.
     """
 
     predictor: Predictor
@@ -38,7 +42,8 @@ class Estimator:
     _commands: dict[float, Array] = field(default_factory=dict)
 
     def observed(self, at_s: float, state: Array) -> bool:
-        """The state `(states,)` at a time [s]; False, and nothing changes, if a later one is known or it is not all finite."""
+        """The state `(states,)` at a time [s]; False, and nothing changes, if a later one is known
+        or it is not all finite."""
         if at_s < self._stamp_s or not np.isfinite(state).all():
             return False
         self._stamp_s, self._seen = at_s, np.array(state, float)
@@ -46,15 +51,20 @@ class Estimator:
         return True
 
     def commanded(self, from_s: float, issued: Array) -> None:
-        """A command `(commands,)` that acts from a time on [s]: its issue, and what the drive's own delay adds."""
+        """A command `(commands,)` that acts from a time on [s]: its issue, and what the drive's own
+        delay adds."""
         if from_s not in self._commands:
             insort(self._times_s, from_s)
         self._commands[from_s] = np.array(issued, float)
 
     def state(self, at_s: float) -> Array:
-        """The state `(states,)` at a time [s], at the last observation's if that is later. Raises NotIdentifiable before there is any."""
+        """The state `(states,)` at a time [s], at the last observation's if that is later. Raises
+        NotIdentifiable before there is any."""
         if self._seen is None:
-            raise NotIdentifiable("nothing has been observed yet", hint="Feed the estimator an observation before it is asked.")
+            raise NotIdentifiable(
+                "nothing has been observed yet",
+                hint="Feed the estimator an observation before it is asked.",
+            )
         state, now = self._seen[None, :], self._stamp_s
         while at_s - now > WHOLE * self._step:
             i = bisect_right(self._times_s, now + WHOLE * self._step)
@@ -78,7 +88,11 @@ class Estimator:
         if steps:
             state = self.predictor.course(state, issued, steps)[:, -1]
         rest = seconds - steps * self._step
-        return self.predictor.predict_batch(state, issued, rest) if rest > WHOLE * self._step else state
+        return (
+            self.predictor.predict_batch(state, issued, rest)
+            if rest > WHOLE * self._step
+            else state
+        )
 
     def _forget(self) -> None:
         """Drop commands that ended before what was observed."""
@@ -89,7 +103,8 @@ class Estimator:
 
 
 def transport_delay_s(predictor: Predictor) -> float:
-    """How long after its issue a command shows by a predictor's own account [s]: the delays of drive and sensor that all joints share."""
+    """How long after its issue a command shows by a predictor's own account [s]: the delays of
+    drive and sensor that all joints share."""
     if not isinstance(predictor, Corrected):
         return 0.0
     delays = [0.0] * len(predictor.plant.joints)

@@ -17,19 +17,23 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """States `(ticks + 1, states)` and issued commands `(ticks, commands)` of one closed-loop run."""
+    """States `(ticks + 1, states)` and issued commands `(ticks, commands)` of one closed-loop
+    run."""
 
     states: Array
     issued: Array
 
     def tracking_error(self, reference: Array, scale: Array | float = 1.0) -> float:
-        """Mean squared distance of the positions after each tick from the reference `(ticks, joints)` then, in squares of a scale."""
+        """Mean squared distance of the positions after each tick from the reference `(ticks,
+        joints)` then, in squares of a scale."""
         return float(np.mean(((self.states[1:, : reference.shape[1]] - reference) / scale) ** 2))
 
     def breaches(self, plant: Plant) -> float:
         """Share of the states outside the declared envelope."""
         outside = np.zeros(len(self.states), bool)
-        for channel, values in zip(plant.layout.observations, plant.observe(self.states).T, strict=True):
+        for channel, values in zip(
+            plant.layout.observations, plant.observe(self.states).T, strict=True
+        ):
             low, high = plant.envelope.get(channel.name, (-np.inf, np.inf))
             outside |= (values < low) | (values > high)
         return float(outside.mean())
@@ -57,9 +61,11 @@ def run_loop(
     delays: Sequence[int] = (0,),
     estimator: Estimator | None = None,
 ) -> Run:
-    """Run from rest; at tick t the controller sees the state of tick max(0, t - delay) [ticks], one delay or, in turn, several.
+    """Run from rest; at tick t the controller sees the state of tick max(0, t - delay) [ticks], one
+    delay or, in turn, several.
 
-    An `estimator` is told what is seen, when it was and what is issued, and is asked for the state to plan from.
+    An `estimator` is told what is seen, when it was and what is issued, and is asked for the state
+    to plan from.
     """
     period = deployed.plant.timestep_s
     states = np.zeros((len(reference) + 1, 2 * deployed.plant.dynamics.joints))

@@ -1,4 +1,5 @@
-"""Planners that roll a predictor out and apply the first command of the cheapest: by chance for one joint, by derivatives for many."""
+"""Planners that roll a predictor out and apply the first command of the cheapest: by chance for one
+joint, by derivatives for many."""
 
 from __future__ import annotations
 
@@ -14,7 +15,11 @@ Array = NDArray[np.float64]
 
 
 SHORTER = (1.0, 0.5, 0.2)  # of a step
-NUDGES = (0.2, 0.05, 0.02)  # of a command's range, for derivatives: wide ones first, for dry friction hides narrow ones
+NUDGES = (
+    0.2,
+    0.05,
+    0.02,
+)  # of a command's range, for derivatives: wide ones first, for dry friction hides narrow ones
 
 
 class Planner(ABC):
@@ -24,15 +29,18 @@ class Planner(ABC):
 
     @abstractmethod
     def plan(self, state: Array, reference: Array, rng: np.random.Generator) -> Array:
-        """The issued command `(commands,)` for a state `(states,)`; `reference` `(ticks, joints)` is wanted after the coming ticks."""
+        """The issued command `(commands,)` for a state `(states,)`; `reference` `(ticks, joints)`
+        is wanted after the coming ticks."""
 
 
 @dataclass(frozen=True, slots=True)
 class RandomShooting(Planner):
-    """Plans `sequences` of `steps` commands, uniform within ± `u_max`, each held for `hold` steps of the predictor.
+    """Plans `sequences` of `steps` commands, uniform within ± `u_max`, each held for `hold` steps
+    of the predictor.
 
-    Cost: sum over the steps of (position after the step - reference)^2 + effort x u^2, the reference held at that of the coming tick.
-    Source: A. Rao, A Survey of Numerical Methods for Optimal Control (2009), section on shooting; here without refinement.
+    Cost: sum over the steps of (position after the step - reference)^2 + effort x u^2, the
+    reference held at that of the coming tick. Source: A. Rao, A Survey of Numerical Methods for
+    Optimal Control (2009), section on shooting; here without refinement.
     """
 
     predictor: Predictor
@@ -56,11 +64,13 @@ class RandomShooting(Planner):
 
 @dataclass(frozen=True, slots=True)
 class Linearised(Planner):
-    """Plans the one command that, held over `steps` x `hold` steps of the predictor, brings every joint nearest to its coming references.
+    """Plans the one command that, held over `steps` x `hold` steps of the predictor, brings every
+    joint nearest to its coming references.
 
-    Cost: sum over steps and joints of ((position - reference) / scale)^2 + effort x (command / its range)^2, by steps of
-    Gauss and Newton on the predictor's differences, between the limits.
-    Source: the receding horizon of J. B. Rawlings, D. Q. Mayne, Model Predictive Control (2009), with one move.
+    Cost: sum over steps and joints of ((position - reference) / scale)^2 + effort x (command / its
+    range)^2, by steps of Gauss and Newton on the predictor's differences, between the limits.
+    Source: the receding horizon of J. B. Rawlings, D. Q. Mayne, Model Predictive Control (2009),
+    with one move.
     """
 
     predictor: Predictor
@@ -82,27 +92,37 @@ class Linearised(Planner):
             columns = np.vstack([((off - moved) / inwards[:, None]).T, penalty])
             if not np.isfinite(columns).all():
                 break
-            to = _bounded(columns, np.append(off, penalty @ (-best / reach)), (low - best) / reach, (high - best) / reach)
+            to = _bounded(
+                columns,
+                np.append(off, penalty @ (-best / reach)),
+                (low - best) / reach,
+                (high - best) / reach,
+            )
             tried = best + np.array(SHORTER)[:, None] * to * reach
             found = self._off(state, tried, wanted)
-            costs = np.nan_to_num((found**2).sum(axis=1), nan=np.inf) + self.effort * ((tried / reach) ** 2).sum(axis=1)
+            costs = np.nan_to_num((found**2).sum(axis=1), nan=np.inf) + self.effort * (
+                (tried / reach) ** 2
+            ).sum(axis=1)
             if costs.min() < off @ off + self.effort * float(((best / reach) ** 2).sum()):
                 best, off = tried[np.argmin(costs)], found[np.argmin(costs)]
         return np.asarray(best)
 
     def _off(self, state: Array, commands: Array, wanted: Array) -> Array:
-        """How far positions are from what is wanted, in the joints' scales, under commands `(rows, commands)`, `(rows, steps x joints)`."""
+        """How far positions are from what is wanted, in the joints' scales, under commands `(rows,
+        commands)`, `(rows, steps x joints)`."""
         positions = self._positions(np.repeat(state[None, :], len(commands), axis=0), commands)
         return np.asarray((wanted - positions).reshape(len(commands), -1))
 
     def _positions(self, states: Array, commands: Array) -> Array:
-        """Scaled positions `(rows, steps, joints)` under commands `(rows, commands)` that are held."""
+        """Scaled positions `(rows, steps, joints)` under commands `(rows, commands)` that are
+        held."""
         course = self.predictor.course(states, commands, self.steps * self.hold)
         return np.asarray(course[:, self.hold - 1 :: self.hold, : len(self.scale)] / self.scale)
 
 
 def _bounded(columns: Array, target: Array, low: Array, high: Array) -> Array:
-    """Least squares `(commands,)` between bounds: what leaves them is held there, and the others are solved for again."""
+    """Least squares `(commands,)` between bounds: what leaves them is held there, and the others
+    are solved for again."""
     found, free = np.zeros(len(low)), np.ones(len(low), bool)
     while free.any():
         rest = target - columns[:, ~free] @ found[~free]

@@ -27,18 +27,22 @@ class Watchdog:
 
 @dataclass(frozen=True, slots=True)
 class FaultInjection:
-    """What a simulated sensor failure showed: first trip [s], forced commands, peak age [s]. A sketch, not hardware evidence."""
+    """What a simulated sensor failure showed: first trip [s], forced commands, peak age [s]. A
+    sketch, not hardware evidence."""
 
     first_trip_s: float | None
     forced: int
     peak_age_s: float
 
 
-def inject_sensor_failure(control_s: float, sensor_s: float, timeout_s: float, ticks: int, dies_at: int) -> FaultInjection:
+def inject_sensor_failure(
+    control_s: float, sensor_s: float, timeout_s: float, ticks: int, dies_at: int
+) -> FaultInjection:
     """Run the watchdog while the sensor stops at tick `dies_at`.
 
-    Each tick, in order: take a sample if the sensor lives and its next time has come; age = now - last sample; force the command to
-    zero if age > timeout; advance time by repeated addition, as a controller does.
+    Each tick, in order: take a sample if the sensor lives and its next time has come; age = now -
+    last sample; force the command to zero if age > timeout; advance time by repeated addition, as a
+    controller does.
     """
     watchdog = Watchdog(timeout_s, 0.0)
     now_s = next_sample_s = peak_s = 0.0

@@ -1,1 +1,2 @@
-"""Diagnosis: where a gap lies, which effect causes it, how far it shrinks, and what would tell more."""
+"""Diagnosis: where a gap lies, which effect causes it, how far it shrinks, and what would tell
+more."""

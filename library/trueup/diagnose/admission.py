@@ -1,4 +1,5 @@
-"""Admission: what the episodes are like before anything is fitted: noise, lattices, held frames, sizes."""
+"""Admission: what the episodes are like before anything is fitted: noise, lattices, held frames,
+sizes."""
 
 from __future__ import annotations
 
@@ -19,10 +20,14 @@ from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 DIFFERENCE = 4  # order, of what tells the noise
-NUMERICAL = 3e-4  # of a channel's standard deviation: below this lies what integration, not the machine, does
+# of a channel's standard deviation: below this lies what integration, not the machine, does
+NUMERICAL = 3e-4
 LATTICE = 0.02  # of a step: how far a value may lie off it
-LATTICE_VALUES = 0.5  # of the samples: a lattice is coarse enough to count when no more values than that are distinct
-COARSE = 0.01  # of a channel's standard deviation: quantization below this makes no gap worth a name
+# of the samples: a lattice is coarse enough to count when no more values than that are distinct
+LATTICE_VALUES = 0.5
+COARSE = (
+    0.01  # of a channel's standard deviation: quantization below this makes no gap worth a name
+)
 ROUNDING = np.sqrt(12.0)
 
 
@@ -30,10 +35,11 @@ ROUNDING = np.sqrt(12.0)
 class Admission:
     """Sizes of one set of episodes.
 
-    `noise`, `sigma` and `motion` `(2 x joints,)`: standard deviation of the noise, of what fits count as noise, and of the motion, of
-    positions and velocities, nan where not observed; `correlation` that of the noise with itself one sample before.
-    `lattice` `(2 x joints,)`: steps on which their values lie, 0 where on none. `held` `(joints,)` is the fraction of repeated frames,
-    `scales` the joints' own sizes.
+    `noise`, `sigma` and `motion` `(2 x joints,)`: standard deviation of the noise, of what fits
+    count as noise, and of the motion, of positions and velocities, nan where not observed;
+    `correlation` that of the noise with itself one sample before. `lattice` `(2 x joints,)`: steps
+    on which their values lie, 0 where on none. `held` `(joints,)` is the fraction of repeated
+    frames, `scales` the joints' own sizes.
     """
 
     noise: Array
@@ -65,29 +71,49 @@ class Admission:
 
 
 def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
-    """Look at adaptation episodes. Raises NotIdentifiable where nothing moves or no command was given."""
+    """Look at adaptation episodes. Raises NotIdentifiable where nothing moves or no command was
+    given."""
     if not episodes:
-        raise NotIdentifiable("there is no adaptation episode to fit", hint="Give episodes the role adaptation, and others validation.")
+        raise NotIdentifiable(
+            "there is no adaptation episode to fit",
+            hint="Give episodes the role adaptation, and others validation.",
+        )
     joints = len(plant.joints)
     noise, sigma, motion = (np.full(2 * joints, np.nan) for _ in range(3))
     lattice, correlation = np.zeros(2 * joints), np.zeros(2 * joints)
     repeats = [held_frames(positions_and_velocities(plant, e)) for e in episodes]
     for channel, column in enumerate(plant.state_columns):
-        tracks = [e.observations[:, channel][~r[:, column]] for e, r in zip(episodes, repeats, strict=True)]
+        tracks = [
+            e.observations[:, channel][~r[:, column]]
+            for e, r in zip(episodes, repeats, strict=True)
+        ]
         tracks = [x[np.isfinite(x)] for x in tracks if np.isfinite(x).sum() > 2 * DIFFERENCE]
         if tracks:
             lattice[column] = _lattice(np.concatenate(tracks))
             motion[column] = float(np.std(np.concatenate([x - x.mean() for x in tracks])))
-            whole = [(e.observations[:, channel], r[:, column]) for e, r in zip(episodes, repeats, strict=True)]
+            whole = [
+                (e.observations[:, channel], r[:, column])
+                for e, r in zip(episodes, repeats, strict=True)
+            ]
             found = noise_of(whole)
             noise[column] = max(found.sigma, lattice[column] / ROUNDING)
             sigma[column] = max(noise[column], NUMERICAL * motion[column])
-            if not lattice[column] and noise[column] >= NUMERICAL * motion[column]:  # else it is the sensor's step, or the integration's
+            if (
+                not lattice[column] and noise[column] >= NUMERICAL * motion[column]
+            ):  # else it is the sensor's step, or the integration's
                 correlation[column] = found.correlation
     states = np.concatenate([smoothed_states(plant, e) for e in episodes])
     issued = np.concatenate([plant.applied(e.commands) for e in episodes])
     held = np.mean(np.concatenate(repeats)[:, :joints], axis=0)
-    return Admission(noise, sigma, correlation, motion, lattice, held, tuple(sizes(plant, j, states, issued) for j in range(joints)))
+    return Admission(
+        noise,
+        sigma,
+        correlation,
+        motion,
+        lattice,
+        held,
+        tuple(sizes(plant, j, states, issued) for j in range(joints)),
+    )
 
 
 def _lattice(values: Array) -> float:

@@ -14,7 +14,8 @@ from trueup.model.plant import Plant
 
 
 def read_case(folder: Path) -> tuple[Plant, list[Episode]]:
-    """The plant and every episode of a case folder, in the order of their file names. Raises BadPlant, BadEpisode."""
+    """The plant and every episode of a case folder, in the order of their file names. Raises
+    BadPlant, BadEpisode."""
     plant = read_plant(folder)
     episodes = read_episodes(folder, plant)
     if not episodes:
@@ -31,9 +32,17 @@ def read_plant(folder: Path) -> Plant:
     """The plant of a case folder. Raises BadPlant."""
     description = folder / "plant.json"
     if not folder.is_dir():
-        raise BadPlant(f"there is no folder {folder}", field="plant.json", hint="Name a case folder, a recording or a ROS 2 bag.")
+        raise BadPlant(
+            f"there is no folder {folder}",
+            field="plant.json",
+            hint="Name a case folder, a recording or a ROS 2 bag.",
+        )
     if not description.is_file():
-        raise BadPlant(f"{folder} holds no plant.json", field="plant.json", hint="A case is a folder with plant.json and *.mcap episodes.")
+        raise BadPlant(
+            f"{folder} holds no plant.json",
+            field="plant.json",
+            hint="A case is a folder with plant.json and *.mcap episodes.",
+        )
     try:
         document = orjson.loads(description.read_bytes())
     except orjson.JSONDecodeError as error:

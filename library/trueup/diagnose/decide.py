@@ -1,12 +1,14 @@
-"""Decide: which composition the evidence supports, what it cannot be told from, and whether any does.
+"""Decide: which composition the evidence supports, what it cannot be told from, and whether any
+does.
 
-- Comparisons are of squared normalised errors, window by window, over the episodes that were fitted and those that were not;
-  a larger composition must also earn its place on the latter alone.
-- Differences are scaled by the best candidate's own misfit, so that what no candidate explains does not separate them, and every
-  free number has its price.
-- A larger composition is taken where it removes a material part of the gap, beyond the accuracy of laws and integration, or leaves
-  nothing but noise of what plainly was there.
-- Compositions of one size are told apart where a difference is certain over windows, and not where it is small.
+- Comparisons are of squared normalised errors, window by window, over the episodes that were fitted
+  and those that were not; a larger composition must also earn its place on the latter alone.
+- Differences are scaled by the best candidate's own misfit, so that what no candidate explains does
+  not separate them, and every free number has its price.
+- A larger composition is taken where it removes a material part of the gap, beyond the accuracy of
+  laws and integration, or leaves nothing but noise of what plainly was there.
+- Compositions of one size are told apart where a difference is certain over windows, and not where
+  it is small.
 - Where even the best leaves a material part of the gap, none of them is the answer.
 """
 
@@ -37,20 +39,25 @@ NOISE_POWER = 0.06  # of the noise's power: the least that an effect must remove
 ADEQUATE = 1.25  # misfit up to which noise, known to a few per cent, is all that is left
 PLAIN = 0.5  # of that misfit: so much more is no noise
 SCRAPS = 0.1  # of what was left: an accident takes not so much of it
-FAR = 10.0  # times the noise's power: what a robot's law leaves of that size may be another effect, however large the gap was
+# times the noise's power: what a robot's law leaves of that size may be another effect, however
+# large the gap was
+FAR = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class SelectionCriteria:
     """How exact a law may be expected to be.
 
-    `material` is the least part of the refitted gap that an effect must remove, `finishing` the same where it leaves FINISHED of the
-    rest; `overall` the least part of the nominal model's gap; `unexplained` the part of the gap beyond which no law is the answer, and
-    `unexplained_by_more` the same of several, for each of their numbers: many numbers take up much;
-    `most_effects` how many are looked for; `alike` the part of the best misfit on validation episodes within which two compositions of one
-    size are alike; `indifferent` the part of the refitted gap by which integration alone may make one of two better; `far` the misfit
-    beyond which the search goes on in any case. Where `alike` is not 0, what remains is no white noise, samples are no independent
-    witnesses, and only validation episodes rank. `of_machine` says whether the recordings are a machine's.
+    `material` is the least part of the refitted gap that an effect must remove, `finishing` the
+    same where it leaves FINISHED of the rest; `overall` the least part of the nominal model's gap;
+    `unexplained` the part of the gap beyond which no law is the answer, and `unexplained_by_more`
+    the same of several, for each of their numbers: many numbers take up much; `most_effects` how
+    many are looked for; `alike` the part of the best misfit on validation episodes within which two
+    compositions of one size are alike; `indifferent` the part of the refitted gap by which
+    integration alone may make one of two better; `far` the misfit beyond which the search goes on
+    in any case. Where `alike` is not 0, what remains is no white noise, samples are no independent
+    witnesses, and only validation episodes rank. `of_machine` says whether the recordings are a
+    machine's.
     """
 
     material: float
@@ -91,7 +98,8 @@ PHYSICAL = SelectionCriteria(  # no textbook law holds on a machine to better th
 
 
 def selection_criteria(plant: Plant, episodes: Sequence[Episode]) -> SelectionCriteria:
-    """By the stage that the episodes declare: a machine is measured more coarsely than a simulator, and a robot than a joint.
+    """By the stage that the episodes declare: a machine is measured more coarsely than a simulator,
+    and a robot than a joint.
 
     Asked once in a diagnosis, of the episodes that it fits and compares on.
     """
@@ -111,7 +119,8 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The verdict, the winner, what cannot be told from it, and the part of the gap that it leaves."""
+    """The verdict, the winner, what cannot be told from it, and the part of the gap that it
+    leaves."""
 
     verdict: Verdict
     winner: Candidate
@@ -125,9 +134,11 @@ def decide(
     criteria: SelectionCriteria = SIMULATED,
     level: Callable[[Candidate], float] = lambda _: 1.0,
 ) -> Choice:
-    """Choose among fitted candidates, the bare family among them. `nominal` is the nominal model on validation episodes.
+    """Choose among fitted candidates, the bare family among them. `nominal` is the nominal model on
+    validation episodes.
 
-    `level` is the misfit that noise alone leaves a candidate on those: 1 but where they happen to hold outliers.
+    `level` is the misfit that noise alone leaves a candidate on those: 1 but where they happen to
+    hold outliers.
     """
     sound = [c for c in candidates if np.isfinite(total(c))]
     spread = max(min(map(total, sound)), FLOOR)
@@ -145,28 +156,41 @@ def decide(
     left = max(winner.misfit - 1.0, 0.0) / max(base.misfit - 1.0 if size else gap, 1e-12)
     several = len(winner.hypothesis.effects) > 1
     numbers = len(winner.fit.free.rows) - len(base.fit.free.rows)
-    bearable = min(criteria.unexplained, criteria.unexplained_by_more / numbers) if several else criteria.unexplained
+    bearable = (
+        min(criteria.unexplained, criteria.unexplained_by_more / numbers)
+        if several
+        else criteria.unexplained
+    )
     if winner.misfit > ADEQUATE and left > bearable:
         noise = level(winner)
         left *= max(winner.misfit - noise, 0.0) / (winner.misfit - 1.0)
         if winner.misfit > ADEQUATE * noise and left > bearable:
             return Choice(Verdict.UNKNOWN, winner, (), left)
     if size:
-        rivals = tuple(c for c in by_size[size] if c is not winner and not _told_apart(c, winner, base, criteria))
+        rivals = tuple(
+            c
+            for c in by_size[size]
+            if c is not winner and not _told_apart(c, winner, base, criteria)
+        )
         return Choice(Verdict.EFFECT, winner, rivals, left)
     moved = nominal.misfit - base.misfit > NOISE_POWER * max(base.misfit, FLOOR)
-    better = moved and _certain(np.nan_to_num(nominal.costs - base.check.costs, nan=0.0), base.misfit)
+    better = moved and _certain(
+        np.nan_to_num(nominal.costs - base.check.costs, nan=0.0), base.misfit
+    )
     return Choice(Verdict.PARAMETERS_ONLY if better else Verdict.NO_GAP, winner, (), left)
 
 
 def agreeing(choice: Choice, gap: Gap) -> Choice:
-    """The choice where held-out predictions do not gainsay it: where they are at the floor of the noise, no gap is left unexplained, and
-    where those of the nominal model were, there was none.
+    """The choice where held-out predictions do not gainsay it: where they are at the floor of the
+    noise, no gap is left unexplained, and where those of the nominal model were, there was none.
     """
     if gap.was_at_the_floor:
         return replace(choice, verdict=Verdict.NO_GAP, rivals=())
     if choice.verdict is Verdict.UNKNOWN and gap.at_the_floor:
-        return replace(choice, verdict=Verdict.EFFECT if choice.winner.hypothesis.effects else Verdict.PARAMETERS_ONLY)
+        return replace(
+            choice,
+            verdict=Verdict.EFFECT if choice.winner.hypothesis.effects else Verdict.PARAMETERS_ONLY,
+        )
     return choice
 
 
@@ -186,44 +210,63 @@ def penalised(c: Candidate, spread: float) -> float:
     Source: G. Schwarz, Annals of Statistics 6 (1978).
     """
     numbers = len(c.fit.free.rows) + sum(len(s.memory) for s in c.fit.starts.values())
-    return (c.fit.cost + c.check.cost) / spread + numbers * float(np.log(c.fit.samples + c.check.samples))
+    return (c.fit.cost + c.check.cost) / spread + numbers * float(
+        np.log(c.fit.samples + c.check.samples)
+    )
 
 
 def enough(candidate: Candidate, base: Candidate, criteria: SelectionCriteria) -> bool:
     """Whether nothing material is left for a larger composition to explain."""
-    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < criteria.finishing * (base.misfit - 1.0)
+    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < criteria.finishing * (
+        base.misfit - 1.0
+    )
 
 
 def _common(larger: Candidate, smaller: Candidate) -> Hypothesis:
-    """What a composition leaves of a smaller one that it changes, against which the change is measured; nothing where it adds to it."""
+    """What a composition leaves of a smaller one that it changes, against which the change is
+    measured; nothing where it adds to it."""
     kept = tuple(t for t in larger.hypothesis.effects if t in smaller.hypothesis.effects)
     return Hypothesis(kept if len(kept) < len(smaller.hypothesis.effects) else ())
 
 
-def _earns(larger: Candidate, smaller: Candidate, base: Candidate, gap: float, criteria: SelectionCriteria) -> bool:
-    """Whether a larger composition removes a material and certain part of the gap on validation episodes."""
+def _earns(
+    larger: Candidate, smaller: Candidate, base: Candidate, gap: float, criteria: SelectionCriteria
+) -> bool:
+    """Whether a larger composition removes a material and certain part of the gap on validation
+    episodes."""
     removed = smaller.misfit - larger.misfit
     rest = max(larger.misfit - 1.0, 0.0) / max(smaller.misfit - 1.0, 1e-12)
     part = criteria.material if rest > FINISHED else criteria.finishing
     material = NOISE_POWER * max(larger.misfit, FLOOR)
     finishes = larger.misfit < ADEQUATE or rest < SCRAPS
-    if criteria.alike or not finishes or removed < PLAIN * larger.misfit:  # else nothing is left of what plainly was
+    if (
+        criteria.alike or not finishes or removed < PLAIN * larger.misfit
+    ):  # else nothing is left of what plainly was
         material = max(part * (base.misfit - 1.0), criteria.overall * gap, material)
     return removed > material and _certain(smaller.check.costs - larger.check.costs, larger.misfit)
 
 
-def _told_apart(rival: Candidate, winner: Candidate, base: Candidate, criteria: SelectionCriteria) -> bool:
-    """Whether the windows of all episodes are certain that a rival of the same size is worse, numbers of parameters accounted for."""
+def _told_apart(
+    rival: Candidate, winner: Candidate, base: Candidate, criteria: SelectionCriteria
+) -> bool:
+    """Whether the windows of all episodes are certain that a rival of the same size is worse,
+    numbers of parameters accounted for."""
     if criteria.alike:
         return rival.misfit > (1.0 + criteria.alike) * winner.misfit
     if are_twins(rival.hypothesis, winner.hypothesis) and total(rival) < NEXT_TO * total(winner):
         return False
-    if criteria.indifferent and total(rival) - total(winner) < criteria.indifferent * (total(base) - total(winner)):
+    if criteria.indifferent and total(rival) - total(winner) < criteria.indifferent * (
+        total(base) - total(winner)
+    ):
         return False
-    worse = np.concatenate([rival.fit.costs - winner.fit.costs, rival.check.costs - winner.check.costs])
+    worse = np.concatenate(
+        [rival.fit.costs - winner.fit.costs, rival.check.costs - winner.check.costs]
+    )
     spread = max(total(winner), FLOOR)
     priced = penalised(rival, spread) - penalised(winner, spread)
-    return priced > 2.0 * LOG_LIKELIHOOD and (_agree(worse) or priced > CERTAIN * LOG_LIKELIHOOD * 2.0)
+    return priced > 2.0 * LOG_LIKELIHOOD and (
+        _agree(worse) or priced > CERTAIN * LOG_LIKELIHOOD * 2.0
+    )
 
 
 def _certain(worse: np.ndarray, misfit: float) -> bool:

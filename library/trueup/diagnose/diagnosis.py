@@ -40,7 +40,8 @@ TWICE = 2  # a twin that turns out better shows its own twin a better place
 class Diagnosis:
     """A verdict with everything that it rests on.
 
-    `document` is the report as JSON; `predictor` the corrected model, `patch` the same as changes to a robot's MJCF.
+    `document` is the report as JSON; `predictor` the corrected model, `patch` the same as changes
+    to a robot's MJCF.
     """
 
     document: Mapping[str, Json]
@@ -60,19 +61,32 @@ def _decided(search: Search, nominal: RolloutFit, criteria: SelectionCriteria) -
     return decide(list(search), nominal, criteria, partial(noise_level, search.problem))
 
 
-def _settled(search: Search, choice: Choice, nominal: RolloutFit, criteria: SelectionCriteria) -> Choice:
-    """The choice once the fits of all that it names stand at their minima: a better fit of one may unseat another.
+def _settled(
+    search: Search, choice: Choice, nominal: RolloutFit, criteria: SelectionCriteria
+) -> Choice:
+    """The choice once the fits of all that it names stand at their minima: a better fit of one may
+    unseat another.
 
     Of a robot the alternatives' alone, for the answer is fitted once more anyway, on finer steps.
     """
     if len(search.problem.declared):
-        return replace(choice, rivals=tuple(search.adopt(search.problem.converged(c.fit)) for c in choice.rivals))
+        return replace(
+            choice,
+            rivals=tuple(search.adopt(search.problem.converged(c.fit)) for c in choice.rivals),
+        )
     done: set[Hypothesis] = set()
     for _ in range(ROUNDS):
-        wanted = [c for c in (search.found[Hypothesis()], choice.winner, *choice.rivals) if c.hypothesis not in done]
+        wanted = [
+            c
+            for c in (search.found[Hypothesis()], choice.winner, *choice.rivals)
+            if c.hypothesis not in done
+        ]
         if not wanted:
             break
-        for converged in in_parallel(lambda c: search.problem.converged(c.fit), list({c.hypothesis: c for c in wanted}.values())):
+        for converged in in_parallel(
+            lambda c: search.problem.converged(c.fit),
+            list({c.hypothesis: c for c in wanted}.values()),
+        ):
             done.add(converged.hypothesis)
             search.adopt(converged)
         choice = _decided(search, nominal, criteria)
@@ -88,12 +102,16 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose the gap between a nominal model and recorded episodes.
 
-    Adaptation episodes are fitted; validation episodes compare and measure. Raises NotIdentifiable where there are none of either,
-    or where the joint never moves. The tasks of the search are done by whoever may `solve` them; the answer is the same.
+    Adaptation episodes are fitted; validation episodes compare and measure. Raises NotIdentifiable
+    where there are none of either, or where the joint never moves. The tasks of the search are done
+    by whoever may `solve` them; the answer is the same.
     """
     adaptation, validation = by_role(episodes)
     if not validation:
-        raise NotIdentifiable("there is no validation episode to compare on", hint="Give at least one episode the role validation.")
+        raise NotIdentifiable(
+            "there is no validation episode to compare on",
+            hint="Give at least one episode the role validation.",
+        )
     progress("looking at the episodes", 0.0)
     admission = admit(plant, adaptation)
     criteria = selection_criteria(plant, [*adaptation, *validation])
@@ -110,7 +128,14 @@ def diagnose(
     best, scheme, other = polished(plant, problem, choice.winner, adaptation, validation, criteria)
     predictor = corrected(plant, admission, best.fit, scheme, adaptation)
     refitted = corrected(plant, admission, base.fit, problem.scheme, adaptation)
-    gap = measure(Nominal(plant), refitted, predictor, validation, Noise(admission.noise, admission.correlation), seed)
+    gap = measure(
+        Nominal(plant),
+        refitted,
+        predictor,
+        validation,
+        Noise(admission.noise, admission.correlation),
+        seed,
+    )
     choice = agreeing(choice, gap)
     progress("what the data speak against", 0.0)
     excluded, unexcited = bounds(search, choice.winner, plant)
@@ -124,7 +149,9 @@ def diagnose(
         answer=best,
         nominal=nominal,
         gap=gap,
-        effects=estimates(best.minima, other, problem.fitter, plant, shares(search, choice, nominal)),
+        effects=estimates(
+            best.minima, other, problem.fitter, plant, shares(search, choice, nominal)
+        ),
         alternatives=[alternative(plant, search, rival) for rival in choice.rivals],
         patch=changes,
         parameters=parameter_table(plant, problem.fitter.directions, best.minima, other),
@@ -136,4 +163,6 @@ def diagnose(
         seed=seed,
     )
     progress("done", 1.0)
-    return Diagnosis(document, predictor, changes, plant, validation, gap, choice, experiment, search, nominal)
+    return Diagnosis(
+        document, predictor, changes, plant, validation, gap, choice, experiment, search, nominal
+    )

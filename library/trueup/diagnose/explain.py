@@ -1,4 +1,5 @@
-"""Explain: estimates with intervals, each effect's share of the gap, what the data speak against, what they could not show."""
+"""Explain: estimates with intervals, each effect's share of the gap, what the data speak against,
+what they could not show."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ FORCES = (Scale.ACCELERATION, Scale.DRAG, Scale.CUBIC, Scale.STIFFNESS, Scale.DA
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """What the data say of one effect that was not found: how large it may be, or why they cannot tell."""
+    """What the data say of one effect that was not found: how large it may be, or why they cannot
+    tell."""
 
     effect: str
     joint: str | None
@@ -45,16 +47,33 @@ class Bound:
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
-        named: dict[str, Json] = {"effect": self.effect, **({"joint": self.joint} if self.joint else {})}
+        named: dict[str, Json] = {
+            "effect": self.effect,
+            **({"joint": self.joint} if self.joint else {}),
+        }
         if self.value is None:
             return {**named, "why": self.why}
         side = "above" if self.falls else "below"
-        return {**named, "parameter": self.parameter, side: self.value, "unit": self.unit, "confidence": 0.95}
+        return {
+            **named,
+            "parameter": self.parameter,
+            side: self.value,
+            "unit": self.unit,
+            "confidence": 0.95,
+        }
 
 
 def unit(scale: Scale, plant: Plant, joint: int = 0) -> str:
-    """A scale in the declared units of a joint: a family's forces are accelerations, a tree's are what its actuators give."""
-    q = next((c.unit for c in plant.layout.observations if plant.joint_of(c) == joint and c.field is Field.POSITION), "")
+    """A scale in the declared units of a joint: a family's forces are accelerations, a tree's are
+    what its actuators give."""
+    q = next(
+        (
+            c.unit
+            for c in plant.layout.observations
+            if plant.joint_of(c) == joint and c.field is Field.POSITION
+        ),
+        "",
+    )
     command = int(plant.command_columns[joint])
     u = (plant.layout.commands[command].unit if command >= 0 else "") or "1"
     if isinstance(plant.dynamics, CompiledTree):
@@ -82,8 +101,15 @@ def in_units(scale: Scale, plant: Plant, joint: int) -> float:
     return float(plant.form.sizes[joint]) if scale in FORCES else 1.0
 
 
-def estimates(minima: Sequence[RolloutFit], other: RolloutFit, fitter: Fitter, plant: Plant, share: Mapping[str, float]) -> list[Json]:
-    """Effects with estimates, units, intervals and shares, of the best of some minima; `other` is the same on other steps."""
+def estimates(
+    minima: Sequence[RolloutFit],
+    other: RolloutFit,
+    fitter: Fitter,
+    plant: Plant,
+    share: Mapping[str, float],
+) -> list[Json]:
+    """Effects with estimates, units, intervals and shares, of the best of some minima; `other` is
+    the same on other steps."""
     fit, spans = minima[0], intervals(minima, other)
     found: list[Json] = []
     for term in fit.hypothesis.effects:
@@ -91,10 +117,17 @@ def estimates(minima: Sequence[RolloutFit], other: RolloutFit, fitter: Fitter, p
         for number in kind(term).params:
             if (term, number.name) not in spans:
                 continue  # the log did not ask for it
-            value, factor = fit.parameters(term)[number.name], in_units(number.scale, plant, joint(term))
+            value, factor = (
+                fit.parameters(term)[number.name],
+                in_units(number.scale, plant, joint(term)),
+            )
             low, high = _inside(spans[term, number.name], number, fitter.unit(term, number.scale))
             measure = unit(number.scale, plant, joint(term))
-            values[number.name] = {"value": factor * value, "unit": measure, "ci95": [factor * low, factor * high]}
+            values[number.name] = {
+                "value": factor * value,
+                "unit": measure,
+                "ci95": [factor * low, factor * high],
+            }
         found.append(_entry(kind(term), values, share.get(term, 0.0), plant, joint(term)))
     return found
 
@@ -106,20 +139,37 @@ def counted(admission: Admission, plant: Plant, samples: int) -> list[Json]:
         part = float(admission.held[at])
         if part > HELD:
             error = TWO_SIDED * float(np.sqrt(part * (1.0 - part) / samples))
-            value: Json = {"value": part, "unit": "1", "ci95": [max(part - error, 0.0), part + error]}
+            value: Json = {
+                "value": part,
+                "unit": "1",
+                "ci95": [max(part - error, 0.0), part + error],
+            }
             found.append(_entry(effects()["dropped_frames"], {"fraction": value}, 0.0, plant, at))
         steps: dict[str, Json] = {}
-        for n, step, coarse in zip(effects()["sensor_quantization"].params, *admission.lattices(at), strict=True):
+        for n, step, coarse in zip(
+            effects()["sensor_quantization"].params, *admission.lattices(at), strict=True
+        ):
             if coarse:
-                steps[n.name] = {"value": float(step), "unit": unit(n.scale, plant, at), "ci95": [float(step), float(step)]}
+                steps[n.name] = {
+                    "value": float(step),
+                    "unit": unit(n.scale, plant, at),
+                    "ci95": [float(step), float(step)],
+                }
         if steps:
             found.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant, at))
     return found
 
 
-def _entry(effect: type[Effect], values: dict[str, Json], share: float, plant: Plant, at: int) -> dict[str, Json]:
+def _entry(
+    effect: type[Effect], values: dict[str, Json], share: float, plant: Plant, at: int
+) -> dict[str, Json]:
     name = plant.joint_name(at)
-    entry: dict[str, Json] = {"effect": effect.name, "port": effect.port.reported, "channel": name, "category": effect.category}
+    entry: dict[str, Json] = {
+        "effect": effect.name,
+        "port": effect.port.reported,
+        "channel": name,
+        "category": effect.category,
+    }
     if len(plant.joints) > 1:
         entry["joint"] = name
     return {**entry, "estimate": values, "share": share}
@@ -129,8 +179,11 @@ def _inside(span: tuple[float, float], number: Number, scale: float) -> tuple[fl
     return max(span[0], number.low * scale), min(span[1], number.high * scale)
 
 
-def parameter_table(plant: Plant, directions: Directions, minima: Sequence[RolloutFit], other: RolloutFit) -> dict[str, Json]:
-    """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine one by one."""
+def parameter_table(
+    plant: Plant, directions: Directions, minima: Sequence[RolloutFit], other: RolloutFit
+) -> dict[str, Json]:
+    """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine
+    one by one."""
     fit = minima[0]
     if not directions.combined:
         spans = intervals(minima, other)
@@ -139,11 +192,15 @@ def parameter_table(plant: Plant, directions: Directions, minima: Sequence[Rollo
     else:
         widths = np.array([_tree_widths(plant, directions, f, other) for f in minima])
         values = np.array([f.values[: len(plant.parameters)] for f in minima])
-        limits = list(zip((values - widths).min(axis=0), (values + widths).max(axis=0), strict=True))
+        limits = list(
+            zip((values - widths).min(axis=0), (values + widths).max(axis=0), strict=True)
+        )
         named = directions.determined
     return {
         name: {"nominal": nominal, "value": float(value), "ci95": [float(low), float(high)]}
-        for (name, nominal), value, (low, high), determined in zip(plant.nominal.items(), fit.values, limits, named, strict=False)
+        for (name, nominal), value, (low, high), determined in zip(
+            plant.nominal.items(), fit.values, limits, named, strict=False
+        )
         if determined
     }
 
@@ -154,26 +211,38 @@ def _tree_widths(plant: Plant, directions: Directions, fit: RolloutFit, other: R
     spread = covariance(fit)[:count, :count]
     moved = fit.values[:numbers] - other.values[:numbers]
     return np.asarray(
-        np.sqrt(np.maximum(np.einsum("ai,ab,bi->i", directions.along, spread, directions.along), 0.0) * TWO_SIDED**2 + moved**2)
+        np.sqrt(
+            np.maximum(np.einsum("ai,ab,bi->i", directions.along, spread, directions.along), 0.0)
+            * TWO_SIDED**2
+            + moved**2
+        )
     )
 
 
 def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, float]:
-    """Each effect's share of the gap on validation episodes: what comes back of it when the effect is removed and the rest refitted.
+    """Each effect's share of the gap on validation episodes: what comes back of it when the effect
+    is removed and the rest refitted.
 
-    They do not add up: what two effects can explain as well as one belongs to neither, and what parameters explain is the rest.
+    They do not add up: what two effects can explain as well as one belongs to neither, and what
+    parameters explain is the rest.
     """
     winner = choice.winner
     whole = max(nominal.misfit, winner.misfit) - winner.misfit
-    back = {n: max(search.fitted(winner.hypothesis.without(n), winner).misfit - winner.misfit, 0.0) for n in winner.hypothesis.effects}
+    back = {
+        n: max(search.fitted(winner.hypothesis.without(n), winner).misfit - winner.misfit, 0.0)
+        for n in winner.hypothesis.effects
+    }
     scale = max(whole, sum(back.values()), 1e-12)
     return {name: comes_back / scale for name, comes_back in back.items()}
 
 
 def alternative(plant: Plant, search: Search, rival: Candidate) -> Json:
-    """A composition that cannot be told from the answer as it was fitted: its model, its estimates, and the nominal form's numbers."""
+    """A composition that cannot be told from the answer as it was fitted: its model, its estimates,
+    and the nominal form's numbers."""
     found = rival.minima
-    model = Corrected(plant, rival.hypothesis, tuple(float(x) for x in found[0].values), search.problem.scheme)
+    model = Corrected(
+        plant, rival.hypothesis, tuple(float(x) for x in found[0].values), search.problem.scheme
+    )
     described = model.description()
     return {
         "model": {name: described[name] for name in ("parameters", "effects", "scheme")},
@@ -189,7 +258,14 @@ def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound]
     if len(plant.joints) > 1:  # where terms raced is enough, and every joint has its own
         near = search.problem.near(fit)
         data, fit, linear = search.problem.short, near.fit, near.linear
-    found = list(in_parallel(lambda term: _bound(search, search.problem.fitter.screen(data, fit, term, linear), fit, term, plant), terms))
+    found = list(
+        in_parallel(
+            lambda term: _bound(
+                search, search.problem.fitter.screen(data, fit, term, linear), fit, term, plant
+            ),
+            terms,
+        )
+    )
     return [b for b in found if b.value is not None], [b for b in found if b.value is None]
 
 
@@ -199,7 +275,9 @@ def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plan
     error = BOUNDING * screened.error * np.sqrt(max(fit.misfit, 1.0))
     number = effect.params[0]
     factor = in_units(number.scale, plant, at)
-    starts = np.array([max(abs(s[0]), abs(s[1]) if effect.periodic else 0.0) for s in effect.starts]) * fitter.unit(term, number.scale)
+    starts = np.array(
+        [max(abs(s[0]), abs(s[1]) if effect.periodic else 0.0) for s in effect.starts]
+    ) * fitter.unit(term, number.scale)
     measure = unit(number.scale, plant, at)
     if effect.falls:
         ruled_out = screened.factor + error < RULED_OUT
@@ -208,14 +286,20 @@ def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plan
         value = float(starts[order][last - 1]) * factor if last else None
         return Bound(name, where, number.name, value, True, measure, "" if last else _blind(effect))
     limits = (np.abs(screened.factor) + error) * starts
-    if effect.zoomed:  # small ones do not grow in proportion: what would have been seen whole bounds
+    if (
+        effect.zoomed
+    ):  # small ones do not grow in proportion: what would have been seen whole bounds
         limits = np.where(limits < starts, starts, np.inf)
     shapes: dict[tuple[float, ...], float] = {}
     for s, limit, start in zip(effect.starts, limits, starts, strict=True):
         if start > 0.0:  # the others have none of the number that is bounded
             shape = s if effect.periodic else s[1:]
-            shapes[shape] = min(shapes.get(shape, np.inf), limit if limit <= LINEAR * start else np.inf)
-    sound = [limit for limit in shapes.values() if np.isfinite(limit)]  # of the shapes that would have shown
+            shapes[shape] = min(
+                shapes.get(shape, np.inf), limit if limit <= LINEAR * start else np.inf
+            )
+    sound = [
+        limit for limit in shapes.values() if np.isfinite(limit)
+    ]  # of the shapes that would have shown
     if not sound:
         return Bound(name, where, number.name, None, False, measure, _blind(effect))
     return Bound(name, where, number.name, float(max(sound)) * factor, False, measure, "")

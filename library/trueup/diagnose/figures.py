@@ -1,8 +1,10 @@
 """Figures: the numbers behind a diagnosis' pictures, as JSON, schema `trueup.figures/1`.
 
-episodes   held-out recordings: what was measured, and what the nominal and the corrected model predict of it
-maps       for each channel, what the nominal model, the refitted one and the corrected one miss over short strides: the mean signed
-           residual over speed and command, time and speed, time and command, over all episodes
+episodes   held-out recordings: what was measured, and what the nominal and the corrected model
+           predict of it
+maps       for each channel, what the nominal model, the refitted one and the corrected one miss
+           over short strides: the mean signed residual over speed and command, time and speed, time
+           and command, over all episodes
 experiment the command of the next experiment
 
 Of a robot, the channels of the joints that the report names.
@@ -50,7 +52,9 @@ def figures(found: Diagnosis, episodes: Sequence[Episode]) -> dict[str, Json]:
 
 def furthest(episodes: Sequence[Episode], scales: NDArray[np.float64]) -> list[Episode]:
     """The episodes that move furthest, in declared scales."""
-    return sorted(episodes, key=lambda e: -float(np.nanmax(np.nanstd(e.observations, axis=0) / scales)))[:EPISODES]
+    return sorted(
+        episodes, key=lambda e: -float(np.nanmax(np.nanstd(e.observations, axis=0) / scales))
+    )[:EPISODES]
 
 
 def _told(found: Diagnosis) -> Told:
@@ -65,8 +69,12 @@ def _told(found: Diagnosis) -> Told:
 
 
 def _maps(found: Diagnosis, episodes: Sequence[Episode], told: Told) -> list[Json]:
-    """Each channel's residual over strides, by the nominal model, the refitted one and the corrected one."""
-    plant, fits = found.plant, {"nominal": found.nominal, "refitted": found.search.found[Hypothesis()].fit}
+    """Each channel's residual over strides, by the nominal model, the refitted one and the
+    corrected one."""
+    plant, fits = (
+        found.plant,
+        {"nominal": found.nominal, "refitted": found.search.found[Hypothesis()].fit},
+    )
     fits["corrected"] = found.choice.winner.fit
     layers = {layer: strides_of(plant, found.search, fit, episodes) for layer, fit in fits.items()}
     some, lasts = layers["nominal"], np.array([float(e.t_s[-1]) for e in episodes])
@@ -74,8 +82,16 @@ def _maps(found: Diagnosis, episodes: Sequence[Episode], told: Told) -> list[Jso
     for at, channel in told:
         joint, column = plant.joint_of(channel), int(plant.state_columns[at])
         missed = {layer: strides.missed[:, column] for layer, strides in layers.items()}
-        places = Places(plant, joint, some.v[:, joint], some.u[:, joint], some.t * lasts[some.episode])
-        drawn.append({**named(plant, channel), "rms": {layer: number(rms(m)) for layer, m in missed.items()}, **maps(missed, places)})
+        places = Places(
+            plant, joint, some.v[:, joint], some.u[:, joint], some.t * lasts[some.episode]
+        )
+        drawn.append(
+            {
+                **named(plant, channel),
+                "rms": {layer: number(rms(m)) for layer, m in missed.items()},
+                **maps(missed, places),
+            }
+        )
     return drawn
 
 
@@ -85,5 +101,8 @@ def _experiment(found: Diagnosis) -> Json:
     if next_ is None or next_.command is None:
         return None
     drawn = slice(None, None, max(1, math.ceil(len(next_.t_s) / MOST)))
-    commands: list[Json] = [{**named(plant, c), "issued": numbers(next_.command[drawn, plant.joint_of(c)])} for c in plant.layout.commands]
+    commands: list[Json] = [
+        {**named(plant, c), "issued": numbers(next_.command[drawn, plant.joint_of(c)])}
+        for c in plant.layout.commands
+    ]
     return {"t_s": numbers(next_.t_s[drawn]), "commands": commands}

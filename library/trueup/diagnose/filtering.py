@@ -1,10 +1,10 @@
 """Filtering: the gain with which a corrected model follows an episode before it predicts.
 
-Kalman gain of the model linearised at rest, from a first sample to its steady state. What the log does not tell, how much the machine
-is disturbed and whether from sample to sample or for a while, is chosen by how well windows of the adaptation episodes are predicted,
-and among those that do as well by how near the next sample is.
-Source: B. D. O. Anderson, J. B. Moore, Optimal Filtering (1979), chapter 4; the doubling: B. D. O. Anderson,
-International Journal of Control 28 (1978).
+Kalman gain of the model linearised at rest, from a first sample to its steady state. What the log
+does not tell, how much the machine is disturbed and whether from sample to sample or for a while,
+is chosen by how well windows of the adaptation episodes are predicted, and among those that do as
+well by how near the next sample is. Source: B. D. O. Anderson, J. B. Moore, Optimal Filtering
+(1979), chapter 4; the doubling: B. D. O. Anderson, International Journal of Control 28 (1978).
 """
 
 from __future__ import annotations
@@ -29,7 +29,12 @@ from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 DOUBLINGS = 24  # of the time over which a filter settles: from one sample to days
-LEAST, MOST = -7.0, 5.0  # decades of the motion's acceleration: a force that is random in each second, or wanders so far in one
+LEAST, MOST = (
+    -7.0,
+    5.0,
+    # decades of the motion's acceleration: a force that is random in each second, or wanders so far
+    # in one
+)
 SETTLED = 1e-10  # of a standard deviation squared: a covariance that stands still
 LOST = 1e10  # of the motion's square: no covariance that is worth a gain
 COARSE = 2.0  # decades between the first sizes that are tried
@@ -38,7 +43,9 @@ BEGINNING = 24  # samples until the steady gain is used
 UNCERTAIN = 2.0  # standard errors
 
 
-def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Scheme, episodes: Sequence[Episode]) -> Corrected:
+def corrected(
+    plant: Plant, admission: Admission, fit: RolloutFit, scheme: Scheme, episodes: Sequence[Episode]
+) -> Corrected:
     """The predictor of a fit, with the gain that predicts the given adaptation episodes best."""
     hypothesis, values = fit.hypothesis, fit.values.copy()
     for at in range(len(plant.joints)):
@@ -52,16 +59,30 @@ def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Schem
         moments, unknown = known([_moments(plant, e) for e in episodes])
         model = replace(model, known=moments)
     period = episodes[0].period_s
-    far, near = (windows_of(plant, episodes, length, beginnings=knows_beginnings(model)) for length in (plant.horizon_s, period))
+    far, near = (
+        windows_of(plant, episodes, length, beginnings=knows_beginnings(model))
+        for length in (plant.horizon_s, period)
+    )
 
     def tried(kind: tuple[float, bool]) -> tuple[Array, Corrected]:
-        candidate = replace(model, gain=_gain(plant, admission, model, 10.0 ** kind[0], period, unknown, wanders=kind[1]))
+        candidate = replace(
+            model,
+            gain=_gain(plant, admission, model, 10.0 ** kind[0], period, unknown, wanders=kind[1]),
+        )
         return squared_errors(candidate, far, admission.motion), candidate
 
-    def tried_all(kinds: Sequence[tuple[float, bool]]) -> dict[tuple[float, bool], tuple[Array, Corrected]]:
+    def tried_all(
+        kinds: Sequence[tuple[float, bool]],
+    ) -> dict[tuple[float, bool], tuple[Array, Corrected]]:
         return dict(zip(kinds, in_parallel(tried, kinds), strict=True))
 
-    found = tried_all([(size, wanders) for wanders in (False, True) for size in np.arange(LEAST, MOST + 1e-9, COARSE)])
+    found = tried_all(
+        [
+            (size, wanders)
+            for wanders in (False, True)
+            for size in np.arange(LEAST, MOST + 1e-9, COARSE)
+        ]
+    )
     width = COARSE / 2.0
     while width > FINEST:
         size, wanders = min(found, key=lambda k: found[k][0].mean())
@@ -74,7 +95,8 @@ def corrected(plant: Plant, admission: Admission, fit: RolloutFit, scheme: Schem
 
 
 def _as_well(worse: Array) -> bool:
-    """Whether windows do not show a difference; then the gain that is nearest a sample ahead is the filter's."""
+    """Whether windows do not show a difference; then the gain that is nearest a sample ahead is the
+    filter's."""
     return bool(worse.mean() <= UNCERTAIN * worse.std() / np.sqrt(len(worse)))
 
 
@@ -86,27 +108,55 @@ def _moments(plant: Plant, episode: Episode) -> Array:
 
 
 def _gain(
-    plant: Plant, admission: Admission, model: Corrected, size: float, period_s: float, unknown: float | None, *, wanders: bool
+    plant: Plant,
+    admission: Admission,
+    model: Corrected,
+    size: float,
+    period_s: float,
+    unknown: float | None,
+    *,
+    wanders: bool,
 ) -> tuple[tuple[float, ...], ...]:
-    """The gains of the first samples and the steady one, `(4, 2)` of each joint in a row, for a disturbance of a size: a force random from
-    sample to sample, or one that wanders and is estimated. `unknown` is the standard deviation of a first velocity that nobody observed.
+    """The gains of the first samples and the steady one, `(4, 2)` of each joint in a row, for a
+    disturbance of a size: a force random from sample to sample, or one that wanders and is
+    estimated. `unknown` is the standard deviation of a first velocity that nobody observed.
     """
     moves = plant.dynamics.transition(np.array(model.values[: len(plant.parameters)]), period_s)
     of_joints = [
-        _joint_gain(admission, j, moves[np.ix_(at, at)], _hidden(model, j, period_s), size, period_s, unknown, wanders=wanders)
+        _joint_gain(
+            admission,
+            j,
+            moves[np.ix_(at, at)],
+            _hidden(model, j, period_s),
+            size,
+            period_s,
+            unknown,
+            wanders=wanders,
+        )
         for j, at in ((j, admission.of_joint(j)) for j in range(len(plant.joints)))
     ]
     return tuple(tuple(float(x) for x in row) for row in np.concatenate(of_joints, axis=1))
 
 
 def _joint_gain(
-    admission: Admission, joint: int, moves: Array, hides: _Hidden, size: float, period_s: float, unknown: float | None, *, wanders: bool
+    admission: Admission,
+    joint: int,
+    moves: Array,
+    hides: _Hidden,
+    size: float,
+    period_s: float,
+    unknown: float | None,
+    *,
+    wanders: bool,
 ) -> Array:
-    """One joint's gains, `(beginning, 8)`, as if the others' motion were known; `moves` is its own part of the linearised update."""
+    """One joint's gains, `(beginning, 8)`, as if the others' motion were known; `moves` is its own
+    part of the linearised update."""
     at, sizes, h = admission.of_joint(joint), admission.scales[joint], period_s
     seen, deviation = admission.observed[at], np.nan_to_num(admission.noise[at])
     first = sizes.velocity if unknown is None else unknown
-    unit = np.array([sizes.position, sizes.velocity, sizes.acceleration, sizes.velocity])  # keeps the equation well scaled
+    unit = np.array(
+        [sizes.position, sizes.velocity, sizes.acceleration, sizes.velocity]
+    )  # keeps the equation well scaled
     a, disturbed = np.eye(4), np.eye(4)[:, :3]
     a[:2, :2] = moves
     a[:2, 2] = h * h / 2.0, h
@@ -148,7 +198,8 @@ def _joint_gain(
 
 @dataclass(frozen=True, slots=True)
 class _Hidden:
-    """How what hides a velocity goes on over one sample: the part that is `kept`, and what it takes of the velocity `after` and `before`.
+    """How what hides a velocity goes on over one sample: the part that is `kept`, and what it takes
+    of the velocity `after` and `before`.
 
     `memory_s` [s] is the time over which it forgets.
     """
@@ -164,21 +215,27 @@ def _hidden(model: Corrected, at: int, h: float) -> _Hidden:
     for acting in model.hypothesis.effects:
         if kind(acting).hides_velocity and joint_of(acting) == at:
             values = [model.values[row] for row in model.plant.block.rows(acting)]
-            kept, after, before = (float(kind(acting).apply(0.0, v, h, z, b, *values)[2]) for z, v, b in np.eye(3))
+            kept, after, before = (
+                float(kind(acting).apply(0.0, v, h, z, b, *values)[2]) for z, v, b in np.eye(3)
+            )
             return _Hidden(kept, after, before, h / max(1.0 - kept, h))
     return _Hidden()
 
 
 def _steady(a: Array, information: Array, drive: Array) -> Array:
-    """The covariance before an observation at which a filter's own equation stands still, by doubling the time it has run.
+    """The covariance before an observation at which a filter's own equation stands still, by
+    doubling the time it has run.
 
-    `information` is what one observation adds, `drive` the covariance that one sample of disturbance adds; `(states, states)` each.
+    `information` is what one observation adds, `drive` the covariance that one sample of
+    disturbance adds; `(states, states)` each.
     """
     onward, gathered, p = a.T, information, drive
     for _ in range(DOUBLINGS):
         root = _root(p)
         power, axes = np.linalg.eigh(root.T @ gathered @ root)
-        known = root @ (axes / (1.0 + np.maximum(power, 0.0))) @ axes.T @ root.T  # what is left of p once it was gathered
+        known = (
+            root @ (axes / (1.0 + np.maximum(power, 0.0))) @ axes.T @ root.T
+        )  # what is left of p once it was gathered
         shared = np.eye(len(a)) - gathered @ known
         later = p + onward.T @ known @ onward
         gathered = gathered + onward @ shared @ gathered @ onward.T
@@ -187,12 +244,15 @@ def _steady(a: Array, information: Array, drive: Array) -> Array:
         if (np.abs(later - p) <= SETTLED * size[:, None] * size).all():
             break
         if not (np.abs(later) < LOST).all():
-            break  # of a hardly disturbed unstable motion rounding grows without end: what is left is tried, and loses
+            # of a hardly disturbed unstable motion rounding grows without end: what is left is
+            # tried, and loses
+            break
         p = later
     return p
 
 
 def _root(p: Array) -> Array:
-    """A matrix whose square is a covariance's, of which rounding may have made a little less than one."""
+    """A matrix whose square is a covariance's, of which rounding may have made a little less than
+    one."""
     power, axes = np.linalg.eigh((p + p.T) / 2.0)
     return np.asarray(axes * np.sqrt(np.maximum(power, 0.0)))

@@ -41,7 +41,14 @@ class Helper:
             sigma = np.where(np.isfinite(outline.sigma), outline.sigma, np.nan)
             admission = replace(self._admission, sigma=sigma, correlation=outline.correlation)
             problem = laid_out(
-                self._plant, admission, self._adaptation, self._validation, self._criteria, outline.scheme, outline.length_s, outline.base
+                self._plant,
+                admission,
+                self._adaptation,
+                self._validation,
+                self._criteria,
+                outline.scheme,
+                outline.length_s,
+                outline.base,
             )
             self._known = name, problem
         return self._known[1]

@@ -1,14 +1,17 @@
 """Intervals: what a 95 % interval of an estimate holds.
 
-- Where noise is all that is left, an estimate's variance is that of the information of its fit, times what is left of a sample.
-- Where something else acts, too, samples are no independent witnesses. Then the variance is what windows, or whole recordings, disagree by,
-  whichever is more: recordings by Student's t of their number. It is never less than the first.
-- How far finer steps of integration moved an estimate, and how far off its minimum the fit ended, are added in quadrature. A number between
-  whose corners the error is flat has the width of the grid on which it was found, and the others what gives way to that.
+- Where noise is all that is left, an estimate's variance is that of the information of its fit,
+  times what is left of a sample.
+- Where something else acts, too, samples are no independent witnesses. Then the variance is what
+  windows, or whole recordings, disagree by, whichever is more: recordings by Student's t of their
+  number. It is never less than the first.
+- How far finer steps of integration moved an estimate, and how far off its minimum the fit ended,
+  are added in quadrature. A number between whose corners the error is flat has the width of the
+  grid on which it was found, and the others what gives way to that.
 - Where several minima cost about as much, the interval spans them all.
 
-Source: H. White, Econometrica 50 (1982), for the variance of a model that is not exact; K.-Y. Liang, S. L. Zeger, Biometrika 73 (1986), by
-clusters.
+Source: H. White, Econometrica 50 (1982), for the variance of a model that is not exact; K.-Y.
+Liang, S. L. Zeger, Biometrika 73 (1986), by clusters.
 """
 
 from __future__ import annotations
@@ -32,8 +35,11 @@ NOTHING, UNKNOWN = 1e-100, 1e100  # information that is none, and the variance t
 LEAST_CLUSTERS = 2  # one has nobody to disagree with
 
 
-def intervals(minima: Sequence[RolloutFit], other: RolloutFit) -> dict[tuple[str, str], tuple[float, float]]:
-    """Each number's 95 % interval, by (effect or "", parameter), from the minima that the data do not tell apart, the best first.
+def intervals(
+    minima: Sequence[RolloutFit], other: RolloutFit
+) -> dict[tuple[str, str], tuple[float, float]]:
+    """Each number's 95 % interval, by (effect or "", parameter), from the minima that the data do
+    not tell apart, the best first.
 
     `other` is the same fitted on other steps of integration.
     """
@@ -61,11 +67,15 @@ def half_widths(fit: RolloutFit, other: RolloutFit) -> dict[tuple[str, str], flo
     width = TWO_SIDED * np.sqrt(variance)
     moved = at - fit.free.at(other.values)
     whole = np.sqrt(width**2 * (1.0 + min(fit.off or 0.0, 1.0) ** 2) + moved**2 + grid**2)
-    return {name: float(w) for name, w in zip(fit.free.names, np.minimum(whole, WIDEST * fit.free.step), strict=True)}
+    return {
+        name: float(w)
+        for name, w in zip(fit.free.names, np.minimum(whole, WIDEST * fit.free.step), strict=True)
+    }
 
 
 def covariance(fit: RolloutFit) -> Array:
-    """Covariance of a fit's free numbers, `(free, free)`, scaled so that 1.96 standard errors are half an interval."""
+    """Covariance of a fit's free numbers, `(free, free)`, scaled so that 1.96 standard errors are
+    half an interval."""
     rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
     inverse = np.zeros((len(rest), len(rest)))
     inverse[np.ix_(rest, rest)] = _inverse(fit.information[np.ix_(rest, rest)])
@@ -74,11 +84,18 @@ def covariance(fit: RolloutFit) -> Array:
         return found
     ends = np.cumsum([len(s.windows) for s in fit.starts.values()])[:-1]
     recordings = np.array([part.sum(axis=0) for part in np.split(fit.scores, ends)])
-    for scores, students in ((fit.scores, TWO_SIDED), (recordings, float(stdtrit(max(len(recordings) - 1, 1), TAIL)))):
+    for scores, students in (
+        (fit.scores, TWO_SIDED),
+        (recordings, float(stdtrit(max(len(recordings) - 1, 1), TAIL))),
+    ):
         if len(scores) >= LEAST_CLUSTERS:
             moved = (scores - scores.mean(axis=0)) @ inverse
-            by_clusters = moved.T @ moved * len(scores) / (len(scores) - 1) * (students / TWO_SIDED) ** 2
-            wider = np.sqrt(np.maximum(np.diag(by_clusters) / np.maximum(np.diag(found), 1e-300), 1.0))
+            by_clusters = (
+                moved.T @ moved * len(scores) / (len(scores) - 1) * (students / TWO_SIDED) ** 2
+            )
+            wider = np.sqrt(
+                np.maximum(np.diag(by_clusters) / np.maximum(np.diag(found), 1e-300), 1.0)
+            )
             found = found * wider[:, None] * wider
     return found
 
@@ -90,5 +107,9 @@ def _inverse(information: Array) -> Array:
     if told.any():
         part = information[np.ix_(told, told)]
         size = np.sqrt(np.diag(part))
-        found[np.ix_(told, told)] = np.linalg.inv(part / size[:, None] / size + RIDGE * np.eye(len(size))) / size[:, None] / size
+        found[np.ix_(told, told)] = (
+            np.linalg.inv(part / size[:, None] / size + RIDGE * np.eye(len(size)))
+            / size[:, None]
+            / size
+        )
     return np.asarray(found)

@@ -1,7 +1,9 @@
-"""Locate: where the residual lies: in which channel, at which port, in which region, in which band of frequency.
+"""Locate: where the residual lies: in which channel, at which port, in which region, in which band
+of frequency.
 
-The residual of a region is what the refitted nominal form misses over a short stride, so that one place's error is not carried
-to the next; a region counts for as much as it holds more of the residual than of the time.
+The residual of a region is what the refitted nominal form misses over a short stride, so that one
+place's error is not carried to the next; a region counts for as much as it holds more of the
+residual than of the time.
 """
 
 from __future__ import annotations
@@ -30,20 +32,27 @@ STRIDE_S = 0.1
 LEAST = 3  # samples in a stride
 EDGES_HZ = (0.3, 1.0, 3.0)  # between bands
 NORMAL_MEDIAN = 0.6745  # of absolute standard normals
-PUSHED, PUSHED_S = 8.0, 0.8  # times what is usual there, and how long it lasts: what something outside does that leans on a robot
+PUSHED, PUSHED_S = (
+    8.0,
+    0.8,
+    # times what is usual there, and how long it lasts: what something outside does that leans on a
+    # robot
+)
 OF_MOTION = 0.2  # of the force of a joint's own motion: less is no push worth a word
 
 
 @dataclass(frozen=True, slots=True)
 class Strides:
-    """What a fit misses over short strides: residual force, and where each stride was, `(strides, joints)` each.
+    """What a fit misses over short strides: residual force, and where each stride was, `(strides,
+    joints)` each.
 
-    `missed` `(strides, 2 x joints)` is by how much the state at a stride's end differs from the prediction.
+    `missed` `(strides, 2 x joints)` is by how much the state at a stride's end differs from the
+    prediction.
 
-    Forces are in units of each joint's own inertia, so a single joint's are accelerations. What a joint's force does to the others is
-    taken out by the mass matrix: `travelled` is the residual acceleration before that. `motion` is the acceleration itself; `turned`
-    whether a joint did, `t` of the episode, `episode` and `spacing_s`, from one
-    stride to the next, `(strides,)` each.
+    Forces are in units of each joint's own inertia, so a single joint's are accelerations. What a
+    joint's force does to the others is taken out by the mass matrix: `travelled` is the residual
+    acceleration before that. `motion` is the acceleration itself; `turned` whether a joint did, `t`
+    of the episode, `episode` and `spacing_s`, from one stride to the next, `(strides,)` each.
     """
 
     missed: Array
@@ -61,9 +70,15 @@ class Strides:
 
 
 def locate(
-    plant: Plant, search: Search, winner: Candidate, nominal: RolloutFit, adaptation: Sequence[Episode], validation: Sequence[Episode]
+    plant: Plant,
+    search: Search,
+    winner: Candidate,
+    nominal: RolloutFit,
+    adaptation: Sequence[Episode],
+    validation: Sequence[Episode],
 ) -> dict[str, Json]:
-    """Shares of the residual by channel, by port, by region and by band of frequency; of a robot, when something outside pushes."""
+    """Shares of the residual by channel, by port, by region and by band of frequency; of a robot,
+    when something outside pushes."""
     base, episodes = search.found[Hypothesis()], [*adaptation, *validation]
     strides = strides_of(plant, search, base.fit, episodes)
     force, moved = _by_joint(strides)
@@ -76,17 +91,32 @@ def locate(
     }
     if len(plant.joints) > 1:
         named = [plant.joint_name(j) for j in range(len(plant.joints))]
-        shares = zip(named, force / max(force.sum(), 1e-300), moved / max(moved.sum(), 1e-300), np.sqrt(force), strict=True)
-        found["joints"] = [{"joint": n, "force": float(f), "acceleration": float(a), "of_motion": float(m)} for n, f, a, m in shares]
+        shares = zip(
+            named,
+            force / max(force.sum(), 1e-300),
+            moved / max(moved.sum(), 1e-300),
+            np.sqrt(force),
+            strict=True,
+        )
+        found["joints"] = [
+            {"joint": n, "force": float(f), "acceleration": float(a), "of_motion": float(m)}
+            for n, f, a, m in shares
+        ]
         found["regions_of"] = plant.joint_name(worst)
-        found["pushed"] = _pushed(plant, strides if winner is base else strides_of(plant, search, winner.fit, episodes), episodes)
+        found["pushed"] = _pushed(
+            plant,
+            strides if winner is base else strides_of(plant, search, winner.fit, episodes),
+            episodes,
+        )
     return found
 
 
 def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]:
-    """When a force that the answer does not explain leans on a joint for long, always the same way, as a contact does.
+    """When a force that the answer does not explain leans on a joint for long, always the same way,
+    as a contact does.
 
-    No effect of a joint does that at one time and not at others; what is usual is the median of the whole log.
+    No effect of a joint does that at one time and not at others; what is usual is the median of the
+    whole log.
     """
     usual = np.maximum(np.nanmedian(np.abs(s.residual), axis=0) / NORMAL_MEDIAN, 1e-12)
     least = np.maximum(PUSHED * usual, OF_MOTION * np.sqrt(np.nanmean(s.motion**2, axis=0)))
@@ -101,7 +131,10 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
                 at = np.flatnonzero(way * force > least[j])
                 for run in np.split(at, np.flatnonzero(np.diff(at) > 2) + 1):  # noqa: PLR2004  (one stride may be less)
                     if len(run) * stride >= PUSHED_S:
-                        begin, end = float(t[run[0]]) - stride / 2.0, float(t[run[-1]]) + stride / 2.0
+                        begin, end = (
+                            float(t[run[0]]) - stride / 2.0,
+                            float(t[run[-1]]) + stride / 2.0,
+                        )
                         pushes.append((count, begin, end, j, float(way * np.max(way * force[run]))))
     found: list[Json] = []
     for count, e in enumerate(episodes):
@@ -113,28 +146,51 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
             else:
                 spans.append([begin, end])
         for begin, end in spans:
-            by = {j: force for _, b, _, j, force in sorted(mine, key=lambda p: abs(p[4])) if begin <= b <= end}
-            joints: list[Json] = [{"joint": plant.joint_name(j), "force": force} for j, force in sorted(by.items())]
-            found.append({"episode": e.digest, "from_s": round(begin, 2), "to_s": round(end, 2), "joints": joints})
+            by = {
+                j: force
+                for _, b, _, j, force in sorted(mine, key=lambda p: abs(p[4]))
+                if begin <= b <= end
+            }
+            joints: list[Json] = [
+                {"joint": plant.joint_name(j), "force": force} for j, force in sorted(by.items())
+            ]
+            found.append(
+                {
+                    "episode": e.digest,
+                    "from_s": round(begin, 2),
+                    "to_s": round(end, 2),
+                    "joints": joints,
+                }
+            )
     return found
 
 
 def _by_joint(s: Strides) -> tuple[Array, Array]:
-    """Mean square residual force of each joint, in units of the force of its own motion, and the same of the residual acceleration, of
-    which a part only travelled there through the coupling.
+    """Mean square residual force of each joint, in units of the force of its own motion, and the
+    same of the residual acceleration, of which a part only travelled there through the coupling.
     """
     size = np.sqrt(np.nanmean(s.motion**2, axis=0))
-    return np.nanmean((s.residual / size) ** 2, axis=0), np.nanmean((s.travelled / size) ** 2, axis=0)
+    return np.nanmean((s.residual / size) ** 2, axis=0), np.nanmean(
+        (s.travelled / size) ** 2, axis=0
+    )
 
 
 def _channels(plant: Plant, search: Search, nominal: RolloutFit) -> list[Json]:
-    names = {int(column): c.name for column, c in zip(plant.state_columns, plant.layout.observations, strict=True)}
+    names = {
+        int(column): c.name
+        for column, c in zip(plant.state_columns, plant.layout.observations, strict=True)
+    }
     squares = np.zeros(2 * len(plant.joints))
     for s in search.problem.validation:
-        missed = (s.observed - trajectory(search.problem.fitter, nominal, s)) / search.problem.fitter.sigma
+        missed = (
+            s.observed - trajectory(search.problem.fitter, nominal, s)
+        ) / search.problem.fitter.sigma
         squares += np.where(s.usable, missed**2, 0.0).sum(axis=0)
     whole_ = max(float(squares.sum()), 1e-300)
-    return [{"channel": name, "share": float(squares[column] / whole_)} for column, name in names.items()]
+    return [
+        {"channel": name, "share": float(squares[column] / whole_)}
+        for column, name in names.items()
+    ]
 
 
 def _ports(search: Search, base: Candidate) -> list[Json]:
@@ -145,12 +201,18 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
             name = kind(c.hypothesis.effects[0]).name
             part = 1.0 - (c.misfit - 1.0) / max(base.misfit - 1.0, 1e-9)
             best[effects()[name].port.reported] = max(
-                best.get(effects()[name].port.reported, (0.0, "")), (float(np.clip(part, 0.0, 1.0)), name)
+                best.get(effects()[name].port.reported, (0.0, "")),
+                (float(np.clip(part, 0.0, 1.0)), name),
             )
-    return [{"port": port, "share": part, "by": name} for port, (part, name) in sorted(best.items(), key=lambda item: -item[1][0])]
+    return [
+        {"port": port, "share": part, "by": name}
+        for port, (part, name) in sorted(best.items(), key=lambda item: -item[1][0])
+    ]
 
 
-def strides_of(plant: Plant, search: Search, of: RolloutFit, episodes: Sequence[Episode]) -> Strides:
+def strides_of(
+    plant: Plant, search: Search, of: RolloutFit, episodes: Sequence[Episode]
+) -> Strides:
     """What a fit misses over strides of STRIDE_S."""
     parts, joints = [], len(plant.joints)
     for count, e in enumerate(episodes):
@@ -158,14 +220,23 @@ def strides_of(plant: Plant, search: Search, of: RolloutFit, episodes: Sequence[
         first = np.arange(0, len(e.t_s) - every, every)
         s = whole(plant, e, search.problem.scheme, first)
         states = smoothed_states(plant, e)
-        fit = replace(of, starts={s.digest: Start(states[first], of.starts[e.digest].memory if e.digest in of.starts else {})})
+        fit = replace(
+            of,
+            starts={
+                s.digest: Start(
+                    states[first], of.starts[e.digest].memory if e.digest in of.starts else {}
+                )
+            },
+        )
         path = trajectory(search.problem.fitter, fit, s)
         end, middle = first + every - 1, first + every // 2
         span = (e.t_s[end] - e.t_s[first])[:, None]
         missed_state = states[end] - path[end]
         missed = missed_state[:, joints:] / span
         motion = (states[end, joints:] - states[first, joints:]) / span
-        inertia = plant.dynamics.inertia(of.values[: len(plant.parameters)], states[middle, :joints])
+        inertia = plant.dynamics.inertia(
+            of.values[: len(plant.parameters)], states[middle, :joints]
+        )
         u = plant.applied(e.commands)
         parts.append(
             (
@@ -196,12 +267,18 @@ def _regions(s: Strides, j: int) -> list[Json]:
     for name, inside in parts.items():
         time, share = float((inside & fine).mean()), float(energy[inside & fine].sum() / whole_)
         if time > 0.0:
-            found.append((share / time, {"region": name, "share": share, "of_time": time, "lift": share / time}))
+            found.append(
+                (
+                    share / time,
+                    {"region": name, "share": share, "of_time": time, "lift": share / time},
+                )
+            )
     return [entry for _, entry in sorted(found, key=lambda pair: -pair[0])]
 
 
 def _bands(s: Strides, j: int) -> list[Json]:
-    """The residual's energy in each band of frequency, beside the motion's own; what the strides cannot resolve is left out."""
+    """The residual's energy in each band of frequency, beside the motion's own; what the strides
+    cannot resolve is left out."""
     edges = [0.0, *EDGES_HZ, np.inf]
     energy = np.zeros((2, len(edges) - 1))
     for count in np.unique(s.episode):
@@ -209,12 +286,27 @@ def _bands(s: Strides, j: int) -> list[Json]:
         series = np.nan_to_num(np.stack([s.residual[rows, j], s.motion[rows, j]]))
         n = series.shape[1]
         rate = np.fft.rfftfreq(n, s.spacing_s[rows][0])
-        power = np.abs(np.fft.rfft((series - series.mean(axis=1, keepdims=True)) * np.hanning(n + 2)[1:-1], axis=1)) ** 2
+        power = (
+            np.abs(
+                np.fft.rfft(
+                    (series - series.mean(axis=1, keepdims=True)) * np.hanning(n + 2)[1:-1], axis=1
+                )
+            )
+            ** 2
+        )
         for band in range(len(edges) - 1):
-            energy[:, band] += power[:, (rate >= edges[band]) & (rate < edges[band + 1])].sum(axis=1)
+            energy[:, band] += power[:, (rate >= edges[band]) & (rate < edges[band + 1])].sum(
+                axis=1
+            )
     share = energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
     found: list[Json] = []
     for low, high, residual, motion in zip(edges[:-1], edges[1:], *share, strict=True):
-        name = f"below {high:g} Hz" if low == 0.0 else f"above {low:g} Hz" if high == np.inf else f"{low:g} to {high:g} Hz"
+        name = (
+            f"below {high:g} Hz"
+            if low == 0.0
+            else f"above {low:g} Hz"
+            if high == np.inf
+            else f"{low:g} to {high:g} Hz"
+        )
         found.append({"band": name, "share": float(residual), "of_motion": float(motion)})
     return found

@@ -25,7 +25,8 @@ PAIRS = (("speed", "command"), ("time", "speed"), ("time", "command"))
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where values were: a joint's speed, its command, and the time of the recording [s], `(values,)` each."""
+    """Where values were: a joint's speed, its command, and the time of the recording [s],
+    `(values,)` each."""
 
     plant: Plant
     joint: int
@@ -44,20 +45,33 @@ def maps(layers: Mapping[str, Array], places: Places) -> dict[str, Json]:
         "command": _edges(places.command, cells),
         "time": np.linspace(0.0, float(places.time.max()), round(1.5 * cells) + 1),
     }
-    inside = {axis: np.clip(np.digitize(where[axis], edges[axis]) - 1, 0, len(edges[axis]) - 2) for axis in edges}
+    inside = {
+        axis: np.clip(np.digitize(where[axis], edges[axis]) - 1, 0, len(edges[axis]) - 2)
+        for axis in edges
+    }
     means = {
-        layer: {f"{a}-{b}": _means(values, (inside[a], inside[b]), (edges[a], edges[b])) for a, b in PAIRS}
+        layer: {
+            f"{a}-{b}": _means(values, (inside[a], inside[b]), (edges[a], edges[b]))
+            for a, b in PAIRS
+        }
         for layer, values in layers.items()
     }
-    reached = np.abs(np.concatenate([m[np.isfinite(m)] for of in means.values() for m in of.values()]))
+    reached = np.abs(
+        np.concatenate([m[np.isfinite(m)] for of in means.values() for m in of.values()])
+    )
     return {
         "scale": number(float(np.quantile(reached, SCALE))) if len(reached) else 0.0,
         "axes": {axis: {"unit": units[axis], "edges": numbers(edges[axis])} for axis in edges},
-        "layers": {layer: {pair: [numbers(row) for row in m] for pair, m in of.items()} for layer, of in means.items()},
+        "layers": {
+            layer: {pair: [numbers(row) for row in m] for pair, m in of.items()}
+            for layer, of in means.items()
+        },
     }
 
 
-def _means(values: Array, inside: tuple[NDArray[np.int64], NDArray[np.int64]], edges: tuple[Array, Array]) -> Array:
+def _means(
+    values: Array, inside: tuple[NDArray[np.int64], NDArray[np.int64]], edges: tuple[Array, Array]
+) -> Array:
     """Mean of the values in each cell, `(second, first)`, nan where nothing was recorded."""
     columns, rows = len(edges[0]) - 1, len(edges[1]) - 1
     fine = np.isfinite(values)
@@ -75,7 +89,11 @@ def _edges(values: Array, cells: int) -> Array:
 
 
 def _speed_unit(places: Places) -> str:
-    of = {c.field: c.unit for c in places.plant.layout.observations if places.plant.joint_of(c) == places.joint}
+    of = {
+        c.field: c.unit
+        for c in places.plant.layout.observations
+        if places.plant.joint_of(c) == places.joint
+    }
     return of.get(Field.VELOCITY) or f"{of.get(Field.POSITION, '1')}/s"
 
 

@@ -1,11 +1,15 @@
-"""Measure: how far the gap closes on held-out episodes, from rollouts that start as `trueup predict` starts them.
+"""Measure: how far the gap closes on held-out episodes, from rollouts that start as `trueup
+predict` starts them.
 
-error    root mean square over samples and channels of (predicted - observed) / the channel's standard deviation over the held-out
-         episodes; rollouts start at each multiple of the horizon, and the starting samples do not count; where no velocity is observed
-         an episode's first rollout starts in ignorance of it, which is not the model's gap, and does not count either, and so where the
-         corrected model remembers what was before the log: a drive's lag, a play, heat
-floor    what the noise does to the compared sample, and to the prediction through the state from which a window starts: the latter is how
-         far predictions move when the episodes are given noise of the same size and colour once more
+error    root mean square over samples and channels of (predicted - observed) / the channel's
+         standard deviation over the held-out episodes; rollouts start at each multiple of the
+         horizon, and the starting samples do not count; where no velocity is observed an episode's
+         first rollout starts in ignorance of it, which is not the model's gap, and does not count
+         either, and so where the corrected model remembers what was before the log: a drive's lag,
+         a play, heat
+floor    what the noise does to the compared sample, and to the prediction through the state from
+         which a window starts: the latter is how far predictions move when the episodes are given
+         noise of the same size and colour once more
 closed   1 - (after^2 - floor^2) / (before^2 - floor^2)
 """
 
@@ -35,7 +39,8 @@ AT_THE_FLOOR = 1.1  # times the floor's power: an error below that is not told f
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Errors before, with parameters only, after, and the floor; `closed` is None where there was nothing to close."""
+    """Errors before, with parameters only, after, and the floor; `closed` is None where there was
+    nothing to close."""
 
     horizon_s: float
     before: float
@@ -69,7 +74,9 @@ class Gap:
             "closed": self.closed,
             "ci95": list(self.ci95) if self.ci95 else None,
             "beginnings": "counted" if self.beginnings else "left out",
-            "channels": {name: {"before": b, "after": a} for name, (b, a) in self.by_channel.items()},
+            "channels": {
+                name: {"before": b, "after": a} for name, (b, a) in self.by_channel.items()
+            },
         }
 
 
@@ -79,35 +86,56 @@ def squared_errors(predictor: Predictor, windows: Sequence[Windows], motion: Arr
 
 
 def knows_beginnings(model: Predictor) -> bool:
-    """Whether a log's first sample says all that a model starts from: nothing acts that remembers what was before it."""
-    return not (isinstance(model, Corrected) and any(kind(t).memory for t in model.hypothesis.effects))
+    """Whether a log's first sample says all that a model starts from: nothing acts that remembers
+    what was before it."""
+    return not (
+        isinstance(model, Corrected) and any(kind(t).memory for t in model.hypothesis.effects)
+    )
 
 
 def _floor(
-    corrected: Predictor, episode: Episode, horizon_s: float, motion: Array, noise: Noise, rng: np.random.Generator, beginnings: bool
+    corrected: Predictor,
+    episode: Episode,
+    horizon_s: float,
+    motion: Array,
+    noise: Noise,
+    rng: np.random.Generator,
+    beginnings: bool,
 ) -> Array:
     """The noise's own part of each window's squared error, `(windows, channels)`."""
     plant = corrected.plant
     seen = plant.state_columns
     sigma = np.nan_to_num(noise.sigma[seen])
     more = noise.drawn(rng, len(episode.t_s), seen)
-    again = replace(episode, observations=episode.observations + more, digest=episode.digest + "/again")
+    again = replace(
+        episode, observations=episode.observations + more, digest=episode.digest + "/again"
+    )
     paths = []
     for e in (episode, again):
         (windows,) = windows_of(plant, [e], horizon_s, beginnings=beginnings)
         paths.append(plant.observe(corrected.rollout(windows)))
     moved = np.where(windows.inside[:, :, None], (paths[1] - paths[0]) / motion[seen], 0.0) ** 2
-    return np.asarray(moved.sum(axis=1) / windows.inside.sum(axis=1)[:, None] + (sigma / motion[seen]) ** 2)
+    return np.asarray(
+        moved.sum(axis=1) / windows.inside.sum(axis=1)[:, None] + (sigma / motion[seen]) ** 2
+    )
 
 
-def windows_of(plant: Plant, episodes: Sequence[Episode], horizon_s: float, *, beginnings: bool) -> list[Windows]:
-    """Windows of each episode at each multiple of the horizon; without beginnings, or without an observed velocity, the first only if it
-    is alone.
+def windows_of(
+    plant: Plant, episodes: Sequence[Episode], horizon_s: float, *, beginnings: bool
+) -> list[Windows]:
+    """Windows of each episode at each multiple of the horizon; without beginnings, or without an
+    observed velocity, the first only if it is alone.
     """
     found = []
     for e in episodes:
         first = starts_every(e.t_s[:-1], horizon_s)
-        found.append(cut(plant, e, first if (beginnings and is_observed(plant, e)) or len(first) == 1 else first[1:]))
+        found.append(
+            cut(
+                plant,
+                e,
+                first if (beginnings and is_observed(plant, e)) or len(first) == 1 else first[1:],
+            )
+        )
     return found
 
 
@@ -119,14 +147,29 @@ def _by_channel(predictor: Predictor, windows: Sequence[Windows], motion: Array)
 def _of_episode(predictor: Predictor, windows: Windows, motion: Array) -> Array:
     plant, episode = predictor.plant, windows.episode
     with np.errstate(over="ignore", invalid="ignore"):
-        missed = (plant.observe(predictor.rollout(windows)) - episode.observations[windows.rows]) / motion[plant.state_columns]
-        missed = np.clip(np.nan_to_num(missed, nan=RAN_AWAY, posinf=RAN_AWAY, neginf=RAN_AWAY), -RAN_AWAY, RAN_AWAY)
+        missed = (
+            plant.observe(predictor.rollout(windows)) - episode.observations[windows.rows]
+        ) / motion[plant.state_columns]
+        missed = np.clip(
+            np.nan_to_num(missed, nan=RAN_AWAY, posinf=RAN_AWAY, neginf=RAN_AWAY),
+            -RAN_AWAY,
+            RAN_AWAY,
+        )
         counted = windows.inside & (np.arange(windows.inside.shape[1]) > 0)
-        squares = np.where(counted[:, :, None] & np.isfinite(episode.observations[windows.rows]), missed**2, 0.0)
+        squares = np.where(
+            counted[:, :, None] & np.isfinite(episode.observations[windows.rows]), missed**2, 0.0
+        )
         return np.asarray(squares.sum(axis=1) / np.maximum(counted.sum(axis=1), 1)[:, None])
 
 
-def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episodes: Sequence[Episode], noise: Noise, seed: int) -> Gap:
+def measure(
+    nominal: Predictor,
+    refitted: Predictor,
+    corrected: Predictor,
+    episodes: Sequence[Episode],
+    noise: Noise,
+    seed: int,
+) -> Gap:
     """The gap on held-out episodes."""
     plant: Plant = corrected.plant
     rng = np.random.default_rng(seed)
@@ -136,37 +179,55 @@ def measure(nominal: Predictor, refitted: Predictor, corrected: Predictor, episo
     windows = windows_of(plant, episodes, horizon, beginnings=begun)
     tables = [_by_channel(p, windows, motion) for p in (nominal, refitted, corrected)]
     before, parameters, after = (t.mean(axis=1) for t in tables)
-    floor = np.concatenate([_floor(corrected, e, horizon, motion, noise, rng, begun) for e in episodes])
+    floor = np.concatenate(
+        [_floor(corrected, e, horizon, motion, noise, rng, begun) for e in episodes]
+    )
     least = np.nan_to_num(floor.mean(axis=1))
     drawn = rng.integers(0, len(before), (RESAMPLES, len(before)))
     closed, interval = None, None
     base = float(least.mean())
     if before.mean() > AT_THE_FLOOR * base:
         closed = _closed(before.mean(), after.mean(), base)
-        spread = [_closed(b, a, base) for b, a in zip(before[drawn].mean(axis=1), after[drawn].mean(axis=1), strict=True) if b > base]
-        interval = (float(np.quantile(spread, 0.025)), float(np.quantile(spread, 0.975))) if spread else None
+        spread = [
+            _closed(b, a, base)
+            for b, a in zip(before[drawn].mean(axis=1), after[drawn].mean(axis=1), strict=True)
+            if b > base
+        ]
+        interval = (
+            (float(np.quantile(spread, 0.025)), float(np.quantile(spread, 0.975)))
+            if spread
+            else None
+        )
     names = [c.name for c in plant.layout.observations]
-    channels = {n: (float(np.sqrt(tables[0][:, i].mean())), float(np.sqrt(tables[2][:, i].mean()))) for i, n in enumerate(names)}
+    channels = {
+        n: (float(np.sqrt(tables[0][:, i].mean())), float(np.sqrt(tables[2][:, i].mean())))
+        for i, n in enumerate(names)
+    }
     rms = [float(np.sqrt(x.mean())) for x in (before, parameters, after, least)]
     counted = all(w.first[0] == 0 for w in windows)
     return Gap(horizon, rms[0], rms[1], rms[2], rms[3], closed, interval, channels, counted)
 
 
 def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -> float | None:
-    """The part of the nominal model's gap that a predictor closes on further episodes; None where there was none above their noise."""
+    """The part of the nominal model's gap that a predictor closes on further episodes; None where
+    there was none above their noise."""
     plant = corrected.plant
     motion = _motion(plant, episodes)
     windows = windows_of(plant, episodes, plant.horizon_s, beginnings=knows_beginnings(corrected))
-    before, after = (float(np.mean(squared_errors(p, windows, motion))) for p in (Nominal(plant), corrected))
+    before, after = (
+        float(np.mean(squared_errors(p, windows, motion))) for p in (Nominal(plant), corrected)
+    )
     floor = float(np.mean((np.nan_to_num(sigma) / motion)[plant.state_columns] ** 2))
     return _closed(before, after, floor) if before > AT_THE_FLOOR * floor else None
 
 
 def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:
-    """Standard deviation of positions and velocities over all episodes `(2 x joints,)`, 1 where not observed."""
+    """Standard deviation of positions and velocities over all episodes `(2 x joints,)`, 1 where not
+    observed."""
     motion = np.ones(2 * len(plant.joints))
     motion[plant.state_columns] = [
-        max(float(np.nanstd(np.concatenate([e.observations[:, i] for e in episodes]))), 1e-12) for i in range(len(plant.scales))
+        max(float(np.nanstd(np.concatenate([e.observations[:, i] for e in episodes]))), 1e-12)
+        for i in range(len(plant.scales))
     ]
     return motion
 

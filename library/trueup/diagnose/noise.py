@@ -1,11 +1,13 @@
-"""Noise of a channel: how large it is, and how much of it each sample has from the one before, from the samples alone.
+"""Noise of a channel: how large it is, and how much of it each sample has from the one before, from
+the samples alone.
 
-Fourth differences take away what is smooth over five samples. Over samples further apart, white noise leaves as much, coloured noise
-more and more, and a smooth motion or a kink much more. So their sizes over several strides tell the noise's correlation beside what the
-motion leaves. A channel is white unless the differences plainly say otherwise. What a fitted model leaves has hardly any motion in it:
-there larger strides tell more, and outliers count.
-Source: J. von Neumann, Annals of Mathematical Statistics 12 (1941), on successive differences; P. Hall, J. W. Kay, D. M. Titterington,
-Biometrika 77 (1990), on differences of higher order.
+Fourth differences take away what is smooth over five samples. Over samples further apart, white
+noise leaves as much, coloured noise more and more, and a smooth motion or a kink much more. So
+their sizes over several strides tell the noise's correlation beside what the motion leaves. A
+channel is white unless the differences plainly say otherwise. What a fitted model leaves has hardly
+any motion in it: there larger strides tell more, and outliers count. Source: J. von Neumann, Annals
+of Mathematical Statistics 12 (1941), on successive differences; P. Hall, J. W. Kay, D. M.
+Titterington, Biometrika 77 (1990), on differences of higher order.
 """
 
 from __future__ import annotations
@@ -27,15 +29,22 @@ MEDIAN = 0.67449  # median of absolute standard normals
 STRIDES = (1, 2, 3, 4)  # samples apart, in a motion
 FAR_STRIDES = (1, 2, 4, 8, 16)  # the same in what a model leaves, which has little motion
 CORRELATIONS = (0.0, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.88, 0.9, 0.92, 0.94, 0.96)
-MOTION = (2, 8)  # powers of the stride with which differences of a kink in the velocity, and of a smooth motion, grow
-COLOURED = 1.5  # times the power over one sample has that over two: noise with a third of the one before has 1.5
+MOTION = (
+    2,
+    8,
+    # powers of the stride with which differences of a kink in the velocity, and of a smooth motion,
+    # grow
+)
+# times the power over one sample has that over two: noise with a third of the one before has 1.5
+COLOURED = 1.5
 PLAINLY = 4.0  # times better do differences fit coloured noise
 FEWEST = 200  # differences that tell a correlation
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelNoise:
-    """Standard deviation of a channel's noise, in its unit, and its correlation from one sample to the next."""
+    """Standard deviation of a channel's noise, in its unit, and its correlation from one sample to
+    the next."""
 
     sigma: float
     correlation: float
@@ -43,7 +52,8 @@ class ChannelNoise:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """The noise of positions and velocities, `(2 x joints,)` each: `sigma` in their units, nan where not observed, and `correlation`."""
+    """The noise of positions and velocities, `(2 x joints,)` each: `sigma` in their units, nan
+    where not observed, and `correlation`."""
 
     sigma: Array
     correlation: Array
@@ -65,8 +75,11 @@ def gain(correlation: float, stride: int = 1) -> float:
     return float(WEIGHTS @ lags @ WEIGHTS)
 
 
-def noise_of(tracks: Sequence[Track], smallest: float = TRIMMED, strides: Sequence[int] = STRIDES) -> ChannelNoise:
-    """The noise of tracks, each with the samples that do not count, from the smallest part of their differences over some strides."""
+def noise_of(
+    tracks: Sequence[Track], smallest: float = TRIMMED, strides: Sequence[int] = STRIDES
+) -> ChannelNoise:
+    """The noise of tracks, each with the samples that do not count, from the smallest part of their
+    differences over some strides."""
     near = differences(tracks, 1)
     if not len(near):
         return ChannelNoise(0.0, 0.0)
@@ -83,7 +96,8 @@ def _power_of_smallest(part: float) -> float:
 
 
 def differences(tracks: Sequence[Track], stride: int) -> Array:
-    """Absolute fourth differences over so many samples of all tracks, those left out that a sample touches which does not count."""
+    """Absolute fourth differences over so many samples of all tracks, those left out that a sample
+    touches which does not count."""
     parts = [np.zeros(0)]
     for x, out in tracks:
         count = len(x) - 4 * stride
@@ -96,8 +110,11 @@ def differences(tracks: Sequence[Track], stride: int) -> Array:
 
 
 def _correlation(strides: Sequence[int], over: Sequence[Array]) -> tuple[float, float]:
-    """The correlation that fits differences over the strides, and which part of those over one sample is noise."""
-    powers = np.array([(float(np.median(d)) / MEDIAN) ** 2 if len(d) > FEWEST else np.nan for d in over])
+    """The correlation that fits differences over the strides, and which part of those over one
+    sample is noise."""
+    powers = np.array(
+        [(float(np.median(d)) / MEDIAN) ** 2 if len(d) > FEWEST else np.nan for d in over]
+    )
     if not (np.isfinite(powers).all() and powers[0] > 0.0 and powers[1] > COLOURED * powers[0]):
         return 0.0, 1.0
     fits = {c: _fitted(c, strides, powers) for c in CORRELATIONS}
@@ -106,7 +123,8 @@ def _correlation(strides: Sequence[int], over: Sequence[Array]) -> tuple[float, 
 
 
 def _fitted(correlation: float, strides: Sequence[int], powers: Array) -> tuple[float, float]:
-    """How far powers over the strides are from noise of a correlation and one kind of motion beside, and the noise's part of the first."""
+    """How far powers over the strides are from noise of a correlation and one kind of motion
+    beside, and the noise's part of the first."""
     noise = np.array([gain(correlation, stride) for stride in strides]) / gain(correlation)
     found = []
     for growth in MOTION:
@@ -115,7 +133,12 @@ def _fitted(correlation: float, strides: Sequence[int], powers: Array) -> tuple[
         sizes = np.maximum(_two(design), 0.0)
         if not sizes.all():  # one of them alone
             sizes = np.array([float(design[:, 0].sum() / (design[:, 0] ** 2).sum()), 0.0])
-        found.append((float(np.sum((design @ sizes - 1.0) ** 2)), float(np.clip(sizes[0] / powers[0], 0.0, 1.0))))
+        found.append(
+            (
+                float(np.sum((design @ sizes - 1.0) ** 2)),
+                float(np.clip(sizes[0] / powers[0], 0.0, 1.0)),
+            )
+        )
     return min(found)
 
 
@@ -123,4 +146,7 @@ def _two(design: Array) -> Array:
     """Least squares of ones on two columns."""
     (a, b), (_, c) = design.T @ design
     right = design.sum(axis=0)
-    return np.asarray(np.array([c * right[0] - b * right[1], a * right[1] - b * right[0]]) / max(a * c - b * b, 1e-300))
+    return np.asarray(
+        np.array([c * right[0] - b * right[1], a * right[1] - b * right[0]])
+        / max(a * c - b * b, 1e-300)
+    )

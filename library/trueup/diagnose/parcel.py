@@ -1,7 +1,8 @@
-"""Parcel: tasks and what they answer as text, from one process to another; every number comes out as it went in, bit for bit.
+"""Parcel: tasks and what they answer as text, from one process to another; every number comes out
+as it went in, bit for bit.
 
-A line of JSON, then the bytes of the arrays that it refers to, each once however often it occurs; compressed, and as base64 for engines
-that keep text.
+A line of JSON, then the bytes of the arrays that it refers to, each once however often it occurs;
+compressed, and as base64 for engines that keep text.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ FAST = 1  # the level: a parcel is read once
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """From what others lay out the same problem: the scheme, the windows' length [s], what counts as noise and its correlation
-    `(2 x joints,)`, and the nominal form refitted.
+    """From what others lay out the same problem: the scheme, the windows' length [s], what counts
+    as noise and its correlation `(2 x joints,)`, and the nominal form refitted.
     """
 
     scheme: Scheme
@@ -56,44 +57,77 @@ def pack_tasks(problem: Problem, tasks: Sequence[Task]) -> str:
 
 
 def unpack_tasks(text: str) -> tuple[Outline, list[Task]]:
-    """The same again. Raises ValueError, KeyError, TypeError or zlib.error where the text is none of ours."""
+    """The same again. Raises ValueError, KeyError, TypeError or zlib.error where the text is none
+    of ours."""
     found, unpacking = _Unpacking.of(text)
     given = found["outline"]
     sigma, correlation = (unpacking.array(at) for at in given["noise"])
-    outline = Outline(Scheme(given["alpha"], given["parts"]), given["length_s"], sigma, correlation, unpacking.fit(given["base"]))
+    outline = Outline(
+        Scheme(given["alpha"], given["parts"]),
+        given["length_s"],
+        sigma,
+        correlation,
+        unpacking.fit(given["base"]),
+    )
     return outline, [_task_of(unpacking, task) for task in found["tasks"]]
 
 
 def pack_answers(answers: Sequence[Any]) -> str:
     """What tasks answered: a candidate each, or the fits of a race."""
     packing = _Packing()
-    return packing.text([_candidate(packing, a) if isinstance(a, Candidate) else [packing.fit(fit) for fit in a] for a in answers])
+    return packing.text(
+        [
+            _candidate(packing, a) if isinstance(a, Candidate) else [packing.fit(fit) for fit in a]
+            for a in answers
+        ]
+    )
 
 
 def unpack_answers(text: str) -> list[Any]:
     """The same again. Raises what `unpack_tasks` does."""
     found, unpacking = _Unpacking.of(text)
-    return [_candidate_of(unpacking, a) if isinstance(a, dict) else [unpacking.fit(fit) for fit in a] for a in found]
+    return [
+        _candidate_of(unpacking, a) if isinstance(a, dict) else [unpacking.fit(fit) for fit in a]
+        for a in found
+    ]
 
 
 def _task(packing: _Packing, task: Task) -> dict[str, Any]:
     if isinstance(task, Race):
-        return {"race": task.term, "parent": packing.fit(task.parent), "expected": packing.array(task.expected)}
+        return {
+            "race": task.term,
+            "parent": packing.fit(task.parent),
+            "expected": packing.array(task.expected),
+        }
     if isinstance(task, Settle):
-        return {"settle": task.term, "parent_cost": _number(task.parent_cost), "raced": [packing.fit(fit) for fit in task.raced]}
+        return {
+            "settle": task.term,
+            "parent_cost": _number(task.parent_cost),
+            "raced": [packing.fit(fit) for fit in task.raced],
+        }
     return {"refine": _candidate(packing, task.candidate)}
 
 
 def _task_of(unpacking: _Unpacking, given: Mapping[str, Any]) -> Task:
     if "race" in given:
-        return Race(unpacking.fit(given["parent"]), given["race"], unpacking.array(given["expected"]))
+        return Race(
+            unpacking.fit(given["parent"]), given["race"], unpacking.array(given["expected"])
+        )
     if "settle" in given:
-        return Settle(float.fromhex(given["parent_cost"]), given["settle"], [unpacking.fit(fit) for fit in given["raced"]])
+        return Settle(
+            float.fromhex(given["parent_cost"]),
+            given["settle"],
+            [unpacking.fit(fit) for fit in given["raced"]],
+        )
     return Refine(_candidate_of(unpacking, given["refine"]))
 
 
 def _candidate(packing: _Packing, candidate: Candidate) -> dict[str, Any]:
-    return {"fit": packing.fit(candidate.fit), "check": packing.fit(candidate.check), "resolved": candidate.resolved}
+    return {
+        "fit": packing.fit(candidate.fit),
+        "check": packing.fit(candidate.check),
+        "resolved": candidate.resolved,
+    }
 
 
 def _candidate_of(unpacking: _Unpacking, given: Mapping[str, Any]) -> Candidate:
@@ -131,9 +165,16 @@ class _Packing:
         return {
             "effects": fit.hypothesis.effects,
             "values": self.array(fit.values),
-            "free": [free.names, *(self.array(x) for x in (free.rows, free.step, free.low, free.high, free.along))],
+            "free": [
+                free.names,
+                *(self.array(x) for x in (free.rows, free.step, free.low, free.high, free.along)),
+            ],
             "starts": [
-                [digest, self.array(start.windows), [[*key, _number(x)] for key, x in start.memory.items()]]
+                [
+                    digest,
+                    self.array(start.windows),
+                    [[*key, _number(x)] for key, x in start.memory.items()],
+                ]
                 for digest, start in fit.starts.items()
             ],
             "cost": _number(fit.cost),
@@ -195,7 +236,10 @@ class _Unpacking:
             self.arrays[given["values"]],
             Free(rows, tuple((owner, name) for owner, name in names), step, low, high, along),
             {
-                digest: Start(self.arrays[windows], {(term, state): float.fromhex(x) for term, state, x in memory})
+                digest: Start(
+                    self.arrays[windows],
+                    {(term, state): float.fromhex(x) for term, state, x in memory},
+                )
                 for digest, windows, memory in given["starts"]
             },
             float.fromhex(given["cost"]),

@@ -48,9 +48,11 @@ def report(
     episodes: Sequence[Episode],
     seed: int,
 ) -> dict[str, Json]:
-    """The report; `answer` is the choice's winner as it was fitted last, where the search's steps and windows left no mark.
+    """The report; `answer` is the choice's winner as it was fitted last, where the search's steps
+    and windows left no mark.
 
-    What was counted in the samples is named beside what was fitted, whatever the verdict on the rest.
+    What was counted in the samples is named beside what was fitted, whatever the verdict on the
+    rest.
     """
     samples = sum(len(e.t_s) for e in episodes)
     seen = counted(admission, plant, samples)
@@ -64,24 +66,34 @@ def report(
         "plant": plant.name,
         "verdict": str(verdict),
         "effects": list(named),
-        "indistinguishable": [[*(told(plant, t) for t in a), *extra] for a in indistinguishable(choice, len(plant.joints))],
+        "indistinguishable": [
+            [*(told(plant, t) for t in a), *extra]
+            for a in indistinguishable(choice, len(plant.joints))
+        ],
         "excluded": [b.document() for b in excluded],
         "not_excited": [b.document() for b in unexcited],
         "parameters": dict(parameters),
         **({"mjcf": patch.document()} if plant.family == "mjcf" else {}),
         "where": dict(where),
         "gap": gap.document(),
-        "next_experiment": experiment.document(COMMAND_FILE, lambda t: told(plant, t)) if experiment else None,
+        "next_experiment": experiment.document(COMMAND_FILE, lambda t: told(plant, t))
+        if experiment
+        else None,
         "evidence": {
             "timestep_s": plant.timestep_s,
             "episodes": [
-                {"sha256": e.digest, "role": str(e.role), "period_s": e.period_s} for e in sorted(episodes, key=lambda e: e.digest)
+                {"sha256": e.digest, "role": str(e.role), "period_s": e.period_s}
+                for e in sorted(episodes, key=lambda e: e.digest)
             ],
             "hypotheses": _hypotheses(plant, search, choice, nominal),
             "alternatives": list(alternatives),
-            "noise": {c.name: float(admission.noise[i]) for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)},
+            "noise": {
+                c.name: float(admission.noise[i])
+                for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
+            },
             "noise_correlation": {
-                c.name: float(admission.correlation[i]) for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
+                c.name: float(admission.correlation[i])
+                for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
             },
             "convergence": _convergence(answer, *choice.rivals),
             "uses_of_validation": len(search.found),
@@ -95,28 +107,41 @@ def report(
 
 
 def _convergence(*fitted: Candidate) -> Json:
-    """How far the answer's fit and its alternatives' stand from their minima, in half-widths of an interval, and how many minima the data
-    leave each.
+    """How far the answer's fit and its alternatives' stand from their minima, in half-widths of an
+    interval, and how many minima the data leave each.
     """
     return [
-        {"effects": list(c.hypothesis.effects), "off": _finite(c.fit.off) if c.fit.off is not None else None, "minima": len(c.minima)}
+        {
+            "effects": list(c.hypothesis.effects),
+            "off": _finite(c.fit.off) if c.fit.off is not None else None,
+            "minima": len(c.minima),
+        }
         for c in fitted
     ]
 
 
 def _left_out(plant: Plant) -> Json:
-    """What the robot's model has that a rollout does not do: a log during which it acts is not explained by it."""
+    """What the robot's model has that a rollout does not do: a log during which it acts is not
+    explained by it."""
     nominal = plant.document["nominal"]
     return nominal.get("left_out", []) if isinstance(nominal, Mapping) else []
 
 
 def told(plant: Plant, term: str) -> Json:
     """A term as a report has it: the effect's name, with its joint where there are several."""
-    return {"effect": kind(term).name, "joint": plant.joint_name(joint(term))} if len(plant.joints) > 1 else kind(term).name
+    return (
+        {"effect": kind(term).name, "joint": plant.joint_name(joint(term))}
+        if len(plant.joints) > 1
+        else kind(term).name
+    )
 
 
 def _named(entry: Mapping[str, Json]) -> Json:
-    return {"effect": entry["effect"], "joint": entry["joint"]} if "joint" in entry else entry["effect"]
+    return (
+        {"effect": entry["effect"], "joint": entry["joint"]}
+        if "joint" in entry
+        else entry["effect"]
+    )
 
 
 def indistinguishable(choice: Choice, joints: int = 1) -> list[list[str]]:
@@ -129,24 +154,38 @@ def indistinguishable(choice: Choice, joints: int = 1) -> list[list[str]]:
     same = []
     for other in effects().values():
         for composition in named:
-            alike = [term_at(other.name, joint(t)) if kind(t).name == other.same_as else t for t in composition]
+            alike = [
+                term_at(other.name, joint(t)) if kind(t).name == other.same_as else t
+                for t in composition
+            ]
             if alike != composition:
                 same.append(alike)
     return named[1:] + same
 
 
 def _hypotheses(plant: Plant, search: Search, choice: Choice, nominal: RolloutFit) -> list[Json]:
-    rows: list[Json] = [{"effects": [], "parameters": "nominal", "misfit": _finite(nominal.misfit), "validation": _finite(nominal.misfit)}]
+    rows: list[Json] = [
+        {
+            "effects": [],
+            "parameters": "nominal",
+            "misfit": _finite(nominal.misfit),
+            "validation": _finite(nominal.misfit),
+        }
+    ]
     chosen = {choice.winner.hypothesis, *(r.hypothesis for r in choice.rivals)}
     ranked = sorted((c for c in search if np.isfinite(total(c))), key=total)
     base = [c for c in ranked if not c.hypothesis.effects]
-    listed = {c.hypothesis: c for c in [*ranked[:LISTED], *base, *(c for c in ranked if c.hypothesis in chosen)]}
+    listed = {
+        c.hypothesis: c
+        for c in [*ranked[:LISTED], *base, *(c for c in ranked if c.hypothesis in chosen)]
+    }
     rows += [_row(plant, c, choice.winner, in_set=c.hypothesis in chosen) for c in listed.values()]
     return rows
 
 
 def _row(plant: Plant, c: Candidate, winner: Candidate, *, in_set: bool) -> Json:
-    """One composition; `worse_ci95` is by how much its misfit on validation episodes exceeds the answer's, from window to window."""
+    """One composition; `worse_ci95` is by how much its misfit on validation episodes exceeds the
+    answer's, from window to window."""
     worse = c.check.costs - winner.check.costs
     half = TWO_SIDED * float(np.sqrt(len(worse) * np.var(worse))) / c.check.samples
     return {
@@ -154,7 +193,10 @@ def _row(plant: Plant, c: Candidate, winner: Candidate, *, in_set: bool) -> Json
         "parameters": "fitted",
         "misfit": _finite(total(c)),
         "validation": _finite(c.misfit),
-        "worse_ci95": [_finite(c.misfit - winner.misfit - half), _finite(c.misfit - winner.misfit + half)],
+        "worse_ci95": [
+            _finite(c.misfit - winner.misfit - half),
+            _finite(c.misfit - winner.misfit + half),
+        ],
         "answer": c is winner,
         "in_set": in_set,
     }

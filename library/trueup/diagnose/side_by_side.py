@@ -1,7 +1,8 @@
-"""Side by side: two models on the same recordings: where the second is better than the first, and where worse.
+"""Side by side: two models on the same recordings: where the second is better than the first, and
+where worse.
 
-Errors are of rollouts that start at each multiple of the horizon, as everywhere; a map's value is the second's absolute error less the
-first's, so that below nothing the second is better.
+Errors are of rollouts that start at each multiple of the horizon, as everywhere; a map's value is
+the second's absolute error less the first's, so that below nothing the second is better.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ COMPARISON_FILE = "comparison.json"
 FIRST, SECOND = "first", "second"
 
 
-def side_by_side(first: Predictor, second: Predictor, episodes: Sequence[Episode]) -> dict[str, Json]:
+def side_by_side(
+    first: Predictor, second: Predictor, episodes: Sequence[Episode]
+) -> dict[str, Json]:
     """Two models of one plant on some episodes, as JSON, schema `trueup.side-by-side/1`."""
     plant, models = first.plant, {FIRST: first, SECOND: second}
     told = list(enumerate(plant.layout.observations))
@@ -36,21 +39,38 @@ def side_by_side(first: Predictor, second: Predictor, episodes: Sequence[Episode
     for at, channel in told:
         of = {name: np.concatenate([m[:, at] for m in found]) for name, found in missed.items()}
         joint = plant.joint_of(channel)
-        where = Places(plant, joint, *(np.concatenate([p[axis][..., joint] if axis < 2 else p[axis] for p in places]) for axis in range(3)))  # noqa: PLR2004
+        where = Places(
+            plant,
+            joint,
+            *(
+                np.concatenate([p[axis][..., joint] if axis < 2 else p[axis] for p in places])  # noqa: PLR2004
+                for axis in range(3)
+            ),
+        )
         worse = {"worse": np.abs(of[SECOND]) - np.abs(of[FIRST])}
-        drawn.append({**named(plant, channel), "rms": {name: number(rms(m)) for name, m in of.items()}, **maps(worse, where)})
+        drawn.append(
+            {
+                **named(plant, channel),
+                "rms": {name: number(rms(m)) for name, m in of.items()},
+                **maps(worse, where),
+            }
+        )
     return {
         "schema": SCHEMA,
         "plant": plant.name,
         "horizon_s": plant.horizon_s,
         "episodes": traces(plant, furthest(episodes, plant.scales), models, told),
         "maps": drawn,
-        "by_episode": [_by_episode(e, {name: found[i] for name, found in missed.items()}, told) for i, e in enumerate(episodes)],
+        "by_episode": [
+            _by_episode(e, {name: found[i] for name, found in missed.items()}, told)
+            for i, e in enumerate(episodes)
+        ],
     }
 
 
 def _missed(model: Predictor, episode: Episode) -> Array:
-    """What a model misses of each sample from which the state is known, `(samples, observations)`."""
+    """What a model misses of each sample from which the state is known, `(samples,
+    observations)`."""
     begin = known_from(model.plant, episode)
     return np.asarray(predicted(model, episode)[begin:] - episode.observations[begin:])
 
@@ -59,12 +79,20 @@ def _places(of: Predictor, episode: Episode) -> tuple[Array, Array, Array]:
     """Speed and command `(samples, joints)` and time [s] `(samples,)` of the same samples."""
     begin, plant = known_from(of.plant, episode), of.plant
     states = smoothed_states(plant, episode)[begin:]
-    return states[:, len(plant.joints) :], plant.applied(episode.commands)[begin:], episode.t_s[begin:]
+    return (
+        states[:, len(plant.joints) :],
+        plant.applied(episode.commands)[begin:],
+        episode.t_s[begin:],
+    )
 
 
-def _by_episode(episode: Episode, missed: Mapping[str, Array], told: Sequence[tuple[int, Any]]) -> Json:
+def _by_episode(
+    episode: Episode, missed: Mapping[str, Array], told: Sequence[tuple[int, Any]]
+) -> Json:
     return {
         "sha256": episode.digest,
         "role": str(episode.role),
-        "channels": {c.name: {name: number(rms(m[:, at])) for name, m in missed.items()} for at, c in told},
+        "channels": {
+            c.name: {name: number(rms(m[:, at])) for name, m in missed.items()} for at, c in told
+        },
     }

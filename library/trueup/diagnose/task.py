@@ -1,6 +1,8 @@
-"""Task: a part of a search that depends on its problem and its own arguments alone, so that whoever has the episodes may do it.
+"""Task: a part of a search that depends on its problem and its own arguments alone, so that whoever
+has the episodes may do it.
 
-The tasks of one step of a search depend on nothing of each other, and what they answer is the same whoever does them.
+The tasks of one step of a search depend on nothing of each other, and what they answer is the same
+whoever does them.
 """
 
 from __future__ import annotations
@@ -18,7 +20,8 @@ from trueup.fit.rollout_fit import RolloutFit, in_parallel
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Race:
-    """Short fits of a composition with one term more, of whose starts a linear model expects these costs `(starts,)`."""
+    """Short fits of a composition with one term more, of whose starts a linear model expects these
+    costs `(starts,)`."""
 
     parent: RolloutFit
     term: str
@@ -55,7 +58,9 @@ class Refine:
 
 Task = Race | Settle | Refine
 Share = Callable[[float], None]
-Solve = Callable[[Problem, Sequence[Task], Share], list[Any]]  # what each task answers, in order, while the share done is told
+Solve = Callable[
+    [Problem, Sequence[Task], Share], list[Any]
+]  # what each task answers, in order, while the share done is told
 
 
 def get_ready(problem: Problem, tasks: Sequence[Task]) -> None:

@@ -1,4 +1,5 @@
-"""Traces: recordings as they are drawn: what was measured, what was commanded, and what models predict of it."""
+"""Traces: recordings as they are drawn: what was measured, what was commanded, and what models
+predict of it."""
 
 from __future__ import annotations
 
@@ -24,13 +25,18 @@ DIGITS = 5
 BEYOND = 1e9  # standard deviations: a rollout that ran away is drawn no further
 
 
-def traces(plant: Plant, episodes: Sequence[Episode], models: Mapping[str, Predictor], told: Told) -> list[Json]:
-    """Some channels of some episodes, and each model's prediction: rollouts on the issued commands alone that start at each multiple of
-    the plant's horizon.
+def traces(
+    plant: Plant, episodes: Sequence[Episode], models: Mapping[str, Predictor], told: Told
+) -> list[Json]:
+    """Some channels of some episodes, and each model's prediction: rollouts on the issued commands
+    alone that start at each multiple of the plant's horizon.
     """
     lines = len(episodes) * ((1 + len(models)) * len(told) + 1)
     most = int(np.clip(POINTS / max(lines, 1), LEAST, MOST))
-    return [_trace(plant, e, {name: predicted(model, e) for name, model in models.items()}, told, most) for e in episodes]
+    return [
+        _trace(plant, e, {name: predicted(model, e) for name, model in models.items()}, told, most)
+        for e in episodes
+    ]
 
 
 def predicted(model: Predictor, episode: Episode) -> Array:
@@ -42,7 +48,9 @@ def predicted(model: Predictor, episode: Episode) -> Array:
         return np.where(np.abs(found) < BEYOND * np.maximum(spread, 1e-300), found, np.nan)
 
 
-def _trace(plant: Plant, episode: Episode, paths: Mapping[str, Array], told: Told, most: int) -> Json:
+def _trace(
+    plant: Plant, episode: Episode, paths: Mapping[str, Array], told: Told, most: int
+) -> Json:
     begin = known_from(plant, episode)
     every = max(1, math.ceil((len(episode.t_s) - begin) / most))
     drawn = np.arange(begin, len(episode.t_s), every)
@@ -52,10 +60,15 @@ def _trace(plant: Plant, episode: Episode, paths: Mapping[str, Array], told: Tol
         channels.append(
             {
                 **named(plant, channel),
-                "envelope": list(plant.envelope[channel.name]) if channel.name in plant.envelope else None,
+                "envelope": list(plant.envelope[channel.name])
+                if channel.name in plant.envelope
+                else None,
                 "measured": numbers(measured[drawn]),
                 **{name: numbers(path[drawn, at]) for name, path in paths.items()},
-                "rms": {name: number(rms(path[begin:, at] - measured[begin:])) for name, path in paths.items()},
+                "rms": {
+                    name: number(rms(path[begin:, at] - measured[begin:]))
+                    for name, path in paths.items()
+                },
             }
         )
     joints = {plant.joint_of(c) for _, c in told}
@@ -76,7 +89,11 @@ def _trace(plant: Plant, episode: Episode, paths: Mapping[str, Array], told: Tol
 
 def named(plant: Plant, channel: Channel) -> dict[str, Json]:
     """A channel's name, unit and joint."""
-    return {"name": channel.name, "unit": channel.unit, "joint": plant.joint_name(plant.joint_of(channel))}
+    return {
+        "name": channel.name,
+        "unit": channel.unit,
+        "joint": plant.joint_name(plant.joint_of(channel)),
+    }
 
 
 def rms(missed: Array) -> float:

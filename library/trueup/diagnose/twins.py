@@ -1,8 +1,8 @@
 """Twins: effects that no command tells apart on some plants, and what would.
 
-A delay of the actuator and one of the sensor on any loop's log; a constant force and a position bias on a linear spring; a scale of the
-position and a skewed clock on a linear plant. Where one is the answer the other is fitted too, from the same place, so that only what
-the log says parts them.
+A delay of the actuator and one of the sensor on any loop's log; a constant force and a position
+bias on a linear spring; a scale of the position and a skewed clock on a linear plant. Where one is
+the answer the other is fitted too, from the same place, so that only what the log says parts them.
 """
 
 from __future__ import annotations
@@ -13,13 +13,17 @@ from trueup.model.block import joint, kind, term
 from trueup.model.hypothesis import Hypothesis
 
 TWINS: Mapping[frozenset[str], str] = {
+    frozenset({"constant_force", "sensor_bias"}): (
+        "compare the logged position with a gauge or an end stop at rest, or hold the joint "
+        "by hand at a known place"
+    ),
+    frozenset({"sensor_scale", "clock_skew"}): (
+        "compare the logged travel with a ruler over a known distance, or the log's clock "
+        "with a second one"
+    ),
     frozenset(
-        {"constant_force", "sensor_bias"}
-    ): "compare the logged position with a gauge or an end stop at rest, or hold the joint by hand at a known place",
-    frozenset(
-        {"sensor_scale", "clock_skew"}
-    ): "compare the logged travel with a ruler over a known distance, or the log's clock with a second one",
-    frozenset({"actuator_delay", "sensor_delay"}): "log the applied command or the motor current with the sensor's own clock",
+        {"actuator_delay", "sensor_delay"}
+    ): "log the applied command or the motor current with the sensor's own clock",
 }
 
 
@@ -36,9 +40,16 @@ def twins(of: Hypothesis) -> Iterator[tuple[str, str]]:
 def are_twins(one: Hypothesis, other: Hypothesis) -> bool:
     """Whether two compositions differ in nothing but twins at one joint."""
     differing = set(one.effects) ^ set(other.effects)
-    return len({joint(t) for t in differing}) == 1 and frozenset(kind(t).name for t in differing) in TWINS
+    return (
+        len({joint(t) for t in differing}) == 1
+        and frozenset(kind(t).name for t in differing) in TWINS
+    )
 
 
 def how_to_part(one: Hypothesis, other: Hypothesis) -> str | None:
     """What would tell apart two compositions that differ in twins alone."""
-    return TWINS[frozenset(kind(t).name for t in set(one.effects) ^ set(other.effects))] if are_twins(one, other) else None
+    return (
+        TWINS[frozenset(kind(t).name for t in set(one.effects) ^ set(other.effects))]
+        if are_twins(one, other)
+        else None
+    )

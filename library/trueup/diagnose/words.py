@@ -15,7 +15,10 @@ WORTH_NAMING = 0.05  # of the gap: less of it is not named in the sentence
 MOST = 0.5  # of the gap: more than that is most of it
 STRAY = 0.1  # half-widths: a fit that ends so far from its minimum is worth a word
 DIGITS = 2  # of an uncertainty that are worth writing
-MOSTLY = "New numbers in the nominal form explain most of the gap; no effect of the catalogue takes a material part of what remains"
+MOSTLY = (
+    "New numbers in the nominal form explain most of the gap; no effect of the catalogue "
+    "takes a material part of what remains"
+)
 WORDS = {
     "no_gap": "The nominal model already predicts as well as the noise allows",
     "parameters_only": "New numbers in the nominal form explain the gap; no effect is missing",
@@ -29,9 +32,16 @@ def sentence(document: Mapping[str, Any]) -> str:
     if verdict == "effect":
         text = _effects(document)
     else:
-        text = MOSTLY if verdict == "parameters_only" and gap["after"] > PLAINLY * gap["floor"] else WORDS[verdict]
+        text = (
+            MOSTLY
+            if verdict == "parameters_only" and gap["after"] > PLAINLY * gap["floor"]
+            else WORDS[verdict]
+        )
     if gap["closed"] is not None:
-        text += f"; held-out error falls from {short(gap['before'])} to {short(gap['after'])}, the noise floor is {short(gap['floor'])}"
+        text += (
+            f"; held-out error falls from {short(gap['before'])} to {short(gap['after'])}, "
+            f"the noise floor is {short(gap['floor'])}"
+        )
     others = document["indistinguishable"]
     if others:
         text += ". The data cannot tell this from " + ", or ".join(composition(o) for o in others)
@@ -44,10 +54,16 @@ def _effects(document: Mapping[str, Any]) -> str:
     named = [_with_estimate(e) for e in effects]
     joined = " and ".join(named)
     if parts and parts[0]["share"] > MOST:
-        text = f"New numbers in the nominal form explain {percent(parts[0]['share'])} of the gap; what they leave is {joined.rstrip(',')}"
+        text = (
+            f"New numbers in the nominal form explain {percent(parts[0]['share'])} of the "
+            f"gap; what they leave is {joined.rstrip(',')}"
+        )
     elif parts:
         explained = sum(p["share"] for p in parts[1:] if p["effect"])
-        text = f"{joined} {'explains' if len(named) == 1 else 'explain'} {percent(explained)} of the gap"
+        text = (
+            f"{joined} {'explains' if len(named) == 1 else 'explain'} {percent(explained)} "
+            "of the gap"
+        )
         if parts[0]["share"] >= WORTH_NAMING:
             text += f" and new numbers {percent(parts[0]['share'])}"
     else:
@@ -56,15 +72,19 @@ def _effects(document: Mapping[str, Any]) -> str:
 
 
 def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The parts of the held-out squared error, the nominal model's being 1: what new numbers take, each effect, what is left, the noise.
+    """The parts of the held-out squared error, the nominal model's being 1: what new numbers take,
+    each effect, what is left, the noise.
 
-    What all effects take together is measured; it is split between several as each one's removal brings back. Empty where there is no gap.
+    What all effects take together is measured; it is split between several as each one's removal
+    brings back. Empty where there is no gap.
     """
     gap = document["gap"]
     if gap["closed"] is None or not gap["before"] > 0.0:
         return []
     whole = gap["before"] ** 2
-    numbers, after, floor = (min(gap[name] ** 2 / whole, 1.0) for name in ("parameters_only", "after", "floor"))
+    numbers, after, floor = (
+        min(gap[name] ** 2 / whole, 1.0) for name in ("parameters_only", "after", "floor")
+    )
     after, floor = min(after, numbers), min(floor, after)
     parts = [{"what": "new numbers", "effect": False, "share": 1.0 - numbers}]
     effects = document["effects"]
@@ -88,12 +108,17 @@ def _with_estimate(entry: Mapping[str, Any]) -> str:
         return words
     low, high = estimate[1]["ci95"]
     value = plus_minus(estimate[1]["value"], (high - low) / 2.0)
-    return f"{words}, {estimate[0].replace('_', ' ')} {value} {unit(estimate[1]['unit'])}".rstrip() + ","
+    return (
+        f"{words}, {estimate[0].replace('_', ' ')} {value} {unit(estimate[1]['unit'])}".rstrip()
+        + ","
+    )
 
 
 def name(entry: Any) -> str:
     """An effect in words; where a report names its joint, at that joint."""
-    effect, at = (entry, None) if isinstance(entry, str) else (str(entry["effect"]), entry.get("joint"))
+    effect, at = (
+        (entry, None) if isinstance(entry, str) else (str(entry["effect"]), entry.get("joint"))
+    )
     words = " ".join(PROPER.get(word, word) for word in effect.split("_"))
     return f"{words} at {at}" if at else words
 
@@ -104,26 +129,43 @@ def composition(effects: Sequence[Any], nothing: str = "no effect") -> str:
 
 
 def warnings(document: Mapping[str, Any]) -> list[str]:
-    """What a reader of the answer should know first, a sentence each: of pushes, the clock, new numbers that mislead, noise, the fit."""
-    push = "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
+    """What a reader of the answer should know first, a sentence each: of pushes, the clock, new
+    numbers that mislead, noise, the fit."""
+    push = (
+        "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
+    )
     found = [push.format(when) for when in _pushed(document)]
     evidence, gap = document["evidence"], document["gap"]
-    episodes = evidence["episodes"] if "timestep_s" in evidence else []  # a report of before does not tell its clock
+    episodes = (
+        evidence["episodes"] if "timestep_s" in evidence else []
+    )  # a report of before does not tell its clock
     late = [told for e in episodes if (told := off_step(e["period_s"], evidence["timestep_s"]))]
     if late:
-        found.append(f"{len(late)} of {len(episodes)} episodes are off the declared step, the first {late[0]}.")
+        found.append(
+            f"{len(late)} of {len(episodes)} episodes are off the declared step, the first "
+            f"{late[0]}."
+        )
     if gap["before"] > PLAINLY * gap["floor"] and gap["parameters_only"] > MISLEADS * gap["before"]:
         found.append(
-            f"New numbers alone are worse held out than the nominal model ({short(gap['parameters_only'])}, was {short(gap['before'])}): "
+            "New numbers alone are worse held out than the nominal model "
+            f"({short(gap['parameters_only'])}, was {short(gap['before'])}): "
             "they bend to what the form lacks; do not use them without it."
         )
-    coloured = {channel: part for channel, part in evidence.get("noise_correlation", {}).items() if part}
+    coloured = {
+        channel: part for channel, part in evidence.get("noise_correlation", {}).items() if part
+    }
     if coloured:
         told = ", ".join(f"{part:.2g} of it in {channel}" for channel, part in coloured.items())
-        found.append(f"Noise goes on from one sample to the next ({told}): weights, noise floor and intervals take that into account.")
+        found.append(
+            f"Noise goes on from one sample to the next ({told}): weights, noise floor and "
+            "intervals take that into account."
+        )
     off = next((c["off"] for c in evidence.get("convergence", [])), None)
     if off is not None and off > STRAY:
-        found.append(f"The fit of the answer ended {short(off)} half-widths from its minimum: its cost is too rough there for a proof.")
+        found.append(
+            f"The fit of the answer ended {short(off)} half-widths from its minimum: its "
+            "cost is too rough there for a proof."
+        )
     return found
 
 
@@ -133,7 +175,10 @@ def _pushed(document: Mapping[str, Any]) -> list[str]:
     found = []
     for push in document["where"].get("pushed", []):
         joints = " and ".join(f"{j['joint']} by {j['force']:.2g}" for j in push["joints"])
-        found.append(f"{roles[push['episode']]} episode {push['episode'][:12]}, {push['from_s']:g} to {push['to_s']:g} s: {joints}")
+        found.append(
+            f"{roles[push['episode']]} episode {push['episode'][:12]}, {push['from_s']:g} to "
+            f"{push['to_s']:g} s: {joints}"
+        )
     return found
 
 
@@ -161,4 +206,6 @@ def percent(share: float) -> str:
     """A share, with a digit more where it is small."""
     if share == 0.0:
         return "0 %"
-    return f"{100.0 * share:.0f} %" if share >= 0.1 else f"{100.0 * share:.1f} %" if share >= 0.001 else "< 0.1 %"  # noqa: PLR2004
+    if share < 0.001:  # noqa: PLR2004 - the digits of a percentage
+        return "< 0.1 %"
+    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %"  # noqa: PLR2004

@@ -1,8 +1,9 @@
 """JointState in ROS 2 CDR: bytes to columns.
 
-A recorder writes the same structure thousands of times. The decoder reads one message, then takes every other one of the same
-length whose structure bytes are equal as a row of a matrix; only what differs is read by itself.
-Source: OMG Common Data Representation (DDS-XTypes 1.3, section 7.4.3); sensor_msgs/msg/JointState (ROS 2).
+A recorder writes the same structure thousands of times. The decoder reads one message, then takes
+every other one of the same length whose structure bytes are equal as a row of a matrix; only what
+differs is read by itself. Source: OMG Common Data Representation (DDS-XTypes 1.3, section 7.4.3);
+sensor_msgs/msg/JointState (ROS 2).
 """
 
 from __future__ import annotations
@@ -19,13 +20,18 @@ from trueup.episode.joint_state import FIELDS, Columns, JointState, decode_each,
 from trueup.episode.layout import Channel
 from trueup.errors import NotAnEpisode
 
-ROS2_NAMES = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState", "sensor_msgs::msg::dds_::JointState_")
+ROS2_NAMES = (
+    "sensor_msgs/msg/JointState",
+    "sensor_msgs/JointState",
+    "sensor_msgs::msg::dds_::JointState_",
+)
 CDR_HEAD_BYTES = 4
 
 
 @dataclass(frozen=True, slots=True)
 class _CdrShape:
-    """Where a message keeps its joint names and, for each field, its first value and how many there are."""
+    """Where a message keeps its joint names and, for each field, its first value and how many there
+    are."""
 
     names: tuple[str, ...]
     fields: tuple[tuple[int, int], ...]
@@ -46,7 +52,9 @@ def _cdr_shape(data: bytes) -> _CdrShape:
     fields = []
     for _ in FIELDS:
         count, at = _cdr_count(data, at, order, 8)
-        at = at + (4 - at) % 8 if count else at  # eight-byte alignment counts from behind the four-byte head
+        at = (
+            at + (4 - at) % 8 if count else at
+        )  # eight-byte alignment counts from behind the four-byte head
         fields.append((at, count))
         at += 8 * count
         if at > len(data):
@@ -82,7 +90,9 @@ def decode_cdr(block: Block, messages: list[Message], channels: Sequence[Channel
     try:
         starts, lengths, log = np.array(messages, np.int64).reshape(-1, 3).T
     except OverflowError as error:
-        raise NotAnEpisode("a log time does not fit 64 bits", rule="clock", byte=block.byte) from error
+        raise NotAnEpisode(
+            "a log time does not fit 64 bits", rule="clock", byte=block.byte
+        ) from error
     length = int(lengths[0])
     first = block.data[messages[0][0] : messages[0][0] + length]
     try:
@@ -107,12 +117,16 @@ def _cdr_stamps(rows: NDArray[np.uint8], order: str) -> NDArray[np.int64]:
     return seconds * 1_000_000_000 + nanoseconds
 
 
-def _cdr_values(rows: NDArray[np.uint8], shape: _CdrShape, channels: Sequence[Channel]) -> NDArray[np.float64]:
+def _cdr_values(
+    rows: NDArray[np.uint8], shape: _CdrShape, channels: Sequence[Channel]
+) -> NDArray[np.float64]:
     values = np.full((len(rows), len(channels)), np.nan)
     for column, channel in enumerate(channels):
         at, count = shape.fields[FIELDS.index(channel.field)]
         joint = joint_index(shape.names, channel.joint)
         if joint is not None and joint < count:
             begin = at + 8 * joint
-            values[:, column] = np.ascontiguousarray(rows[:, begin : begin + 8]).view(shape.order + "f8")[:, 0]
+            values[:, column] = np.ascontiguousarray(rows[:, begin : begin + 8]).view(
+                shape.order + "f8"
+            )[:, 0]
     return values

@@ -1,7 +1,9 @@
-"""Whether the two clocks of a recording agree: each message has a stamp of its sender, and a time at which it was logged.
+"""Whether the two clocks of a recording agree: each message has a stamp of its sender, and a time
+at which it was logged.
 
-What lies between them is latency. It is never negative by much, and it changes by little: a recording in which the two run at different
-speeds, in another order, or one of them not at all, has a clock that is wrong, and which one that is only its owner can say.
+What lies between them is latency. It is never negative by much, and it changes by little: a
+recording in which the two run at different speeds, in another order, or one of them not at all, has
+a clock that is wrong, and which one that is only its owner can say.
 """
 
 from __future__ import annotations
@@ -11,11 +13,14 @@ import numpy as np
 from trueup.episode.track import Track
 
 LATENCY_S = 1.0  # by so much a buffered logger may be late at one message and not at another
-LATENCY_SHARE = 0.05  # of the recording: and clocks may drift apart by so much, far more than quartz does
+LATENCY_SHARE = (
+    0.05  # of the recording: and clocks may drift apart by so much, far more than quartz does
+)
 
 
 def doubts(track: Track) -> tuple[str, ...]:
-    """What is amiss between a topic's stamps and its log times, in words; nothing where it has no stamps, which then count for nothing."""
+    """What is amiss between a topic's stamps and its log times, in words; nothing where it has no
+    stamps, which then count for nothing."""
     if not track.has_stamps or len(track.stamp_ns) == 1:
         return ()
     stamps, logged = ((times - times[0]) / 1e9 for times in (track.stamp_ns, track.log_ns))
@@ -26,7 +31,10 @@ def doubts(track: Track) -> tuple[str, ...]:
     elif back_s > LATENCY_S:
         amiss = f"run on while the times at which they were logged go back by {back_s:.4g} s"
     elif apart_s > max(LATENCY_S, LATENCY_SHARE * span_s):
-        amiss = f"and the times at which they were logged come apart by {apart_s:.4g} s in {span_s:.4g} s, which is no latency"
+        amiss = (
+            f"and the times at which they were logged come apart by {apart_s:.4g} s in "
+            f"{span_s:.4g} s, which is no latency"
+        )
     else:
         return ()
     return (f"the stamps on {track.topic} {amiss}: one of the two clocks is wrong",)

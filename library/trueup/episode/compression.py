@@ -17,18 +17,28 @@ def decompress(compression: str, stored: memoryview, size: int, byte: int) -> by
     elif compression == "lz4":
         data = _lz4(stored, size, byte)
     else:
-        raise MalformedMcap(f"the compression {compression!r} is not known", rule="chunk", byte=byte)
+        raise MalformedMcap(
+            f"the compression {compression!r} is not known", rule="chunk", byte=byte
+        )
     if len(data) != size:
-        raise MalformedMcap(f"a chunk declares {size} bytes and holds {'more' if len(data) > size else len(data)}", rule="chunk", byte=byte)
+        raise MalformedMcap(
+            f"a chunk declares {size} bytes and holds {'more' if len(data) > size else len(data)}",
+            rule="chunk",
+            byte=byte,
+        )
     return data
 
 
 def _zstd(stored: memoryview, size: int, byte: int) -> bytes:
     try:
-        with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(stored, read_across_frames=True) as reader:
+        with zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(
+            stored, read_across_frames=True
+        ) as reader:
             return reader.read(size + 1)
     except zstandard.ZstdError as error:
-        raise MalformedMcap(f"a chunk is no zstd frame: {error}", rule="chunk", byte=byte) from error
+        raise MalformedMcap(
+            f"a chunk is no zstd frame: {error}", rule="chunk", byte=byte
+        ) from error
 
 
 def _lz4(stored: memoryview, size: int, byte: int) -> bytes:

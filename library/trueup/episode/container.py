@@ -35,8 +35,25 @@ class Op(IntEnum):
 
 
 NAMES = {int(op): op.name.title().replace("_", "") for op in Op}
-IN_SUMMARY = {Op.SCHEMA, Op.CHANNEL, Op.CHUNK_INDEX, Op.ATTACHMENT_INDEX, Op.STATISTICS, Op.METADATA_INDEX, Op.SUMMARY_OFFSET, Op.FOOTER}
-NOT_IN_DATA = {Op.HEADER, Op.FOOTER, Op.CHUNK_INDEX, Op.ATTACHMENT_INDEX, Op.STATISTICS, Op.METADATA_INDEX, Op.SUMMARY_OFFSET}
+IN_SUMMARY = {
+    Op.SCHEMA,
+    Op.CHANNEL,
+    Op.CHUNK_INDEX,
+    Op.ATTACHMENT_INDEX,
+    Op.STATISTICS,
+    Op.METADATA_INDEX,
+    Op.SUMMARY_OFFSET,
+    Op.FOOTER,
+}
+NOT_IN_DATA = {
+    Op.HEADER,
+    Op.FOOTER,
+    Op.CHUNK_INDEX,
+    Op.ATTACHMENT_INDEX,
+    Op.STATISTICS,
+    Op.METADATA_INDEX,
+    Op.SUMMARY_OFFSET,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +64,9 @@ class Limits:
     record_bytes: int = 64 << 20
     chunk_bytes: int = 64 << 20
     unfold_ratio: float = 100.0
-    unfold_free_bytes: int = 4 << 20  # a file that unfolds to no more is never a bomb, however well it compresses
+    unfold_free_bytes: int = (
+        4 << 20
+    )  # a file that unfolds to no more is never a bomb, however well it compresses
     records: int = 50_000_000
     channels: int = 4096
     definition_bytes: int = 16 << 20
@@ -85,12 +104,15 @@ class Metadata:
     values: dict[str, str]
 
 
-Message = tuple[int, int, int]  # where its data begin in the block, how long they are, log time [ns]
+Message = tuple[
+    int, int, int
+]  # where its data begin in the block, how long they are, log time [ns]
 
 
 @dataclass(slots=True)
 class Block:
-    """Messages that lie in one buffer: for each channel where each begins, how long it is, and its log time [ns]."""
+    """Messages that lie in one buffer: for each channel where each begins, how long it is, and its
+    log time [ns]."""
 
     data: bytes
     byte: int

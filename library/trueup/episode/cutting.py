@@ -1,4 +1,5 @@
-"""Cutting: a part of a recording as an episode of its own, with the role that it is to play; messages stay as they were recorded."""
+"""Cutting: a part of a recording as an episode of its own, with the role that it is to play;
+messages stay as they were recorded."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ def write_part(
     begin_ns: int | None = None,
     end_ns: int | None = None,
 ) -> None:
-    """Write some topics of a recording, from one log time on and before another [ns], as an episode."""
+    """Write some topics of a recording, from one log time on and before another [ns], as an
+    episode."""
     source = make_reader(BytesIO(recorded))
     writer = Writer(to, compression=CompressionType.ZSTD)
     writer.start(profile=source.get_header().profile, library="trueup")

@@ -27,7 +27,11 @@ def message_reader(topic: Topic) -> Callable[[bytes], JointState]:
     """What reads one message of a topic. Raises NotAnEpisode."""
     if topic.encoding == "cdr":
         if topic.schema is not None and topic.schema.name not in ROS2_NAMES:
-            raise NotAnEpisode(f"topic {topic.name} carries {topic.schema.name!r}, not JointState", rule="encoding", topic=topic.name)
+            raise NotAnEpisode(
+                f"topic {topic.name} carries {topic.schema.name!r}, not JointState",
+                rule="encoding",
+                topic=topic.name,
+            )
         return read_cdr
     if topic.encoding == "json":
         return _read_json
@@ -36,7 +40,9 @@ def message_reader(topic: Topic) -> Callable[[bytes], JointState]:
 
         return reader(topic.schema)
     raise NotAnEpisode(
-        f"topic {topic.name} is encoded as {topic.encoding!r}; cdr, json and protobuf are read", rule="encoding", topic=topic.name
+        f"topic {topic.name} is encoded as {topic.encoding!r}; cdr, json and protobuf are read",
+        rule="encoding",
+        topic=topic.name,
     )
 
 

@@ -22,11 +22,11 @@ GAP_PERIODS = 5.0  # an interval this many median periods long is a gap
 class Episode:
     """Time-aligned commands and observations.
 
-    `t_s` [s] counts from the first sample, strictly increasing, `(samples,)`. `observations` is `(samples,
-    observation channels)`, `commands` `(samples, command channels)`: row i acts from `t_s[i]` to the next sample, and is the mean of
-    those in force where the command changed in between.
-    A channel that the log lacks is a column of nan, named in `missing`. `clock_doubts` says where the log's own clocks
-    contradict each other. The arrays cannot be written to.
+    `t_s` [s] counts from the first sample, strictly increasing, `(samples,)`. `observations` is
+    `(samples, observation channels)`, `commands` `(samples, command channels)`: row i acts from
+    `t_s[i]` to the next sample, and is the mean of those in force where the command changed in
+    between. A channel that the log lacks is a column of nan, named in `missing`. `clock_doubts`
+    says where the log's own clocks contradict each other. The arrays cannot be written to.
     """
 
     t_s: NDArray[np.float64]
@@ -43,7 +43,9 @@ class Episode:
         samples = len(self.t_s)
         shapes = (samples, len(self.layout.commands)), (samples, len(self.layout.observations))
         if samples < LEAST_SAMPLES or (self.commands.shape, self.observations.shape) != shapes:
-            raise NotAnEpisode(f"an episode needs two aligned samples at least, this has {samples}", rule="samples")
+            raise NotAnEpisode(
+                f"an episode needs two aligned samples at least, this has {samples}", rule="samples"
+            )
         for array in (self.t_s, self.commands, self.observations):
             array.setflags(write=False)
         object.__setattr__(self, "conditions", MappingProxyType(dict(self.conditions)))
@@ -53,12 +55,15 @@ class Episode:
         """Names of the declared channels of which the log holds nothing."""
         channels = self.layout.observations + self.layout.commands
         columns = np.hstack([self.observations, self.commands])
-        return tuple(c.name for c, column in zip(channels, columns.T, strict=True) if np.isnan(column).all())
+        return tuple(
+            c.name for c, column in zip(channels, columns.T, strict=True) if np.isnan(column).all()
+        )
 
     @property
     def samples_digest(self) -> str:
-        """SHA-256 of the samples alone, 64 hexadecimal digits: the same recording in other bytes, with other metadata or begun at another
-        time of the clock has the same. Instants are counted in nanoseconds from the first; all that is nan is alike.
+        """SHA-256 of the samples alone, 64 hexadecimal digits: the same recording in other bytes,
+        with other metadata or begun at another time of the clock has the same. Instants are counted
+        in nanoseconds from the first; all that is nan is alike.
         """
         hashed = hashlib.sha256(np.round(self.t_s * 1e9).astype("<i8").tobytes())
         for values in (self.observations, self.commands):
@@ -80,7 +85,9 @@ class Episode:
         if self.role not in roles:
             allowed = " or ".join(roles)
             raise RoleRefused(
-                f"episode {self.digest[:12]} has the role {self.role}, {allowed} is needed", role=str(self.role), digest=self.digest
+                f"episode {self.digest[:12]} has the role {self.role}, {allowed} is needed",
+                role=str(self.role),
+                digest=self.digest,
             )
         return self
 

@@ -21,7 +21,9 @@ class Fields:
     def skip(self, length: int) -> memoryview:
         """The next `length` bytes."""
         if length > len(self._body) - self.at:
-            raise MalformedMcap(f"a field of {length} bytes does not fit its record", rule="length", byte=self._byte)
+            raise MalformedMcap(
+                f"a field of {length} bytes does not fit its record", rule="length", byte=self._byte
+            )
         self.at += length
         return self._body[self.at - length : self.at]
 
@@ -51,6 +53,8 @@ class Fields:
         while inner.at < len(inner._body):
             key, value = inner.text(), inner.text()
             if key in found:
-                raise MalformedMcap(f"the key {key!r} stands twice in a map", rule="known", byte=self._byte)
+                raise MalformedMcap(
+                    f"the key {key!r} stands twice in a map", rule="known", byte=self._byte
+                )
             found[key] = value
         return found

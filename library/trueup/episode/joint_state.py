@@ -35,7 +35,8 @@ class JointState:
 
 
 def joint_index(names: tuple[str, ...], joint: str | None) -> int | None:
-    """Where a joint stands in a message, the first one if none is named; None if it is not there."""
+    """Where a joint stands in a message, the first one if none is named; None if it is not
+    there."""
     if joint is None:
         return 0
     return names.index(joint) if joint in names else None
@@ -43,26 +44,50 @@ def joint_index(names: tuple[str, ...], joint: str | None) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Stamps and values of one topic: log time and header stamp [ns] `(n,)`, values `(n, channels)`."""
+    """Stamps and values of one topic: log time and header stamp [ns] `(n,)`, values `(n,
+    channels)`."""
 
     log_ns: NDArray[np.int64]
     stamp_ns: NDArray[np.int64]
     values: NDArray[np.float64]
 
 
-def decode_each(block: Block, messages: Iterable[Message], channels: Sequence[Channel], read: Callable[[bytes], JointState]) -> Columns:
+def decode_each(
+    block: Block,
+    messages: Iterable[Message],
+    channels: Sequence[Channel],
+    read: Callable[[bytes], JointState],
+) -> Columns:
     """Columns of messages read one by one. Raises NotAnEpisode for one that `read` refuses."""
     log, stamps, rows = [], [], []
     for start, length, log_ns in messages:
         try:
             state = read(block.data[start : start + length])
             row = state.pick(channels)
-        except (ValueError, TypeError, LookupError, struct.error, AttributeError, OverflowError) as error:
-            raise NotAnEpisode(f"a message is no JointState: {error}", rule="message", byte=block.byte, log_time_ns=str(log_ns)) from error
+        except (
+            ValueError,
+            TypeError,
+            LookupError,
+            struct.error,
+            AttributeError,
+            OverflowError,
+        ) as error:
+            raise NotAnEpisode(
+                f"a message is no JointState: {error}",
+                rule="message",
+                byte=block.byte,
+                log_time_ns=str(log_ns),
+            ) from error
         log.append(log_ns)
         stamps.append(state.stamp_ns)
         rows.append(row)
     try:
-        return Columns(np.array(log, np.int64), np.array(stamps, np.int64), np.array(rows, np.float64).reshape(len(rows), len(channels)))
+        return Columns(
+            np.array(log, np.int64),
+            np.array(stamps, np.int64),
+            np.array(rows, np.float64).reshape(len(rows), len(channels)),
+        )
     except OverflowError as error:
-        raise NotAnEpisode("a time stamp does not fit 64 bits", rule="clock", byte=block.byte) from error
+        raise NotAnEpisode(
+            "a time stamp does not fit 64 bits", rule="clock", byte=block.byte
+        ) from error

@@ -18,8 +18,9 @@ class Field(StrEnum):
 class Channel:
     """One number per sample.
 
-    `joint` is the JointState name, None for the first joint. `scale` is the declared reporting scale of an
-    observation: that many units of it are 1 in the dimensionless error norm. `limits` bound a command.
+    `joint` is the JointState name, None for the first joint. `scale` is the declared reporting
+    scale of an observation: that many units of it are 1 in the dimensionless error norm. `limits`
+    bound a command.
     """
 
     name: str

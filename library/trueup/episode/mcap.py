@@ -1,10 +1,12 @@
 """MCAP to Episode.
 
 Rules of an episode, each named in the NotAnEpisode that it raises:
-- role: one metadata record `episode` carries a role that we know, and the collection conditions, a page of text at most;
+- role: one metadata record `episode` carries a role that we know, and the collection conditions, a
+  page of text at most;
 - topic: the plant's observation topic and command topic are there, each on one channel;
 - encoding: each carries JointState, as CDR, JSON or protobuf; message: and every message is one;
-- clock: header stamps count where both topics have them, log times otherwise; they strictly increase, and they overlap;
+- clock: header stamps count where both topics have them, log times otherwise; they strictly
+  increase, and they overlap;
 - samples: two aligned samples at least, every command and every declared position among them;
 - finite: a value is finite, or its whole channel is missing.
 """
@@ -27,7 +29,10 @@ from trueup.episode.walk import Walk
 from trueup.errors import NotAnEpisode, TooLarge
 
 EPISODE_RECORD = "episode"
-CONDITIONS, CONDITION_CHARACTERS = 64, 4096  # entries, and characters of them all: every listing and audit entry repeats them
+CONDITIONS, CONDITION_CHARACTERS = (
+    64,
+    4096,
+)  # entries, and characters of them all: every listing and audit entry repeats them
 
 
 def read_episode(data: bytes, layout: Layout, limits: Limits = LIMITS) -> Episode:
@@ -35,11 +40,16 @@ def read_episode(data: bytes, layout: Layout, limits: Limits = LIMITS) -> Episod
     return read_episode_stream(BytesIO(data), len(data), layout, limits)
 
 
-def read_episode_stream(stream: BinaryIO, size: int, layout: Layout, limits: Limits = LIMITS) -> Episode:
+def read_episode_stream(
+    stream: BinaryIO, size: int, layout: Layout, limits: Limits = LIMITS
+) -> Episode:
     """The episode in a stream of `size` bytes, read once, chunk by chunk. Raises BadEpisode."""
     hashed = _Hashed(stream)
     walk = Walk(cast(BinaryIO, hashed), size, limits, wanted=(EPISODE_RECORD,))
-    tracks = Gathering(layout.observation_topic, layout.observations), Gathering(layout.command_topic, layout.commands)
+    tracks = (
+        Gathering(layout.observation_topic, layout.observations),
+        Gathering(layout.command_topic, layout.commands),
+    )
     for block in walk:
         for channel, messages in block.messages.items():
             topic = walk.contents.topics[channel]
@@ -52,7 +62,17 @@ def read_episode_stream(stream: BinaryIO, size: int, layout: Layout, limits: Lim
     stamps, observations, commands = align(observed, issued)
     amiss = doubts(observed) + (doubts(issued) if issued.topic != observed.topic else ())
     start = int(stamps[0])
-    return Episode((stamps - start) / 1e9, commands, observations, layout, role, conditions, start, hashed.digest, amiss)
+    return Episode(
+        (stamps - start) / 1e9,
+        commands,
+        observations,
+        layout,
+        role,
+        conditions,
+        start,
+        hashed.digest,
+        amiss,
+    )
 
 
 class _Hashed:
@@ -73,11 +93,21 @@ class _Hashed:
 
 def _role(found: Sequence[Metadata]) -> tuple[Role, dict[str, str]]:
     if len(found) != 1:
-        raise NotAnEpisode(f"{len(found)} metadata records are named `{EPISODE_RECORD}`, one is needed", rule="role")
+        raise NotAnEpisode(
+            f"{len(found)} metadata records are named `{EPISODE_RECORD}`, one is needed",
+            rule="role",
+        )
     conditions = dict(found[0].values)
-    if len(conditions) > CONDITIONS or sum(len(k) + len(v) for k, v in conditions.items()) > CONDITION_CHARACTERS:
+    if (
+        len(conditions) > CONDITIONS
+        or sum(len(k) + len(v) for k, v in conditions.items()) > CONDITION_CHARACTERS
+    ):
         told = f"{CONDITIONS} entries of {CONDITION_CHARACTERS} characters together"
-        raise TooLarge(f"the metadata record `{EPISODE_RECORD}` holds more than {told}", limit="conditions", byte=0)
+        raise TooLarge(
+            f"the metadata record `{EPISODE_RECORD}` holds more than {told}",
+            limit="conditions",
+            byte=0,
+        )
     role = conditions.pop("role", "")
     if role not in set(Role):
         raise NotAnEpisode(f"the role {role!r} is none of {', '.join(Role)}", rule="role")

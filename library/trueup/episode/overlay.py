@@ -1,10 +1,13 @@
-"""Overlay: a recording with what models say of it as further topics, as Foxglove and PlotJuggler show them beside the recorded ones.
+"""Overlay: a recording with what models say of it as further topics, as Foxglove and PlotJuggler
+show them beside the recorded ones.
 
     /trueup/<model>/prediction   JointState: the observations that a model predicts
     /trueup/<model>/residual     JointState: observed less predicted
-    /trueup/regions              JSON: the regions that a sample is in, a message whenever they change
+    /trueup/regions              JSON: the regions that a sample is in, a message whenever they
+                                 change
 
-The recorded messages, metadata and attachments are copied as they are. Stamps of what is added are those of the samples.
+The recorded messages, metadata and attachments are copied as they are. Stamps of what is added are
+those of the samples.
 """
 
 from __future__ import annotations
@@ -25,14 +28,21 @@ from trueup.episode.writer import ROS2_DEFINITION, Rows, encode_cdr
 
 Array = NDArray[np.float64]
 REGIONS = "/trueup/regions"
-REGIONS_SCHEMA = {"type": "object", "properties": {"regions": {"type": "array", "items": {"type": "string"}}}}
+REGIONS_SCHEMA = {
+    "type": "object",
+    "properties": {"regions": {"type": "array", "items": {"type": "string"}}},
+}
 
 
 def write_overlay(
-    to: BinaryIO, recorded: bytes, episode: Episode, predictions: Mapping[str, Array], regions: Mapping[str, NDArray[np.bool_]]
+    to: BinaryIO,
+    recorded: bytes,
+    episode: Episode,
+    predictions: Mapping[str, Array],
+    regions: Mapping[str, NDArray[np.bool_]],
 ) -> None:
-    """Write the recording `recorded` that `episode` was read from, with predictions `(samples, observations)` by the model's name, and
-    regions `(samples,)` by theirs.
+    """Write the recording `recorded` that `episode` was read from, with predictions `(samples,
+    observations)` by the model's name, and regions `(samples,)` by theirs.
     """
     writer = Writer(to, compression=CompressionType.ZSTD)
     source = make_reader(BytesIO(recorded))
@@ -40,19 +50,36 @@ def write_overlay(
     copy_messages(source, writer)
     copy_rest(source, writer)
     stamps = (episode.start_ns + np.rint(episode.t_s * 1e9).astype(np.int64)).tolist()
-    schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", ROS2_DEFINITION.encode())
+    schema = writer.register_schema(
+        "sensor_msgs/msg/JointState", "ros2msg", ROS2_DEFINITION.encode()
+    )
     rows = Rows(episode.layout.observations)
     for name, predicted in predictions.items():
-        for what, values in (("prediction", predicted), ("residual", episode.observations - predicted)):
+        for what, values in (
+            ("prediction", predicted),
+            ("residual", episode.observations - predicted),
+        ):
             channel = writer.register_channel(f"/trueup/{name}/{what}", "cdr", schema)
             for i, stamp in enumerate(stamps):
                 data = encode_cdr(stamp, rows.joints, rows.fields(values[i]))
-                writer.add_message(channel, log_time=stamp, data=data, publish_time=stamp, sequence=i)
-    channel = writer.register_channel(REGIONS, "json", writer.register_schema("trueup.Regions", "jsonschema", orjson.dumps(REGIONS_SCHEMA)))
+                writer.add_message(
+                    channel, log_time=stamp, data=data, publish_time=stamp, sequence=i
+                )
+    channel = writer.register_channel(
+        REGIONS,
+        "json",
+        writer.register_schema("trueup.Regions", "jsonschema", orjson.dumps(REGIONS_SCHEMA)),
+    )
     before: list[str] | None = None
     for i, stamp in enumerate(stamps):
         now = [name for name, inside in regions.items() if inside[i]]
         if now != before:
-            writer.add_message(channel, log_time=stamp, data=orjson.dumps({"regions": now}), publish_time=stamp, sequence=i)
+            writer.add_message(
+                channel,
+                log_time=stamp,
+                data=orjson.dumps({"regions": now}),
+                publish_time=stamp,
+                sequence=i,
+            )
             before = now
     writer.finish()  # type: ignore[no-untyped-call]

@@ -20,13 +20,17 @@ def reader(schema: Schema) -> Callable[[bytes], JointState]:
         _add_in_order(pool, {file.name: file for file in files.file})
         kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
     except (message.DecodeError, KeyError, TypeError, RecursionError) as error:
-        raise NotAnEpisode(f"the protobuf schema {schema.name!r} cannot be used: {error}", rule="encoding") from error
+        raise NotAnEpisode(
+            f"the protobuf schema {schema.name!r} cannot be used: {error}", rule="encoding"
+        ) from error
     if not {"name", *FIELDS} <= {f.name for f in kind.DESCRIPTOR.fields}:
         raise NotAnEpisode(f"the protobuf message {schema.name!r} is no JointState", rule="message")
     return lambda data: _read(kind, data)
 
 
-def _add_in_order(pool: descriptor_pool.DescriptorPool, files: dict[str, descriptor_pb2.FileDescriptorProto]) -> None:
+def _add_in_order(
+    pool: descriptor_pool.DescriptorPool, files: dict[str, descriptor_pb2.FileDescriptorProto]
+) -> None:
     """Add each file after those it depends on, as a pool demands."""
     added: set[str] = set()
 
@@ -53,5 +57,7 @@ def _read(kind: type[message.Message], data: bytes) -> JointState:
 def _stamp_ns(found: Any) -> int:
     stamp = found.header.stamp if hasattr(found, "header") else None
     seconds = next((getattr(stamp, k) for k in ("sec", "secs", "seconds") if hasattr(stamp, k)), 0)
-    nanoseconds = next((getattr(stamp, k) for k in ("nanosec", "nsec", "nsecs", "nanos") if hasattr(stamp, k)), 0)
+    nanoseconds = next(
+        (getattr(stamp, k) for k in ("nanosec", "nsec", "nsecs", "nanos") if hasattr(stamp, k)), 0
+    )
     return int(seconds) * 1_000_000_000 + int(nanoseconds)

@@ -11,7 +11,8 @@ from trueup.episode.layout import Channel
 
 
 def summarise(episode: Episode) -> dict[str, Json]:
-    """Samples, duration [s], median period [s], gaps, conditions, missing channels, and the range of each channel in its unit."""
+    """Samples, duration [s], median period [s], gaps, conditions, missing channels, and the range
+    of each channel in its unit."""
     channels = [
         *zip(episode.layout.observations, episode.observations.T, strict=True),
         *zip(episode.layout.commands, episode.commands.T, strict=True),
@@ -29,4 +30,8 @@ def summarise(episode: Episode) -> dict[str, Json]:
 
 def _range(channel: Channel, values: NDArray[np.float64]) -> Json:
     known = np.isfinite(values).all()
-    return {"unit": channel.unit, "low": float(values.min()) if known else None, "high": float(values.max()) if known else None}
+    return {
+        "unit": channel.unit,
+        "low": float(values.min()) if known else None,
+        "high": float(values.max()) if known else None,
+    }

@@ -18,7 +18,8 @@ from trueup.errors import NotAnEpisode
 
 @dataclass(frozen=True, slots=True)
 class Surveyed:
-    """A topic of JointState: its joints, the fields that its first message fills, its messages, and the median time between them [s].
+    """A topic of JointState: its joints, the fields that its first message fills, its messages, and
+    the median time between them [s].
 
     `first_ns` and `last_ns` are log times.
     """
@@ -34,7 +35,8 @@ class Surveyed:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """Every topic of JointState, the names of the others with what they carry, and the role that the recording declares, if any."""
+    """Every topic of JointState, the names of the others with what they carry, and the role that
+    the recording declares, if any."""
 
     found: tuple[Surveyed, ...]
     others: tuple[str, ...]
@@ -59,9 +61,23 @@ def survey(stream: BinaryIO, size: int, limits: Limits = LIMITS) -> Survey:
         except (NotAnEpisode, ValueError, TypeError, LookupError, AttributeError):
             others.append(f"{topic.name} ({topic.schema.name if topic.schema else topic.encoding})")
             continue
-        filled = tuple(f for f, values in zip(FIELDS, state.values, strict=True) if len(values) and np.isfinite(values).all())
+        filled = tuple(
+            f
+            for f, values in zip(FIELDS, state.values, strict=True)
+            if len(values) and np.isfinite(values).all()
+        )
         stamps = np.array(times[channel], np.int64)
         period = float(np.median(np.diff(stamps))) / 1e9 if len(stamps) > 1 else 0.0
-        found.append(Surveyed(topic.name, state.names, filled, len(stamps), period, int(stamps.min()), int(stamps.max())))
+        found.append(
+            Surveyed(
+                topic.name,
+                state.names,
+                filled,
+                len(stamps),
+                period,
+                int(stamps.min()),
+                int(stamps.max()),
+            )
+        )
     declared = [m.values.get("role") for m in walk.contents.metadata]
     return Survey(tuple(found), tuple(others), declared[0] if declared else None)

@@ -1,10 +1,11 @@
 """Telemetry: a live batch of samples as JSON, which becomes an episode like any other.
 
-    {"start_ns": "1760000000000000000", "t_s": [0.0, 0.02], "observations": {"q": [0.1, 0.2]}, "commands": {"u": [0.0, 0.5]},
-     "conditions": {"payload": "2 kg"}, "role": "telemetry"}
+    {"start_ns": "1760000000000000000", "t_s": [0.0, 0.02], "observations": {"q": [0.1, 0.2]},
+     "commands": {"u": [0.0, 0.5]}, "conditions": {"payload": "2 kg"}, "role": "telemetry"}
 
-`t_s` [s] counts from `start_ns` [ns since 1970, as text: JSON's numbers are too short]. Every channel of the plant has one value for
-each sample; conditions and role (telemetry or reference) may be left out.
+`t_s` [s] counts from `start_ns` [ns since 1970, as text: JSON's numbers are too short]. Every
+channel of the plant has one value for each sample; conditions and role (telemetry or reference) may
+be left out.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ from trueup.errors import NotAnEpisode
 
 ALLOWED = ("start_ns", "t_s", "observations", "commands", "conditions", "role")
 LATEST_NS = 2**31 * 1_000_000_000 - 1  # the seconds of a ROS 2 stamp have 32 bits, with a sign
-LARGEST = 2**62  # a number beyond this is no time of any clock, and would overflow when something is added
+LARGEST = (
+    2**62
+)  # a number beyond this is no time of any clock, and would overflow when something is added
 LONGEST_S = 1e9
 
 
@@ -41,17 +44,29 @@ def telemetry_to_mcap(data: bytes, layout: Layout, out: BinaryIO) -> None:
     start = _start_ns(batch.get("start_ns"))
     stamps_ns = start + np.rint(1e9 * np.clip(t_s, -LONGEST_S, LONGEST_S)).astype(np.int64)
     if np.abs(t_s).max() > LONGEST_S or stamps_ns[0] < 0 or stamps_ns[-1] > LATEST_NS:
-        raise _refused("t_s counts seconds from start_ns, lies between 1970 and 2038, and is shorter than 31 years", "t_s")
+        raise _refused(
+            (
+                "t_s counts seconds from start_ns, lies between 1970 and 2038, and is shorter "
+                "than 31 years"
+            ),
+            "t_s",
+        )
     role = batch.get("role", Role.TELEMETRY)
     if role not in (Role.TELEMETRY, Role.REFERENCE):
         raise _refused("the role of a batch is telemetry or reference", "role")
     conditions = batch.get("conditions", {})
-    if not isinstance(conditions, dict) or not all(isinstance(v, str) for v in conditions.values()) or "role" in conditions:
+    if (
+        not isinstance(conditions, dict)
+        or not all(isinstance(v, str) for v in conditions.values())
+        or "role" in conditions
+    ):
         raise _refused("conditions are names with text; the role stands beside them", "conditions")
     write_episode(
         out,
         stamps_ns=stamps_ns,
-        observations=_columns(batch.get("observations"), layout.observations, len(t_s), "observations"),
+        observations=_columns(
+            batch.get("observations"), layout.observations, len(t_s), "observations"
+        ),
         commands=_columns(batch.get("commands"), layout.commands, len(t_s), "commands"),
         layout=layout,
         role=Role(role),
@@ -69,13 +84,20 @@ def _refused(message: str, rule: str) -> NotAnEpisode:
 def _start_ns(given: Any) -> int:
     if isinstance(given, int) and not isinstance(given, bool):
         given = str(given)
-    if not isinstance(given, str) or not given.isascii() or not given.isdigit() or int(given) > LARGEST:
+    if (
+        not isinstance(given, str)
+        or not given.isascii()
+        or not given.isdigit()
+        or int(given) > LARGEST
+    ):
         raise _refused("start_ns is a whole number of nanoseconds since 1970, as text", "start_ns")
     return int(given)
 
 
 def _numbers(given: Any, field: str) -> NDArray[np.float64]:
-    if not isinstance(given, list) or not all(isinstance(x, int | float) and not isinstance(x, bool) for x in given):
+    if not isinstance(given, list) or not all(
+        isinstance(x, int | float) and not isinstance(x, bool) for x in given
+    ):
         raise _refused(f"{field} must be a list of numbers", field)
     found = np.array(given, np.float64)
     if not np.isfinite(found).all():
@@ -83,7 +105,9 @@ def _numbers(given: Any, field: str) -> NDArray[np.float64]:
     return found
 
 
-def _columns(given: Any, channels: tuple[Channel, ...], samples: int, field: str) -> NDArray[np.float64]:
+def _columns(
+    given: Any, channels: tuple[Channel, ...], samples: int, field: str
+) -> NDArray[np.float64]:
     names = [c.name for c in channels]
     if not isinstance(given, Mapping) or set(given) != set(names):
         raise _refused(f"{field} must hold {', '.join(names)}, and nothing else", field)

@@ -2,13 +2,16 @@
 
 Rules, each named in the error that it raises together with the byte at which it is broken:
 - magic: the file begins and ends with the eight magic bytes, and nothing follows them;
-- order: a Header comes first, one DataEnd closes the data, only index records and one Footer follow it;
+- order: a Header comes first, one DataEnd closes the data, only index records and one Footer follow
+  it;
 - length: no record and no field is longer than what is left, nor than the declared limits;
 - known: a message names a known channel, a channel a known schema, and neither is ever redefined;
-- chunk: a chunk holds schemas, channels and messages only, of exactly the declared size once decompressed;
+- chunk: a chunk holds schemas, channels and messages only, of exactly the declared size once
+  decompressed;
 - ratio: all chunks together do not unfold to more than a declared multiple of the file read so far;
 - crc: every checksum that the file carries holds;
-- index: every offset of an index lies inside the file, and the statistics agree with what was counted;
+- index: every offset of an index lies inside the file, and the statistics agree with what was
+  counted;
 - count: records, channels and the bytes of their definitions stay within the declared limits.
 
 Unknown records and bytes behind a record's known fields are skipped, as the format demands.
@@ -43,19 +46,26 @@ from trueup.episode.container import (
 from trueup.episode.fields import Fields
 from trueup.errors import MalformedMcap, TooLarge
 
-NO_MCAP = "It is no MCAP file. Record with `ros2 bag record -s mcap`; other logs are converted first."
-GATHER_BYTES = 1 << 20  # messages outside chunks are handed on together, once they are this many bytes
+NO_MCAP = (
+    "It is no MCAP file. Record with `ros2 bag record -s mcap`; other logs are converted first."
+)
+GATHER_BYTES = (
+    1 << 20
+)  # messages outside chunks are handed on together, once they are this many bytes
 
 
 class Walk:
-    """One pass over a stream of `size` bytes; iterate it to its end, or the file has not been checked.
+    """One pass over a stream of `size` bytes; iterate it to its end, or the file has not been
+    checked.
 
-    Yields a Block for each chunk and for messages outside chunks; `contents` grows as it goes, and of the metadata keeps the
-    records named in `wanted`.
-    Raises MalformedMcap (facts `rule`, `byte`) and TooLarge (facts `limit`, `byte`).
+    Yields a Block for each chunk and for messages outside chunks; `contents` grows as it goes, and
+    of the metadata keeps the records named in `wanted`. Raises MalformedMcap (facts `rule`, `byte`)
+    and TooLarge (facts `limit`, `byte`).
     """
 
-    def __init__(self, stream: BinaryIO, size: int, limits: Limits = LIMITS, wanted: Collection[str] = ()) -> None:
+    def __init__(
+        self, stream: BinaryIO, size: int, limits: Limits = LIMITS, wanted: Collection[str] = ()
+    ) -> None:
         self.contents = Contents()
         self._stream, self._size, self._limits, self._wanted = stream, size, limits, wanted
         self._at = 0
@@ -65,7 +75,11 @@ class Walk:
 
     def __iter__(self) -> Iterator[Block]:
         if self._size > self._limits.file_bytes:
-            raise TooLarge(f"the file has {self._size} bytes, {self._limits.file_bytes} are allowed", limit="file_bytes", byte=0)
+            raise TooLarge(
+                f"the file has {self._size} bytes, {self._limits.file_bytes} are allowed",
+                limit="file_bytes",
+                byte=0,
+            )
         self._magic()
         self._header()
         yield from self._data()
@@ -76,12 +90,19 @@ class Walk:
     def _magic(self) -> None:
         at = self._at
         if self._take(len(MAGIC)) != MAGIC:
-            raise MalformedMcap("the MCAP magic is missing", rule="magic", byte=at, hint=NO_MCAP if at == 0 else None)
+            raise MalformedMcap(
+                "the MCAP magic is missing",
+                rule="magic",
+                byte=at,
+                hint=NO_MCAP if at == 0 else None,
+            )
 
     def _header(self) -> None:
         at, op, body = self._record()
         if op != Op.HEADER:
-            raise MalformedMcap(f"the first record is {name_of(op)}, not Header", rule="order", byte=at)
+            raise MalformedMcap(
+                f"the first record is {name_of(op)}, not Header", rule="order", byte=at
+            )
         fields = Fields(body, at)
         fields.text(), fields.text()
 
@@ -98,7 +119,9 @@ class Walk:
             if op == Op.DATA_END:
                 return self._data_end(at, body, crc_before)
             if op in NOT_IN_DATA:
-                raise MalformedMcap(f"{name_of(op)} stands in the data section", rule="order", byte=at)
+                raise MalformedMcap(
+                    f"{name_of(op)} stands in the data section", rule="order", byte=at
+                )
             if op == Op.CHUNK:
                 yield self._chunk(at, body)
             elif op != Op.MESSAGE:
@@ -117,7 +140,9 @@ class Walk:
             fields = Fields(body, at)
             fields.uint(2)
             if len(fields.block()) % 16:
-                raise MalformedMcap("a message index is no whole number of entries", rule="index", byte=at)
+                raise MalformedMcap(
+                    "a message index is no whole number of entries", rule="index", byte=at
+                )
 
     def _metadata(self, fields: Fields) -> None:
         self.contents.metadata_records += 1
@@ -130,7 +155,9 @@ class Walk:
     def _data_end(self, at: int, body: bytes, crc: int) -> None:
         declared = Fields(body, at).uint(4)
         if declared and declared != crc:
-            raise MalformedMcap("the checksum of the data section does not hold", rule="crc", byte=at)
+            raise MalformedMcap(
+                "the checksum of the data section does not hold", rule="crc", byte=at
+            )
 
     def _summary(self) -> None:
         start = self._at
@@ -139,7 +166,9 @@ class Walk:
             crc_before = self._crc
             at, op, body = self._record()
             if op in NAMES and op not in IN_SUMMARY:
-                raise MalformedMcap(f"{name_of(op)} stands behind the data section", rule="order", byte=at)
+                raise MalformedMcap(
+                    f"{name_of(op)} stands behind the data section", rule="order", byte=at
+                )
             if op == Op.FOOTER:
                 self._footer(at, body, start, crc_before)
                 break
@@ -152,10 +181,18 @@ class Walk:
         fields = Fields(body, at)
         summary, offsets, declared = fields.uint(8), fields.uint(8), fields.uint(4)
         if summary not in (0, start) or (summary == 0 and at != start):
-            raise MalformedMcap(f"the footer puts the summary at byte {summary}, it begins at {start}", rule="index", byte=at)
+            raise MalformedMcap(
+                f"the footer puts the summary at byte {summary}, it begins at {start}",
+                rule="index",
+                byte=at,
+            )
         if offsets and not start <= offsets <= at:
-            raise MalformedMcap("the footer's summary offsets lie outside the summary", rule="index", byte=at)
-        if declared and declared != zlib.crc32(RECORD_HEAD.pack(Op.FOOTER, len(body)) + body[:16], crc):
+            raise MalformedMcap(
+                "the footer's summary offsets lie outside the summary", rule="index", byte=at
+            )
+        if declared and declared != zlib.crc32(
+            RECORD_HEAD.pack(Op.FOOTER, len(body)) + body[:16], crc
+        ):
             raise MalformedMcap("the checksum of the summary does not hold", rule="crc", byte=at)
 
     # -- single records
@@ -179,15 +216,36 @@ class Walk:
 
     def _inside(self, at: int, start: int, length: int) -> None:
         if start < len(MAGIC) or start + length > self._size - len(MAGIC):
-            raise MalformedMcap(f"an index points to bytes {start} to {start + length}, outside the file", rule="index", byte=at)
+            raise MalformedMcap(
+                f"an index points to bytes {start} to {start + length}, outside the file",
+                rule="index",
+                byte=at,
+            )
 
     def _statistics(self, at: int, fields: Fields) -> None:
         seen = self.contents
-        declared = fields.uint(8), fields.uint(2), fields.uint(4), fields.uint(4), fields.uint(4), fields.uint(4)
-        counted = seen.messages, declared[1], declared[2], seen.attachments, seen.metadata_records, seen.chunks
+        declared = (
+            fields.uint(8),
+            fields.uint(2),
+            fields.uint(4),
+            fields.uint(4),
+            fields.uint(4),
+            fields.uint(4),
+        )
+        counted = (
+            seen.messages,
+            declared[1],
+            declared[2],
+            seen.attachments,
+            seen.metadata_records,
+            seen.chunks,
+        )
         if declared != counted:
             raise MalformedMcap(
-                f"the statistics declare {declared[0]} messages and {declared[5]} chunks, counted were {counted[0]} and {counted[5]}",
+                (
+                    f"the statistics declare {declared[0]} messages and {declared[5]} chunks, "
+                    f"counted were {counted[0]} and {counted[5]}"
+                ),
                 rule="index",
                 byte=at,
             )
@@ -198,25 +256,45 @@ class Walk:
         if schema.id == 0:
             raise MalformedMcap("a schema has the id 0, which means none", rule="known", byte=at)
         if self.contents.schemas.setdefault(schema.id, schema) != schema:
-            raise MalformedMcap(f"schema {schema.id} is defined twice, differently", rule="known", byte=at)
+            raise MalformedMcap(
+                f"schema {schema.id} is defined twice, differently", rule="known", byte=at
+            )
         self._few(len(self.contents.schemas), len(body), at)
 
     def _channel(self, at: int, body: bytes) -> None:
         fields = Fields(body, at)
         channel, schema = fields.uint(2), fields.uint(2)
         if schema and schema not in self.contents.schemas:
-            raise MalformedMcap(f"channel {channel} names schema {schema}, which is not known yet", rule="known", byte=at)
-        topic = Topic(channel, self.contents.schemas.get(schema), fields.text(), fields.text(), fields.text_map())
+            raise MalformedMcap(
+                f"channel {channel} names schema {schema}, which is not known yet",
+                rule="known",
+                byte=at,
+            )
+        topic = Topic(
+            channel,
+            self.contents.schemas.get(schema),
+            fields.text(),
+            fields.text(),
+            fields.text_map(),
+        )
         if self.contents.topics.setdefault(channel, topic) != topic:
-            raise MalformedMcap(f"channel {channel} is defined twice, differently", rule="known", byte=at)
+            raise MalformedMcap(
+                f"channel {channel} is defined twice, differently", rule="known", byte=at
+            )
         self._few(len(self.contents.topics), len(body), at)
 
     def _few(self, count: int, size: int, at: int) -> None:
         self._defined += size
         if self._defined > self._limits.definition_bytes:
-            raise TooLarge(f"schemas and channels of more than {self._limits.definition_bytes} bytes", limit="definition_bytes", byte=at)
+            raise TooLarge(
+                f"schemas and channels of more than {self._limits.definition_bytes} bytes",
+                limit="definition_bytes",
+                byte=at,
+            )
         if count > self._limits.channels:
-            raise TooLarge(f"more than {self._limits.channels} channels or schemas", limit="channels", byte=at)
+            raise TooLarge(
+                f"more than {self._limits.channels} channels or schemas", limit="channels", byte=at
+            )
 
     def _attachment(self, at: int, body: bytes) -> None:
         self.contents.attachments += 1
@@ -233,7 +311,9 @@ class Walk:
             raise MalformedMcap("a message is shorter than its own header", rule="length", byte=at)
         channel, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(body)
         if channel not in self.contents.topics:
-            raise MalformedMcap(f"a message names channel {channel}, which is not known yet", rule="known", byte=at)
+            raise MalformedMcap(
+                f"a message names channel {channel}, which is not known yet", rule="known", byte=at
+            )
         self.contents.messages += 1
         loose.add(channel, body[MESSAGE_HEAD.size :], log_time_ns, at)
 
@@ -255,32 +335,64 @@ class Walk:
         limits = self._limits
         self._unfolded += size
         if size > limits.chunk_bytes:
-            raise TooLarge(f"a chunk declares {size} bytes, {limits.chunk_bytes} are allowed", limit="chunk_bytes", byte=at)
+            raise TooLarge(
+                f"a chunk declares {size} bytes, {limits.chunk_bytes} are allowed",
+                limit="chunk_bytes",
+                byte=at,
+            )
         if self._unfolded > max(limits.unfold_free_bytes, limits.unfold_ratio * self._at):
-            raise TooLarge(f"the first {self._at} bytes of the file unfold to {self._unfolded}", limit="unfold_ratio", byte=at)
+            raise TooLarge(
+                f"the first {self._at} bytes of the file unfold to {self._unfolded}",
+                limit="unfold_ratio",
+                byte=at,
+            )
 
     def _unfold(self, block: Block) -> None:
-        """Sort the chunk's records; the hot loop of the walk, hence flat and with its names bound once."""
+        """Sort the chunk's records; the hot loop of the walk, hence flat and with its names bound
+        once."""
         data, end, at, count = block.data, len(block.data), 0, 0
         head, message_head = RECORD_HEAD.unpack_from, MESSAGE_HEAD.unpack_from
-        topics, messages, found, shortest = self.contents.topics, block.messages, 0, MESSAGE_HEAD.size
+        topics, messages, found, shortest = (
+            self.contents.topics,
+            block.messages,
+            0,
+            MESSAGE_HEAD.size,
+        )
         head_bytes, is_message = RECORD_HEAD.size, int(Op.MESSAGE)
         while at < end:
             if end - at < head_bytes:
-                raise MalformedMcap("a chunk ends inside a record's head", rule="length", byte=block.byte, chunk_byte=at)
+                raise MalformedMcap(
+                    "a chunk ends inside a record's head",
+                    rule="length",
+                    byte=block.byte,
+                    chunk_byte=at,
+                )
             op, length = head(data, at)
             start = at + head_bytes
             if length > end - start:
-                raise MalformedMcap("a record is longer than its chunk", rule="length", byte=block.byte, chunk_byte=at)
+                raise MalformedMcap(
+                    "a record is longer than its chunk",
+                    rule="length",
+                    byte=block.byte,
+                    chunk_byte=at,
+                )
             count += 1
             if op == is_message:
                 if length < shortest:
-                    raise MalformedMcap("a message is shorter than its own header", rule="length", byte=block.byte, chunk_byte=at)
+                    raise MalformedMcap(
+                        "a message is shorter than its own header",
+                        rule="length",
+                        byte=block.byte,
+                        chunk_byte=at,
+                    )
                 channel, _, log_time_ns, _ = message_head(data, start)
                 if channel not in messages:
                     if channel not in topics:
                         raise MalformedMcap(
-                            f"a message names channel {channel}, which is not known yet", rule="known", byte=block.byte, chunk_byte=at
+                            f"a message names channel {channel}, which is not known yet",
+                            rule="known",
+                            byte=block.byte,
+                            chunk_byte=at,
                         )
                     messages[channel] = []
                 messages[channel].append((start + shortest, length - shortest, log_time_ns))
@@ -288,7 +400,9 @@ class Walk:
             elif op in (Op.SCHEMA, Op.CHANNEL):
                 self._plain(block.byte, op, data[start : start + length])
             elif op == 0 or op in NAMES:
-                raise MalformedMcap(f"{name_of(op)} stands in a chunk", rule="chunk", byte=block.byte, chunk_byte=at)
+                raise MalformedMcap(
+                    f"{name_of(op)} stands in a chunk", rule="chunk", byte=block.byte, chunk_byte=at
+                )
             at = start + length
         self.contents.messages += found
         self._count(count, block.byte)
@@ -306,16 +420,28 @@ class Walk:
         if op == 0:
             raise MalformedMcap("the record kind 0 is not allowed", rule="order", byte=at)
         if length > self._size - self._at:
-            raise MalformedMcap(f"a record declares {length} bytes, {self._size - self._at} are left", rule="length", byte=at)
+            raise MalformedMcap(
+                f"a record declares {length} bytes, {self._size - self._at} are left",
+                rule="length",
+                byte=at,
+            )
         if length > self._limits.record_bytes:
-            raise TooLarge(f"a record declares {length} bytes, {self._limits.record_bytes} are allowed", limit="record_bytes", byte=at)
+            raise TooLarge(
+                f"a record declares {length} bytes, {self._limits.record_bytes} are allowed",
+                limit="record_bytes",
+                byte=at,
+            )
         self._count(1, at)
         return at, op, self._take(length)
 
     def _take(self, length: int) -> bytes:
         data = self._stream.read(length)
         if len(data) < length:
-            raise MalformedMcap(f"the file ends {length - len(data)} bytes too early", rule="length", byte=self._at + len(data))
+            raise MalformedMcap(
+                f"the file ends {length - len(data)} bytes too early",
+                rule="length",
+                byte=self._at + len(data),
+            )
         self._at += length
         self._crc = zlib.crc32(data, self._crc)
         return data

@@ -56,7 +56,8 @@ def write_episode(
     encoding: Encoding = Encoding.CDR,
     compression: CompressionType = CompressionType.ZSTD,
 ) -> None:
-    """Write `(samples, channels)` observations and as many commands, or one less, as JointState on the layout's topics.
+    """Write `(samples, channels)` observations and as many commands, or one less, as JointState on
+    the layout's topics.
 
     Without a role it is a plan that nobody has recorded yet: commands alone, and no episode.
     """
@@ -64,14 +65,25 @@ def write_episode(
     writer.start(profile="ros2" if encoding is Encoding.CDR else "", library="trueup")
     name, schema_encoding, definition, encode = _FORMATS[encoding]()
     schema = writer.register_schema(name, schema_encoding, definition)
-    observed, issued = (writer.register_channel(topic, encoding, schema) for topic in (layout.observation_topic, layout.command_topic))
+    observed, issued = (
+        writer.register_channel(topic, encoding, schema)
+        for topic in (layout.observation_topic, layout.command_topic)
+    )
     states, orders = Rows(layout.observations), Rows(layout.commands)
     for i, stamp in enumerate(stamps_ns.tolist()):
         for channel, rows, values in ((observed, states, observations), (issued, orders, commands)):
             if i < len(values):
                 data = encode(stamp, rows.joints, rows.fields(values[i]))
-                writer.add_message(channel, log_time=stamp, data=data, publish_time=stamp, sequence=i)
-    writer.add_metadata(*(("plan", dict(conditions)) if role is None else ("episode", {"role": str(role), **conditions})))
+                writer.add_message(
+                    channel, log_time=stamp, data=data, publish_time=stamp, sequence=i
+                )
+    writer.add_metadata(
+        *(
+            ("plan", dict(conditions))
+            if role is None
+            else ("episode", {"role": str(role), **conditions})
+        )
+    )
     writer.finish()  # type: ignore[no-untyped-call]
 
 
@@ -80,10 +92,18 @@ class Rows:
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         self.joints = list(dict.fromkeys(c.joint or "joint" for c in channels))
-        self._columns = {f: [(self.joints.index(c.joint or "joint"), i) for i, c in enumerate(channels) if c.field is f] for f in FIELDS}
+        self._columns = {
+            f: [
+                (self.joints.index(c.joint or "joint"), i)
+                for i, c in enumerate(channels)
+                if c.field is f
+            ]
+            for f in FIELDS
+        }
 
     def fields(self, sample: NDArray[np.float64]) -> Values:
-        """A sample's values by the message's field; nan where a joint has no channel of the field."""
+        """A sample's values by the message's field; nan where a joint has no channel of the
+        field."""
         return {f.value: self._fill(sample, pairs) for f, pairs in self._columns.items()}
 
     def _fill(self, sample: NDArray[np.float64], pairs: Sequence[tuple[int, int]]) -> list[float]:
@@ -99,7 +119,9 @@ def _cdr() -> tuple[str, str, bytes, Encode]:
 
 def encode_cdr(stamp_ns: int, names: Sequence[str], values: Values) -> bytes:
     """A JointState in ROS 2 CDR."""
-    body = bytearray(struct.pack("<iIIB", stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000, 1, 0))
+    body = bytearray(
+        struct.pack("<iIIB", stamp_ns // 1_000_000_000, stamp_ns % 1_000_000_000, 1, 0)
+    )
     _count(body, len(names))
     for name in names:
         text = name.encode() + b"\0"
@@ -138,16 +160,29 @@ def _encode_json(stamp_ns: int, names: Sequence[str], values: Values) -> bytes:
 def _protobuf() -> tuple[str, str, bytes, Encode]:
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory  # noqa: PLC0415  (loads slowly, few logs need it)
 
-    file = descriptor_pb2.FileDescriptorProto(name="sensor_msgs/JointState.proto", package="sensor_msgs", syntax="proto3")
+    file = descriptor_pb2.FileDescriptorProto(
+        name="sensor_msgs/JointState.proto", package="sensor_msgs", syntax="proto3"
+    )
     f = descriptor_pb2.FieldDescriptorProto
     for name, fields in (
         ("Time", [("sec", f.TYPE_INT32, 1), ("nanosec", f.TYPE_UINT32, 1)]),
         ("Header", [("stamp", ".sensor_msgs.Time", 1), ("frame_id", f.TYPE_STRING, 1)]),
-        ("JointState", [("header", ".sensor_msgs.Header", 1), ("name", f.TYPE_STRING, 3), *((str(x), f.TYPE_DOUBLE, 3) for x in FIELDS)]),
+        (
+            "JointState",
+            [
+                ("header", ".sensor_msgs.Header", 1),
+                ("name", f.TYPE_STRING, 3),
+                *((str(x), f.TYPE_DOUBLE, 3) for x in FIELDS),
+            ],
+        ),
     ):
         kind = file.message_type.add(name=name)
         for number, (field, what, label) in enumerate(fields, 1):
-            typed = {"type": f.TYPE_MESSAGE, "type_name": what} if isinstance(what, str) else {"type": what}
+            typed = (
+                {"type": f.TYPE_MESSAGE, "type_name": what}
+                if isinstance(what, str)
+                else {"type": what}
+            )
             kind.field.add(name=field, number=number, label=label, **typed)
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)
@@ -157,7 +192,12 @@ def _protobuf() -> tuple[str, str, bytes, Encode]:
         stamp = {"sec": stamp_ns // 1_000_000_000, "nanosec": stamp_ns % 1_000_000_000}
         return bytes(message(header={"stamp": stamp}, name=names, **values).SerializeToString())
 
-    return "sensor_msgs.JointState", "protobuf", descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(), encode
+    return (
+        "sensor_msgs.JointState",
+        "protobuf",
+        descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString(),
+        encode,
+    )
 
 
 _FORMATS: dict[Encoding, Callable[[], tuple[str, str, bytes, Encode]]] = {

@@ -1,1 +1,2 @@
-"""What we learned: parameters and residuals from adaptation episodes, and the scores of predictors."""
+"""What we learned: parameters and residuals from adaptation episodes, and the scores of
+predictors."""

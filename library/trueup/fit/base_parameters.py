@@ -1,11 +1,13 @@
 """Base parameters: the combinations of a robot's numbers that its recorded motion shows.
 
-Where everything weighs more and every actuator is stronger by the same part, nothing moves differently: the mean gain stays as declared.
-A link's mass and moments reach the joints in fewer combinations than there are numbers, and a log shows fewer still. The force that a
-number adds at each joint, sample by sample, is its column; the singular vectors of all columns, each number measured by its own size,
-are the combinations, and those that hardly change any force are left where the nominal model has them.
-Source: M. Gautier, Journal of Robotic Systems 8 (1991), numerical base parameters; W. Khalil, E. Dombre, Modeling, Identification and
-Control of Robots (2002), section 12.5.
+Where everything weighs more and every actuator is stronger by the same part, nothing moves
+differently: the mean gain stays as declared. A link's mass and moments reach the joints in fewer
+combinations than there are numbers, and a log shows fewer still. The force that a number adds at
+each joint, sample by sample, is its column; the singular vectors of all columns, each number
+measured by its own size, are the combinations, and those that hardly change any force are left
+where the nominal model has them. Source: M. Gautier, Journal of Robotic Systems 8 (1991), numerical
+base parameters; W. Khalil, E. Dombre, Modeling, Identification and Control of Robots (2002),
+section 12.5.
 """
 
 from __future__ import annotations
@@ -21,10 +23,24 @@ from trueup.model.dynamics import CompiledTree, mass_matrix, regressors
 from trueup.model.plant import Plant
 from trueup.model.rounding import GUESS_BITS, rounded
 from trueup.model.state import smoothed_states
-from trueup.model.tree import ARMATURE, DAMPING, FRAME, FRICTION, GAIN, JOINT, LINK, REST, SERVO, STIFFNESS, ZERO
+from trueup.model.tree import (
+    ARMATURE,
+    DAMPING,
+    FRAME,
+    FRICTION,
+    GAIN,
+    JOINT,
+    LINK,
+    REST,
+    SERVO,
+    STIFFNESS,
+    ZERO,
+)
 
 Array = NDArray[np.float64]
-SPAN_S = 0.05  # over which an acceleration is a mean: short against the motion, long against the noise of a velocity
+# over which an acceleration is a mean: short against the motion, long against the noise of a
+# velocity
+SPAN_S = 0.05
 MOST_ROWS = 4000
 FELT = 2e-3  # of the forces: a combination that moves them less by its own size is not shown
 FELT_ON_MACHINE = 5e-2  # the same where no law is much more exact than that
@@ -34,7 +50,8 @@ ALONE = 0.999  # of a number lies in the combinations that are shown: it is dete
 
 
 def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
-    """The ways in which a plant's numbers may move: a family's one by one, a tree's as combinations that the episodes show."""
+    """The ways in which a plant's numbers may move: a family's one by one, a tree's as combinations
+    that the episodes show."""
     if not isinstance(plant.dynamics, CompiledTree):
         return Directions.of_family(plant.dynamics.parameter_names)
     shows, force = regression(plant, episodes)
@@ -47,8 +64,12 @@ def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
     single, low = _single(plant, episodes)
     alone = np.flatnonzero((np.linalg.norm(design, axis=0) > felt) & single)
     told, shown = design[:, alone], _shown(design, felt)
-    combined = _shown(np.where(single, 0.0, design - told @ np.linalg.lstsq(told, design, rcond=None)[0]), felt)
-    names = [f"combination {i + 1}" for i in range(len(combined))] + [plant.dynamics.parameter_names[i] for i in alone]
+    combined = _shown(
+        np.where(single, 0.0, design - told @ np.linalg.lstsq(told, design, rcond=None)[0]), felt
+    )
+    names = [f"combination {i + 1}" for i in range(len(combined))] + [
+        plant.dynamics.parameter_names[i] for i in alone
+    ]
     return Directions(
         tuple(names),
         along=np.concatenate([combined * size, np.eye(len(size))[alone]]),
@@ -66,27 +87,35 @@ def _shown(design: Array, felt: float) -> Array:
     _, singular, ways = np.linalg.svd(design, full_matrices=False)
     shown = ways[singular > felt]
     largest = np.take_along_axis(shown, np.abs(rounded(shown)).argmax(axis=1)[:, None], axis=1)
-    return np.asarray(rounded(shown * np.sign(largest), GUESS_BITS))  # a singular vector's sign is nobody's
+    return np.asarray(
+        rounded(shown * np.sign(largest), GUESS_BITS)
+    )  # a singular vector's sign is nobody's
 
 
 def _single(plant: Plant, episodes: Sequence[Episode]) -> tuple[NDArray[np.bool_], Array]:
-    """Which numbers move by themselves, and the least that each may be, `(parameters,)`: damping and friction, which are not negative, and
-    armature, which leaves something of what a joint's links weigh.
+    """Which numbers move by themselves, and the least that each may be, `(parameters,)`: damping
+    and friction, which are not negative, and armature, which leaves something of what a joint's
+    links weigh.
     """
     assert isinstance(plant.dynamics, CompiledTree)
     joints, first = len(plant.joints), LINK * len(plant.joints)
     found, low = np.zeros(len(plant.parameters), np.bool_), np.zeros(len(plant.parameters))
     for number in (ARMATURE, DAMPING, FRICTION):
         found[first + number :: JOINT] = True
-    poses = np.concatenate([smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), :joints] for e in episodes])
-    masses = np.einsum("njj->nj", mass_matrix(plant.dynamics.tree, poses[np.isfinite(poses).all(axis=1)]))
+    poses = np.concatenate(
+        [smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), :joints] for e in episodes]
+    )
+    masses = np.einsum(
+        "njj->nj", mass_matrix(plant.dynamics.tree, poses[np.isfinite(poses).all(axis=1)])
+    )
     given = np.array(plant.parameters)[first + ARMATURE :: JOINT]
     low[first + ARMATURE :: JOINT] = -LIGHTEST * (masses.min(axis=0) - given)
     return found, low
 
 
 def _all_gains(plant: Plant, size: Array) -> Array:
-    """The way in which all actuators grow alike, which with all masses no motion shows, `(parameters,)`, of length 1."""
+    """The way in which all actuators grow alike, which with all masses no motion shows,
+    `(parameters,)`, of length 1."""
     first, joints = LINK * len(plant.joints), len(plant.joints)
     way = np.zeros(len(size))
     gains = first + JOINT * np.arange(joints) + GAIN
@@ -95,7 +124,8 @@ def _all_gains(plant: Plant, size: Array) -> Array:
 
 
 def sizes(plant: Plant, force: Array) -> Array:
-    """By how much each number may be expected to be off, `(parameters,)`; 0 for those that stay as they are."""
+    """By how much each number may be expected to be off, `(parameters,)`; 0 for those that stay as
+    they are."""
     assert isinstance(plant.dynamics, CompiledTree)
     tree, joints = plant.dynamics.tree, len(plant.joints)
     given = np.array(tree.parameters)
@@ -109,13 +139,19 @@ def sizes(plant: Plant, force: Array) -> Array:
         to = found[LINK * joints + JOINT * j :]
         to[ARMATURE] = max(at[ARMATURE], 0.1 * own)
         to[DAMPING] = max(at[DAMPING], own)  # a joint whose speed would halve in about a second
-        to[GAIN], to[SERVO], to[STIFFNESS], to[FRICTION] = abs(at[GAIN]), abs(at[SERVO]), abs(at[STIFFNESS]), abs(at[FRICTION])
+        to[GAIN], to[SERVO], to[STIFFNESS], to[FRICTION] = (
+            abs(at[GAIN]),
+            abs(at[SERVO]),
+            abs(at[STIFFNESS]),
+            abs(at[FRICTION]),
+        )
     return found
 
 
 def regression(plant: Plant, episodes: Sequence[Episode]) -> tuple[Array, Array]:
-    """What each number adds to the force that is missing at each joint, `(rows, joints, parameters)`, and the forces `(rows, joints)`
-    that links and armatures need, at moments of recorded episodes.
+    """What each number adds to the force that is missing at each joint, `(rows, joints,
+    parameters)`, and the forces `(rows, joints)` that links and armatures need, at moments of
+    recorded episodes.
     """
     moments = [_moments(plant, e) for e in episodes]
     every = -(-sum(len(m[0]) for m in moments) // MOST_ROWS)
@@ -140,14 +176,21 @@ def columns(plant: Plant, q: Array, v: Array, a: Array, u: Array) -> tuple[Array
 
 
 def _moments(plant: Plant, episode: Episode) -> tuple[Array, Array, Array, Array]:
-    """Positions, velocities, mean accelerations and mean commands over spans, `(spans, joints)` each."""
+    """Positions, velocities, mean accelerations and mean commands over spans, `(spans, joints)`
+    each."""
     joints = len(plant.joints)
     states = smoothed_states(plant, episode)
-    span = max(2, round(SPAN_S / episode.period_s)) if len(episode.t_s) > 2 * round(SPAN_S / episode.period_s) + 2 else 1
+    span = (
+        max(2, round(SPAN_S / episode.period_s))
+        if len(episode.t_s) > 2 * round(SPAN_S / episode.period_s) + 2
+        else 1
+    )
     first, last = np.arange(len(states) - span), np.arange(span, len(states))
     h = (episode.t_s[last] - episode.t_s[first])[:, None]
     applied = plant.applied(episode.commands)
-    issued = np.concatenate([np.zeros((1, joints)), np.cumsum(applied[:-1] * np.diff(episode.t_s)[:, None], axis=0)])
+    issued = np.concatenate(
+        [np.zeros((1, joints)), np.cumsum(applied[:-1] * np.diff(episode.t_s)[:, None], axis=0)]
+    )
     a = (states[last, joints:] - states[first, joints:]) / h
     middle = states[first + span // 2]
     q, v, u = middle[:, :joints], middle[:, joints:], (issued[last] - issued[first]) / h

@@ -1,17 +1,21 @@
-"""Convergence: a fit taken to the minimum of its cost, the proof that it is there, and the other minima that the data allow.
+"""Convergence: a fit taken to the minimum of its cost, the proof that it is there, and the other
+minima that the data allow.
 
-At a minimum that counts, half an interval to either side costs the same. So the gradient is a difference of costs as far apart as the
-data can tell, not at one part in ten thousand, where each joint that sticks or slips makes a kink of its own. With the curvature of the
-normal equations it gives the step to the minimum; the fit is there when that step would move no estimate by more than PROVEN of its
-half-width. The last few places and their steps tell where steps vanish, and lead there sooner than each step by itself.
+At a minimum that counts, half an interval to either side costs the same. So the gradient is a
+difference of costs as far apart as the data can tell, not at one part in ten thousand, where each
+joint that sticks or slips makes a kink of its own. With the curvature of the normal equations it
+gives the step to the minimum; the fit is there when that step would move no estimate by more than
+PROVEN of its half-width. The last few places and their steps tell where steps vanish, and lead
+there sooner than each step by itself.
 
-A cost is a function of the numbers alone once what windows start from is at rest. Such a start has valleys of its own, so others around
-it are tried at every look.
+A cost is a function of the numbers alone once what windows start from is at rest. Such a start has
+valleys of its own, so others around it are tried at every look.
 
-Descents begin where the search ended, and far to either side along the direction that the data determine least. Minima that cost no more
-than a likelihood-ratio test tells from the best are all kept.
-Source: W. Q. Meeker, L. A. Escobar, The American Statistician 49 (1995), on intervals by likelihood ratios; A. H. Ribeiro et al.,
-Automatica 121 (2020), on how the length of windows makes costs smooth or rough.
+Descents begin where the search ended, and far to either side along the direction that the data
+determine least. Minima that cost no more than a likelihood-ratio test tells from the best are all
+kept. Source: W. Q. Meeker, L. A. Escobar, The American Statistician 49 (1995), on intervals by
+likelihood ratios; A. H. Ribeiro et al., Automatica 121 (2020), on how the length of windows makes
+costs smooth or rough.
 """
 
 from __future__ import annotations
@@ -23,7 +27,18 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.fit.rollout_fit import PRIOR, PROVEN, SWING, TWO_SIDED, Around, Fitter, Free, RolloutFit, Start, moved
+from trueup.fit.rollout_fit import (
+    PRIOR,
+    PROVEN,
+    SWING,
+    TWO_SIDED,
+    Around,
+    Fitter,
+    Free,
+    RolloutFit,
+    Start,
+    moved,
+)
 from trueup.model.rounding import rounded
 from trueup.model.series import Series
 
@@ -37,26 +52,40 @@ SLACK = 1.0  # times what is left of a sample: a cost that rises by less has not
 REMEMBERED = 3  # steps that tell what the normal equations neglect
 ALIKE = 1e-2  # of the largest: what tells less of a step is left out
 SHORTEST = 0.02  # of a step
-STARTS, SETTLED = 6, 1e-7  # iterations for what windows start from, and the part of the cost that ends them
-SOFTER, STIFFER = 0.25, 4.0  # times the curvature of the normal equations: what they neglect is no more
+STARTS, SETTLED = (
+    6,
+    1e-7,
+)  # iterations for what windows start from, and the part of the cost that ends them
+SOFTER, STIFFER = (
+    0.25,
+    4.0,
+)  # times the curvature of the normal equations: what they neglect is no more
 RIDGE = 1e-12  # of a determined direction's curvature
 DISPLACED = 4.0  # half-widths along the direction that is determined least
 DESCENT = 8  # iterations from there
-TOLD_APART = TWO_SIDED**2  # times what is left of a sample: a minimum that costs more is told from the best
+TOLD_APART = (
+    TWO_SIDED**2
+)  # times what is left of a sample: a minimum that costs more is told from the best
 ELSEWHERE = 0.1  # of a half-width: minima that are nearer are one
 
 Fixed = Iterable[tuple[str, str]]
 
 
-def minima(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = ()) -> list[RolloutFit]:
-    """The minima that the data do not tell from the best, the best first, from a fit and from far to both of its sides.
+def minima(
+    fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = ()
+) -> list[RolloutFit]:
+    """The minima that the data do not tell from the best, the best first, from a fit and from far
+    to both of its sides.
 
-    Where no minimum can be proven near the fit, the cost is too rough for any, and it is all that is looked for.
+    Where no minimum can be proven near the fit, the cost is too rough for any, and it is all that
+    is looked for.
     """
     fixed = list(fixed)
     found = [converge(fitter, data, fit, fixed)]
     for values in _displaced(found[0]) if found[0].proven else ():
-        descended = fitter.fit(data, fit.hypothesis, values, found[0].starts, iterations=DESCENT, fixed=fixed)
+        descended = fitter.fit(
+            data, fit.hypothesis, values, found[0].starts, iterations=DESCENT, fixed=fixed
+        )
         if descended.cost < found[0].cost + FURTHEST * TOLD_APART * _left(found[0]):
             found.append(converge(fitter, data, descended, fixed))
     found.sort(key=lambda f: f.cost)
@@ -64,21 +93,31 @@ def minima(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed
     return [f for i, f in enumerate(alike) if not any(_near(f, other) for other in alike[:i])]
 
 
-def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = (), most: int = MOST) -> RolloutFit:
-    """A fit's minimum, from where it ended, by so many looks at most. Numbers that are `fixed` stay."""
+def converge(
+    fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = (), most: int = MOST
+) -> RolloutFit:
+    """A fit's minimum, from where it ended, by so many looks at most. Numbers that are `fixed`
+    stay."""
     free = fitter.free(fit.hypothesis, fixed)
     values, starts = fit.values, _rested(fitter, data, fit, fit.values, np.inf, fit.starts)
     best = _looked(fitter, data, fit, values, starts, free)
-    best = _looked(fitter, data, fit, values, starts, best.free)  # now as far apart as the data tell
+    best = _looked(
+        fitter, data, fit, values, starts, best.free
+    )  # now as far apart as the data tell
     part, offs, path = 1.0, [best.off], [(free.at(values), best.step)]
     nearest = best, values, starts
     for _ in range(most):
         nearer = len(offs) <= PATIENCE or min(offs[-PATIENCE:]) < min(offs[:-PATIENCE])
         if best.off <= PROVEN or not nearer or part < SHORTEST or not np.isfinite(best.cost):
             break
-        step = rounded(_led_on(path, best) if part == 1.0 else part * min(1.0, FURTHEST / best.off) * best.step)
+        step = rounded(
+            _led_on(path, best) if part == 1.0 else part * min(1.0, FURTHEST / best.off) * best.step
+        )
         tried = free.moved(values, step)
-        led = {key: moved(starts[key], *by, best.around.states) for key, by in best.around.gram.moves_with(step).items()}
+        led = {
+            key: moved(starts[key], *by, best.around.states)
+            for key, by in best.around.gram.moves_with(step).items()
+        }
         there = _rested(fitter, data, fit, tried, best.cost, led, starts)
         after = _looked(fitter, data, fit, tried, there, best.free)
         if after.cost > best.cost + SLACK * best.cost / fit.samples:
@@ -88,7 +127,10 @@ def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fix
         values, starts, best, part = tried, there, after, 1.0
         path = [*known, (free.at(values), best.step)]
         offs.append(best.off)
-        if best.off < nearest[0].off or best.cost < nearest[0].cost - SLACK * best.cost / fit.samples:
+        if (
+            best.off < nearest[0].off
+            or best.cost < nearest[0].cost - SLACK * best.cost / fit.samples
+        ):
             nearest = best, values, starts
     best, values, starts = nearest
     gram = best.around.gram
@@ -110,8 +152,8 @@ def converge(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fix
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """A place with the step from it to the minimum, `(free,)`, and how far that is in half-widths; `free` has the steps of the differences
-    to be taken next.
+    """A place with the step from it to the minimum, `(free,)`, and how far that is in half-widths;
+    `free` has the steps of the differences to be taken next.
     """
 
     around: Around
@@ -122,21 +164,37 @@ class _Place:
     free: Free
 
 
-def _looked(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Array, starts: Mapping[str, Start], free: Free) -> _Place:
+def _looked(
+    fitter: Fitter,
+    data: Sequence[Series],
+    fit: RolloutFit,
+    values: Array,
+    starts: Mapping[str, Start],
+    free: Free,
+) -> _Place:
     """What a look to both sides of each number shows."""
     around, n = fitter.around(data, fit.hypothesis, values, starts, free), len(free.rows)
     cost = around.gram.cost
     if not np.isfinite(cost) or not n:
         return _Place(around, cost, np.zeros((n, n)), np.zeros(n), np.inf if n else 0.0, free)
     misfit, at = max(cost / fit.samples, 1.0), free.at(values)
-    ratio = np.where(np.isfinite(around.bend), around.bend, around.alone) / np.maximum(around.alone, 1e-300)
+    ratio = np.where(np.isfinite(around.bend), around.bend, around.alone) / np.maximum(
+        around.alone, 1e-300
+    )
     stiff = np.sqrt(np.clip(ratio, SOFTER, STIFFER))
     weight, centre = fitter.expected(free)
     worth = PRIOR * misfit * weight
     normal = around.gram.reduced()[0] * stiff[:, None] * stiff
-    step, error = _to_minimum(normal + np.diag(worth), around.gradient + worth * (centre - at), at <= free.low, at >= free.high)
+    step, error = _to_minimum(
+        normal + np.diag(worth),
+        around.gradient + worth * (centre - at),
+        at <= free.low,
+        at >= free.high,
+    )
     swing = SWING * TWO_SIDED * np.sqrt(misfit / np.maximum(around.alone + worth, 1e-300))
-    reach = np.where(np.isfinite(free.high - free.low), WIDEST_SWING * (free.high - free.low), np.inf)
+    reach = np.where(
+        np.isfinite(free.high - free.low), WIDEST_SWING * (free.high - free.low), np.inf
+    )
     off = float(np.max(np.abs(step) / (TWO_SIDED * np.sqrt(misfit) * error)))
     if not (free.central and off < NEAR):
         free = replace(free, step=np.asarray(rounded(np.minimum(swing, reach))), central=True)
@@ -144,9 +202,11 @@ def _looked(fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Arr
 
 
 def _led_on(path: Sequence[tuple[Array, Array]], best: _Place) -> Array:
-    """A step to where steps vanish, by what the last places and their steps tell, `(free,)`; no longer than FURTHEST.
+    """A step to where steps vanish, by what the last places and their steps tell, `(free,)`; no
+    longer than FURTHEST.
 
-    Source: D. G. Anderson, Journal of the ACM 12 (1965); H. F. Walker, P. Ni, SIAM Journal on Numerical Analysis 49 (2011).
+    Source: D. G. Anderson, Journal of the ACM 12 (1965); H. F. Walker, P. Ni, SIAM Journal on
+    Numerical Analysis 49 (2011).
     """
     step = best.step
     if len(path) > 1:
@@ -155,13 +215,17 @@ def _led_on(path: Sequence[tuple[Array, Array]], best: _Place) -> Array:
         over, turned = np.diff(at), np.diff(steps)
         part = np.linalg.lstsq(size * turned, size[:, 0] * step, rcond=ALIKE)[0]
         step = step - (over + turned) @ part
-    length = best.off * np.sqrt(float(step @ best.normal @ step) / max(float(best.step @ best.normal @ best.step), 1e-300))
+    length = best.off * np.sqrt(
+        float(step @ best.normal @ step) / max(float(best.step @ best.normal @ best.step), 1e-300)
+    )
     return np.asarray(min(1.0, FURTHEST / length) * step)
 
 
-def _to_minimum(normal: Array, gradient: Array, lowest: NDArray[np.bool_], highest: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """The step to where a quadratic cost is least, no further than to bounds where numbers are, and each one's standard error for a misfit
-    of 1, `(free,)` each.
+def _to_minimum(
+    normal: Array, gradient: Array, lowest: NDArray[np.bool_], highest: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """The step to where a quadratic cost is least, no further than to bounds where numbers are, and
+    each one's standard error for a misfit of 1, `(free,)` each.
     """
     free = np.diag(normal) > 0.0
     while True:
@@ -169,7 +233,11 @@ def _to_minimum(normal: Array, gradient: Array, lowest: NDArray[np.bool_], highe
         if free.any():
             part = normal[np.ix_(free, free)]
             size = np.sqrt(np.diag(part))
-            inverse = np.linalg.inv(part / size[:, None] / size + RIDGE * np.eye(len(size))) / size[:, None] / size
+            inverse = (
+                np.linalg.inv(part / size[:, None] / size + RIDGE * np.eye(len(size)))
+                / size[:, None]
+                / size
+            )
             step[free], error[free] = inverse @ gradient[free], np.sqrt(np.abs(np.diag(inverse)))
         outwards = free & ((lowest & (step < 0.0)) | (highest & (step > 0.0)))
         if not outwards.any():
@@ -178,12 +246,25 @@ def _to_minimum(normal: Array, gradient: Array, lowest: NDArray[np.bool_], highe
 
 
 def _rested(
-    fitter: Fitter, data: Sequence[Series], fit: RolloutFit, values: Array, cost: float, *beginnings: Mapping[str, Start]
+    fitter: Fitter,
+    data: Sequence[Series],
+    fit: RolloutFit,
+    values: Array,
+    cost: float,
+    *beginnings: Mapping[str, Start],
 ) -> dict[str, Start]:
-    """Of each episode what its windows start from at rest: from the first of some beginnings, from the next where that cost more than
-    before, and from what lies around the best.
+    """Of each episode what its windows start from at rest: from the first of some beginnings, from
+    the next where that cost more than before, and from what lies around the best.
     """
-    at_rest = partial(fitter.started, data, fit.hypothesis, values, iterations=STARTS, tolerance=SETTLED, fine=True)
+    at_rest = partial(
+        fitter.started,
+        data,
+        fit.hypothesis,
+        values,
+        iterations=STARTS,
+        tolerance=SETTLED,
+        fine=True,
+    )
     best = at_rest(starts=beginnings[0])
     for starts in beginnings[1:]:
         best = _better(best, at_rest(starts=starts)) if best.cost > cost else best
@@ -201,15 +282,20 @@ def _better(one: RolloutFit, other: RolloutFit) -> RolloutFit:
 
 
 def _displaced(fit: RolloutFit) -> list[Array]:
-    """Values far to both sides along the direction that the data determine least, measured by each number's own curvature."""
+    """Values far to both sides along the direction that the data determine least, measured by each
+    number's own curvature."""
     shown = np.diag(fit.information) > 0.0
     if not shown.any():
         return []
     size = np.sqrt(np.diag(fit.information)[shown])
     powers, ways = np.linalg.eigh(fit.information[np.ix_(shown, shown)] / size[:, None] / size)
-    way = ways[:, 0] * np.sign(ways[np.abs(rounded(ways[:, 0])).argmax(), 0])  # an eigenvector's sign is nobody's
+    way = ways[:, 0] * np.sign(
+        ways[np.abs(rounded(ways[:, 0])).argmax(), 0]
+    )  # an eigenvector's sign is nobody's
     by = np.zeros(len(shown))
-    by[shown] = DISPLACED * TWO_SIDED * np.sqrt(_left(fit) / max(float(powers[0]), RIDGE)) * way / size
+    by[shown] = (
+        DISPLACED * TWO_SIDED * np.sqrt(_left(fit) / max(float(powers[0]), RIDGE)) * way / size
+    )
     return [fit.free.moved(fit.values, rounded(side * by)) for side in (1.0, -1.0)]
 
 

@@ -1,7 +1,8 @@
 """First model: a plant.json from recordings alone, for whoever has a log and no declared model.
 
-Topics, joints, fields, rates and the range of the commands are read off the log. The nominal form is the simplest family that the data do
-not clearly speak against, with its numbers identified: so a diagnosis from it says what is missing beyond new numbers.
+Topics, joints, fields, rates and the range of the commands are read off the log. The nominal form
+is the simplest family that the data do not clearly speak against, with its numbers identified: so a
+diagnosis from it says what is missing beyond new numbers.
 """
 
 from __future__ import annotations
@@ -21,12 +22,17 @@ from trueup.fit.identify import identify
 from trueup.model.family import families
 from trueup.model.plant import Plant
 
-COMMANDED = re.compile(r"command|cmd|desired|target|goal|reference|setpoint|effort|torque|control", re.IGNORECASE)
+COMMANDED = re.compile(
+    r"command|cmd|desired|target|goal|reference|setpoint|effort|torque|control", re.IGNORECASE
+)
 UNITS = {Field.POSITION: "rad", Field.VELOCITY: "rad/s", Field.EFFORT: "N·m"}
 SYMBOLS = {Field.POSITION: "q", Field.VELOCITY: "v", Field.EFFORT: "u"}
 SIMPLEST = ("inertia", "pendulum", "oscillator")
 CLEARLY = 0.9  # of a simpler family's residual: a family whose own is not below that is not needed
-HORIZON_S, PARTS = 1.0, 5.0  # rollouts are judged over so long, or over such a part of the shortest recording
+HORIZON_S, PARTS = (
+    1.0,
+    5.0,
+)  # rollouts are judged over so long, or over such a part of the shortest recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,33 +53,62 @@ class Chosen:
         return Layout(observations, (command,), self.observed.topic, self.commanded.topic)
 
 
-def choose(found: Survey, *, observation: str | None = None, command: str | None = None, joint: str | None = None) -> Chosen:
-    """The topics and the joint of a log with one driven joint, those that are named or those that are plain. Raises BadPlant."""
+def choose(
+    found: Survey,
+    *,
+    observation: str | None = None,
+    command: str | None = None,
+    joint: str | None = None,
+) -> Chosen:
+    """The topics and the joint of a log with one driven joint, those that are named or those that
+    are plain. Raises BadPlant."""
     by_name = {s.topic: s for s in found.found}
     for name in (observation, command):
         if name is not None and name not in by_name:
             raise BadPlant(f"no JointState is on {name}", field="topics", hint=_there_is(found))
     seen = by_name[observation] if observation else _observed(found, command)
     driven = by_name[command] if command else _commanded(found, seen)
-    field = Field.EFFORT if Field.EFFORT in driven.fields else next((f for f in driven.fields), None)
+    field = (
+        Field.EFFORT if Field.EFFORT in driven.fields else next((f for f in driven.fields), None)
+    )
     if field is None:
-        raise BadPlant(f"{driven.topic} commands nothing: its messages have no values", field="commands", hint=_there_is(found))
-    joints = [j for j in seen.joints if j in driven.joints] if driven.joints and seen.joints else list(seen.joints)
+        raise BadPlant(
+            f"{driven.topic} commands nothing: its messages have no values",
+            field="commands",
+            hint=_there_is(found),
+        )
+    joints = (
+        [j for j in seen.joints if j in driven.joints]
+        if driven.joints and seen.joints
+        else list(seen.joints)
+    )
     if joint is None and len(joints) > 1:
         hint = f"Name one with --joint ({', '.join(joints)}), or describe the robot by --mjcf."
-        raise BadPlant(f"the log moves {len(joints)} joints, and a family describes one", field="joint", hint=hint)
+        raise BadPlant(
+            f"the log moves {len(joints)} joints, and a family describes one",
+            field="joint",
+            hint=hint,
+        )
     if joint is not None and joint not in joints:
         raise BadPlant(
-            f"no joint {joint!r} is both observed and commanded", field="joint", hint=f"There are {', '.join(joints) or 'none'}."
+            f"no joint {joint!r} is both observed and commanded",
+            field="joint",
+            hint=f"There are {', '.join(joints) or 'none'}.",
         )
     return Chosen(seen, driven, joint or (joints[0] if joints else None), field)
 
 
 def _observed(found: Survey, command: str | None) -> Surveyed:
-    seen = [s for s in found.found if Field.POSITION in s.fields and s.topic != command and not COMMANDED.search(s.topic)]
+    seen = [
+        s
+        for s in found.found
+        if Field.POSITION in s.fields and s.topic != command and not COMMANDED.search(s.topic)
+    ]
     if len(seen) != 1:
         raise BadPlant(
-            f"{len(seen)} topics look like observed positions", field="topics", hint=f"Name one with --observation. {_there_is(found)}"
+            f"{len(seen)} topics look like observed positions",
+            field="topics",
+            hint=f"Name one with --observation. {_there_is(found)}",
         )
     return seen[0]
 
@@ -85,47 +120,93 @@ def _commanded(found: Survey, seen: Surveyed) -> Surveyed:
         return named[0]
     if not named and Field.EFFORT in seen.fields:
         return seen  # what the drives measured is all that the log has of the command
-    raise BadPlant(f"{len(named)} topics look like commands", field="topics", hint=f"Name one with --command. {_there_is(found)}")
+    raise BadPlant(
+        f"{len(named)} topics look like commands",
+        field="topics",
+        hint=f"Name one with --command. {_there_is(found)}",
+    )
 
 
 def _there_is(found: Survey) -> str:
-    told = [f"{s.topic} ({', '.join(s.fields) or 'empty'} of {', '.join(s.joints) or 'unnamed joints'})" for s in found.found]
-    others = f" Other topics: {', '.join(found.others)}; commands must be JointState, too." if found.others else ""
+    told = [
+        f"{s.topic} ({', '.join(s.fields) or 'empty'} of {', '.join(s.joints) or 'unnamed joints'})"
+        for s in found.found
+    ]
+    others = (
+        f" Other topics: {', '.join(found.others)}; commands must be JointState, too."
+        if found.others
+        else ""
+    )
     return f"JointState is on: {'; '.join(told) or 'no topic'}.{others}"
 
 
-def describe(name: str, chosen: Chosen, episodes: Sequence[Episode], family: str | None = None) -> dict[str, Json]:
-    """A plant.json for adaptation episodes that were read by `chosen.layout`. Raises BadPlant, NotIdentifiable."""
+def describe(
+    name: str, chosen: Chosen, episodes: Sequence[Episode], family: str | None = None
+) -> dict[str, Json]:
+    """A plant.json for adaptation episodes that were read by `chosen.layout`. Raises BadPlant,
+    NotIdentifiable."""
     period = min(e.period_s for e in episodes)
     timestep = float(f"{period:.3g}")
     largest = max(float(abs(e.commands).max()) for e in episodes)
     if largest == 0.0:
-        raise NotIdentifiable("the command is 0 throughout", hint="Name the topic and the field that drive the joint.")
+        raise NotIdentifiable(
+            "the command is 0 throughout", hint="Name the topic and the field that drive the joint."
+        )
     layout, reach = chosen.layout, _rounded_up(largest)
     document: dict[str, Any] = {
         "name": name,
-        "nominal": {"family": "", "parameters": {}, "timestep_s": timestep, "integrator": "semi_implicit_euler"},
+        "nominal": {
+            "family": "",
+            "parameters": {},
+            "timestep_s": timestep,
+            "integrator": "semi_implicit_euler",
+        },
         "commands": [_channel(layout.commands[0]) | {"limits": [-reach, reach]}],
         "observations": [_channel(c) | {"scale": 1.0} for c in layout.observations],
-        "evaluation": {"horizon_s": float(f"{min(HORIZON_S, min(float(e.t_s[-1]) for e in episodes) / PARTS):.2g}")},
+        "evaluation": {
+            "horizon_s": float(
+                f"{min(HORIZON_S, min(float(e.t_s[-1]) for e in episodes) / PARTS):.2g}"
+            )
+        },
         "topics": {"observation": layout.observation_topic, "command": layout.command_topic},
     }
-    fitted = {f: found for f in ([family] if family else SIMPLEST) if (found := _fitted(document, f, episodes)) is not None}
+    fitted = {
+        f: found
+        for f in ([family] if family else SIMPLEST)
+        if (found := _fitted(document, f, episodes)) is not None
+    }
     if not fitted:
-        raise NotIdentifiable("no family's numbers can be identified from this log", hint="Record a motion that moves and reverses more.")
+        raise NotIdentifiable(
+            "no family's numbers can be identified from this log",
+            hint="Record a motion that moves and reverses more.",
+        )
     best = next(iter(fitted))
     for other, (_, residual) in fitted.items():
         if residual < CLEARLY * fitted[best][1]:
             best = other
-    document["nominal"] |= {"family": best, "parameters": {k: float(f"{v:.6g}") for k, v in fitted[best][0].items()}}
+    document["nominal"] |= {
+        "family": best,
+        "parameters": {k: float(f"{v:.6g}") for k, v in fitted[best][0].items()},
+    }
     return document
 
 
-def _fitted(document: Mapping[str, Any], family: str, episodes: Sequence[Episode]) -> tuple[dict[str, float], float] | None:
-    """A family's numbers and the residual that they leave; None where the data do not determine them."""
+def _fitted(
+    document: Mapping[str, Any], family: str, episodes: Sequence[Episode]
+) -> tuple[dict[str, float], float] | None:
+    """A family's numbers and the residual that they leave; None where the data do not determine
+    them."""
     if family not in families():
-        raise BadPlant(f"there is no family {family!r}", field="nominal.family", hint=f"There are {', '.join(families())}.")
-    nominal = {**document["nominal"], "family": family, "parameters": {p.name: 1.0 for p in families()[family].params}}
+        raise BadPlant(
+            f"there is no family {family!r}",
+            field="nominal.family",
+            hint=f"There are {', '.join(families())}.",
+        )
+    nominal = {
+        **document["nominal"],
+        "family": family,
+        "parameters": {p.name: 1.0 for p in families()[family].params},
+    }
     try:
         _, found = identify(Plant.from_document({**document, "nominal": nominal}), episodes)
     except NotIdentifiable:
@@ -134,7 +215,12 @@ def _fitted(document: Mapping[str, Any], family: str, episodes: Sequence[Episode
 
 
 def _channel(c: Channel) -> dict[str, Any]:
-    return {"name": c.name, "unit": c.unit, "field": str(c.field), **({"joint": c.joint} if c.joint else {})}
+    return {
+        "name": c.name,
+        "unit": c.unit,
+        "field": str(c.field),
+        **({"joint": c.joint} if c.joint else {}),
+    }
 
 
 def _rounded_up(x: float) -> float:

@@ -28,8 +28,9 @@ WORST_CONDITION = 1e6  # of the scaled design: beyond this half of float64's dig
 class Identification:
     """Parameters with 95 % half-widths, and how well the data determine them.
 
-    `rank` is the rank of the regression, `condition` its condition number with columns of unit length; `residual_rms` is in
-    acceleration units. `health` is empty, or says what speaks against the result.
+    `rank` is the rank of the regression, `condition` its condition number with columns of unit
+    length; `residual_rms` is in acceleration units. `health` is empty, or says what speaks against
+    the result.
     """
 
     parameters: dict[str, float]
@@ -43,7 +44,10 @@ class Identification:
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
         estimates: dict[str, Json] = {
-            name: {"value": value, "ci95": [value - self.half_widths[name], value + self.half_widths[name]]}
+            name: {
+                "value": value,
+                "ci95": [value - self.half_widths[name], value + self.half_widths[name]],
+            }
             for name, value in self.parameters.items()
         }
         return {
@@ -59,11 +63,12 @@ class Identification:
 def identify(
     plant: Plant, episodes: Sequence[Episode], progress: Callable[[float], None] = lambda _: None
 ) -> tuple[Identified, Identification]:
-    """Least squares of the velocity's change on the family's regressors, from adaptation episodes alone; of a robot's forces on its
-    base parameters.
+    """Least squares of the velocity's change on the family's regressors, from adaptation episodes
+    alone; of a robot's forces on its base parameters.
 
-    Equation: (v' - v) / h = sum of parameter x regressor(q, v, applied u); a velocity that is estimated enters over spans.
-    Raises RoleRefused, and NotIdentifiable where the regression's rank is below the number of parameters.
+    Equation: (v' - v) / h = sum of parameter x regressor(q, v, applied u); a velocity that is
+    estimated enters over spans. Raises RoleRefused, and NotIdentifiable where the regression's rank
+    is below the number of parameters.
     """
     if isinstance(plant.dynamics, CompiledTree):
         return _identify_tree(plant, [e.require(Role.ADAPTATION) for e in episodes], progress)
@@ -74,30 +79,48 @@ def identify(
     names = plant.dynamics.parameter_names
     if found.rank < len(names) or found.condition > WORST_CONDITION:
         raise NotIdentifiable(
-            f"the regression has rank {found.rank} of {len(names)} and condition {found.condition:.3g}",
+            (
+                f"the regression has rank {found.rank} of {len(names)} and condition "
+                f"{found.condition:.3g}"
+            ),
             rank=found.rank,
             condition=found.condition,
         )
     values = tuple(float(x) for x in found.values)
-    health = () if plant.is_stable(values) or not plant.is_stable() else ("the identified update is unstable, the nominal one is not",)
-    pairs = dict(zip(names, values, strict=True)), dict(zip(names, map(float, found.half_widths), strict=True))
+    health = (
+        ()
+        if plant.is_stable(values) or not plant.is_stable()
+        else ("the identified update is unstable, the nominal one is not",)
+    )
+    pairs = (
+        dict(zip(names, values, strict=True)),
+        dict(zip(names, map(float, found.half_widths), strict=True)),
+    )
     progress(1.0)
-    return Identified(plant, values), Identification(*pairs, found.rank, found.condition, found.residual_rms, len(target), health)
+    return Identified(plant, values), Identification(
+        *pairs, found.rank, found.condition, found.residual_rms, len(target), health
+    )
 
 
 def _regression(plant: Plant, data: Transitions) -> tuple[np.ndarray, np.ndarray]:
     assert isinstance(plant.dynamics, CompiledFamily)
     joints = plant.dynamics.joints
-    regressors = plant.dynamics.family.regressors(data.states[:, 0], data.states[:, joints], plant.applied(data.issued)[:, 0])
+    regressors = plant.dynamics.family.regressors(
+        data.states[:, 0], data.states[:, joints], plant.applied(data.issued)[:, 0]
+    )
     spans = data.sums(data.h_s)
     design = data.sums(np.stack(regressors, axis=1) * data.h_s[:, None]) / spans[:, None]
     return design, data.sums(data.after[:, joints] - data.states[:, joints]) / spans
 
 
-def _identify_tree(plant: Plant, episodes: Sequence[Episode], progress: Callable[[float], None]) -> tuple[Identified, Identification]:
-    """The same of a robot: what is missing at each joint, in units of the forces there, on the combinations that the episodes show.
+def _identify_tree(
+    plant: Plant, episodes: Sequence[Episode], progress: Callable[[float], None]
+) -> tuple[Identified, Identification]:
+    """The same of a robot: what is missing at each joint, in units of the forces there, on the
+    combinations that the episodes show.
 
-    Equation: sum of parameter x its column = the actuators' constant forces; source: P. K. Khosla, T. Kanade, CDC 1985.
+    Equation: sum of parameter x its column = the actuators' constant forces; source: P. K. Khosla,
+    T. Kanade, CDC 1985.
     """
     if not episodes:
         raise NotIdentifiable("there is no adaptation episode to fit")
@@ -106,7 +129,10 @@ def _identify_tree(plant: Plant, episodes: Sequence[Episode], progress: Callable
     progress(0.3)
     columns, force = regression(plant, episodes)
     if not len(ways.names):
-        raise NotIdentifiable("no motion shows any of the robot's parameters", hint="Record episodes in which every joint moves.")
+        raise NotIdentifiable(
+            "no motion shows any of the robot's parameters",
+            hint="Record episodes in which every joint moves.",
+        )
     scale = np.maximum(np.sqrt(np.mean(force**2, axis=0)), 1e-9)
     nominal = np.array(plant.parameters)
     missing = plant.dynamics.tree.constants[:, OFFSET] - columns @ nominal
@@ -133,7 +159,16 @@ def _identify_tree(plant: Plant, episodes: Sequence[Episode], progress: Callable
 
 def _sound(plant: Plant, values: np.ndarray, episodes: Sequence[Episode]) -> tuple[str, ...]:
     """What speaks against a robot's parameters: an inertia that gives way, at a recorded pose."""
-    poses = np.concatenate([smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), : len(plant.joints)] for e in episodes])
+    poses = np.concatenate(
+        [
+            smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), : len(plant.joints)]
+            for e in episodes
+        ]
+    )
     poses = poses[np.isfinite(poses).all(axis=1)]
     masses = plant.dynamics.inertia(values, poses) * plant.form.sizes[None, :, None]
-    return () if bool((np.linalg.eigvalsh(masses) > 0.0).all()) else ("the identified inertia is not positive at a recorded pose",)
+    return (
+        ()
+        if bool((np.linalg.eigvalsh(masses) > 0.0).all())
+        else ("the identified inertia is not positive at a recorded pose",)
+    )

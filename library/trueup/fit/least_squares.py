@@ -13,7 +13,8 @@ NORMAL_95 = 1.959963984540054  # two-sided 95 % point of the normal distribution
 
 @dataclass(frozen=True, slots=True)
 class LinearFit:
-    """`values` `(columns,)`; their 95 % half-widths `(columns,)`; rank and condition number of the scaled design."""
+    """`values` `(columns,)`; their 95 % half-widths `(columns,)`; rank and condition number of the
+    scaled design."""
 
     values: Array
     half_widths: Array
@@ -25,8 +26,9 @@ class LinearFit:
 def solve(design: Array, target: Array, correlated_rows: int = 1) -> LinearFit:
     """Least squares of `target` `(rows,)` on `design` `(rows, columns)`.
 
-    The condition number is that of the design with columns of unit length, so that units do not enter. The intervals take
-    `correlated_rows` neighbouring residuals as one: overlapping spans share their noise.
+    The condition number is that of the design with columns of unit length, so that units do not
+    enter. The intervals take `correlated_rows` neighbouring residuals as one: overlapping spans
+    share their noise.
     """
     lengths = np.linalg.norm(design, axis=0)
     scaled = design / np.where(lengths > 0.0, lengths, 1.0)
@@ -38,10 +40,16 @@ def solve(design: Array, target: Array, correlated_rows: int = 1) -> LinearFit:
     divisor = np.where(lengths > 0.0, lengths, np.inf)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
     return LinearFit(
-        values / divisor, NORMAL_95 * np.sqrt(np.diag(covariance)) / divisor, int(rank), condition, float(np.sqrt(np.mean(residual**2)))
+        values / divisor,
+        NORMAL_95 * np.sqrt(np.diag(covariance)) / divisor,
+        int(rank),
+        condition,
+        float(np.sqrt(np.mean(residual**2))),
     )
 
 
 def ridge(design: Array, targets: Array, penalty: float) -> Array:
     """Weights `(columns, targets)` by the normal equations with `penalty` on every weight."""
-    return np.asarray(np.linalg.solve(design.T @ design + penalty * np.eye(design.shape[1]), design.T @ targets))
+    return np.asarray(
+        np.linalg.solve(design.T @ design + penalty * np.eye(design.shape[1]), design.T @ targets)
+    )

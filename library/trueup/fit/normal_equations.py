@@ -1,8 +1,11 @@
-"""Normal equations of a rollout fit: sums of outer products by window, what windows start from eliminated.
+"""Normal equations of a rollout fit: sums of outer products by window, what windows start from
+eliminated.
 
-A row of a window's matrix is (error, directions and numbers, memories, start). Derivatives that hardly change from one step to the next,
-by the nominal form's directions and by the starts, may be kept from an earlier rollout, and only the others are rolled out again.
-Source: B. Triggs et al., Bundle Adjustment (1999), 6; C. T. Kelley, Solving Nonlinear Equations with Newton's Method (2003), section 2.4.
+A row of a window's matrix is (error, directions and numbers, memories, start). Derivatives that
+hardly change from one step to the next, by the nominal form's directions and by the starts, may be
+kept from an earlier rollout, and only the others are rolled out again. Source: B. Triggs et al.,
+Bundle Adjustment (1999), 6; C. T. Kelley, Solving Nonlinear Equations with Newton's Method (2003),
+section 2.4.
 """
 
 from __future__ import annotations
@@ -19,15 +22,18 @@ from trueup.model.rounding import rounded
 
 Array = NDArray[np.float64]
 Lanes = NDArray[np.int64]
-RAN_AWAY = 1e100  # of a sum of squares: no rollout that stays near its log comes there, and its own square is still finite
+# of a sum of squares: no rollout that stays near its log comes there, and its own square is still
+# finite
+RAN_AWAY = 1e100
 EVEN = 1e-3  # of a period: stamps that are so regular
 NOTHING = 1e-200  # of a squared derivative: what does no more than that has no step
 
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """Weighted derivatives of one episode's rollout by `first` directions and by the starts, `(samples, 2 x joints, kept)`, and the sums of
-    their outer products by window `(windows, kept, kept)`.
+    """Weighted derivatives of one episode's rollout by `first` directions and by the starts,
+    `(samples, 2 x joints, kept)`, and the sums of their outer products by window `(windows, kept,
+    kept)`.
     """
 
     rows: Array
@@ -39,11 +45,13 @@ class Kept:
 class Errors:
     """What a rollout is compared with, and what an error counts.
 
-    `observed` and `weight` `(samples, 2 x joints)`, the inverse standard deviation of the noise, 0 where nothing was seen; `window_of` the
-    window that a sample is an error of; `t_s` `(samples,)` [s]. `correlation` `(2 x joints,)` is that of the noise with itself one
-    `period_s` before: errors are taken less what the noise of the last one leads to expect. The first error of a window counts as it is.
-    Source: D. Cochrane, G. H. Orcutt, Journal of the American Statistical Association 44 (1949); for the first error S. J. Prais,
-    C. B. Winsten, Cowles Commission Discussion Paper 383 (1954).
+    `observed` and `weight` `(samples, 2 x joints)`, the inverse standard deviation of the noise, 0
+    where nothing was seen; `window_of` the window that a sample is an error of; `t_s` `(samples,)`
+    [s]. `correlation` `(2 x joints,)` is that of the noise with itself one `period_s` before:
+    errors are taken less what the noise of the last one leads to expect. The first error of a
+    window counts as it is. Source: D. Cochrane, G. H. Orcutt, Journal of the American Statistical
+    Association 44 (1949); for the first error S. J. Prais, C. B. Winsten, Cowles Commission
+    Discussion Paper 383 (1954).
     """
 
     observed: Array
@@ -56,24 +64,35 @@ class Errors:
     def _arguments(self) -> tuple[Array, Array, NDArray[np.int64], Array, float, Array]:
         return self.observed, self.weight, self.window_of, self.t_s, self.period_s, self.correlation
 
-    def summed(self, out: Array, inverse: Array, lanes: Lanes, against: Lanes, windows: int) -> Array:
-        """Sums of outer products of (error, derivatives) by window, `(windows, 1 + derivatives, 1 + derivatives)`, of a rollout
-        `(samples, 2 x joints, lanes)`.
+    def summed(
+        self, out: Array, inverse: Array, lanes: Lanes, against: Lanes, windows: int
+    ) -> Array:
+        """Sums of outer products of (error, derivatives) by window, `(windows, 1 + derivatives, 1 +
+        derivatives)`, of a rollout `(samples, 2 x joints, lanes)`.
 
-        Its first lane is unperturbed; `lanes` are those of the derivatives, `against` which they are differences, `inverse` `(lanes,)` is
-        that of each lane's step.
+        Its first lane is unperturbed; `lanes` are those of the derivatives, `against` which they
+        are differences, `inverse` `(lanes,)` is that of each lane's step.
         """
         into = np.zeros((windows, 1 + len(lanes), 1 + len(lanes)))
-        _summed(out, *self._arguments(), inverse, lanes, against, np.empty((*out.shape[:2], 0)), into)
+        _summed(
+            out, *self._arguments(), inverse, lanes, against, np.empty((*out.shape[:2], 0)), into
+        )
         return into
 
-    def kept(self, out: Array, inverse: Array, lanes: Lanes, sums: Array, first: int, start: int) -> Kept:
-        """What is kept of a rollout and its sums: derivatives by the `first` numbers and by the start, whose columns begin at `start`."""
+    def kept(
+        self, out: Array, inverse: Array, lanes: Lanes, sums: Array, first: int, start: int
+    ) -> Kept:
+        """What is kept of a rollout and its sums: derivatives by the `first` numbers and by the
+        start, whose columns begin at `start`."""
         columns = np.array([*range(1, first + 1), *range(start, sums.shape[1])])
         from_ = lanes[columns - 1]
         with np.errstate(over="ignore", invalid="ignore"):
             rows = (out[:, :, from_] - out[:, :, :1]) * (inverse[from_] * self.weight[:, :, None])
-        return Kept(np.where(self.weight[:, :, None] > 0.0, rows, 0.0), np.ascontiguousarray(sums[:, columns[:, None], columns]), first)
+        return Kept(
+            np.where(self.weight[:, :, None] > 0.0, rows, 0.0),
+            np.ascontiguousarray(sums[:, columns[:, None], columns]),
+            first,
+        )
 
     def renewed(self, out: Array, inverse: Array, lanes: Lanes, old: Kept) -> Array:
         """The same sums, with what was kept and the new derivatives of `lanes`."""
@@ -81,8 +100,17 @@ class Errors:
         found = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
         found[:, :many, :many] = old.products
         _summed(out, *self._arguments(), inverse, lanes, np.zeros_like(lanes), old.rows, found)
-        behind = 1 + old.first + fresh  # where the starts' begin; before them the new ones, and the error first of all
-        at = np.array([*range(1, old.first + 1), *range(behind, many + 1 + fresh), 0, *range(1 + old.first, behind)])
+        behind = (
+            1 + old.first + fresh
+        )  # where the starts' begin; before them the new ones, and the error first of all
+        at = np.array(
+            [
+                *range(1, old.first + 1),
+                *range(behind, many + 1 + fresh),
+                0,
+                *range(1 + old.first, behind),
+            ]
+        )
         into = np.empty_like(found)
         into[:, at[:, None], at] = found
         return into
@@ -96,9 +124,11 @@ class Errors:
 
 @dataclass(frozen=True, slots=True)
 class Gram:
-    """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows, used, used)`.
+    """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows,
+    used, used)`.
 
-    Starts are eliminated window by window, then what hidden states began with episode by episode; those have a prior of one scale.
+    Starts are eliminated window by window, then what hidden states began with episode by episode;
+    those have a prior of one scale.
     """
 
     parts: Mapping[str, Array]
@@ -127,39 +157,58 @@ class Gram:
 
     def mixed(self, other: Gram, episodes: Iterable[str]) -> Gram:
         """The same with some episodes from another."""
-        parts, began = ({**mine, **{e: its[e] for e in episodes}} for mine, its in ((self.parts, other.parts), (self.began, other.began)))
+        parts, began = (
+            {**mine, **{e: its[e] for e in episodes}}
+            for mine, its in ((self.parts, other.parts), (self.began, other.began))
+        )
         return replace(self, parts=parts, began=began)
 
     def moves(self, damping: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
-        """Steps of each episode's starts and memories where no parameter moves, each window with a damping of its own `(windows,)`."""
-        sound = {key: np.where(np.isfinite(self.costs(key))[:, None, None], g, 0.0) for key, g in self.parts.items()}
-        c = replace(self, parts=sound)._condensed(np.concatenate([damping[key] for key in self.parts]))
+        """Steps of each episode's starts and memories where no parameter moves, each window with a
+        damping of its own `(windows,)`."""
+        sound = {
+            key: np.where(np.isfinite(self.costs(key))[:, None, None], g, 0.0)
+            for key, g in self.parts.items()
+        }
+        c = replace(self, parts=sound)._condensed(
+            np.concatenate([damping[key] for key in self.parts])
+        )
         return c.moves(list(self.parts), np.zeros(0))
 
     def _condensed(self, damping: Array) -> _Condensed:
-        """Starts eliminated window by window: matrices over (error, parameters, memories) by episode, with the memories' prior.
+        """Starts eliminated window by window: matrices over (error, parameters, memories) by
+        episode, with the memories' prior.
 
-        `damping` `(windows,)` of all episodes; that of what an episode's hidden states began with is the least of its own.
+        `damping` `(windows,)` of all episodes; that of what an episode's hidden states began with
+        is the least of its own.
         """
         n, m = self.free, len(self.scales)
         sizes = [len(g) for g in self.parts.values()]
         stacked = np.concatenate(list(self.parts.values()))
         episode = np.repeat(np.arange(len(sizes)), sizes)
         own = stacked.shape[1] - (n + m + 1)
-        inverse, cross = np.empty((len(stacked), own, own)), np.empty((len(stacked), own, n + m + 1))
+        inverse, cross = (
+            np.empty((len(stacked), own, own)),
+            np.empty((len(stacked), own, n + m + 1)),
+        )
         total = np.zeros((len(sizes), n + m + 1, n + m + 1))
         _eliminate(stacked, episode, n + m + 1, damping, inverse, cross, total)
         if m:
             weight = self.scales**-2
             least = np.array([damping[episode == e].min(initial=np.inf) for e in range(len(sizes))])
             at = np.arange(n + 1, n + m + 1)
-            felt = total[:, at, at] > weight  # a past that the episode does not show, as beyond a play's end, stays where it is
+            felt = (
+                total[:, at, at] > weight
+            )  # a past that the episode does not show, as beyond a play's end, stays where it is
             total[:, at, at] = (total[:, at, at] + weight) * (1.0 + least[:, None])
             pull = np.where(felt, weight * np.array(list(self.began.values())), 0.0)
             total[:, 0, at] -= pull
             total[:, at, 0] -= pull
         solve = np.linalg.inv(total[:, n + 1 :, n + 1 :])
-        reduced = (total[:, : n + 1, : n + 1] - total[:, : n + 1, n + 1 :] @ solve @ total[:, n + 1 :, : n + 1]).sum(axis=0)
+        reduced = (
+            total[:, : n + 1, : n + 1]
+            - total[:, : n + 1, n + 1 :] @ solve @ total[:, n + 1 :, : n + 1]
+        ).sum(axis=0)
         return _Condensed(episode, inverse, cross, total, np.asarray(solve, float), reduced)
 
     def reduced(self, damping: float = 0.0) -> tuple[Array, Array]:
@@ -170,12 +219,15 @@ class Gram:
     def step(
         self, damping: float, at: Array, low: Array, high: Array, worth: Array, pull: Array
     ) -> tuple[Array, dict[str, tuple[Array, Array]], float]:
-        """Steps of the parameters, which are `at` places between bounds and have a prior's normal diagonal `worth` and gradient `pull`,
-        and of each episode's starts and memories, and the decrease that the linear model expects.
+        """Steps of the parameters, which are `at` places between bounds and have a prior's normal
+        diagonal `worth` and gradient `pull`, and of each episode's starts and memories, and the
+        decrease that the linear model expects.
         """
         c, n = self._condensed(self._alike(damping)), self.free
         normal, gradient = c.reduced[1:, 1:] + np.diag(worth), c.reduced[0, 1:] + pull
-        moving = ~(((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))) & (np.diag(normal) > NOTHING)
+        moving = ~(((at <= low) & (gradient < 0.0)) | ((at >= high) & (gradient > 0.0))) & (
+            np.diag(normal) > NOTHING
+        )
         step = np.zeros(n)
         if moving.any():
             part = normal[np.ix_(moving, moving)]
@@ -183,7 +235,9 @@ class Gram:
             scaled = part / size[:, None] / size + (damping + 1e-12) * np.eye(len(size))
             step[moving] = rounded(np.linalg.solve(scaled, gradient[moving] / size) / size)
         expected = float(step @ gradient)
-        expected += float(np.einsum("ei,eij,ej->", c.total[:, n + 1 :, 0], c.solve, c.total[:, n + 1 :, 0]))
+        expected += float(
+            np.einsum("ei,eij,ej->", c.total[:, n + 1 :, 0], c.solve, c.total[:, n + 1 :, 0])
+        )
         expected += float(np.einsum("wi,wij,wj->", c.cross[:, :, 0], c.inverse, c.cross[:, :, 0]))
         return step, c.moves(list(self.parts), step), expected
 
@@ -192,8 +246,8 @@ class Gram:
         return self._condensed(self._alike(0.0)).moves(list(self.parts), step)
 
     def reduced_with_scores(self) -> tuple[Array, Array]:
-        """Normal matrix of the parameters, and each window's part of their gradient `(windows, parameters)`, both without what starts take
-        up.
+        """Normal matrix of the parameters, and each window's part of their gradient `(windows,
+        parameters)`, both without what starts take up.
         """
         c, n = self._condensed(self._alike(0.0)), self.free
         stacked = np.concatenate(list(self.parts.values()))
@@ -206,7 +260,8 @@ class Gram:
 
 @dataclass(frozen=True, slots=True)
 class _Condensed:
-    """Products of an elimination: `inverse` and `cross` of starts by window, `total` and `solve` of memories by episode."""
+    """Products of an elimination: `inverse` and `cross` of starts by window, `total` and `solve` of
+    memories by episode."""
 
     episode: NDArray[np.int64]
     inverse: Array
@@ -220,7 +275,9 @@ class _Condensed:
         n = len(step)
         missing = self.total[:, n + 1 :, 0] - self.total[:, n + 1 :, 1 : n + 1] @ step
         memory = rounded(np.einsum("eij,ej->ei", self.solve, missing))
-        others = np.concatenate([np.repeat(step[None], len(memory), axis=0), memory], axis=1)[self.episode]
+        others = np.concatenate([np.repeat(step[None], len(memory), axis=0), memory], axis=1)[
+            self.episode
+        ]
         missing = self.cross[:, :, 0] - np.einsum("wij,wj->wi", self.cross[:, :, 1:], others)
         windows = rounded(np.einsum("wij,wj->wi", self.inverse, missing))
         return {key: (windows[self.episode == e], memory[e]) for e, key in enumerate(episodes)}
@@ -289,9 +346,21 @@ def _costs(out, observed, weight, window_of, t_s, period_s, correlation, into): 
 
 @njit(cache=True, nogil=True)
 def _summed(  # type: ignore[no-untyped-def]
-    out, observed, weight, window_of, t_s, period_s, correlation, inverse, lanes, against, rows, into
+    out,
+    observed,
+    weight,
+    window_of,
+    t_s,
+    period_s,
+    correlation,
+    inverse,
+    lanes,
+    against,
+    rows,
+    into,
 ):
-    """Outer products of (kept derivatives, error, fresh derivatives) summed over each window; those of the kept ones are there."""
+    """Outer products of (kept derivatives, error, fresh derivatives) summed over each window; those
+    of the kept ones are there."""
     kept, size, channels = rows.shape[2], into.shape[1], observed.shape[1]
     row, new = np.zeros(size), np.zeros(size)
     before, last = np.zeros((channels, size)), np.full(channels, -1)
@@ -305,7 +374,9 @@ def _summed(  # type: ignore[no-untyped-def]
                 row[b] = rows[i, c, b]
             row[kept] = (observed[i, c] - base) * weight[i, c]
             for b in range(len(lanes)):
-                row[kept + 1 + b] = (out[i, c, lanes[b]] - out[i, c, against[b]]) * inverse[lanes[b]] * weight[i, c]
+                row[kept + 1 + b] = (
+                    (out[i, c, lanes[b]] - out[i, c, against[b]]) * inverse[lanes[b]] * weight[i, c]
+                )
             if correlation[c] == 0.0:
                 for a in range(kept, size):
                     for b in range(a + 1):

@@ -22,7 +22,8 @@ RIDGE = 1e-8  # penalty on every weight, of the normal equations
 
 @dataclass(frozen=True, slots=True)
 class ResidualFit:
-    """Root mean square of what the nominal update misses in one step, before and after, per state."""
+    """Root mean square of what the nominal update misses in one step, before and after, per
+    state."""
 
     features: tuple[str, ...]
     before_rms: tuple[float, ...]
@@ -31,7 +32,12 @@ class ResidualFit:
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
-        return {"features": list(self.features), "before_rms": list(self.before_rms), "after_rms": list(self.after_rms), "rows": self.rows}
+        return {
+            "features": list(self.features),
+            "before_rms": list(self.before_rms),
+            "after_rms": list(self.after_rms),
+            "rows": self.rows,
+        }
 
 
 def fit_residual(
@@ -41,10 +47,12 @@ def fit_residual(
     penalty: float = RIDGE,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[Residual, ResidualFit]:
-    """Ridge fit of (next state - nominal prediction) on features of state and issued command, from adaptation episodes alone.
+    """Ridge fit of (next state - nominal prediction) on features of state and issued command, from
+    adaptation episodes alone.
 
-    Where the velocity is observed every state has its residual. Where it is estimated, the velocity's residual is fitted over
-    spans and the position's follows from the step: q' = q + h v'. Raises RoleRefused, BadArtifact for an unknown feature.
+    Where the velocity is observed every state has its residual. Where it is estimated, the
+    velocity's residual is fitted over spans and the position's follows from the step: q' = q + h
+    v'. Raises RoleRefused, BadArtifact for an unknown feature.
     """
     features = features or polynomial(len(plant.joints), len(plant.layout.commands))
     known_features(features, parameters=())
@@ -60,7 +68,9 @@ def fit_residual(
         weights[:, :joints] = plant.timestep_s * weights[:, joints:]
     progress(1.0)
     rms = _rms(targets), _rms(targets - rows @ weights)
-    return Residual(plant, LinearMap(tuple(features), weights)), ResidualFit(tuple(features), *rms, len(rows))
+    return Residual(plant, LinearMap(tuple(features), weights)), ResidualFit(
+        tuple(features), *rms, len(rows)
+    )
 
 
 def _rms(values: Array) -> tuple[float, ...]:
@@ -69,7 +79,8 @@ def _rms(values: Array) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class PooledTransitions:
-    """Single transitions of many plants: states, next states `(n, states)`, issued `(n, commands)`, parameters `(n,)` by name."""
+    """Single transitions of many plants: states, next states `(n, states)`, issued `(n, commands)`,
+    parameters `(n,)` by name."""
 
     states: Array
     issued: Array
@@ -83,12 +94,20 @@ def fit_blind(plant: Plant, pooled: PooledTransitions, penalty: float = RIDGE) -
     return Blind(plant, LinearMap(POLYNOMIAL, ridge(rows, pooled.after, penalty)))
 
 
-def fit_conditioned(plant: Plant, pooled: PooledTransitions, identified: Sequence[float], penalty: float = RIDGE) -> Conditioned:
-    """The same with the plants' parameters among the features; at work it is fed the identified ones."""
+def fit_conditioned(
+    plant: Plant, pooled: PooledTransitions, identified: Sequence[float], penalty: float = RIDGE
+) -> Conditioned:
+    """The same with the plants' parameters among the features; at work it is fed the identified
+    ones."""
     rows = design(CONDITIONED, pooled.states, pooled.issued, pooled.parameters)
-    return Conditioned(plant, LinearMap(CONDITIONED, ridge(rows, pooled.after, penalty)), tuple(identified))
+    return Conditioned(
+        plant, LinearMap(CONDITIONED, ridge(rows, pooled.after, penalty)), tuple(identified)
+    )
 
 
 def family_box(pooled: PooledTransitions) -> dict[str, tuple[float, float]]:
     """The observed range of each parameter over the pooled plants."""
-    return {name: (float(np.min(values)), float(np.max(values))) for name, values in pooled.parameters.items()}
+    return {
+        name: (float(np.min(values)), float(np.max(values)))
+        for name, values in pooled.parameters.items()
+    }

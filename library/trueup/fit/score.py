@@ -22,7 +22,8 @@ FIRST, EVERY = "first", "every"
 
 @dataclass(frozen=True, slots=True)
 class Scoring:
-    """What is measured: rollouts over `horizon_s` [s], from the `first` window of each episode or from `every` one."""
+    """What is measured: rollouts over `horizon_s` [s], from the `first` window of each episode or
+    from `every` one."""
 
     horizon_s: float
     windows: str = FIRST
@@ -34,8 +35,8 @@ class Scoring:
 
 @dataclass(frozen=True, slots=True)
 class Windowed:
-    """Errors of one episode by window: the mean over a rollout and the error of its first step, and how many samples were predicted,
-    `(windows,)` each.
+    """Errors of one episode by window: the mean over a rollout and the error of its first step, and
+    how many samples were predicted, `(windows,)` each.
     """
 
     rollout: Array
@@ -45,7 +46,8 @@ class Windowed:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Errors of one predictor: per episode the mean over a rollout, and the error of its first step, `(episodes,)` each.
+    """Errors of one predictor: per episode the mean over a rollout, and the error of its first
+    step, `(episodes,)` each.
 
     `windows` are the same by window, where they are known.
     """
@@ -57,21 +59,25 @@ class Score:
 
 @dataclass(frozen=True, slots=True)
 class Missed:
-    """What was predicted minus what was observed, `(windows, samples, channels)` in the channels' own units; where `inside` the window."""
+    """What was predicted minus what was observed, `(windows, samples, channels)` in the channels'
+    own units; where `inside` the window."""
 
     by: Array
     inside: NDArray[np.bool_]
 
 
 def score(predictor: Predictor, episodes: Sequence[Episode], scoring: Scoring) -> Score:
-    """Dimensionless errors: at each predicted sample the norm over channels of (predicted - observed) / declared scale."""
+    """Dimensionless errors: at each predicted sample the norm over channels of (predicted -
+    observed) / declared scale."""
     return score_of([missed(predictor, e, scoring) for e in episodes], predictor.plant.scales)
 
 
 def score_of(each: Sequence[Missed], scales: Array) -> Score:
     """The score of what was missed in each episode, with these reporting scales `(channels,)`."""
     pairs = [_score_one(one, scales) for one in each]
-    return Score(np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs]), tuple(p[2] for p in pairs))
+    return Score(
+        np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs]), tuple(p[2] for p in pairs)
+    )
 
 
 def _score_one(one: Missed, scales: Array) -> tuple[float, float, Windowed]:
@@ -80,17 +86,24 @@ def _score_one(one: Missed, scales: Array) -> tuple[float, float, Windowed]:
     with np.errstate(over="ignore", invalid="ignore"):
         means = np.where(inside[:, 1:], errors[:, 1:], 0.0).sum(axis=1) / counts
     windowed = Windowed(means, errors[:, 1], counts.astype(np.float64))
-    return float(errors[:, 1:][inside[:, 1:]].mean()), float(errors[:, 1][inside[:, 1]].mean()), windowed
+    return (
+        float(errors[:, 1:][inside[:, 1:]].mean()),
+        float(errors[:, 1][inside[:, 1]].mean()),
+        windowed,
+    )
 
 
-def rollout_errors(predictor: Predictor, episode: Episode, scoring: Scoring) -> tuple[Array, NDArray[np.bool_]]:
+def rollout_errors(
+    predictor: Predictor, episode: Episode, scoring: Scoring
+) -> tuple[Array, NDArray[np.bool_]]:
     """The error at each sample of each window, `(windows, samples)`, and which of them count."""
     found = missed(predictor, episode, scoring)
     return _norms(found, predictor.plant.scales), found.inside
 
 
 def missed(predictor: Predictor, episode: Episode, scoring: Scoring) -> Missed:
-    """What a predictor missed in an episode, of the channels that are observed in it; others count as 0."""
+    """What a predictor missed in an episode, of the channels that are observed in it; others count
+    as 0."""
     plant = predictor.plant
     windows = cut(plant, episode, *_starts(plant, episode, scoring))
     by = predict_observations(predictor, windows) - episode.observations[windows.rows]
@@ -99,22 +112,34 @@ def missed(predictor: Predictor, episode: Episode, scoring: Scoring) -> Missed:
 
 
 def _norms(one: Missed, scales: Array) -> Array:
-    with np.errstate(over="ignore", invalid="ignore"):  # a predictor that runs away scores inf or nan, and no gate passes that
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # a predictor that runs away scores inf or nan, and no gate passes that
         found: Array = np.linalg.norm(one.by / scales, axis=2)
     return found
 
 
-def _starts(plant: Plant, episode: Episode, scoring: Scoring) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Each window's first sample and length: from where the state is known, its start and the samples up to the horizon.
+def _starts(
+    plant: Plant, episode: Episode, scoring: Scoring
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Each window's first sample and length: from where the state is known, its start and the
+    samples up to the horizon.
 
     Raises NotAnEpisode where there is none.
     """
-    starts = starts_every(episode.t_s, scoring.horizon_s, float(episode.t_s[known_from(plant, episode)]))
-    ends = np.searchsorted(episode.t_s, episode.t_s[starts] + scoring.horizon_s * (1 + 1e-9), side="right")
+    starts = starts_every(
+        episode.t_s, scoring.horizon_s, float(episode.t_s[known_from(plant, episode)])
+    )
+    ends = np.searchsorted(
+        episode.t_s, episode.t_s[starts] + scoring.horizon_s * (1 + 1e-9), side="right"
+    )
     predicted = ends - starts > 1
     if not predicted.any():
         raise NotAnEpisode(
-            f"episode {episode.digest[:12]} has no two samples within {scoring.horizon_s:g} s to score",
+            (
+                f"episode {episode.digest[:12]} has no two samples within {scoring.horizon_s:g} "
+                "s to score"
+            ),
             rule="samples",
             digest=episode.digest,
         )
@@ -123,7 +148,8 @@ def _starts(plant: Plant, episode: Episode, scoring: Scoring) -> tuple[NDArray[n
 
 
 def rollout_rms(predictor: Predictor, episode: Episode, horizon_s: float) -> Array:
-    """Root mean square error of each observation over every window, in its own unit, `(observations,)`."""
+    """Root mean square error of each observation over every window, in its own unit,
+    `(observations,)`."""
     plant: Plant = predictor.plant
     windows = cut(plant, episode, *_starts(plant, episode, Scoring(horizon_s, EVERY)))
     missed = predict_observations(predictor, windows) - episode.observations[windows.rows]

@@ -1,7 +1,8 @@
 """Cells: the matrix of conditions under which held-out episodes were recorded.
 
-A gate names the conditions that matter, such as payload and speed; each held-out episode lies in the cell of the values that its log
-declares. What no episode covers is told as not covered, never as passed.
+A gate names the conditions that matter, such as payload and speed; each held-out episode lies in
+the cell of the values that its log declares. What no episode covers is told as not covered, never
+as passed.
 """
 
 from __future__ import annotations
@@ -33,11 +34,20 @@ def cells_of(episodes: Sequence[Episode], conditions: Sequence[str]) -> tuple[Ce
 
 def told(cell: Cell, conditions: Sequence[str]) -> str:
     """A cell for people."""
-    return ", ".join(f"{name} {value}" for name, value in zip(conditions, cell, strict=True)) or "all episodes"
+    return (
+        ", ".join(f"{name} {value}" for name, value in zip(conditions, cell, strict=True))
+        or "all episodes"
+    )
 
 
-def matrix(cells: Sequence[Cell], conditions: Sequence[str], candidate: NDArray[np.float64], incumbent: NDArray[np.float64]) -> list[Json]:
-    """Every combination of the values that occur: its mean errors and how many episodes cover it, null and 0 where none does.
+def matrix(
+    cells: Sequence[Cell],
+    conditions: Sequence[str],
+    candidate: NDArray[np.float64],
+    incumbent: NDArray[np.float64],
+) -> list[Json]:
+    """Every combination of the values that occur: its mean errors and how many episodes cover it,
+    null and 0 where none does.
 
     Of more than MOST combinations only those that are covered.
     """

@@ -1,11 +1,14 @@
-"""Negative controls: models that no sound gate accepts. They are judged before the candidate is, for a gate must be able to reject.
+"""Negative controls: models that no sound gate accepts. They are judged before the candidate is,
+for a gate must be able to reject.
 
     incumbent    what serves, against itself: nothing is better
     copy         a candidate equal to it, loaded from its bytes again
-    noise        what serves with noise added to what it predicts, as large as the signal and its own error together
+    noise        what serves with noise added to what it predicts, as large as the signal and its
+                 own error together
 
-When a gate is declared there may be no episode yet. Then its rules are held against figures alone: a candidate whose errors are the
-incumbent's has to be rejected, and one whose errors are ten times as large has to fail every single rule.
+When a gate is declared there may be no episode yet. Then its rules are held against figures alone:
+a candidate whose errors are the incumbent's has to be rejected, and one whose errors are ten times
+as large has to fail every single rule.
 """
 
 from __future__ import annotations
@@ -40,21 +43,31 @@ class VacuousGate(BadGate):
 
     code = "vacuous-gate"
     hint = (
-        "Add what must be better, such as rollout_improves with a ratio of 1 or less, and keep every slack below 10. "
-        "If it is meant so, declare it with `vacuous`: true and a reason in `because` (the command: --vacuous --because REASON)."
+        "Add what must be better, such as rollout_improves with a ratio of 1 or less, and "
+        "keep every slack below 10. "
+        "If it is meant so, declare it with `vacuous`: true and a reason in `because` "
+        "(the command: --vacuous --because REASON)."
     )
 
 
 def require_can_reject(gate: Gate) -> None:
-    """Raises VacuousGate where figures alone show that the gate cannot reject, unless it says that it is meant so."""
+    """Raises VacuousGate where figures alone show that the gate cannot reject, unless it says that
+    it is meant so."""
     if gate.vacuous:
         return
     if _accepts(judged(gate, _made_up(gate, 1.0))):
-        raise VacuousGate("it accepts a candidate whose errors are the incumbent's: nothing has to be better", control=COPY)
+        raise VacuousGate(
+            "it accepts a candidate whose errors are the incumbent's: nothing has to be better",
+            control=COPY,
+        )
     idle = [v.rule for v in judged(gate, _made_up(gate, FAR)) if v.passed]
     if idle:
         which = f"the rule{'s' * (len(idle) > 1)} {' and '.join(idle)}"
-        raise VacuousGate(f"a candidate {FAR:g} times as wrong as the incumbent passes {which}", control=NOISE, rules=idle)
+        raise VacuousGate(
+            f"a candidate {FAR:g} times as wrong as the incumbent passes {which}",
+            control=NOISE,
+            rules=idle,
+        )
 
 
 def judged(gate: Gate, trial: Trial) -> tuple[Verdict, ...]:
@@ -62,19 +75,34 @@ def judged(gate: Gate, trial: Trial) -> tuple[Verdict, ...]:
     return tuple(rule(trial) for rule in gate.rules)
 
 
-def controls(gate: Gate, trial: Trial, missed: Sequence[Missed], copied: Score, scales: Array, spreads: Array) -> dict[str, Json]:
-    """How the gate judges each control in the place of the candidate of `trial`, the trial of the incumbent against itself.
+def controls(
+    gate: Gate, trial: Trial, missed: Sequence[Missed], copied: Score, scales: Array, spreads: Array
+) -> dict[str, Json]:
+    """How the gate judges each control in the place of the candidate of `trial`, the trial of the
+    incumbent against itself.
 
-    The incumbent `missed` so much of each episode, and scores as `copied` when it is loaded from its bytes again; `scales` and `spreads`
-    `(channels,)` are the reporting scales and the standard deviations of what was observed. Raises VacuousGate where a control is accepted,
-    unless the gate says that it is meant so.
+    The incumbent `missed` so much of each episode, and scores as `copied` when it is loaded from
+    its bytes again; `scales` and `spreads` `(channels,)` are the reporting scales and the standard
+    deviations of what was observed. Raises VacuousGate where a control is accepted, unless the gate
+    says that it is meant so.
     """
-    scores = {INCUMBENT: trial.incumbent, COPY: copied, NOISE: score_of(_noisy(missed, spreads), scales)}
-    verdicts = {name: judged(gate, replace(trial, candidate=score)) for name, score in scores.items()}
+    scores = {
+        INCUMBENT: trial.incumbent,
+        COPY: copied,
+        NOISE: score_of(_noisy(missed, spreads), scales),
+    }
+    verdicts = {
+        name: judged(gate, replace(trial, candidate=score)) for name, score in scores.items()
+    }
     accepted = [name for name, each in verdicts.items() if _accepts(each)]
     if accepted and not gate.vacuous:
-        raise VacuousGate(f"it accepts {' and '.join(CALLED[name] for name in accepted)}", control=accepted[0])
-    return {name: {"accepted": _accepts(each), "failed": [v.rule for v in each if not v.passed]} for name, each in verdicts.items()}
+        raise VacuousGate(
+            f"it accepts {' and '.join(CALLED[name] for name in accepted)}", control=accepted[0]
+        )
+    return {
+        name: {"accepted": _accepts(each), "failed": [v.rule for v in each if not v.passed]}
+        for name, each in verdicts.items()
+    }
 
 
 def _accepts(verdicts: Sequence[Verdict]) -> bool:
@@ -91,10 +119,20 @@ def _made_up(gate: Gate, times: float) -> Trial:
 
 
 def _noisy(missed: Sequence[Missed], spreads: Array) -> list[Missed]:
-    """What was missed, with noise added to what was predicted: of each channel's spread and its mean square error together."""
+    """What was missed, with noise added to what was predicted: of each channel's spread and its
+    mean square error together."""
     rng = np.random.default_rng(SEED)
     with np.errstate(over="ignore", invalid="ignore"):
         total = sum(float(m.inside.sum()) for m in missed)
-        square = np.sum([np.sum(np.where(m.inside[:, :, None], m.by, 0.0) ** 2, axis=(0, 1)) for m in missed], axis=0) / total
+        square = (
+            np.sum(
+                [
+                    np.sum(np.where(m.inside[:, :, None], m.by, 0.0) ** 2, axis=(0, 1))
+                    for m in missed
+                ],
+                axis=0,
+            )
+            / total
+        )
         size = np.hypot(spreads, np.sqrt(square))
         return [Missed(m.by + size * rng.standard_normal(m.by.shape), m.inside) for m in missed]

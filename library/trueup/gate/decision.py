@@ -26,11 +26,13 @@ LONGEST_REASON = 2000  # characters
 
 @dataclass(frozen=True)
 class Gate:
-    """Rules, all of which must pass, and the scoring they judge. Its digest freezes them. Raises BadGate without rules.
+    """Rules, all of which must pass, and the scoring they judge. Its digest freezes them. Raises
+    BadGate without rules.
 
-    `conditions` are those whose values make the cells of retained conditions. After `held_out_uses` trials an episode is spent: whoever
-    chooses among candidates by it again and again fits to it. `follows` names the gate of the plant that this one takes the place of, and
-    `because` says why; a gate that is known to accept anything says that it is `vacuous`, and why.
+    `conditions` are those whose values make the cells of retained conditions. After `held_out_uses`
+    trials an episode is spent: whoever chooses among candidates by it again and again fits to it.
+    `follows` names the gate of the plant that this one takes the place of, and `because` says why;
+    a gate that is known to accept anything says that it is `vacuous`, and why.
     """
 
     rules: tuple[Rule, ...]
@@ -44,16 +46,29 @@ class Gate:
     def __post_init__(self) -> None:
         if not self.rules:
             raise BadGate("a gate without rules would pass everything")
-        if not (np.isfinite(self.scoring.horizon_s) and self.scoring.horizon_s > 0.0) or self.scoring.windows not in (FIRST, EVERY):
-            raise BadGate("a gate scores over a positive horizon, from the `first` window or from `every` one")
+        if not (
+            np.isfinite(self.scoring.horizon_s) and self.scoring.horizon_s > 0.0
+        ) or self.scoring.windows not in (FIRST, EVERY):
+            raise BadGate(
+                "a gate scores over a positive horizon, from the `first` window or from `every` one"
+            )
         if self.held_out_uses is not None and self.held_out_uses < 1:
             raise BadGate("a held-out episode must be good for one use at least")
         if self.follows is not None and not is_digest(self.follows):
-            raise BadGate("follows must be the digest of the gate that this one takes the place of", field="follows")
-        if self.because is not None and not (seen(self.because) and len(self.because) <= LONGEST_REASON):
-            raise BadGate(f"because must say why, in {LONGEST_REASON} characters at most", field="because")
+            raise BadGate(
+                "follows must be the digest of the gate that this one takes the place of",
+                field="follows",
+            )
+        if self.because is not None and not (
+            seen(self.because) and len(self.because) <= LONGEST_REASON
+        ):
+            raise BadGate(
+                f"because must say why, in {LONGEST_REASON} characters at most", field="because"
+            )
         if (self.follows is not None or self.vacuous) and self.because is None:
-            raise BadGate("a gate that follows another, or is vacuous, says why in `because`", field="because")
+            raise BadGate(
+                "a gate that follows another, or is vacuous, says why in `because`", field="because"
+            )
 
     @property
     def budget(self) -> int:
@@ -84,10 +99,18 @@ class Gate:
         try:
             if document["schema"] != SCHEMA or not NEEDED <= set(document) <= NEEDED | OPTIONAL:
                 more = ", ".join(sorted(OPTIONAL))
-                raise BadGate(f"a gate holds schema ({SCHEMA}), rules, scoring, and if it likes {more}, nothing else", hint=HOLDS)
+                raise BadGate(
+                    (
+                        f"a gate holds schema ({SCHEMA}), rules, scoring, and if it likes "
+                        f"{more}, nothing else"
+                    ),
+                    hint=HOLDS,
+                )
             given: Any = document
             if set(given["scoring"]) != {"horizon_s", "windows"}:
-                raise BadGate("scoring holds horizon_s and windows, nothing else", field="scoring", hint=HOLDS)
+                raise BadGate(
+                    "scoring holds horizon_s and windows, nothing else", field="scoring", hint=HOLDS
+                )
             horizon_s = _read(given["scoring"], "horizon_s", float, "a number")
             return Gate(
                 tuple(_rule(r) for r in _read(given, "rules", list, "a list")),
@@ -105,7 +128,8 @@ class Gate:
 
 
 def _read(given: Any, name: str, kind: type, called: str, *, optional: bool = False) -> Any:
-    """A field of the kind that it must have, as it was sent; a whole number may stand for a real one. Raises BadGate, KeyError."""
+    """A field of the kind that it must have, as it was sent; a whole number may stand for a real
+    one. Raises BadGate, KeyError."""
     value = given.get(name) if optional else given[name]
     if optional and value is None:
         return None
@@ -126,10 +150,15 @@ def _rule(document: Mapping[str, Json]) -> Rule:
     kind = rules().get(_read(given, "rule", str, "the name of a rule"))
     given.pop("rule")
     if kind is None:
-        raise BadGate(f"the rule {document['rule']!r} is not known", hint=f"Rules are {', '.join(rules())}.")
+        raise BadGate(
+            f"the rule {document['rule']!r} is not known", hint=f"Rules are {', '.join(rules())}."
+        )
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
     if set(given) - known:
-        raise BadGate(f"the rule {kind.name} has no {', '.join(sorted(set(given) - known))}", hint=f"It has {', '.join(sorted(known))}.")
+        raise BadGate(
+            f"the rule {kind.name} has no {', '.join(sorted(set(given) - known))}",
+            hint=f"It has {', '.join(sorted(known))}.",
+        )
     require = given.pop("require", MEAN)
     if require not in (MEAN, BOUND):
         raise BadGate(f"the rule {kind.name} requires the {MEAN} or the {BOUND}", field="require")
@@ -140,16 +169,20 @@ def _rule(document: Mapping[str, Json]) -> Rule:
 
 
 def default_gate(horizon_s: float) -> Gate:
-    """Rollout mean below 0.98 of the incumbent's and one-step error no worse, over every window of each episode."""
-    return Gate((rules()["rollout_improves"](), rules()["one_step_no_worse"]()), Scoring(horizon_s, EVERY))
+    """Rollout mean below 0.98 of the incumbent's and one-step error no worse, over every window of
+    each episode."""
+    return Gate(
+        (rules()["rollout_improves"](), rules()["one_step_no_worse"]()), Scoring(horizon_s, EVERY)
+    )
 
 
 @dataclass(frozen=True)
 class Decision:
     """What a gate decided of a candidate against the incumbent that served at `generation`.
 
-    It holds every figure, so that it can be recomputed, and the generation, so that it cannot be replayed after a move. `known` is what
-    was known when the gate was declared (`trueup.gate.line`), `uses` how often each episode has been judged on, this time included, and
+    It holds every figure, so that it can be recomputed, and the generation, so that it cannot be
+    replayed after a move. `known` is what was known when the gate was declared
+    (`trueup.gate.line`), `uses` how often each episode has been judged on, this time included, and
     `selection` of what candidate and episodes were selected, which older decisions do not tell.
     """
 

@@ -1,4 +1,5 @@
-"""Evidence: what was found of an artifact at a stage of the test ladder, and what that can and cannot show."""
+"""Evidence: what was found of an artifact at a stage of the test ladder, and what that can and
+cannot show."""
 
 from __future__ import annotations
 
@@ -18,12 +19,16 @@ class BadEvidence(TrueupError):
     """The evidence cannot be read."""
 
     code = "bad-evidence"
-    hint = "Evidence names its artifact, its stage, whether it was passed, what it shows, what it cannot show, and its figures."
+    hint = (
+        "Evidence names its artifact, its stage, whether it was passed, what it shows, what "
+        "it cannot show, and its figures."
+    )
 
 
 @dataclass(frozen=True)
 class Evidence(Frozen):
-    """A record of one stage: `passed` or not, `shows` and `cannot_show` in words, `figures` as JSON. Raises BadEvidence."""
+    """A record of one stage: `passed` or not, `shows` and `cannot_show` in words, `figures` as
+    JSON. Raises BadEvidence."""
 
     artifact: str
     stage: str
@@ -43,6 +48,12 @@ class Evidence(Frozen):
             raise BadEvidence("passed is true or false, and figures are a table", field="passed")
         for field in ("shows", "cannot_show"):
             if not isinstance(getattr(self, field), str) or not getattr(self, field).strip():
-                raise BadEvidence(f"{field} must say something: a record without its scope proves nothing", field=field)
+                raise BadEvidence(
+                    f"{field} must say something: a record without its scope proves nothing",
+                    field=field,
+                )
         if len(canonical_bytes(dict(self.figures))) > LONGEST_BYTES:
-            raise BadEvidence("the figures are too long: keep the recordings as episodes, and name their digests", field="figures")
+            raise BadEvidence(
+                "the figures are too long: keep the recordings as episodes, and name their digests",
+                field="figures",
+            )

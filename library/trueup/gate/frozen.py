@@ -1,4 +1,5 @@
-"""Frozen: a declaration that is named by the digest of its canonical document, and read back from it."""
+"""Frozen: a declaration that is named by the digest of its canonical document, and read back from
+it."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from trueup.errors import TrueupError
 
 
 class Frozen:
-    """What a frozen dataclass of JSON values needs to be declared: its `schema`, what refuses it, and what it is called."""
+    """What a frozen dataclass of JSON values needs to be declared: its `schema`, what refuses it,
+    and what it is called."""
 
     schema: ClassVar[str]
     refused: ClassVar[type[TrueupError]]

@@ -1,10 +1,12 @@
-"""Interval: how far the ratio of two errors would move on other windows like these, by a paired block bootstrap.
+"""Interval: how far the ratio of two errors would move on other windows like these, by a paired
+block bootstrap.
 
-Windows of one recording follow each other, and what a model misses in one it tends to miss in the next. So blocks of neighbouring windows
-are drawn, around the end of a recording to its beginning, as many as it has; candidate and incumbent are drawn alike. Where every episode
-has one window only, the episodes themselves are drawn.
-Source: Künsch, "The jackknife and the bootstrap for general stationary observations" (1989); Politis and Romano, "A circular block
-resampling procedure for stationary data" (1992); block length n^(1/3): Hall, Horowitz and Jing (1995).
+Windows of one recording follow each other, and what a model misses in one it tends to miss in the
+next. So blocks of neighbouring windows are drawn, around the end of a recording to its beginning,
+as many as it has; candidate and incumbent are drawn alike. Where every episode has one window only,
+the episodes themselves are drawn. Source: Künsch, "The jackknife and the bootstrap for general
+stationary observations" (1989); Politis and Romano, "A circular block resampling procedure for
+stationary data" (1992); block length n^(1/3): Hall, Horowitz and Jing (1995).
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ SEED = 0
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """Errors of both models in the windows of one episode, `(windows,)` each, weighted by their samples, `(windows,)`."""
+    """Errors of both models in the windows of one episode, `(windows,)` each, weighted by their
+    samples, `(windows,)`."""
 
     candidate: Array
     incumbent: Array
@@ -32,14 +35,20 @@ class Pairs:
 
 
 def ratio_interval(episodes: Sequence[Pairs]) -> tuple[float, float] | None:
-    """The 95 % interval of the candidate's mean error over the incumbent's; None where nothing can be drawn or an error is no number.
+    """The 95 % interval of the candidate's mean error over the incumbent's; None where nothing can
+    be drawn or an error is no number.
 
-    The mean is over episodes, as a rule's is; the episodes are taken as they are, and other windows of theirs are drawn.
+    The mean is over episodes, as a rule's is; the episodes are taken as they are, and other windows
+    of theirs are drawn.
     """
     if not all(np.isfinite(p.candidate).all() and np.isfinite(p.incumbent).all() for p in episodes):
         return None
     rng = np.random.default_rng(SEED)
-    drawn = _episodes(episodes, rng) if all(len(p.samples) == 1 for p in episodes) else _windows(episodes, rng)
+    drawn = (
+        _episodes(episodes, rng)
+        if all(len(p.samples) == 1 for p in episodes)
+        else _windows(episodes, rng)
+    )
     if drawn is None or not (drawn[1] > 0.0).all():
         return None
     low, high = np.quantile(drawn[0] / drawn[1], [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
@@ -64,5 +73,10 @@ def _windows(episodes: Sequence[Pairs], rng: np.random.Generator) -> Array:
         begins = rng.integers(0, count, (RESAMPLES, -(-count // length), 1))
         rows = ((begins + np.arange(length)) % count).reshape(RESAMPLES, -1)[:, :count]
         weights = pairs.samples[rows]
-        total += np.stack([(e[rows] * weights).sum(axis=1) / weights.sum(axis=1) for e in (pairs.candidate, pairs.incumbent)])
+        total += np.stack(
+            [
+                (e[rows] * weights).sum(axis=1) / weights.sum(axis=1)
+                for e in (pairs.candidate, pairs.incumbent)
+            ]
+        )
     return total / len(episodes)

@@ -24,13 +24,15 @@ from trueup.model.predictor import Predictor
 
 Array = NDArray[np.float64]
 SCALED = (0.5, 2.0)  # times a channel's declared reporting scale
-NOTHING_KNOWN: Mapping[str, Json] = MappingProxyType({"candidate": [], "episodes": [], "compared": []})
+NOTHING_KNOWN: Mapping[str, Json] = MappingProxyType(
+    {"candidate": [], "episodes": [], "compared": []}
+)
 
 
 @dataclass(frozen=True)
 class Run:
-    """A trial that was run: its scores, what each model missed in each episode, the negative controls, and the scores of the models beside
-    it, by digest.
+    """A trial that was run: its scores, what each model missed in each episode, the negative
+    controls, and the scores of the models beside it, by digest.
     """
 
     trial: Trial
@@ -49,11 +51,14 @@ def run_trial(
     copy: Predictor | None = None,
     beside: Mapping[str, Predictor] | None = None,
 ) -> Run:
-    """Score both predictors on held-out episodes; `copy` is the incumbent, loaded once more. The controls are judged before the candidate.
+    """Score both predictors on held-out episodes; `copy` is the incumbent, loaded once more. The
+    controls are judged before the candidate.
 
-    Models `beside` it, by digest, are scored too, so that the decision tells which of them errs as the candidate does.
+    Models `beside` it, by digest, are scored too, so that the decision tells which of them errs as
+    the candidate does.
 
-    Raises RoleRefused for any other role, BadGate without episodes, VacuousGate where the gate accepts a control.
+    Raises RoleRefused for any other role, BadGate without episodes, VacuousGate where the gate
+    accepts a control.
     """
     if not episodes:
         raise BadGate("there is no held-out episode to judge on")
@@ -77,13 +82,18 @@ def run_trial(
         progress(share * count / stages)
         others[name] = score(model, episodes, gate.scoring)
     progress(share)
-    tracking = _driven(candidate, incumbent, episodes, lambda done: progress(share + share * done)) if driven else None
+    tracking = (
+        _driven(candidate, incumbent, episodes, lambda done: progress(share + share * done))
+        if driven
+        else None
+    )
     trial = Trial(score_of(by, scales), serving, named, cells, gate.conditions, tracking)
     return Run(trial, by, against, shown, None if beside is None else others)
 
 
 def _spreads(episodes: Sequence[Episode]) -> Array:
-    """The standard deviation of each channel over all episodes in its own unit, `(channels,)`; 0 where it is not observed in any."""
+    """The standard deviation of each channel over all episodes in its own unit, `(channels,)`; 0
+    where it is not observed in any."""
     observed = np.ma.masked_invalid(np.concatenate([e.observations for e in episodes]))
     return np.asarray(observed.std(axis=0).filled(0.0), np.float64)
 
@@ -93,8 +103,14 @@ def _still(driven: bool) -> Tracking | None:
     return Tracking(np.ones(1), np.ones(1), (0.0, 0.0), (1.0,)) if driven else None
 
 
-def _driven(candidate: Predictor, incumbent: Predictor, episodes: Sequence[Episode], progress: Callable[[float], None]) -> Tracking:
-    """Both in closed loop on the machine as it was diagnosed: as the candidate says, or if it is no diagnosis the incumbent.
+def _driven(
+    candidate: Predictor,
+    incumbent: Predictor,
+    episodes: Sequence[Episode],
+    progress: Callable[[float], None],
+) -> Tracking:
+    """Both in closed loop on the machine as it was diagnosed: as the candidate says, or if it is no
+    diagnosis the incumbent.
 
     Raises BadGate where neither is.
     """
@@ -119,36 +135,62 @@ def judge(
     selection: Mapping[str, Json] | None = None,
     beside: Mapping[str, Score] | None = None,
 ) -> Decision:
-    """Every rule's verdict on the trial; `candidate` and `incumbent` are artifact digests, `plant` the plant's.
+    """Every rule's verdict on the trial; `candidate` and `incumbent` are artifact digests, `plant`
+    the plant's.
 
-    `controls` are the verdicts on those, `known` is what was known when the gate was declared, `uses` how often each episode has been
-    judged on, this time included, `selection` of what candidate and episodes were selected, `beside` the scores of others on them.
+    `controls` are the verdicts on those, `known` is what was known when the gate was declared,
+    `uses` how often each episode has been judged on, this time included, `selection` of what
+    candidate and episodes were selected, `beside` the scores of others on them.
     """
     verdicts: tuple[Verdict, ...] = judged(gate, trial)
-    found: dict[str, Json] = {"candidate": figures(trial.candidate), "incumbent": figures(trial.incumbent), "controls": dict(controls)}
+    found: dict[str, Json] = {
+        "candidate": figures(trial.candidate),
+        "incumbent": figures(trial.incumbent),
+        "controls": dict(controls),
+    }
     if beside is not None:
         found["beside"] = {name: figures(score) for name, score in beside.items()}
     if trial.tracking is not None:
         found["closed_loop"] = trial.tracking.document()
     if gate.conditions:
-        found["cells"] = matrix(trial.cells, gate.conditions, trial.candidate.rollout, trial.incumbent.rollout)
+        found["cells"] = matrix(
+            trial.cells, gate.conditions, trial.candidate.rollout, trial.incumbent.rollout
+        )
     return Decision(
-        plant, gate.digest, candidate, incumbent, generation, trial.episodes, verdicts, found, dict(known), tuple(uses), selection
+        plant,
+        gate.digest,
+        candidate,
+        incumbent,
+        generation,
+        trial.episodes,
+        verdicts,
+        found,
+        dict(known),
+        tuple(uses),
+        selection,
     )
 
 
 def sensitivity(gate: Gate, run: Run, scales: Array, channels: Sequence[str]) -> list[Json]:
-    """How the verdict moves when each channel's reporting scale is halved and doubled: it should not hang on a unit of reporting.
+    """How the verdict moves when each channel's reporting scale is halved and doubled: it should
+    not hang on a unit of reporting.
 
-    `scales` `(channels,)` are those declared. In closed loop nothing changes: tracking has scales of its own.
+    `scales` `(channels,)` are those declared. In closed loop nothing changes: tracking has scales
+    of its own.
     """
     rows: list[Json] = []
     for column, channel in enumerate(channels):
         for factor in SCALED:
             other = scales.copy()
             other[column] *= factor
-            trial = replace(run.trial, candidate=score_of(run.candidate, other), incumbent=score_of(run.incumbent, other))
+            trial = replace(
+                run.trial,
+                candidate=score_of(run.candidate, other),
+                incumbent=score_of(run.incumbent, other),
+            )
             verdicts = judged(gate, trial)
             accepted, documents = all(v.passed for v in verdicts), [v.document() for v in verdicts]
-            rows.append({"channel": channel, "factor": factor, "accepted": accepted, "verdicts": documents})
+            rows.append(
+                {"channel": channel, "factor": factor, "accepted": accepted, "verdicts": documents}
+            )
     return rows

@@ -1,14 +1,18 @@
-"""Line: the gates of a plant in the order in which they were declared, of which the last one judges.
+"""Line: the gates of a plant in the order in which they were declared, of which the last one
+judges.
 
 People learn, so a plant may get another gate after candidates have been scored. It is never silent:
 
 - the new gate names the one that it follows, and says why;
 - what is looser in it is worked out from the two documents;
-- every decision by it carries what was known when it was declared: how its candidate and its held-out episodes had been judged before;
-- every decision says how its candidate and its episodes were selected: of how many, after how many other trials, and whether the candidate
-  errs as one does that had been rejected or waited for its verdict.
+- every decision by it carries what was known when it was declared: how its candidate and its
+  held-out episodes had been judged before;
+- every decision says how its candidate and its episodes were selected: of how many, after how many
+  other trials, and whether the candidate errs as one does that had been rejected or waited for its
+  verdict.
 
-Everything here is worked out from documents, so a server, an auditor's machine and whoever replays the log say the same.
+Everything here is worked out from documents, so a server, an auditor's machine and whoever replays
+the log say the same.
 """
 
 from __future__ import annotations
@@ -19,18 +23,25 @@ from typing import Any
 
 from trueup.canonical import Json
 
-HELD_OUT_USES = 20  # trials by which people choose: of 20 candidates no better than the incumbent, one passes a test at 5 % by chance
+# trials by which people choose: of 20 candidates no better than the incumbent, one passes a test at
+# 5 % by chance
+HELD_OUT_USES = 20
 SHORT = 12  # digits of a digest in a sentence
 LONGEST_NAME = 63  # characters of a plant's name
 TWICE = 2
 NAMED = 2  # digests that a sentence names, before it counts
-SAME = 0.01  # relative: who errs so nearly alike in every episode is the same model; the default gate asks for twice that
-BESIDE = 20  # candidates not accepted that are scored beside a new one, the newest; the log's verifier holds decisions to it
+# relative: who errs so nearly alike in every episode is the same model; the default gate asks for
+# twice that
+SAME = 0.01
+# candidates not accepted that are scored beside a new one, the newest; the log's verifier holds
+# decisions to it
+BESIDE = 20
 
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """A decision that was made before: by which gate of which plant, on what, and which rules refused."""
+    """A decision that was made before: by which gate of which plant, on what, and which rules
+    refused."""
 
     decision: str
     plant: str
@@ -52,14 +63,29 @@ class LooserThan:
 def past_of(decision: str, plant: str, document: Mapping[str, Any]) -> Past:
     """What is remembered of a decision's document."""
     failed = tuple(v["rule"] for v in document["verdicts"] if not v["passed"])
-    return Past(decision, plant, document["gate"], document["candidate"], document["accepted"], failed, tuple(document["episodes"]))
+    return Past(
+        decision,
+        plant,
+        document["gate"],
+        document["candidate"],
+        document["accepted"],
+        failed,
+        tuple(document["episodes"]),
+    )
 
 
-def known(plant: str, candidate: str, episodes: Sequence[str], before: Iterable[Past], compared: Sequence[str] = ()) -> dict[str, Json]:
-    """What was known when a gate was declared, of a candidate and of the episodes that it is judged on.
+def known(
+    plant: str,
+    candidate: str,
+    episodes: Sequence[str],
+    before: Iterable[Past],
+    compared: Sequence[str] = (),
+) -> dict[str, Json]:
+    """What was known when a gate was declared, of a candidate and of the episodes that it is judged
+    on.
 
-    `before` are decisions made before that, in order, of the plant and of others on the same episodes; `compared` the jobs that showed the
-    candidate's errors on them without any gate.
+    `before` are decisions made before that, in order, of the plant and of others on the same
+    episodes; `compared` the jobs that showed the candidate's errors on them without any gate.
     """
     mine: list[Json] = []
     counted: dict[tuple[str, str, str], list[int]] = {}
@@ -76,9 +102,17 @@ def known(plant: str, candidate: str, episodes: Sequence[str], before: Iterable[
                 }
             )
         for episode in shared:
-            counted.setdefault((episode, past.plant, past.gate), [0, 0])[0 if past.accepted else 1] += 1
+            counted.setdefault((episode, past.plant, past.gate), [0, 0])[
+                0 if past.accepted else 1
+            ] += 1
     on: list[Json] = [
-        {"episode": e, **({} if p == plant else {"plant": p}), "gate": g, "accepted": passed, "rejected": refused}
+        {
+            "episode": e,
+            **({} if p == plant else {"plant": p}),
+            "gate": g,
+            "accepted": passed,
+            "rejected": refused,
+        }
         for (e, p, g), (passed, refused) in counted.items()
     ]
     return {"candidate": mine, "episodes": on, "compared": sorted(compared)}
@@ -87,10 +121,16 @@ def known(plant: str, candidate: str, episodes: Sequence[str], before: Iterable[
 def selection(held_out: int, accepted: int, rejected: int, comparisons: int) -> dict[str, Json]:
     """How a trial's candidate and episodes were selected, for its decision.
 
-    `held_out` counts the plant's held-out episodes, `accepted` and `rejected` the decisions on its other candidates on any of the trial's
-    episodes since the gate was declared, `comparisons` those of any of its versions on any of them at any time.
+    `held_out` counts the plant's held-out episodes, `accepted` and `rejected` the decisions on its
+    other candidates on any of the trial's episodes since the gate was declared, `comparisons` those
+    of any of its versions on any of them at any time.
     """
-    return {"held_out": held_out, "accepted": accepted, "rejected": rejected, "comparisons": comparisons}
+    return {
+        "held_out": held_out,
+        "accepted": accepted,
+        "rejected": rejected,
+        "comparisons": comparisons,
+    }
 
 
 def looser(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
@@ -106,21 +146,29 @@ def looser(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
             found.append(f"{name} requires the mean, no longer the bound of its interval")
     scoring = [g["scoring"] for g in (before, after)]
     if scoring[0]["horizon_s"] != scoring[1]["horizon_s"]:
-        found.append(f"its horizon is {scoring[1]['horizon_s']:g} s, was {scoring[0]['horizon_s']:g} s: which is stricter cannot be told")
+        found.append(
+            f"its horizon is {scoring[1]['horizon_s']:g} s, was {scoring[0]['horizon_s']:g} "
+            "s: which is stricter cannot be told"
+        )
     if scoring[0]["windows"] == "every" and scoring[1]["windows"] == "first":
         found.append("it scores the first window of each episode alone, no longer every one")
     gone = [c for c in before.get("conditions", ()) if c not in after.get("conditions", ())]
     if gone and "retained_conditions" in new:
         found.append(f"it no longer tells {' and '.join(gone)} apart")
     if budget_of(after) > budget_of(before):
-        found.append(f"held-out episodes are good for {budget_of(after)} uses, were for {budget_of(before)}")
+        found.append(
+            f"held-out episodes are good for {budget_of(after)} uses, were for {budget_of(before)}"
+        )
     if after.get("vacuous") and not before.get("vacuous"):
         found.append("it may accept the incumbent itself")
     return found
 
 
-def looser_than(line: Sequence[tuple[str, Mapping[str, Any]]], document: Mapping[str, Any]) -> list[LooserThan]:
-    """Each gate of a line than which another one is looser, the newest first; the line is of digests and documents, in order."""
+def looser_than(
+    line: Sequence[tuple[str, Mapping[str, Any]]], document: Mapping[str, Any]
+) -> list[LooserThan]:
+    """Each gate of a line than which another one is looser, the newest first; the line is of
+    digests and documents, in order."""
     told = [LooserThan(digest, looser(before, document)) for digest, before in reversed(line)]
     return [less for less in told if less.looser]
 
@@ -136,8 +184,9 @@ def _rules(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 
 def disclosure(document: Mapping[str, Any]) -> str | None:
-    """In a few sentences what whoever reads a decision must know: what was known when its gate was declared, and how its candidate and
-    episodes were selected. None of a decision that does not tell.
+    """In a few sentences what whoever reads a decision must know: what was known when its gate was
+    declared, and how its candidate and episodes were selected. None of a decision that does not
+    tell.
     """
     if "known" not in document:
         return None
@@ -145,25 +194,42 @@ def disclosure(document: Mapping[str, Any]) -> str | None:
 
 
 def selected(document: Mapping[str, Any]) -> list[str]:
-    """Sentences that say how a decision's candidate and episodes were selected, and what its gate lets pass; none where all is plain."""
+    """Sentences that say how a decision's candidate and episodes were selected, and what its gate
+    lets pass; none where all is plain."""
     told = document.get("selection")
     near = f"Its errors are within {100 * SAME:g} % of those of candidate"
-    said = [f"{near} {name[:SHORT]}, which had been rejected or waited for its verdict." for name in alike(document)]
+    said = [
+        f"{near} {name[:SHORT]}, which had been rejected or waited for its verdict."
+        for name in alike(document)
+    ]
     if told is not None:
         count = len(document["episodes"])
         if count < told["held_out"]:
-            said.append(f"It was judged on {count} of the plant's {told['held_out']} held-out episodes.")
+            said.append(
+                f"It was judged on {count} of the plant's {told['held_out']} held-out episodes."
+            )
         others = told["accepted"] + told["rejected"]
         if others:
             outcome = _outcomes(told["accepted"], told["rejected"])
-            said.append(f"Decisions on other candidates on these episodes since the gate was declared: {outcome}.")
+            said.append(
+                "Decisions on other candidates on these episodes since the gate was "
+                f"declared: {outcome}."
+            )
         if told["comparisons"]:
-            said.append(f"Comparisons had shown errors on these episodes {_often(told['comparisons'])}.")
+            said.append(
+                f"Comparisons had shown errors on these episodes {_often(told['comparisons'])}."
+            )
     most = max(document.get("uses", ()), default=1)
     if most > 1:
-        said.append(f"Over all plants, the most used of its held-out episodes had been used {_often(most - 1)} before.")
+        said.append(
+            "Over all plants, the most used of its held-out episodes had been used "
+            f"{_often(most - 1)} before."
+        )
     if any(control["accepted"] for control in document["figures"].get("controls", {}).values()):
-        said.append("The gate accepts the incumbent itself, its copy or noise: it was declared as one that may.")
+        said.append(
+            "The gate accepts the incumbent itself, its copy or noise: it was declared as "
+            "one that may."
+        )
     return said
 
 
@@ -176,26 +242,47 @@ def _often(count: int) -> str:
 
 
 def alike(document: Mapping[str, Any]) -> list[str]:
-    """Candidates scored beside a decision's own, for they had been rejected or waited for their verdict, that err as it does."""
+    """Candidates scored beside a decision's own, for they had been rejected or waited for their
+    verdict, that err as it does."""
     figures, numbers = document.get("figures", {}), range(len(document["episodes"]))
-    others = {name: _by_episode(beside, numbers) for name, beside in figures.get("beside", {}).items()}
-    return [name for name, errors in others.items() if _all_near(_by_episode(figures["candidate"], numbers), errors)]
+    others = {
+        name: _by_episode(beside, numbers) for name, beside in figures.get("beside", {}).items()
+    }
+    return [
+        name
+        for name, errors in others.items()
+        if _all_near(_by_episode(figures["candidate"], numbers), errors)
+    ]
 
 
 def disclosure_of(candidate: str, known: Mapping[str, Any]) -> str:
     """What was known when a gate was declared, in words."""
     own = f"candidate {candidate[:SHORT]}"
-    said = [f"{own} had {_outcome(past)} {_on(past['episodes'])} by gate {past['gate'][:SHORT]}" for past in known["candidate"]]
+    said = [
+        f"{own} had {_outcome(past)} {_on(past['episodes'])} by gate {past['gate'][:SHORT]}"
+        for past in known["candidate"]
+    ]
     if known["compared"]:
         said.append(f"{own} had been compared on its episodes in job {_names(known['compared'])}")
     if said:
         return f"This gate was declared after {'; and after '.join(said)}."
-    rejected, accepted = (sum(on[outcome] for on in known["episodes"]) for outcome in ("rejected", "accepted"))
+    rejected, accepted = (
+        sum(on[outcome] for on in known["episodes"]) for outcome in ("rejected", "accepted")
+    )
     if rejected or accepted:
         number = len({on["episode"] for on in known["episodes"]})
-        others = f"others had been judged on {number} of its held-out episodes ({_outcomes(accepted, rejected)}, counted for each episode)"
-        return f"This gate was declared before candidate {candidate[:SHORT]} was judged; by then {others}{_elsewhere(known)}."
-    return "When this gate was declared, no gate of this project had judged anything on the held-out episodes of this decision."
+        others = (
+            f"others had been judged on {number} of its held-out episodes "
+            f"({_outcomes(accepted, rejected)}, counted for each episode)"
+        )
+        return (
+            f"This gate was declared before candidate {candidate[:SHORT]} was judged; by "
+            f"then {others}{_elsewhere(known)}."
+        )
+    return (
+        "When this gate was declared, no gate of this project had judged anything on the "
+        "held-out episodes of this decision."
+    )
 
 
 def _elsewhere(known: Mapping[str, Any]) -> str:
@@ -219,30 +306,42 @@ def _names(digests: Sequence[str], digits: int = SHORT) -> str:
 
 
 def same_model(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether the candidates of two decisions' documents made the same errors in every episode that both were judged on, one at least.
+    """Whether the candidates of two decisions' documents made the same errors in every episode that
+    both were judged on, one at least.
 
-    What is packed anew, or registered under another name, has another digest and the same errors. Figures of other windows do not compare;
-    whoever calls has seen to it that both gates score alike.
+    What is packed anew, or registered under another name, has another digest and the same errors.
+    Figures of other windows do not compare; whoever calls has seen to it that both gates score
+    alike.
     """
-    return _all_near(*(_by_episode(document["figures"]["candidate"], document["episodes"]) for document in (one, other)))
+    return _all_near(
+        *(
+            _by_episode(document["figures"]["candidate"], document["episodes"])
+            for document in (one, other)
+        )
+    )
 
 
 def rejects(other: Mapping[str, Any], document: Mapping[str, Any], *, same_scoring: bool) -> bool:
-    """Whether a rejection is one of the candidate of another decision: of itself, of one that errs as it does, or of the same model under
-    another digest. Both are documents of decisions, whose gates score alike or not.
+    """Whether a rejection is one of the candidate of another decision: of itself, of one that errs
+    as it does, or of the same model under another digest. Both are documents of decisions, whose
+    gates score alike or not.
     """
     own = other["candidate"] in (document["candidate"], *alike(document))
     return own or (same_scoring and same_model(other, document))
 
 
 def _by_episode(figures: Mapping[str, Any], episodes: Iterable[Any]) -> dict[Any, tuple[Any, Any]]:
-    return dict(zip(episodes, zip(figures["rollout"], figures["one_step"], strict=True), strict=True))
+    return dict(
+        zip(episodes, zip(figures["rollout"], figures["one_step"], strict=True), strict=True)
+    )
 
 
 def _all_near(one: Mapping[Any, tuple[Any, Any]], other: Mapping[Any, tuple[Any, Any]]) -> bool:
     """Whether two models err alike in every episode that both were judged on, one at least."""
     shared = one.keys() & other.keys()
-    return bool(shared) and all(_near(a, b) for e in shared for a, b in zip(one[e], other[e], strict=True))
+    return bool(shared) and all(
+        _near(a, b) for e in shared for a, b in zip(one[e], other[e], strict=True)
+    )
 
 
 def _near(one: float | None, other: float | None) -> bool:

@@ -1,4 +1,5 @@
-"""Update policy: what may happen to a plant's model without a person, frozen by its digest as a gate is."""
+"""Update policy: what may happen to a plant's model without a person, frozen by its digest as a
+gate is."""
 
 from __future__ import annotations
 
@@ -25,16 +26,21 @@ class BadPolicy(TrueupError):
     """The update policy cannot be followed."""
 
     code = "bad-policy"
-    hint = "A policy says ask, or diagnose, judge and promote, for its three steps, and names the gate that judges."
+    hint = (
+        "A policy says ask, or diagnose, judge and promote, for its three steps, and names "
+        "the gate that judges."
+    )
 
 
 @dataclass(frozen=True)
 class UpdatePolicy(Frozen):
-    """The three steps that may go on by themselves, the gate that judges, and what a new model's monitor promises.
+    """The three steps that may go on by themselves, the gate that judges, and what a new model's
+    monitor promises.
 
-    `on_alarm` ask or diagnose, `on_diagnosis` ask or judge, `on_acceptance` ask or promote. With `approvals` above one, a promotion takes
-    that many people, and nothing is promoted without one. A candidate that was rejected before, and that no fresh episode speaks for, takes
-    somebody else's `approval` with a reason, or `on_rejected` says forbid. Raises BadPolicy.
+    `on_alarm` ask or diagnose, `on_diagnosis` ask or judge, `on_acceptance` ask or promote. With
+    `approvals` above one, a promotion takes that many people, and nothing is promoted without one.
+    A candidate that was rejected before, and that no fresh episode speaks for, takes somebody
+    else's `approval` with a reason, or `on_rejected` says forbid. Raises BadPolicy.
     """
 
     gate: str
@@ -42,7 +48,9 @@ class UpdatePolicy(Frozen):
     on_diagnosis: str = "judge"
     on_acceptance: str = ASK
     promise_h: float = 100.0
-    reference_episodes: int = 20  # healthy ones, recorded since the change, before a new model's monitor is calibrated
+    reference_episodes: int = (
+        20  # healthy ones, recorded since the change, before a new model's monitor is calibrated
+    )
     validate_every_h: float | None = None
     approvals: int = 1  # people that a promotion takes
     on_rejected: str = APPROVAL
@@ -50,20 +58,37 @@ class UpdatePolicy(Frozen):
     schema, refused, noun = SCHEMA, BadPolicy, "a policy"
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON. What goes without saying in `on_rejected` is not said, so that older policies keep their digests."""
+        """The same as JSON. What goes without saying in `on_rejected` is not said, so that older
+        policies keep their digests."""
         said = super().document()
-        return {name: value for name, value in said.items() if (name, value) != ("on_rejected", APPROVAL)}
+        return {
+            name: value
+            for name, value in said.items()
+            if (name, value) != ("on_rejected", APPROVAL)
+        }
 
     def __post_init__(self) -> None:
         for step, allowed in CHOICES.items():
             if getattr(self, step) not in allowed:
                 raise BadPolicy(f"{step} must be {' or '.join(allowed)}", field=step)
-        if not 1 <= self.approvals <= MOST_APPROVALS or (self.approvals > 1 and self.on_acceptance != ASK):
-            raise BadPolicy("a promotion takes 1 to 5 people, and where it takes two, on_acceptance is ask", field="approvals")
+        if not 1 <= self.approvals <= MOST_APPROVALS or (
+            self.approvals > 1 and self.on_acceptance != ASK
+        ):
+            raise BadPolicy(
+                "a promotion takes 1 to 5 people, and where it takes two, on_acceptance is ask",
+                field="approvals",
+            )
         if not is_digest(self.gate):
             raise BadPolicy("the gate must be named by its digest", field="gate")
-        hours = self.promise_h, self.promise_h if self.validate_every_h is None else self.validate_every_h
+        hours = (
+            self.promise_h,
+            self.promise_h if self.validate_every_h is None else self.validate_every_h,
+        )
         if not all(0.0 < h <= LONGEST_H for h in hours) or self.reference_episodes < 2:  # noqa: PLR2004  (halves)
             raise BadPolicy(
-                "hours must be positive and no more than 100 000, and a reference needs two episodes at least", field="promise_h"
+                (
+                    "hours must be positive and no more than 100 000, and a reference needs two "
+                    "episodes at least"
+                ),
+                field="promise_h",
             )

@@ -1,4 +1,5 @@
-"""Recompute: a decision from its gate, its artifacts and its episodes, held against what was recorded."""
+"""Recompute: a decision from its gate, its artifacts and its episodes, held against what was
+recorded."""
 
 from __future__ import annotations
 
@@ -24,13 +25,18 @@ def recompute(
     plant: str,
     progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Json]:
-    """The document of a decision as its bytes give it: `predictors` are its `models`, by name, `plant` the plant's digest.
+    """The document of a decision as its bytes give it: `predictors` are its `models`, by name,
+    `plant` the plant's digest.
 
     Raises BadGate if the gate is not the one that the decision names.
     """
     declared = Gate.from_document(gate)
     if declared.digest != recorded["gate"]:
-        raise BadGate("the gate is not the one that the decision names", expected=recorded["gate"], found=declared.digest)
+        raise BadGate(
+            "the gate is not the one that the decision names",
+            expected=recorded["gate"],
+            found=declared.digest,
+        )
     told = "known" in recorded
     beside = recorded["figures"].get("beside")
     run = run_trial(
@@ -42,16 +48,30 @@ def recompute(
         beside=None if beside is None else {digest: predictors[digest] for digest in beside},
     )
     selected = ("selection",) if "selection" in recorded else ()
-    named = {name: recorded[name] for name in ("candidate", "incumbent", "generation", *(("known", "uses") if told else ()), *selected)}
-    made = judge(declared, run.trial, plant=plant, controls=run.controls, beside=run.beside, **named).document()
+    named = {
+        name: recorded[name]
+        for name in (
+            "candidate",
+            "incumbent",
+            "generation",
+            *(("known", "uses") if told else ()),
+            *selected,
+        )
+    }
+    made = judge(
+        declared, run.trial, plant=plant, controls=run.controls, beside=run.beside, **named
+    ).document()
     return made if told else _only(made, recorded)
 
 
 def models(recorded: Mapping[str, Any]) -> dict[str, str]:
-    """The digests of the artifacts that a decision was made from: its `candidate`, its `incumbent`, and what was scored beside them, by
-    digest.
+    """The digests of the artifacts that a decision was made from: its `candidate`, its `incumbent`,
+    and what was scored beside them, by digest.
     """
-    return {**{which: recorded[which] for which in ("candidate", "incumbent")}, **{d: d for d in recorded["figures"].get("beside", {})}}
+    return {
+        **{which: recorded[which] for which in ("candidate", "incumbent")},
+        **{d: d for d in recorded["figures"].get("beside", {})},
+    }
 
 
 def _believed(gate: Gate) -> Gate:
@@ -60,7 +80,8 @@ def _believed(gate: Gate) -> Gate:
 
 
 def _only(made: Any, recorded: Any) -> Any:
-    """What an older decision tells, which has no intervals, no controls and nothing of what was known."""
+    """What an older decision tells, which has no intervals, no controls and nothing of what was
+    known."""
     if isinstance(made, Mapping) and isinstance(recorded, Mapping):
         return {key: _only(value, recorded[key]) for key, value in made.items() if key in recorded}
     if isinstance(made, list) and isinstance(recorded, list) and len(made) == len(recorded):
@@ -69,12 +90,35 @@ def _only(made: Any, recorded: Any) -> Any:
 
 
 def differences(recorded: Any, recomputed: Any, path: str = "") -> list[str]:
-    """Where two documents differ by more than rounding; texts that only repeat figures are left out."""
-    if isinstance(recorded, Mapping) and isinstance(recomputed, Mapping) and set(recorded) == set(recomputed):
+    """Where two documents differ by more than rounding; texts that only repeat figures are left
+    out."""
+    if (
+        isinstance(recorded, Mapping)
+        and isinstance(recomputed, Mapping)
+        and set(recorded) == set(recomputed)
+    ):
         names = [key for key in recorded if key != "because"]
-        return [d for key in names for d in differences(recorded[key], recomputed[key], f"{path}.{key}" if path else key)]
-    if isinstance(recorded, list) and isinstance(recomputed, list) and len(recorded) == len(recomputed):
-        return [d for i, pair in enumerate(zip(recorded, recomputed, strict=True)) for d in differences(*pair, f"{path}[{i}]")]
-    numbers = all(isinstance(x, int | float) and not isinstance(x, bool) for x in (recorded, recomputed))
-    same = abs(recorded - recomputed) <= AGREEMENT * max(abs(recorded), abs(recomputed)) if numbers else recorded == recomputed
+        return [
+            d
+            for key in names
+            for d in differences(recorded[key], recomputed[key], f"{path}.{key}" if path else key)
+        ]
+    if (
+        isinstance(recorded, list)
+        and isinstance(recomputed, list)
+        and len(recorded) == len(recomputed)
+    ):
+        return [
+            d
+            for i, pair in enumerate(zip(recorded, recomputed, strict=True))
+            for d in differences(*pair, f"{path}[{i}]")
+        ]
+    numbers = all(
+        isinstance(x, int | float) and not isinstance(x, bool) for x in (recorded, recomputed)
+    )
+    same = (
+        abs(recorded - recomputed) <= AGREEMENT * max(abs(recorded), abs(recomputed))
+        if numbers
+        else recorded == recomputed
+    )
     return [] if same else [f"{path}: recorded {recorded}, recomputed {recomputed}"]

@@ -1,4 +1,5 @@
-"""Rule: one reason for or against a candidate. Each file in `rules/` holds one; they are found by themselves."""
+"""Rule: one reason for or against a candidate. Each file in `rules/` holds one; they are found by
+themselves."""
 
 from __future__ import annotations
 
@@ -30,7 +31,8 @@ Interval = Callable[[], tuple[float, float] | None]
 
 @dataclass(frozen=True)
 class Compared:
-    """Mean errors of both models, and how the 95 % interval of the candidate's over the incumbent's is drawn, should somebody ask."""
+    """Mean errors of both models, and how the 95 % interval of the candidate's over the incumbent's
+    is drawn, should somebody ask."""
 
     candidate: float
     incumbent: float
@@ -49,10 +51,11 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Scores of a candidate and of the incumbent on the same held-out episodes, named by digest. Raises BadGate without any.
+    """Scores of a candidate and of the incumbent on the same held-out episodes, named by digest.
+    Raises BadGate without any.
 
-    `cells` are the values of the gate's `conditions` under which each was recorded; without conditions all are of one.
-    `tracking` is how both did in closed loop, where a rule asks for it.
+    `cells` are the values of the gate's `conditions` under which each was recorded; without
+    conditions all are of one. `tracking` is how both did in closed loop, where a rule asks for it.
     """
 
     candidate: Score
@@ -64,32 +67,52 @@ class Trial:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cells", self.cells or ((),) * len(self.episodes))
-        shapes = {a.shape for s in (self.candidate, self.incumbent) for a in (s.rollout, s.one_step)}
-        if not self.episodes or shapes != {(len(self.episodes),)} or len(self.cells) != len(self.episodes):
-            raise BadGate("a trial needs scores of both predictors on one held-out episode at least")
+        shapes = {
+            a.shape for s in (self.candidate, self.incumbent) for a in (s.rollout, s.one_step)
+        }
+        if (
+            not self.episodes
+            or shapes != {(len(self.episodes),)}
+            or len(self.cells) != len(self.episodes)
+        ):
+            raise BadGate(
+                "a trial needs scores of both predictors on one held-out episode at least"
+            )
 
     def compared(self, error: str, of: Sequence[int] | None = None) -> Compared:
         """Mean `rollout` or `one_step` errors over the episodes of these numbers, or over all."""
         chosen = list(range(len(self.episodes)) if of is None else of)
-        candidate, incumbent = (float(np.mean(getattr(s, error)[chosen])) for s in (self.candidate, self.incumbent))
-        return Compared(candidate, incumbent, lambda: ratio_interval([self._pairs(error, i) for i in chosen]))
+        candidate, incumbent = (
+            float(np.mean(getattr(s, error)[chosen])) for s in (self.candidate, self.incumbent)
+        )
+        return Compared(
+            candidate, incumbent, lambda: ratio_interval([self._pairs(error, i) for i in chosen])
+        )
 
     def _pairs(self, error: str, episode: int) -> Pairs:
         """Both models' errors by window; an episode whose windows are not known counts as one."""
         if not (self.candidate.windows and self.incumbent.windows):
             only = slice(episode, episode + 1)
-            return Pairs(getattr(self.candidate, error)[only], getattr(self.incumbent, error)[only], np.ones(1))
+            return Pairs(
+                getattr(self.candidate, error)[only],
+                getattr(self.incumbent, error)[only],
+                np.ones(1),
+            )
         ours, theirs = self.candidate.windows[episode], self.incumbent.windows[episode]
-        weights = theirs.samples if error == ROLLOUT else np.ones_like(theirs.samples)  # every window has one first step
+        weights = (
+            theirs.samples if error == ROLLOUT else np.ones_like(theirs.samples)
+        )  # every window has one first step
         return Pairs(getattr(ours, error), getattr(theirs, error), weights)
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A rule's answer: the figure, the threshold it was held against, in `unit`, and the reason in words.
+    """A rule's answer: the figure, the threshold it was held against, in `unit`, and the reason in
+    words.
 
-    `compared` has the ratio of the candidate's error to the incumbent's, and its interval; None where nothing could be compared. With
-    `require` bound it is not the mean but the upper end of the interval that had to stay within the rule's bound.
+    `compared` has the ratio of the candidate's error to the incumbent's, and its interval; None
+    where nothing could be compared. With `require` bound it is not the mean but the upper end of
+    the interval that had to stay within the rule's bound.
     """
 
     rule: str
@@ -113,7 +136,9 @@ class Verdict:
 
     def document(self) -> dict[str, Json]:
         """The same as JSON; a figure that is no number stands as null."""
-        value, threshold, ratio = (x if np.isfinite(x) else None for x in (self.value, self.threshold, self.ratio))
+        value, threshold, ratio = (
+            x if np.isfinite(x) else None for x in (self.value, self.threshold, self.ratio)
+        )
         return {
             "rule": self.rule,
             "passed": self.passed,
@@ -128,7 +153,8 @@ class Verdict:
 
 
 class Rule(ABC):
-    """A frozen dataclass whose first field bounds one figure: a larger bound is a looser rule. It answers; it never raises.
+    """A frozen dataclass whose first field bounds one figure: a larger bound is a looser rule. It
+    answers; it never raises.
 
     `require` says what must stay within the bound: the `mean`, or the `bound` of its 95 % interval.
     """
@@ -142,7 +168,8 @@ class Rule(ABC):
         """The verdict on a trial; a figure that is not a number never passes."""
 
     def within(self, found: Compared, bound: float, *, below: bool = False) -> bool:
-        """Whether what the rule requires is at most, or `below`, `bound` times the incumbent's; what is no number is not."""
+        """Whether what the rule requires is at most, or `below`, `bound` times the incumbent's;
+        what is no number is not."""
         if self.require == MEAN:
             error, most = found.candidate, bound * found.incumbent
         else:
@@ -150,25 +177,40 @@ class Rule(ABC):
         return error < most if below else error <= most
 
     def nearest(self, each: Sequence[Compared], bound: float) -> int:
-        """The number of the pair that is nearest to the bound or furthest beyond; the first that is no number."""
+        """The number of the pair that is nearest to the bound or furthest beyond; the first that is
+        no number."""
         over = [self._over(found, bound) for found in each]
         return int(np.argmax(over))  # argmax stops at a nan; Python's max would pass over it
 
     def _over(self, found: Compared, bound: float) -> float:
         if self.require == MEAN:
-            return found.candidate - bound * found.incumbent  # a difference: an incumbent's error may be 0
+            return (
+                found.candidate - bound * found.incumbent
+            )  # a difference: an incumbent's error may be 0
         return float("nan") if found.ci95 is None else found.ci95[1] - bound
 
     def verdict(self, passed: bool, found: Compared, bound: float, because: str) -> Verdict:
         """The verdict in the figures' own units."""
         if self.require == BOUND and found.ci95 is None:
             because = f"there is no interval: it takes two windows with an error, {because}"
-        return Verdict(self.name, passed, found.candidate, bound * found.incumbent, "1", because, found, self.require)
+        return Verdict(
+            self.name,
+            passed,
+            found.candidate,
+            bound * found.incumbent,
+            "1",
+            because,
+            found,
+            self.require,
+        )
 
     def document(self) -> dict[str, Json]:
         """The rule as JSON; that it requires the mean goes without saying."""
         given: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
-        return {"rule": self.name, **{name: value for name, value in given.items() if (name, value) != ("require", MEAN)}}
+        return {
+            "rule": self.name,
+            **{name: value for name, value in given.items() if (name, value) != ("require", MEAN)},
+        }
 
 
 @cache

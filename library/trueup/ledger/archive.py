@@ -1,17 +1,19 @@
-"""A registry, or one plant of it, as one file: an OCI image layout, every part named by its SHA-256.
+"""A registry, or one plant of it, as one file: an OCI image layout, every part named by its
+SHA-256.
 
     oci-layout, index.json          what it is, and its manifest
     blobs/sha256/<digest>           the manifest, its configuration, and the layers:
       rows/<table>.jsonl            rows as they are stored
-      log/entries.jsonl             entries of the log; of one plant, each with the proof that it is in the log
+      log/entries.jsonl             entries of the log; of one plant, each with the proof that it is
+                                    in the log
       episodes/<digest>.mcap        recordings
       arrays/<digest>.safetensors   what artifacts name
       outputs/<digest>              what jobs left behind
 
-The configuration holds the log's public key, the notes by which earlier keys handed over to it, and its signed head. Of a whole registry
-all entries are there, and the tree is rebuilt from them; of one plant, its own, each proven. It is a folder, or a tar file of one, which is
-read where it lies: nothing in it names a path.
-Source: OCI image-layout and image-manifest specifications, version 1.1.
+The configuration holds the log's public key, the notes by which earlier keys handed over to it, and
+its signed head. Of a whole registry all entries are there, and the tree is rebuilt from them; of
+one plant, its own, each proven. It is a folder, or a tar file of one, which is read where it lies:
+nothing in it names a path. Source: OCI image-layout and image-manifest specifications, version 1.1.
 """
 
 from __future__ import annotations
@@ -39,18 +41,34 @@ from trueup.ledger.rows import KEYS, row_name
 
 SCHEMA = "trueup.archive/1"
 ARTIFACT = "application/vnd.trueup.archive.v1"
-CONFIG, ROWS, ENTRIES = f"{ARTIFACT}.config+json", f"{ARTIFACT}.rows+jsonl", f"{ARTIFACT}.entries+jsonl"
-EPISODE, ARRAYS, OUTPUT = "application/vnd.mcap", "application/vnd.safetensors", "application/octet-stream"
-MANIFEST, INDEX = "application/vnd.oci.image.manifest.v1+json", "application/vnd.oci.image.index.v1+json"
+CONFIG, ROWS, ENTRIES = (
+    f"{ARTIFACT}.config+json",
+    f"{ARTIFACT}.rows+jsonl",
+    f"{ARTIFACT}.entries+jsonl",
+)
+EPISODE, ARRAYS, OUTPUT = (
+    "application/vnd.mcap",
+    "application/vnd.safetensors",
+    "application/octet-stream",
+)
+MANIFEST, INDEX = (
+    "application/vnd.oci.image.manifest.v1+json",
+    "application/vnd.oci.image.index.v1+json",
+)
 SIGNATURE, ENDORSEMENTS = f"{ARTIFACT}.signature", f"{ARTIFACT}.endorsements"
 TITLE = "org.opencontainers.image.title"
 PART_BYTES = 1 << 20
 DOCUMENT_BYTES = 1 << 20
 LARGEST_MANIFEST = 4 << 30  # some 300 bytes for each episode
 LARGEST_UNSIGNED = 16 << 20  # of a manifest whose signature nobody could check before it was read
-LARGEST_EXTENSION = 8 << 10  # of a tar file's header that only names the next one, or tells its size
+LARGEST_EXTENSION = (
+    8 << 10
+)  # of a tar file's header that only names the next one, or tells its size
 HEADER_BYTES = 512
-MOST_KEYS, LONGEST_NOTE = 100, 4096  # how often a log's key may have been handed over, and the characters of the note that says so
+MOST_KEYS, LONGEST_NOTE = (
+    100,
+    4096,
+)  # how often a log's key may have been handed over, and the characters of the note that says so
 HELD = ("episodes/", "arrays/", "imported/", "outputs/")  # titles of what rows name
 NAMING = (  # columns of tables that name a row of another one
     ("outputs", "job", "jobs"),
@@ -69,11 +87,16 @@ class BadArchive(TrueupError):
 
 
 class ArchiveWriter:
-    """Writes an archive: add layers, then `close` with its configuration. A folder keeps what it has of an earlier one."""
+    """Writes an archive: add layers, then `close` with its configuration. A folder keeps what it
+    has of an earlier one."""
 
     def __init__(self, path: Path) -> None:
         self._path, self._layers = path, list[dict[str, Json]]()
-        self._tar = tarfile.open(path.with_name(f"{path.name}.part"), "w") if path.suffix == ".tar" else None  # noqa: SIM115
+        self._tar = (
+            tarfile.open(path.with_name(f"{path.name}.part"), "w")  # noqa: SIM115 - closed by close()
+            if path.suffix == ".tar"
+            else None
+        )
         self._there: set[str] = set()
         if self._tar is None:
             (path / "blobs" / "sha256").mkdir(parents=True, exist_ok=True)
@@ -81,7 +104,12 @@ class ArchiveWriter:
     def __enter__(self) -> ArchiveWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         if self._tar is not None:
             self._tar.close()
             self._path.with_name(f"{self._path.name}.part").unlink(missing_ok=True)
@@ -90,7 +118,9 @@ class ArchiveWriter:
         """A layer that fits into memory."""
         self._layers.append(self._blob(media_type, data) | {"annotations": {TITLE: title}})
 
-    def add_parts(self, title: str, media_type: str, digest: str, size: int, parts: Iterable[bytes]) -> None:
+    def add_parts(
+        self, title: str, media_type: str, digest: str, size: int, parts: Iterable[bytes]
+    ) -> None:
         """A layer of known digest and size, in parts. Raises BadArchive if it is another."""
         if digest not in self._there and not (self._tar is None and self._file(digest).exists()):
             self._store(digest, size, _Parts(parts, digest))
@@ -98,7 +128,8 @@ class ArchiveWriter:
         self._layers.append(_descriptor(media_type, digest, size) | {"annotations": {TITLE: title}})
 
     def close(self, config: Mapping[str, Json], sign: Callable[[str], str]) -> str:
-        """Write the manifest and the index, signed, and make all durable; the digest of the manifest."""
+        """Write the manifest and the index, signed, and make all durable; the digest of the
+        manifest."""
         manifest: dict[str, Json] = {
             "schemaVersion": 2,
             "mediaType": MANIFEST,
@@ -156,7 +187,8 @@ class ArchiveWriter:
 
 
 def statement_of(digest: str) -> str:
-    """What the site signs of an archive: that this very one, whole and in this order, is its own."""
+    """What the site signs of an archive: that this very one, whole and in this order, is its
+    own."""
     return f"{SCHEMA}\n{digest}\n"
 
 
@@ -186,10 +218,16 @@ def _sync(path: Path) -> None:
 
 
 class _Parts:
-    """Parts as something that is read from, which must have the digest that they were announced with."""
+    """Parts as something that is read from, which must have the digest that they were announced
+    with."""
 
     def __init__(self, parts: Iterable[bytes], digest: str) -> None:
-        self._parts, self._digest, self._rest, self._hashed = iter(parts), digest, b"", hashlib.sha256()
+        self._parts, self._digest, self._rest, self._hashed = (
+            iter(parts),
+            digest,
+            b"",
+            hashlib.sha256(),
+        )
 
     def read(self, length: int = -1) -> bytes:
         while len(self._rest) < length or length < 0:
@@ -198,7 +236,9 @@ class _Parts:
                 break
             self._hashed.update(part)
             self._rest += part
-        found, self._rest = (self._rest, b"") if length < 0 else (self._rest[:length], self._rest[length:])
+        found, self._rest = (
+            (self._rest, b"") if length < 0 else (self._rest[:length], self._rest[length:])
+        )
         if not self._rest and len(found) < max(length, 1) and not self.holds():
             raise BadArchive("the bytes are not those of their digest", digest=self._digest)
         return found
@@ -210,7 +250,8 @@ class _Parts:
 
 @dataclass(frozen=True, slots=True)
 class Seal:
-    """What the outside of an archive says: the digest of its manifest, the site's signature of it, and how its key was handed over."""
+    """What the outside of an archive says: the digest of its manifest, the site's signature of it,
+    and how its key was handed over."""
 
     digest: str
     signature: str
@@ -220,8 +261,9 @@ class Seal:
 class Archive:
     """An archive that is read, and verified as a registry is. Raises BadArchive.
 
-    `signed` is asked about the seal before anything else is read, and says whether it is known to be that of a key which is believed; it
-    may raise. What is not known to be signed is not read far.
+    `signed` is asked about the seal before anything else is read, and says whether it is known to
+    be that of a key which is believed; it may raise. What is not known to be signed is not read
+    far.
     """
 
     def __init__(self, path: Path, signed: Callable[[Seal], bool] = lambda _seal: False) -> None:
@@ -239,21 +281,38 @@ class Archive:
             described = next(m for m in index["manifests"] if m.get("artifactType") == ARTIFACT)
             self.digest = str(described["digest"]).removeprefix("sha256:")
             self.signature = str(described["annotations"][SIGNATURE])
-            endorsed = self._document(str(described["annotations"].get(ENDORSEMENTS, "[]")).encode())
+            endorsed = self._document(
+                str(described["annotations"].get(ENDORSEMENTS, "[]")).encode()
+            )
             if len(endorsed) > MOST_KEYS or any(len(str(note)) > LONGEST_NOTE for note in endorsed):
-                raise BadArchive(f"it says that its key was handed over {len(endorsed)} times, or in a note beyond reason")
+                raise BadArchive(
+                    f"it says that its key was handed over {len(endorsed)} times, or in a "
+                    "note beyond reason"
+                )
             known = signed(Seal(self.digest, self.signature, tuple(map(str, endorsed))))
             size = int(described["size"])
             if not 0 <= size <= (LARGEST_MANIFEST if known else LARGEST_UNSIGNED):
-                raise BadArchive(f"the manifest has {size} bytes, and nothing shows who signed it", hint="Give the key that signs it now.")
+                raise BadArchive(
+                    f"the manifest has {size} bytes, and nothing shows who signed it",
+                    hint="Give the key that signs it now.",
+                )
             manifest: Any = self._document(self._whole(self.digest, size))
-            self._layers = {layer["annotations"][TITLE]: str(layer["digest"]).removeprefix("sha256:") for layer in manifest["layers"]}
-            self.config: dict[str, Any] = self._document(self._whole(str(manifest["config"]["digest"]).removeprefix("sha256:")))
+            self._layers = {
+                layer["annotations"][TITLE]: str(layer["digest"]).removeprefix("sha256:")
+                for layer in manifest["layers"]
+            }
+            self.config: dict[str, Any] = self._document(
+                self._whole(str(manifest["config"]["digest"]).removeprefix("sha256:"))
+            )
             if self.config["schema"] != SCHEMA:
                 raise BadArchive(f"the archive is a {self.config['schema']}")
             self.plant: str | None = self.config["plant"]
-            self.endorsements: list[str] = [str(note) for note in self.config.get("endorsements", ())]
-            self._held = {digest for title, digest in self._layers.items() if title.startswith(HELD)}
+            self.endorsements: list[str] = [
+                str(note) for note in self.config.get("endorsements", ())
+            ]
+            self._held = {
+                digest for title, digest in self._layers.items() if title.startswith(HELD)
+            }
         except (StopIteration, KeyError, TypeError, AttributeError, ValueError) as error:
             raise BadArchive(f"{path} does not describe itself as an archive") from error
 
@@ -278,7 +337,9 @@ class Archive:
             try:
                 entry = AuditEntry(**line["entry"])
                 if not _is_entry(entry):
-                    raise BadArchive(f"an entry of the log has another form: {str(entry.sequence)[:20]}")
+                    raise BadArchive(
+                        f"an entry of the log has another form: {str(entry.sequence)[:20]}"
+                    )
                 yield entry, [base64.b64decode(h) for h in line["proof"]]
             except (KeyError, TypeError, ValueError) as error:
                 raise BadArchive("an entry of the log has another form") from error
@@ -293,7 +354,9 @@ class Archive:
     def rows(self, table: str) -> Iterator[Mapping[str, Json]]:
         """Rows as they were stored."""
         for row in self.documents(f"rows/{table}.jsonl"):
-            if not isinstance(row, dict) or any(isinstance(value, dict | list) for value in row.values()):
+            if not isinstance(row, dict) or any(
+                isinstance(value, dict | list) for value in row.values()
+            ):
                 raise BadArchive(f"a row of {table} has another form")
             yield row
 
@@ -318,7 +381,8 @@ class Archive:
                 yield found
 
     def documents(self, title: str) -> Iterator[Any]:
-        """The documents of a layer, which must be what its digest names; none where there is no such layer."""
+        """The documents of a layer, which must be what its digest names; none where there is no
+        such layer."""
         return self._lines(title) if title in self._layers else iter(())
 
     def _lines(self, title: str) -> Iterator[Any]:
@@ -344,7 +408,9 @@ class Archive:
         try:
             return json.loads(data)
         except (ValueError, RecursionError) as error:
-            raise BadArchive(f"{title} is damaged: it is no JSON, or nested beyond reason") from error
+            raise BadArchive(
+                f"{title} is damaged: it is no JSON, or nested beyond reason"
+            ) from error
 
     def _open(self, digest: str) -> BinaryIO:
         if not is_digest(digest):
@@ -379,8 +445,9 @@ def _is_entry(entry: AuditEntry) -> bool:
 
 
 def require_plain_tar(path: Path) -> None:
-    """Walk the headers of a tar file before anything makes members of them. Raises BadArchive for one that a reader would choke on: a long
-    extension, one for all members, or a size beyond the file.
+    """Walk the headers of a tar file before anything makes members of them. Raises BadArchive for
+    one that a reader would choke on: a long extension, one for all members, or a size beyond the
+    file.
     """
     whole = path.stat().st_size
     with path.open("rb") as file:
@@ -396,18 +463,27 @@ def require_plain_tar(path: Path) -> None:
                 raise BadArchive("a header of the tar file cannot be read") from error
             extends = kind in (b"x", b"g", b"L", b"K", b"X")
             if not 0 <= size <= (LARGEST_EXTENSION if extends else whole) or kind == b"g":
-                raise BadArchive(f"a header of the tar file says {size} bytes, or speaks for all others")
+                raise BadArchive(
+                    f"a header of the tar file says {size} bytes, or speaks for all others"
+                )
             at += HEADER_BYTES * (1 - (-size // HEADER_BYTES))
 
 
 def _members(tar: tarfile.TarFile, size: int) -> dict[str, tarfile.TarInfo]:
-    """The files of a tar file of so many bytes, each of which lies in it whole: what a few bytes unfold to is not read."""
+    """The files of a tar file of so many bytes, each of which lies in it whole: what a few bytes
+    unfold to is not read."""
     found = {}
     for member in tar.getmembers():
         if member.isdir():
             continue
-        if not member.isreg() or member.sparse is not None or member.offset_data + member.size > size:
-            raise BadArchive(f"{member.name[:80]!r} is no plain file that lies in the tar file whole")
+        if (
+            not member.isreg()
+            or member.sparse is not None
+            or member.offset_data + member.size > size
+        ):
+            raise BadArchive(
+                f"{member.name[:80]!r} is no plain file that lies in the tar file whole"
+            )
         found[member.name] = member
     return found
 
@@ -423,11 +499,14 @@ def entry_line(entry: AuditEntry, proof: Iterable[bytes] = ()) -> dict[str, Json
     return {"entry": told, "proof": [base64.b64encode(h).decode() for h in proof]}
 
 
-Includes = Callable[[bytes, int, int, bytes, list[bytes]], bool]  # root, size, position, leaf, proof
+Includes = Callable[
+    [bytes, int, int, bytes, list[bytes]], bool
+]  # root, size, position, leaf, proof
 
 
 def unproven(archive: Archive, includes: Includes) -> list[int]:
-    """Sequence numbers of entries that are not proven to be in the signed log, in order, and of the archive's plant."""
+    """Sequence numbers of entries that are not proven to be in the signed log, in order, and of the
+    archive's plant."""
     (size, root), last, found = archive.head(), 0, []
     for entry, proof in archive.proven():
         proven = includes(root, size, entry.sequence - 1, leaf_hash(entry_bytes(entry)), proof)
@@ -448,8 +527,12 @@ def of_others(archive: Archive) -> list[str]:
 
 
 def dangling(archive: Archive) -> list[str]:
-    """Rows that name a job or a decision which is not in the archive: whoever takes them in would hang them on another plant's."""
-    there = {table: {row[key] for row in archive.rows(table)} for table, key in (("jobs", "id"), ("decisions", "digest"))}
+    """Rows that name a job or a decision which is not in the archive: whoever takes them in would
+    hang them on another plant's."""
+    there = {
+        table: {row[key] for row in archive.rows(table)}
+        for table, key in (("jobs", "id"), ("decisions", "digest"))
+    }
     return [
         row_name(table, row)
         for table, column, of in NAMING

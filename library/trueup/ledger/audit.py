@@ -1,8 +1,9 @@
 """The audit log: entries that can only be added, each a leaf of a Merkle tree.
 
-A leaf is a small canonical document that names what an entry tells (`facts`) and every row of the registry that its transaction wrote
-(`rows`) by digest. So the tree's root, which is signed and published, covers every row: an edit of a row or an entry, a removal, a swap
-and, for whoever kept an earlier root, a cut tail all show.
+A leaf is a small canonical document that names what an entry tells (`facts`) and every row of the
+registry that its transaction wrote (`rows`) by digest. So the tree's root, which is signed and
+published, covers every row: an edit of a row or an entry, a removal, a swap and, for whoever kept
+an earlier root, a cut tail all show.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from trueup.ledger.merkle import NOTHING, Frontier, leaf_hash
 
 @dataclass(frozen=True, slots=True)
 class AuditEntry:
-    """Who did what to which subject, when. `kind` is `subject:action`; `facts` is what a reader needs to check it.
+    """Who did what to which subject, when. `kind` is `subject:action`; `facts` is what a reader
+    needs to check it.
 
     `rows` names what was written: `table/key` to the digest of the row as the transaction left it.
     """
@@ -51,7 +53,9 @@ def entry_bytes(entry: AuditEntry) -> bytes:
 def append(tree: Frontier, entry: AuditEntry) -> Frontier:
     """The tree with one more entry. Raises BrokenChain if the entry is not the next one."""
     if entry.sequence != tree.size + 1:
-        raise BrokenChain(f"entry {entry.sequence} follows entry {tree.size}", sequence=entry.sequence)
+        raise BrokenChain(
+            f"entry {entry.sequence} follows entry {tree.size}", sequence=entry.sequence
+        )
     return tree.append(leaf_hash(entry_bytes(entry)))[0]
 
 

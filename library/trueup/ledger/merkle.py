@@ -1,12 +1,14 @@
-"""A Merkle tree over a log, as in RFC 9162 (and RFC 6962 before it): what is stored, what proves, what is the root.
+"""A Merkle tree over a log, as in RFC 9162 (and RFC 6962 before it): what is stored, what proves,
+what is the root.
 
     leaf      SHA-256(0x00 || entry)
     node      SHA-256(0x01 || left || right)
 
-A tree is kept as its perfect subtrees, named by level and position: node (level, position) covers the 2^level leaves from
-position · 2^level on, and never changes once it is there. The roots of the largest perfect subtrees, left to right, are the
-tree's frontier: it is all that appending and the root need. Whoever reads a proof verifies it without this module.
-Source: RFC 9162, sections 2.1.1 to 2.1.4.
+A tree is kept as its perfect subtrees, named by level and position: node (level, position) covers
+the 2^level leaves from position · 2^level on, and never changes once it is there. The roots of the
+largest perfect subtrees, left to right, are the tree's frontier: it is all that appending and the
+root need. Whoever reads a proof verifies it without this module. Source: RFC 9162, sections 2.1.1
+to 2.1.4.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 Node: TypeAlias = "tuple[int, int]"  # level and position of a perfect subtree
-Plan: TypeAlias = "list[list[Node]]"  # for each hash of a proof, the perfect subtrees that it is made of, left to right
+# for each hash of a proof, the perfect subtrees that it is made of, left to right
+Plan: TypeAlias = "list[list[Node]]"
 HASH_BYTES = 32
 POSITION_BITS = 48
 EMPTY = hashlib.sha256(b"").digest()
@@ -41,7 +44,8 @@ class Frontier:
     hashes: tuple[bytes, ...]
 
     def append(self, leaf: bytes) -> tuple[Frontier, dict[Node, bytes]]:
-        """The tree with one more leaf hash, and the perfect subtrees that it completes, the leaf itself among them."""
+        """The tree with one more leaf hash, and the perfect subtrees that it completes, the leaf
+        itself among them."""
         hashes, completed, node = list(self.hashes), {(0, self.size): leaf}, leaf
         level, position = 0, self.size
         while position & 1:
@@ -60,7 +64,9 @@ class Frontier:
     @staticmethod
     def from_bytes(size: int, kept: bytes) -> Frontier:
         """The inverse."""
-        return Frontier(size, tuple(kept[i : i + HASH_BYTES] for i in range(0, len(kept), HASH_BYTES)))
+        return Frontier(
+            size, tuple(kept[i : i + HASH_BYTES] for i in range(0, len(kept), HASH_BYTES))
+        )
 
 
 NOTHING = Frontier(0, ())
@@ -85,7 +91,8 @@ def fold(hashes: Sequence[bytes]) -> bytes:
 
 
 def cover(low: int, high: int) -> list[Node]:
-    """The largest perfect subtrees that make up the leaves from `low` to before `high`, where `low` begins one of them."""
+    """The largest perfect subtrees that make up the leaves from `low` to before `high`, where `low`
+    begins one of them."""
     found = []
     while low < high:
         level = (high - low).bit_length() - 1
@@ -112,11 +119,14 @@ def _inclusion(position: int, low: int, high: int) -> list[tuple[int, int]]:
 
 def consistency(old: int, size: int) -> Plan:
     """The proof that the tree of `size` leaves begins with the tree of `old` ones."""
-    return [cover(*part) for part in _consistency(old, 0, size, known=True)] if 0 < old < size else []
+    return (
+        [cover(*part) for part in _consistency(old, 0, size, known=True)] if 0 < old < size else []
+    )
 
 
 def _consistency(old: int, low: int, high: int, *, known: bool) -> list[tuple[int, int]]:
-    """`known`: whether the subtree ending at `old` is the whole old tree, whose root the reader has."""
+    """`known`: whether the subtree ending at `old` is the whole old tree, whose root the reader
+    has."""
     if old == high:
         return [] if known else [(low, high)]
     middle = low + _split(high - low)

@@ -1,13 +1,17 @@
-"""What the service signs: checkpoints of its log as signed notes, and documents in envelopes. Ed25519.
+"""What the service signs: checkpoints of its log as signed notes, and documents in envelopes.
+Ed25519.
 
-    key          <name>+<hash>+<base64(0x01 || public key)>, hash being the first four bytes of SHA-256(name, newline, 0x01, public key)
+    key          <name>+<hash>+<base64(0x01 || public key)>, hash being the first four bytes of
+                 SHA-256(name, newline, 0x01, public key)
     note         text, an empty line, and for each key: "— <name> <base64(hash || signature)>"
     checkpoint   a note of three lines: origin, size of the log, base64 of its root
-    endorsement  a note of two lines, by which a key hands over to the next: ENDORSEMENT, and that key
-    envelope     {"payload", "payloadType", "signatures"}; what is signed is "DSSEv1", lengths, type and payload (PAE)
+    endorsement  a note of two lines, by which a key hands over to the next: ENDORSEMENT, and that
+                 key
+    envelope     {"payload", "payloadType", "signatures"}; what is signed is "DSSEv1", lengths, type
+                 and payload (PAE)
 
-Ed25519 signs the same bytes the same way each time, so a document signed again is the same envelope.
-Source: C2SP signed-note and tlog-checkpoint; DSSE 1.0, protocol.md; RFC 8032.
+Ed25519 signs the same bytes the same way each time, so a document signed again is the same
+envelope. Source: C2SP signed-note and tlog-checkpoint; DSSE 1.0, protocol.md; RFC 8032.
 """
 
 from __future__ import annotations
@@ -28,7 +32,9 @@ from trueup.errors import TrueupError
 ED25519 = b"\x01"
 SEED_BYTES = 32
 PRIVATE = "PRIVATE+KEY+"
-ENDORSEMENT = "trueup: the log is signed from here on by"  # no checkpoint begins so: an origin has no space
+ENDORSEMENT = (
+    "trueup: the log is signed from here on by"  # no checkpoint begins so: an origin has no space
+)
 _NAME = re.compile(r"[^\s+]+")
 
 
@@ -36,7 +42,9 @@ class BadKey(TrueupError):
     """The text is no signing key."""
 
     code = "bad-key"
-    hint = "A signing key is one line, PRIVATE+KEY+<name>+<hash>+<key>: make one with `trueup keygen`."
+    hint = (
+        "A signing key is one line, PRIVATE+KEY+<name>+<hash>+<key>: make one with `trueup keygen`."
+    )
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,12 @@ class Signer:
             key = base64.b64decode(encoded, validate=True)
         except (ValueError, binascii.Error) as error:
             raise BadKey from error
-        if not text.startswith(PRIVATE) or not _NAME.fullmatch(name) or len(key) != 1 + SEED_BYTES or key[:1] != ED25519:
+        if (
+            not text.startswith(PRIVATE)
+            or not _NAME.fullmatch(name)
+            or len(key) != 1 + SEED_BYTES
+            or key[:1] != ED25519
+        ):
             raise BadKey
         found = Signer(name, key[1:])
         if found.hash.hex() != named:
@@ -79,7 +92,8 @@ class Signer:
 
     @cached_property
     def hash(self) -> bytes:
-        """The first bytes of the hash of name and public key, by which a signature names its key."""
+        """The first bytes of the hash of name and public key, by which a signature names its
+        key."""
         return hashlib.sha256(self.name.encode() + b"\n" + ED25519 + self._public).digest()[:4]
 
     @cached_property
@@ -105,7 +119,10 @@ class Signer:
     def envelope(self, payload_type: str, document: Json) -> dict[str, Json]:
         """A document, canonical, in a DSSE envelope."""
         payload = canonical_bytes(document)
-        signature = self._key.sign(b"DSSEv1 %d %s %d %s" % (len(payload_type), payload_type.encode(), len(payload), payload))
+        signature = self._key.sign(
+            b"DSSEv1 %d %s %d %s"
+            % (len(payload_type), payload_type.encode(), len(payload), payload)
+        )
         return {
             "payload": _base64(payload),
             "payloadType": payload_type,

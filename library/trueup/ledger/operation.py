@@ -1,7 +1,9 @@
-"""Operation: which of four things a job or an entry of the log is, so that nobody takes one for another.
+"""Operation: which of four things a job or an entry of the log is, so that nobody takes one for
+another.
 
-Monitoring changes nothing. Parameter identification finds the numbers of a form that is kept; model correction changes the form, or which
-model serves. Policy adaptation would change the controller: nothing here does, and a log that holds one was not written by this service.
+Monitoring changes nothing. Parameter identification finds the numbers of a form that is kept; model
+correction changes the form, or which model serves. Policy adaptation would change the controller:
+nothing here does, and a log that holds one was not written by this service.
 """
 
 from __future__ import annotations
@@ -41,12 +43,15 @@ def of_job(kind: str, request: Mapping[str, Json]) -> Operation:
 
 
 def of_artifact(kind: str, model: Json) -> Operation | None:
-    """What made an artifact, by what it holds: other numbers alone, or another form; None where it is the nominal model."""
+    """What made an artifact, by what it holds: other numbers alone, or another form; None where it
+    is the nominal model."""
     if kind == "nominal":
         return None
     from trueup.model.effect import effects  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    form = [e for e in _effects(model) if not effects()[e].counted]  # what is counted in samples is the sensor's
+    form = [
+        e for e in _effects(model) if not effects()[e].counted
+    ]  # what is counted in samples is the sensor's
     kept = kind == "identified" or (kind == "corrected" and not form)
     return Operation.IDENTIFICATION if kept else Operation.CORRECTION
 

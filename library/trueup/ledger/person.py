@@ -1,4 +1,5 @@
-"""Who is behind an entry: people are counted by the name of their token, for one may hold several."""
+"""Who is behind an entry: people are counted by the name of their token, for one may hold
+several."""
 
 from __future__ import annotations
 
@@ -20,5 +21,6 @@ def name_of(actor: str) -> str:
 
 
 def folded(name: str) -> str:
-    """A name as it is compared: case, width, spaces and characters that show nothing make no other person."""
+    """A name as it is compared: case, width, spaces and characters that show nothing make no other
+    person."""
     return seen(unicodedata.normalize("NFKC", name)).casefold()

@@ -3,7 +3,8 @@
 Rules:
 - a generation is used once, and every move adds one;
 - a move names the generation that it starts from, or it is refused;
-- forward only by an accepted decision that was judged at that very generation, against the artifact that serves;
+- forward only by an accepted decision that was judged at that very generation, against the artifact
+  that serves;
 - back only to an artifact that served before, after its switchback test.
 """
 
@@ -18,7 +19,10 @@ class NotAccepted(LedgerError):
     """The decision rejected its candidate."""
 
     code = "decision-rejected"
-    hint = "Read the decision's verdicts, then fit again or diagnose: what is missing is in the model or in the data, not in the gate."
+    hint = (
+        "Read the decision's verdicts, then fit again or diagnose: what is missing is in "
+        "the model or in the data, not in the gate."
+    )
 
 
 class NothingToRollBackTo(LedgerError):
@@ -30,7 +34,8 @@ class NothingToRollBackTo(LedgerError):
 
 @dataclass(frozen=True, slots=True)
 class ServingPointer:
-    """Which artifact serves, since when, and why: a decision, or None for a registration or a rollback."""
+    """Which artifact serves, since when, and why: a decision, or None for a registration or a
+    rollback."""
 
     plant: str
     generation: int
@@ -50,22 +55,32 @@ class Judged:
     generation: int
 
 
-def promote(pointer: ServingPointer, decision: Judged, expected_generation: int, now: str) -> ServingPointer:
+def promote(
+    pointer: ServingPointer, decision: Judged, expected_generation: int, now: str
+) -> ServingPointer:
     """The pointer at the decision's candidate. Raises PointerMoved, NotAccepted."""
     require_generation(pointer, expected_generation)
     if not decision.accepted:
         raise NotAccepted(decision=decision.digest)
     if (decision.generation, decision.incumbent) != (pointer.generation, pointer.artifact):
         raise PointerMoved(
-            f"the decision was judged at generation {decision.generation}, the pointer is at {pointer.generation}",
+            (
+                f"the decision was judged at generation {decision.generation}, the pointer is at "
+                f"{pointer.generation}"
+            ),
             expected=decision.generation,
             found=pointer.generation,
         )
-    return ServingPointer(pointer.plant, pointer.generation + 1, decision.candidate, decision.digest, now)
+    return ServingPointer(
+        pointer.plant, pointer.generation + 1, decision.candidate, decision.digest, now
+    )
 
 
-def roll_back(pointer: ServingPointer, previous: str | None, expected_generation: int, now: str) -> ServingPointer:
-    """The pointer back at the artifact that served before. Raises PointerMoved, NothingToRollBackTo."""
+def roll_back(
+    pointer: ServingPointer, previous: str | None, expected_generation: int, now: str
+) -> ServingPointer:
+    """The pointer back at the artifact that served before. Raises PointerMoved,
+    NothingToRollBackTo."""
     require_generation(pointer, expected_generation)
     if previous is None:
         raise NothingToRollBackTo(plant=pointer.plant)
@@ -76,5 +91,7 @@ def require_generation(pointer: ServingPointer, expected: int) -> None:
     """Raises PointerMoved if the pointer is elsewhere."""
     if pointer.generation != expected:
         raise PointerMoved(
-            f"generation {expected} was expected, {pointer.generation} is serving", expected=expected, found=pointer.generation
+            f"generation {expected} was expected, {pointer.generation} is serving",
+            expected=expected,
+            found=pointer.generation,
         )

@@ -1,7 +1,8 @@
 """Rows of the registry as the log names them: `table/key`, and the digest over every column.
 
-Documents count as the text that is stored, 64-bit integers as text. A name and a digest mean the same for ever, or old logs could not be
-checked. What is under way (a job before its end) and what only saves time is not named.
+Documents count as the text that is stored, 64-bit integers as text. A name and a digest mean the
+same for ever, or old logs could not be checked. What is under way (a job before its end) and what
+only saves time is not named.
 """
 
 from __future__ import annotations
@@ -37,10 +38,23 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "channel_moves": ("plant", "channel", "generation"),
 }
 FINAL = ("succeeded", "failed", "cancelled")
-BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")  # named by the digest of their document
+BY_DOCUMENT = (
+    "plants",
+    "gates",
+    "decisions",
+    "monitors",
+    "policies",
+    "evidence",
+)  # named by the digest of their document
 KEPT_APART = ("projects", "tokens")  # of a registry as a whole, never of one plant
-WHOLESALE = ("log:migrated", "plant:imported")  # entries that tell of rows that were there elsewhere
-MOVES = {"moves": ("pointer:moved", "plant:registered"), "channel_moves": ("channel:moved",)}  # entries that may tell of a move
+WHOLESALE = (
+    "log:migrated",
+    "plant:imported",
+)  # entries that tell of rows that were there elsewhere
+MOVES = {
+    "moves": ("pointer:moved", "plant:registered"),
+    "channel_moves": ("channel:moved",),
+}  # entries that may tell of a move
 
 
 def row_name(table: str, row: Mapping[str, Any]) -> str:
@@ -49,8 +63,11 @@ def row_name(table: str, row: Mapping[str, Any]) -> str:
 
 
 def row_digest(table: str, row: Mapping[str, Json]) -> str:
-    """The digest of a row, its columns by name; empty ones are left out, so that a column that comes later changes no old digest."""
-    return digest_of({"table": table, "row": {name: value for name, value in row.items() if value is not None}})
+    """The digest of a row, its columns by name; empty ones are left out, so that a column that
+    comes later changes no old digest."""
+    return digest_of(
+        {"table": table, "row": {name: value for name, value in row.items() if value is not None}}
+    )
 
 
 def must_be_named(table: str, row: Mapping[str, Any]) -> bool:
@@ -66,12 +83,20 @@ def misnamed(table: str, row: Mapping[str, Any]) -> str | None:
         return "the document is not what its digest names"
     if table == "decisions":
         document = orjson.loads(row["document"])
-        if any(document[name] != row[name] for name in ("gate", "candidate", "incumbent", "generation", "accepted")):
+        if any(
+            document[name] != row[name]
+            for name in ("gate", "candidate", "incumbent", "generation", "accepted")
+        ):
             return "the columns are not what the document says"
     return None
 
 
 def blobs(table: str, row: Mapping[str, Any]) -> list[str]:
     """Digests of the bytes that a row stands for."""
-    named = {"episodes": "digest", "artifacts": "arrays", "imports": "entries", "outputs": "digest"}.get(table)
+    named = {
+        "episodes": "digest",
+        "artifacts": "arrays",
+        "imports": "entries",
+        "outputs": "digest",
+    }.get(table)
     return [row[named]] if named and row[named] else []

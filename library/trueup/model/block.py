@@ -1,9 +1,10 @@
 """Block: how the parameters of one hypothesis lie in the vector that the compiled rollout reads.
 
-The nominal form's own come first, then joint by joint those of every effect in the order in which they act, then what each hidden state
-of that joint began with.
+The nominal form's own come first, then joint by joint those of every effect in the order in which
+they act, then what each hidden state of that joint began with.
 
-A *term* is one effect at one joint, written as the effect's name, and behind an @ the joint's number where it is not the first.
+A *term* is one effect at one joint, written as the effect's name, and behind an @ the joint's
+number where it is not the first.
 """
 
 from __future__ import annotations
@@ -50,8 +51,14 @@ def offsets() -> dict[str, tuple[int, ...]]:
 
 @cache
 def memory_offsets() -> dict[Memory, int]:
-    """Of each state of each effect the row that says how far from its usual value it began, counted from the first of its joint."""
-    states = [(e.name, s) for e in effects().values() for s, begins in zip(e.states, e.begins, strict=True) if begins != "first"]
+    """Of each state of each effect the row that says how far from its usual value it began, counted
+    from the first of its joint."""
+    states = [
+        (e.name, s)
+        for e in effects().values()
+        for s, begins in zip(e.states, e.begins, strict=True)
+        if begins != "first"
+    ]
     first = sum(map(len, offsets().values()))
     return {key: first + i for i, key in enumerate(states)}
 
@@ -70,7 +77,8 @@ class Block:
 
     @staticmethod
     def of_family() -> Block:
-        """That of a plant of any family: all families have one, so that a row means the same in each."""
+        """That of a plant of any family: all families have one, so that a row means the same in
+        each."""
         return Block(max(len(f.params) for f in families().values()))
 
     def rows(self, of: str) -> tuple[int, ...]:
@@ -80,16 +88,23 @@ class Block:
 
     def rows_of(self, of: str) -> dict[str, int]:
         """The same by the parameters' names."""
-        return {number.name: row for number, row in zip(kind(of).params, self.rows(of), strict=True)}
+        return {
+            number.name: row for number, row in zip(kind(of).params, self.rows(of), strict=True)
+        }
 
     @cached_property
     def memories(self) -> Mapping[Memory, int]:
         """Of each term's hidden states the row that says how far from its usual value it began."""
         at = memory_offsets().items()
-        return {(term(e, j), state): self.nominal + j * height() + row for j in range(self.joints) for (e, state), row in at}
+        return {
+            (term(e, j), state): self.nominal + j * height() + row
+            for j in range(self.joints)
+            for (e, state), row in at
+        }
 
     @cached_property
     def nulls(self) -> NDArray[np.float64]:
-        """Rows in which nothing acts, `(rows,)`; the nominal form's own, and what memories began with, are 0."""
+        """Rows in which nothing acts, `(rows,)`; the nominal form's own, and what memories began
+        with, are 0."""
         one = [n.null for e in effects().values() for n in e.params] + [0.0] * len(memory_offsets())
         return np.array([0.0] * self.nominal + one * self.joints)

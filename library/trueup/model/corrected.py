@@ -1,9 +1,10 @@
 """Corrected: the nominal form with the numbers and effects that a diagnosis found.
 
-A rollout starts from a filter that ran over the episode's past: the same model, corrected by each observation with a gain that
-soon is constant. So lag, play, heat and hysteresis have the past that they need, and noise of the starting sample is averaged out. Where no
-velocity is observed, an episode's first is the one known from like positions and commands.
-Source of the gain: R. E. Kalman, Journal of Basic Engineering 82 (1960).
+A rollout starts from a filter that ran over the episode's past: the same model, corrected by each
+observation with a gain that soon is constant. So lag, play, heat and hysteresis have the past that
+they need, and noise of the starting sample is averaged out. Where no velocity is observed, an
+episode's first is the one known from like positions and commands. Source of the gain: R. E. Kalman,
+Journal of Basic Engineering 82 (1960).
 """
 
 from __future__ import annotations
@@ -36,8 +37,9 @@ Array = NDArray[np.float64]
 class Corrected(Predictor):
     """A nominal form with effects.
 
-    `values` is the block's vector; `gain` `(beginning, joints, 4, 2)` corrects each joint's position, velocity, a disturbing acceleration
-    and what hides the velocity by its observed position and velocity, at each of an episode's first samples and, the last, at all others;
+    `values` is the block's vector; `gain` `(beginning, joints, 4, 2)` corrects each joint's
+    position, velocity, a disturbing acceleration and what hides the velocity by its observed
+    position and velocity, at each of an episode's first samples and, the last, at all others;
     `known` moments tell a first velocity that nobody observed.
     """
 
@@ -60,18 +62,38 @@ class Corrected(Predictor):
     def joint(self) -> Joint:
         """The joint of a family, with the effects that act at it."""
         plant, block = self.plant, self.plant.block
-        acting = [(effects()[name], block.rows_of(name)) for name in effects() if name in self.hypothesis.effects]
-        valued = [(effect, {name: self.values[row] for name, row in rows.items()}) for effect, rows in acting]
+        acting = [
+            (effects()[name], block.rows_of(name))
+            for name in effects()
+            if name in self.hypothesis.effects
+        ]
+        valued = [
+            (effect, {name: self.values[row] for name, row in rows.items()})
+            for effect, rows in acting
+        ]
         assert isinstance(plant.dynamics, CompiledFamily)
         numbers = self.values[: len(plant.dynamics.parameter_names)]
-        return Joint(plant.dynamics.family, numbers, valued, self.scheme.alpha, float(plant.command_scales[0]), plant.timestep_s)
+        return Joint(
+            plant.dynamics.family,
+            numbers,
+            valued,
+            self.scheme.alpha,
+            float(plant.command_scales[0]),
+            plant.timestep_s,
+        )
 
-    def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
-        """One step of the symmetric or declared scheme, with hidden states as they begin; of a family in numpy, the kernel's reference."""
+    def predict_batch(
+        self, states: Array, issued: Array, h_s: Array | float | None = None
+    ) -> Array:
+        """One step of the symmetric or declared scheme, with hidden states as they begin; of a
+        family in numpy, the kernel's reference."""
         span = np.broadcast_to(self.plant.timestep_s if h_s is None else h_s, len(states))
         applied = self.plant.applied(issued)
         if not isinstance(self.plant.dynamics, CompiledFamily):
-            rows = [self._stepped(state, u, float(h)) for state, u, h in zip(states, applied, span, strict=True)]
+            rows = [
+                self._stepped(state, u, float(h))
+                for state, u, h in zip(states, applied, span, strict=True)
+            ]
             return np.stack(rows) if rows else states
         q, v = states[:, 0], states[:, 1]
         for _ in range(self.scheme.parts):
@@ -82,26 +104,54 @@ class Corrected(Predictor):
         """Of a tree compiled as a whole, with what its effects remember meanwhile."""
         if isinstance(self.plant.dynamics, CompiledFamily):
             return super().course(states, issued, steps)
-        applied, t_s = self.plant.applied(issued), np.asarray(np.arange(steps + 1) * self.plant.timestep_s, np.float64)
-        return np.stack([self._held(state, u, t_s)[1:] for state, u in zip(states, applied, strict=True)])
+        applied, t_s = (
+            self.plant.applied(issued),
+            np.asarray(np.arange(steps + 1) * self.plant.timestep_s, np.float64),
+        )
+        return np.stack(
+            [self._held(state, u, t_s)[1:] for state, u in zip(states, applied, strict=True)]
+        )
 
     def _stepped(self, state: Array, applied: Array, h_s: float) -> Array:
         """One state a step further."""
         return np.asarray(self._held(state, applied, np.array([0.0, h_s]))[1])
 
     def _held(self, state: Array, applied: Array, t_s: Array) -> Array:
-        """States at times from one on, compiled; what delays a command has none before it to show."""
-        acting = Hypothesis(tuple(t for t in self.hypothesis.effects if not kind(t).delays() and kind(t).port is not Port.OBSERVATION))
-        s = unobserved(self.scheme, t_s, np.tile(applied, (len(t_s), 1)), self.plant.command_scales, float(t_s[1]))
+        """States at times from one on, compiled; what delays a command has none before it to
+        show."""
+        acting = Hypothesis(
+            tuple(
+                t
+                for t in self.hypothesis.effects
+                if not kind(t).delays() and kind(t).port is not Port.OBSERVATION
+            )
+        )
+        s = unobserved(
+            self.scheme,
+            t_s,
+            np.tile(applied, (len(t_s), 1)),
+            self.plant.command_scales,
+            float(t_s[1]),
+        )
         init = np.repeat(state[None, :, None], BLOCK, axis=2)
-        return np.asarray(roll(s, self.plant.form, self._lanes(), switches(acting, len(self.plant.joints)), init)[:, :, 0])
+        return np.asarray(
+            roll(s, self.plant.form, self._lanes(), switches(acting, len(self.plant.joints)), init)[
+                :, :, 0
+            ]
+        )
 
     def run(self, initial: Array, issued: Array) -> Array:
         plant = self.plant
         t_s = np.asarray(np.arange(len(issued)) * plant.timestep_s, np.float64)
-        s = unobserved(self.scheme, t_s, plant.applied(issued), plant.command_scales, plant.timestep_s)
+        s = unobserved(
+            self.scheme, t_s, plant.applied(issued), plant.command_scales, plant.timestep_s
+        )
         init = np.repeat(initial[None, :, None], BLOCK, axis=2)
-        return np.asarray(roll(s, plant.form, self._lanes(), switches(self.hypothesis, len(plant.joints)), init)[:, :, 0])
+        return np.asarray(
+            roll(s, plant.form, self._lanes(), switches(self.hypothesis, len(plant.joints)), init)[
+                :, :, 0
+            ]
+        )
 
     def rollout(self, windows: Windows) -> Array:
         plant, joints = self.plant, len(self.plant.joints)
@@ -122,7 +172,9 @@ class Corrected(Predictor):
             {
                 "effect": kind(t).name,
                 "joint": self.plant.joint_name(joint(t)),
-                "parameters": {name: self.values[row] for name, row in self.plant.block.rows_of(t).items()},
+                "parameters": {
+                    name: self.values[row] for name, row in self.plant.block.rows_of(t).items()
+                },
             }
             for t in self.hypothesis.effects
         ]
@@ -139,7 +191,9 @@ class Corrected(Predictor):
         return {"known": self.known.moments} if self.known else {}
 
     @staticmethod
-    def restore(plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]) -> Corrected:
+    def restore(
+        plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
+    ) -> Corrected:
         given: Any = description
         values = plant.block.nulls.copy()
         for i, name in enumerate(plant.dynamics.parameter_names):
@@ -147,12 +201,17 @@ class Corrected(Predictor):
         hypothesis = Hypothesis()
         for entry in given["effects"]:
             at = term(
-                entry["effect"], [plant.joint_name(j) for j in range(len(plant.joints))].index(entry.get("joint", plant.joint_name(0)))
+                entry["effect"],
+                [plant.joint_name(j) for j in range(len(plant.joints))].index(
+                    entry.get("joint", plant.joint_name(0))
+                ),
             )
             hypothesis = hypothesis | at
             for name, row in plant.block.rows_of(at).items():
                 values[row] = float(entry["parameters"][name])
-        if not np.isfinite(values[[row for t in hypothesis.effects for row in plant.block.rows(t)]]).all():
+        if not np.isfinite(
+            values[[row for t in hypothesis.effects for row in plant.block.rows(t)]]
+        ).all():
             raise ValueError("a parameter of an acting effect is not finite")
         scheme = Scheme(float(given["scheme"]["alpha"]), int(given["scheme"]["parts"]))
         rows = tuple(tuple(float(x) for x in row) for row in given["gain"])

@@ -1,8 +1,8 @@
 """Dynamics: how a state moves on under an applied command.
 
-A state is positions, then velocities, `(n, 2 x joints)`; a command `(n, joints)`, 0 where a joint has no actuator. `CompiledFamily`
-makes dynamics from a family of one joint, `CompiledTree` from a robot's tree of joints. Nothing above asks which, and both obey the
-same laws.
+A state is positions, then velocities, `(n, 2 x joints)`; a command `(n, joints)`, 0 where a joint
+has no actuator. `CompiledFamily` makes dynamics from a family of one joint, `CompiledTree` from a
+robot's tree of joints. Nothing above asks which, and both obey the same laws.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ Array = NDArray[np.float64]
 class Form:
     """What the compiled rollout reads of a nominal model.
 
-    `block` is how its parameters lie; `family` a family's number, -1 for a tree; `tree` `(joints, TREE)`; `sizes` `(joints,)` the
-    inertia by which an effect's forces are divided, so that they are accelerations for every maker.
+    `block` is how its parameters lie; `family` a family's number, -1 for a tree; `tree` `(joints,
+    TREE)`; `sizes` `(joints,)` the inertia by which an effect's forces are divided, so that they
+    are accelerations for every maker.
     """
 
     block: Block
@@ -67,25 +68,36 @@ class Dynamics(ABC):
         """State after `h_s` [s]; parameters `(parameters,)` or `(parameters, n)`."""
 
     @abstractmethod
-    def rollout(self, parameters: Array, initial: Array, applied: Array, h_s: Array, steps: NDArray[np.int64]) -> Array:
+    def rollout(
+        self,
+        parameters: Array,
+        initial: Array,
+        applied: Array,
+        h_s: Array,
+        steps: NDArray[np.int64],
+    ) -> Array:
         """States at every sample, compiled, for all lanes.
 
-        parameters `(vectors, parameters)`; initial `(windows, 2 x joints)`; applied `(windows, samples, joints)`; `h_s` [s] and
-        `steps` `(windows, samples)`: between sample i and i+1 lie `steps[i]` steps of `h_s[i]`. A window stops where steps
-        are 0. Returns `(vectors, windows, samples, 2 x joints)`.
+        parameters `(vectors, parameters)`; initial `(windows, 2 x joints)`; applied `(windows,
+        samples, joints)`; `h_s` [s] and `steps` `(windows, samples)`: between sample i and i+1 lie
+        `steps[i]` steps of `h_s[i]`. A window stops where steps are 0. Returns `(vectors, windows,
+        samples, 2 x joints)`.
         """
 
     @abstractmethod
     def drive(self, parameters: Sequence[float], joint: int, q: Array, applied: Array) -> Array:
-        """Acceleration that a joint's actuator gives under a command at positions, `(n,)`; in a tree, with nothing else in its way."""
+        """Acceleration that a joint's actuator gives under a command at positions, `(n,)`; in a
+        tree, with nothing else in its way."""
 
     @abstractmethod
     def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
-        """The command under which a joint's actuator gives no force at positions, `(n,)`: 0 but of a servo of position."""
+        """The command under which a joint's actuator gives no force at positions, `(n,)`: 0 but of
+        a servo of position."""
 
     @abstractmethod
     def inertia(self, parameters: Array, q: Array) -> Array:
-        """Mass matrices at positions `(n, joints)` in units of each joint's own inertia, `(n, joints, joints)`."""
+        """Mass matrices at positions `(n, joints)` in units of each joint's own inertia, `(n,
+        joints, joints)`."""
 
     @abstractmethod
     def slippery(self, parameters: Array) -> Array:
@@ -94,9 +106,14 @@ class Dynamics(ABC):
     def transition(self, parameters: Array, h_s: float) -> Array:
         """The unforced update linearised at rest at zero, `(2 x joints, 2 x joints)`."""
         slope = 1e-6  # [rad, m] small against every joint's travel, large against rounding
-        basis, parameters = slope * np.eye(2 * self.joints, 2 * self.joints), self.slippery(parameters)
+        basis, parameters = (
+            slope * np.eye(2 * self.joints, 2 * self.joints),
+            self.slippery(parameters),
+        )
         nothing = np.zeros((2 * self.joints, self.joints))
-        moved = self.step(basis, nothing, parameters, h_s) - self.step(np.zeros_like(basis), nothing, parameters, h_s)
+        moved = self.step(basis, nothing, parameters, h_s) - self.step(
+            np.zeros_like(basis), nothing, parameters, h_s
+        )
         return np.asarray(moved / slope).T
 
 
@@ -116,14 +133,23 @@ class CompiledFamily(Dynamics):
         after = v + h_s * self.family.acceleration(q, v, applied[:, 0], *parameters)
         return np.stack([q + h_s * after, after], axis=1)
 
-    def rollout(self, parameters: Array, initial: Array, applied: Array, h_s: Array, steps: NDArray[np.int64]) -> Array:
+    def rollout(
+        self,
+        parameters: Array,
+        initial: Array,
+        applied: Array,
+        h_s: Array,
+        steps: NDArray[np.int64],
+    ) -> Array:
         from trueup.model.family_kernel import rollout  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
         return rollout(self.family, parameters, initial, applied[:, :, 0], h_s, steps)
 
     def drive(self, parameters: Sequence[float], joint: int, q: Array, applied: Array) -> Array:
         zero = np.zeros(len(q))
-        driven, passive = (self.family.acceleration(zero, zero, u, *parameters) for u in (applied, zero))
+        driven, passive = (
+            self.family.acceleration(zero, zero, u, *parameters) for u in (applied, zero)
+        )
         return np.asarray(driven - passive)
 
     def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
@@ -143,7 +169,8 @@ class CompiledFamily(Dynamics):
 
 @dataclass(frozen=True)
 class CompiledTree(Dynamics):
-    """A robot of rigid links; v' = v + h (M + h D)^-1 (forces - bias), then q' = q + h v', as MuJoCo's implicit integrator does.
+    """A robot of rigid links; v' = v + h (M + h D)^-1 (forces - bias), then q' = q + h v', as
+    MuJoCo's implicit integrator does.
 
     Dry friction of the joints is a projection of the velocity, not a soft constraint.
     """
@@ -161,17 +188,30 @@ class CompiledTree(Dynamics):
     @cached_property
     def form(self) -> Form:  # type: ignore[override]
         masses = mass_matrix(self.tree, self.tree.constants[None, :, ZERO])[0]
-        return Form(Block(len(self.tree.parameters), self.joints), -1, self.tree.constants, np.diag(masses).copy())
+        return Form(
+            Block(len(self.tree.parameters), self.joints),
+            -1,
+            self.tree.constants,
+            np.diag(masses).copy(),
+        )
 
     def drive(self, parameters: Sequence[float], joint: int, q: Array, applied: Array) -> Array:
         first = LINK * self.joints + JOINT * joint
-        force = parameters[first + GAIN] * applied - parameters[first + SERVO] * q + self.tree.constants[joint, OFFSET]
+        force = (
+            parameters[first + GAIN] * applied
+            - parameters[first + SERVO] * q
+            + self.tree.constants[joint, OFFSET]
+        )
         return np.asarray(force / self.form.sizes[joint])
 
     def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
         first = LINK * self.joints + JOINT * joint
         gain, servo = parameters[first + GAIN], parameters[first + SERVO]
-        return np.asarray((servo * q - self.tree.constants[joint, OFFSET]) / gain) if servo else np.zeros(len(q))
+        return (
+            np.asarray((servo * q - self.tree.constants[joint, OFFSET]) / gain)
+            if servo
+            else np.zeros(len(q))
+        )
 
     def slippery(self, parameters: Array) -> Array:
         smooth = np.array(parameters, float)
@@ -188,8 +228,17 @@ class CompiledTree(Dynamics):
         given = np.broadcast_to(parameters.T, (len(state), len(parameters)))
         q, v = state[:, :joints], state[:, joints:]
         h = np.broadcast_to(h_s, len(state))[:, None]
-        inertial, at_joint = given[:, : LINK * joints], given[:, LINK * joints :].reshape(-1, joints, JOINT)
-        columns = np.stack([regressors(tree, q, 0.0 * v, 0.0 * v + axis, gravity=False) for axis in np.eye(joints)], axis=2)
+        inertial, at_joint = (
+            given[:, : LINK * joints],
+            given[:, LINK * joints :].reshape(-1, joints, JOINT),
+        )
+        columns = np.stack(
+            [
+                regressors(tree, q, 0.0 * v, 0.0 * v + axis, gravity=False)
+                for axis in np.eye(joints)
+            ],
+            axis=2,
+        )
         mass = np.einsum("njkp,np->njk", columns, inertial)
         bias = np.einsum("njp,np->nj", regressors(tree, q, v, 0.0 * v), inertial)
         armature, damping, gain, servo, stiffness, friction = np.moveaxis(at_joint, 2, 0)
@@ -201,7 +250,14 @@ class CompiledTree(Dynamics):
         after = _rubbed(moves, h * friction, v + h * np.einsum("njk,nk->nj", moves, force))
         return np.concatenate([q + h * after, after], axis=1)
 
-    def rollout(self, parameters: Array, initial: Array, applied: Array, h_s: Array, steps: NDArray[np.int64]) -> Array:
+    def rollout(
+        self,
+        parameters: Array,
+        initial: Array,
+        applied: Array,
+        h_s: Array,
+        steps: NDArray[np.int64],
+    ) -> Array:
         from trueup.model.kernel import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
         windows, samples, joints = applied.shape
@@ -220,16 +276,22 @@ class CompiledTree(Dynamics):
             p[: some.shape[1], : len(some)] = some.T
             out = np.empty((len(t), 2 * joints, BLOCK))
             kernel()(
-                p, off, self.form.block.nominal, -1, self.form.tree, self.form.sizes, 0.0, np.ones(joints), 0.0, t,
-                np.ascontiguousarray(h_s.reshape(-1)), np.ascontiguousarray(runs), issued, np.zeros_like(issued), resets,
-                np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False, np.zeros((1, joints, 4, 2)), observed, out,
+                p, off, self.form.block.nominal, -1, self.form.tree, self.form.sizes, 0.0,
+                np.ones(joints), 0.0, t,
+                np.ascontiguousarray(h_s.reshape(-1)), np.ascontiguousarray(runs), issued,
+                np.zeros_like(issued), resets,
+                np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False, np.zeros((1, joints, 4,
+                2)), observed, out,
             )  # fmt: skip
-            found[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(-1, windows, samples, 2 * joints)
+            found[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(
+                -1, windows, samples, 2 * joints
+            )
         return found
 
 
 def _rubbed(moves: Array, held: Array, v: Array) -> Array:
-    """Velocities `(n, joints)` after dry friction whose impulses are no larger than `held`, each of which only ever stops its joint."""
+    """Velocities `(n, joints)` after dry friction whose impulses are no larger than `held`, each of
+    which only ever stops its joint."""
     v, impulse = v.copy(), np.zeros_like(v)
     rubs = np.flatnonzero((held > 0.0).any(axis=0))
     for _ in range(SWEEPS if len(rubs) > 1 else 1):
@@ -242,19 +304,29 @@ def _rubbed(moves: Array, held: Array, v: Array) -> Array:
 
 def mass_matrix(tree: Tree, q: Array) -> Array:
     """Mass matrices at positions `(n, joints)`, armatures included, `(n, joints, joints)`."""
-    return np.stack([inverse_dynamics(tree, q, np.zeros_like(q), np.zeros_like(q) + axis, gravity=False) for axis in np.eye(q.shape[1])], 2)
+    return np.stack(
+        [
+            inverse_dynamics(tree, q, np.zeros_like(q), np.zeros_like(q) + axis, gravity=False)
+            for axis in np.eye(q.shape[1])
+        ],
+        2,
+    )
 
 
 def inverse_dynamics(tree: Tree, q: Array, v: Array, a: Array, *, gravity: bool = True) -> Array:
-    """Force at each joint `(n, joints)` that links and armatures need for accelerations `a`; no damping, spring or friction."""
+    """Force at each joint `(n, joints)` that links and armatures need for accelerations `a`; no
+    damping, spring or friction."""
     links, at_joint = np.split(np.array(tree.parameters), [LINK * q.shape[1]])
-    return np.asarray(regressors(tree, q, v, a, gravity=gravity) @ links + a * at_joint[ARMATURE::JOINT])
+    return np.asarray(
+        regressors(tree, q, v, a, gravity=gravity) @ links + a * at_joint[ARMATURE::JOINT]
+    )
 
 
 def regressors(tree: Tree, q: Array, v: Array, a: Array, *, gravity: bool = True) -> Array:
     """The factor of each inertial number in the force at each joint, `(n, joints, 10 joints)`.
 
-    Recursive Newton-Euler on arrays: the compiled rollout's reference. Source: R. Featherstone (2008), table 5.1.
+    Recursive Newton-Euler on arrays: the compiled rollout's reference. Source: R. Featherstone
+    (2008), table 5.1.
     """
     n, joints = q.shape
     turn, origin = np.empty((joints, n, 3, 3)), np.empty((joints, n, 3))
@@ -266,14 +338,25 @@ def regressors(tree: Tree, q: Array, v: Array, a: Array, *, gravity: bool = True
         angle, along = (np.zeros(n), moved) if slides else (moved, np.zeros(n))
         base, place = c[FRAME : FRAME + 9].reshape(3, 3).T, c[FRAME + 9 : ZERO]
         cosine, sine, one, nil = np.cos(angle), np.sin(angle), np.ones(n), np.zeros(n)
-        about = np.stack([np.stack([cosine, -sine, nil], 1), np.stack([sine, cosine, nil], 1), np.stack([nil, nil, one], 1)], 1)
+        about = np.stack(
+            [
+                np.stack([cosine, -sine, nil], 1),
+                np.stack([sine, cosine, nil], 1),
+                np.stack([nil, nil, one], 1),
+            ],
+            1,
+        )
         turn[j] = base @ about
         origin[j] = place + along[:, None] * base[:, 2]
         w, e, g = (
-            (spin[parent], gain[parent], pull[parent]) if parent >= 0 else (nil[:, None] * z, nil[:, None] * z, -c[GRAVITY:] * gravity)
+            (spin[parent], gain[parent], pull[parent])
+            if parent >= 0
+            else (nil[:, None] * z, nil[:, None] * z, -c[GRAVITY:] * gravity)
         )
         at = g + np.cross(e, origin[j]) + np.cross(w, np.cross(w, origin[j]))
-        w, e, at = (np.einsum("nji,nj->ni", turn[j], np.broadcast_to(x, (n, 3))) for x in (w, e, at))
+        w, e, at = (
+            np.einsum("nji,nj->ni", turn[j], np.broadcast_to(x, (n, 3))) for x in (w, e, at)
+        )
         speed, faster = v[:, j, None] * z, a[:, j, None] * z
         if slides:
             spin[j], gain[j], pull[j] = w, e, at + 2.0 * np.cross(w, speed) + faster
@@ -282,9 +365,17 @@ def regressors(tree: Tree, q: Array, v: Array, a: Array, *, gravity: bool = True
         moment = _wrench(spin[j], gain[j], pull[j])  # (n, 6, 10)
         to = j
         while to >= 0:
-            factor[:, to, LINK * j : LINK * (j + 1)] = moment[:, 2 if tree.constants[to, SLIDE] > 0.0 else 5]
+            factor[:, to, LINK * j : LINK * (j + 1)] = moment[
+                :, 2 if tree.constants[to, SLIDE] > 0.0 else 5
+            ]
             force, torque = turn[to] @ moment[:, :3], turn[to] @ moment[:, 3:]
-            moment = np.concatenate([force, torque + np.cross(origin[to][:, None], np.swapaxes(force, 1, 2)).swapaxes(1, 2)], axis=1)
+            moment = np.concatenate(
+                [
+                    force,
+                    torque + np.cross(origin[to][:, None], np.swapaxes(force, 1, 2)).swapaxes(1, 2),
+                ],
+                axis=1,
+            )
             to = int(tree.constants[to, PARENT])
     return factor
 
@@ -308,7 +399,8 @@ def _skew(x: Array) -> Array:
 
 
 def _dot(x: Array) -> Array:
-    """The matrix that takes second moments (xx, yy, zz, xy, xz, yz) to the inertia times `x`, `(n, 3, 6)`."""
+    """The matrix that takes second moments (xx, yy, zz, xy, xz, yz) to the inertia times `x`, `(n,
+    3, 6)`."""
     nil = np.zeros(len(x))
     p, q, r = x.T
     rows = [[p, nil, nil, q, r, nil], [nil, q, nil, p, nil, r], [nil, nil, r, nil, p, q]]

@@ -1,20 +1,22 @@
 """Effect: something that the nominal model leaves out, as a small pure function at a port.
 
-A file in `effects/` holds one; they are found by themselves. What `apply` takes is told by the names of its arguments:
+A file in `effects/` holds one; they are found by themselves. What `apply` takes is told by the
+names of its arguments:
 
-    signals      `u` command, `q` position, `v` velocity, `t` time since the episode began [s], `h` step [s], `lag_s` transport delay [s],
-                 `period` of the samples [s], `since` the last one [s], 0 at the first, `u_scale` the command's declared limit,
-                 `implicit` 1 where a step takes its end's values,
-                 `passive` and `drive` the nominal acceleration without and by the command, `spring` the passive one at rest,
-                 in a robot with what centrifugal and Coriolis forces add,
-                 `mobility` the acceleration that a unit of force brings about: 1 but in a tree, whose inertia changes with its pose
+    signals      `u` command, `q` position, `v` velocity, `t` time since the episode began [s], `h`
+                 step [s], `lag_s` transport delay [s], `period` of the samples [s], `since` the
+                 last one [s], 0 at the first, `u_scale` the command's declared limit, `implicit` 1
+                 where a step takes its end's values, `passive` and `drive` the nominal acceleration
+                 without and by the command, `spring` the passive one at rest, in a robot with what
+                 centrifugal and Coriolis forces add, `mobility` the acceleration that a unit of
+                 force brings about: 1 but in a tree, whose inertia changes with its pose
     states       the names in `states`: what the effect remembers of the episode's past
     parameters   the names in `params`
 
-It returns its port's signal, then its states. A friction returns the level up to which it holds or brakes: the step itself
-keeps it from reversing the motion, for any number of frictions at one joint.
-Ports act in this order: timing, command, force and friction, observation; within a port by `order`, from the controller's
-side to the joint's.
+It returns its port's signal, then its states. A friction returns the level up to which it holds or
+brakes: the step itself keeps it from reversing the motion, for any number of frictions at one
+joint. Ports act in this order: timing, command, force and friction, observation; within a port by
+`order`, from the controller's side to the joint's.
 """
 
 from __future__ import annotations
@@ -54,11 +56,14 @@ SIGNALS = {
     Port.FRICTION: ("level",),
     Port.OBSERVATION: ("q", "v"),
 }
-DELAYS = ("lag_s",)  # what an effect returns instead of its port's signal where it is a pure transport delay
+DELAYS = (
+    "lag_s",
+)  # what an effect returns instead of its port's signal where it is a pure transport delay
 
 
 class Scale(StrEnum):
-    """What a parameter is measured against: the plant's own motion, so that nothing assumes newton metres."""
+    """What a parameter is measured against: the plant's own motion, so that nothing assumes newton
+    metres."""
 
     ACCELERATION = "acceleration"
     VELOCITY = "velocity"
@@ -77,7 +82,8 @@ class Scale(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A parameter of an effect: its scale, the value at which the effect vanishes, and its range in units of the scale."""
+    """A parameter of an effect: its scale, the value at which the effect vanishes, and its range in
+    units of the scale."""
 
     name: str
     scale: Scale
@@ -87,14 +93,16 @@ class Number:
 
 
 class Effect(ABC):
-    """One unmodelled effect. `starts` are the values, in units of each parameter's scale, from which a fit begins.
+    """One unmodelled effect. `starts` are the values, in units of each parameter's scale, from
+    which a fit begins.
 
-    `threshold` names the parameters along which the error has corners: their finite differences are wider. `zoomed` is
-    one between whose corners the error is flat: ever finer grids find it.
-    `counted` ones are found in the samples themselves, `periodic` ones by a scan along the travel; one that is the `same_as` another on
-    every log is fitted as that one, and told as an alternative to it.
-    What a state was before the log began is estimated, in units of its `memory` scale, from where it `begins`. Where the effect
-    `hides_velocity`, the log shows the velocity with the first state added, and the second is the velocity of the sample before.
+    `threshold` names the parameters along which the error has corners: their finite differences are
+    wider. `zoomed` is one between whose corners the error is flat: ever finer grids find it.
+    `counted` ones are found in the samples themselves, `periodic` ones by a scan along the travel;
+    one that is the `same_as` another on every log is fitted as that one, and told as an alternative
+    to it. What a state was before the log began is estimated, in units of its `memory` scale, from
+    where it `begins`. Where the effect `hides_velocity`, the log shows the velocity with the first
+    state added, and the second is the velocity of the sample before.
     """
 
     name: ClassVar[str]
@@ -103,21 +111,38 @@ class Effect(ABC):
     order: ClassVar[int] = 0
     params: ClassVar[tuple[Number, ...]]
     states: ClassVar[tuple[str, ...]] = ()
-    begins: ClassVar[tuple[str, ...]] = ()  # of each state: "zero", the signal that it starts from, or "first": what it was does not matter
+    begins: ClassVar[
+        tuple[str, ...]
+        # of each state: "zero", the signal that it starts from, or "first": what it was does not
+        # matter
+    ] = ()
     memory: ClassVar[tuple[Scale, ...]] = ()
     starts: ClassVar[tuple[tuple[float, ...], ...]]
     threshold: ClassVar[tuple[str, ...]] = ()
     zoomed: ClassVar[str] = ""
-    optional: ClassVar[tuple[str, ...]] = ()  # numbers that stay at their null unless the log asks for them
-    tries: ClassVar[tuple[tuple[float, ...], ...]] = ()  # values from which those are tried, as in `starts`; without, from their nulls
+    optional: ClassVar[
+        tuple[str, ...]
+    ] = ()  # numbers that stay at their null unless the log asks for them
+    tries: ClassVar[
+        tuple[tuple[float, ...], ...]
+    ] = ()  # values from which those are tried, as in `starts`; without, from their nulls
     contains: ClassVar[str] = ""  # the effect that this one is where some of its parameters vanish
     counted: ClassVar[bool] = False
-    periodic: ClassVar[bool] = False  # its first two numbers are a sine's and a cosine's, its third the pitch
+    periodic: ClassVar[bool] = (
+        False  # its first two numbers are a sine's and a cosine's, its third the pitch
+    )
     same_as: ClassVar[str] = ""
     hides_velocity: ClassVar[bool] = False
-    least_periods: ClassVar[float] = 0.0  # of the samples: a smaller first number is what integration does, and no effect
-    of_drive: ClassVar[bool] = False  # it acts on what drives the joint: at a servo of position on the error, not on the goal
-    falls: ClassVar[bool] = False  # whether the effect grows as its first parameter falls, as a limit's does
+    least_periods: ClassVar[float] = (
+        0.0  # of the samples: a smaller first number is what integration does, and no effect
+    )
+    of_drive: ClassVar[bool] = (
+        # it acts on what drives the joint: at a servo of position on the error, not on the goal
+        False
+    )
+    falls: ClassVar[bool] = (
+        False  # whether the effect grows as its first parameter falls, as a limit's does
+    )
 
     @staticmethod
     @abstractmethod
@@ -143,4 +168,9 @@ def effects() -> dict[str, type[Effect]]:
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
     ports = list(Port)
-    return {e.name: e for e in sorted(Effect.__subclasses__(), key=lambda e: (ports.index(e.port), e.order, e.name))}
+    return {
+        e.name: e
+        for e in sorted(
+            Effect.__subclasses__(), key=lambda e: (ports.index(e.port), e.order, e.name)
+        )
+    }

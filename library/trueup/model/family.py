@@ -1,4 +1,5 @@
-"""Family: the form of a nominal model of one joint. Each file in `families/` holds one; they are found by themselves."""
+"""Family: the form of a nominal model of one joint. Each file in `families/` holds one; they are
+found by themselves."""
 
 from __future__ import annotations
 
@@ -25,8 +26,9 @@ class Param:
 class Family(ABC):
     """Acceleration of one joint as a pure function of position, velocity and applied command.
 
-    `acceleration` uses numpy functions only, so that the same text runs on floats, on arrays and compiled. `regressors`
-    gives its derivative by each parameter: every family is linear in its parameters.
+    `acceleration` uses numpy functions only, so that the same text runs on floats, on arrays and
+    compiled. `regressors` gives its derivative by each parameter: every family is linear in its
+    parameters.
     """
 
     name: ClassVar[str]
@@ -54,5 +56,8 @@ def families() -> dict[str, type[Family]]:
 
 
 def source_digest(function: Callable[..., Any]) -> str:
-    """Digest of the file that defines a function: compiled code is kept only as long as its text."""
-    return hashlib.sha256(inspect.getsource(inspect.getmodule(function) or function).encode()).hexdigest()
+    """Digest of the file that defines a function: compiled code is kept only as long as its
+    text."""
+    return hashlib.sha256(
+        inspect.getsource(inspect.getmodule(function) or function).encode()
+    ).hexdigest()

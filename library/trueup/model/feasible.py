@@ -1,10 +1,12 @@
 """Feasible: masses that bodies can have, among all that move alike.
 
-What a robot's motion shows are combinations of its links' numbers; many sets of links share them, and the set that a fit ends with may hold
-a link of negative mass, or one whose moments of inertia no body has. The nearest set of possible links that moves the same way is found by
-projecting onto one condition after the other: the same combinations, and of each link a pseudo-inertia matrix without negative eigenvalues.
-Source: P. M. Wensing, S. Kim, J.-J. Slotine, IEEE Robotics and Automation Letters 3 (2018), for the matrix; H. H. Bauschke, J. M. Borwein,
-SIAM Review 38 (1996), for the projections.
+What a robot's motion shows are combinations of its links' numbers; many sets of links share them,
+and the set that a fit ends with may hold a link of negative mass, or one whose moments of inertia
+no body has. The nearest set of possible links that moves the same way is found by projecting onto
+one condition after the other: the same combinations, and of each link a pseudo-inertia matrix
+without negative eigenvalues. Source: P. M. Wensing, S. Kim, J.-J. Slotine, IEEE Robotics and
+Automation Letters 3 (2018), for the matrix; H. H. Bauschke, J. M. Borwein, SIAM Review 38 (1996),
+for the projections.
 """
 
 from __future__ import annotations
@@ -27,17 +29,26 @@ SEED = 1
 
 
 def feasible(tree: Tree) -> tuple[Tree, float]:
-    """The nearest robot whose links can exist and that moves as this one does, and how far its forces are off, as a part of them.
+    """The nearest robot whose links can exist and that moves as this one does, and how far its
+    forces are off, as a part of them.
 
-    Links and armatures change, nothing else. Links of joints that share a body with the next stay without mass.
+    Links and armatures change, nothing else. Links of joints that share a body with the next stay
+    without mass.
     """
     joints = len(tree.joints)
     numbers = np.array(tree.parameters)
-    moving = np.concatenate([np.arange(LINK * joints), LINK * joints + JOINT * np.arange(joints) + ARMATURE])
+    moving = np.concatenate(
+        [np.arange(LINK * joints), LINK * joints + JOINT * np.arange(joints) + ARMATURE]
+    )
     size = _sizes(tree)
     wanted = numbers[moving] / size
     q, v, a = np.random.default_rng(SEED).normal(size=(3, MOMENTS * joints, joints))
-    design = np.concatenate([regressors(tree, q, v, a), a[:, :, None] * np.eye(joints)], axis=2).reshape(-1, len(moving)) * size
+    design = (
+        np.concatenate([regressors(tree, q, v, a), a[:, :, None] * np.eye(joints)], axis=2).reshape(
+            -1, len(moving)
+        )
+        * size
+    )
     _, singular, ways = np.linalg.svd(design, full_matrices=False)
     shown = ways[singular > SHOWN * singular[0]]
     near = np.linalg.inv(_metric(joints))
@@ -59,7 +70,9 @@ def feasible(tree: Tree) -> tuple[Tree, float]:
 def _sizes(tree: Tree) -> Array:
     """Units in which the numbers of a usual link are about 1."""
     joints = len(tree.joints)
-    mass = float(np.mean(np.abs(np.array(tree.parameters)[: LINK * joints].reshape(-1, LINK)[:, 0])))
+    mass = float(
+        np.mean(np.abs(np.array(tree.parameters)[: LINK * joints].reshape(-1, LINK)[:, 0]))
+    )
     length = float(np.mean(np.linalg.norm(tree.constants[:, FRAME + 9 : ZERO], axis=1))) or 0.1
     link = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
     return np.concatenate([np.tile(link, joints), np.full(joints, mass * length**2)])
@@ -82,7 +95,8 @@ def _possible(now: Array, tree: Tree) -> Array:
 
 
 def _metric(joints: int) -> Array:
-    """What both projections are nearest in, lest they drive each other away: the squared norm of each pseudo-inertia, and of armatures."""
+    """What both projections are nearest in, lest they drive each other away: the squared norm of
+    each pseudo-inertia, and of armatures."""
     flat = np.stack([_pseudo(e).reshape(-1) for e in np.eye(LINK)])
     found = np.eye((LINK + 1) * joints)
     for j in range(joints):
@@ -108,4 +122,6 @@ def _numbers(pseudo: Array) -> Array:
     """The ten numbers again."""
     s = pseudo[:3, :3]
     x, y, z = np.diag(s)
-    return np.array([pseudo[3, 3], *pseudo[3, :3], y + z, x + z, x + y, -s[0, 1], -s[0, 2], -s[1, 2]])
+    return np.array(
+        [pseudo[3, 3], *pseudo[3, :3], y + z, x + z, x + y, -s[0, 1], -s[0, 2], -s[1, 2]]
+    )

@@ -50,40 +50,66 @@ class Reader:
         """The objects of the non-empty list at `key`."""
         found = self._get(key)
         if not isinstance(found, list) or not found:
-            raise BadPlant(f"{self.at(key)} must be a list with one object at least", field=self.at(key))
+            raise BadPlant(
+                f"{self.at(key)} must be a list with one object at least", field=self.at(key)
+            )
         return [Reader.of(item, f"{self.at(key)}[{i}]") for i, item in enumerate(found)]
 
     def no_more(self, *known: str) -> None:
         """Refuse any key that is not known: a misspelt field would be silently ignored."""
         for key in self.value:
             if key not in known:
-                raise BadPlant(f"{self.at(key)} is not a field; known are {', '.join(known)}", field=self.at(key))
+                raise BadPlant(
+                    f"{self.at(key)} is not a field; known are {', '.join(known)}",
+                    field=self.at(key),
+                )
 
     def number(self, key: str, *, above: float = -math.inf, default: float | None = None) -> float:
         """A finite number greater than `above`."""
         found = default if key not in self.value and default is not None else self._get(key)
-        if isinstance(found, bool) or not isinstance(found, int | float) or not _finite(found) or not found > above:
+        if (
+            isinstance(found, bool)
+            or not isinstance(found, int | float)
+            or not _finite(found)
+            or not found > above
+        ):
             wanted = "a finite number" if above == -math.inf else f"a finite number above {above:g}"
             raise BadPlant(f"{self.at(key)} must be {wanted}", field=self.at(key))
         return float(found)
 
     def text(self, key: str, default: str | None = None) -> str:
         found = default if key not in self.value and default is not None else self._get(key)
-        if not isinstance(found, str) or (not found and default is None) or not found.isprintable() or len(found) > 256:  # noqa: PLR2004
-            raise BadPlant(f"{self.at(key)} must be a printable string of 1 to 256 characters", field=self.at(key))
+        if (
+            not isinstance(found, str)
+            or (not found and default is None)
+            or not found.isprintable()
+            or len(found) > 256  # noqa: PLR2004 - the message says it
+        ):
+            raise BadPlant(
+                f"{self.at(key)} must be a printable string of 1 to 256 characters",
+                field=self.at(key),
+            )
         return found
 
     def name(self, key: str) -> str:
         """A name: lower-case letters, digits, - and _, 63 at most. Never a path."""
         found = self.text(key)
         if not NAME.fullmatch(found):
-            raise BadPlant(f"{self.at(key)} must be 1 to 63 of a-z, 0-9, - and _, beginning with a letter or digit", field=self.at(key))
+            raise BadPlant(
+                (
+                    f"{self.at(key)} must be 1 to 63 of a-z, 0-9, - and _, beginning with a "
+                    "letter or digit"
+                ),
+                field=self.at(key),
+            )
         return found
 
     def choice(self, key: str, options: Sequence[str], default: str | None = None) -> str:
         found = default if key not in self.value and default is not None else self._get(key)
         if not isinstance(found, str) or found not in options:
-            raise BadPlant(f"{self.at(key)} must be one of {', '.join(options)}", field=self.at(key))
+            raise BadPlant(
+                f"{self.at(key)} must be one of {', '.join(options)}", field=self.at(key)
+            )
         return str(found)
 
     def interval(self, key: str) -> tuple[float, float]:

@@ -1,4 +1,5 @@
-"""Hypothesis: which effects act at which joints, and the sizes against which their parameters are measured."""
+"""Hypothesis: which effects act at which joints, and the sizes against which their parameters are
+measured."""
 
 from __future__ import annotations
 
@@ -16,8 +17,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """A joint's own sizes, against which parameters are measured. `error` is that of a servo's goal beyond its position; without, the
-    command's own drives the joint.
+    """A joint's own sizes, against which parameters are measured. `error` is that of a servo's goal
+    beyond its position; without, the command's own drives the joint.
     """
 
     position: float
@@ -48,13 +49,18 @@ class Scales:
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """Which terms act, in the order in which they do, the first joint's first; with none, the nominal form alone."""
+    """Which terms act, in the order in which they do, the first joint's first; with none, the
+    nominal form alone."""
 
     effects: tuple[str, ...] = ()
 
     def __or__(self, term: str) -> Hypothesis:
         order = list(effects())
-        return Hypothesis(tuple(sorted({*self.effects, term}, key=lambda t: (joint(t), order.index(kind(t).name)))))
+        return Hypothesis(
+            tuple(
+                sorted({*self.effects, term}, key=lambda t: (joint(t), order.index(kind(t).name)))
+            )
+        )
 
     def without(self, term: str) -> Hypothesis:
         """The same without one term."""
@@ -62,10 +68,15 @@ class Hypothesis:
 
 
 def begun(block: Block, values: Array, scales: Scales, term: str, start: Sequence[float]) -> Array:
-    """A block's values `(rows,)` with one term begun at a start, given in units of its joint's scales."""
+    """A block's values `(rows,)` with one term begun at a start, given in units of its joint's
+    scales."""
     values = values.copy()
     for row, number, x in zip(block.rows(term), kind(term).params, start, strict=True):
-        values[row] = number.null if np.isnan(x) else np.clip(x, number.low, number.high) * scales.of(number.scale)
+        values[row] = (
+            number.null
+            if np.isnan(x)
+            else np.clip(x, number.low, number.high) * scales.of(number.scale)
+        )
     return values
 
 

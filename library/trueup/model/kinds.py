@@ -7,4 +7,6 @@ from collections.abc import Mapping
 from trueup.model.corrected import Corrected
 from trueup.model.predictor import Blind, Conditioned, Identified, Nominal, Predictor, Residual
 
-KINDS: Mapping[str, type[Predictor]] = {k.kind: k for k in (Nominal, Identified, Blind, Conditioned, Residual, Corrected)}
+KINDS: Mapping[str, type[Predictor]] = {
+    k.kind: k for k in (Nominal, Identified, Blind, Conditioned, Residual, Corrected)
+}

@@ -1,8 +1,10 @@
-"""Known moments: the velocity that goes with a position and a command, where a log shows no velocity.
+"""Known moments: the velocity that goes with a position and a command, where a log shows no
+velocity.
 
-A machine under a controller comes again and again through the same positions under the same commands, so what it did there
-before tells how fast it is now. Used for a log's first sample alone: from the second on there are two positions.
-Source: E. Fix, J. L. Hodges, USAF School of Aviation Medicine Report 4 (1951), for the nearest ones.
+A machine under a controller comes again and again through the same positions under the same
+commands, so what it did there before tells how fast it is now. Used for a log's first sample alone:
+from the second on there are two positions. Source: E. Fix, J. L. Hodges, USAF School of Aviation
+Medicine Report 4 (1951), for the nearest ones.
 """
 
 from __future__ import annotations
@@ -24,14 +26,19 @@ ASKED = 128  # of an episode's moments, to see how well the others' answer
 class Known:
     """Moments `(moments, 3)` of position, command and velocity.
 
-    A velocity is a line through all of them, and what that misses, on the mean, at the `nearest` ones.
+    A velocity is a line through all of them, and what that misses, on the mean, at the `nearest`
+    ones.
     """
 
     moments: Array
     nearest: int
 
     def __post_init__(self) -> None:
-        if self.moments.ndim != 2 or self.moments.shape[1] != 3 or not len(self.moments) or not np.isfinite(self.moments).all():  # noqa: PLR2004
+        if (
+            self.moments.shape[1:] != (3,)
+            or not len(self.moments)
+            or not np.isfinite(self.moments).all()
+        ):
             raise ValueError("known moments are rows of position, command and velocity")
 
     @cached_property
@@ -41,7 +48,9 @@ class Known:
 
     @cached_property
     def _line(self) -> Array:
-        return np.asarray(np.linalg.lstsq(_terms(self.moments[:, :2]), self.moments[:, 2], rcond=None)[0])
+        return np.asarray(
+            np.linalg.lstsq(_terms(self.moments[:, :2]), self.moments[:, 2], rcond=None)[0]
+        )
 
     @cached_property
     def _missed(self) -> Array:
@@ -54,11 +63,14 @@ class Known:
         if not self.nearest:
             return expected
         apart = np.sum(((self.moments[:, :2] - here) / self._sizes) ** 2, axis=1)
-        return expected + float(self._missed[np.argsort(apart, kind="stable")[: self.nearest]].mean())
+        return expected + float(
+            self._missed[np.argsort(apart, kind="stable")[: self.nearest]].mean()
+        )
 
 
 def known(episodes: Sequence[Array]) -> tuple[Known, float]:
-    """Moments of episodes `(samples, 3)` each, as many asked as foretell an episode best from the others, and the rms of what they miss.
+    """Moments of episodes `(samples, 3)` each, as many asked as foretell an episode best from the
+    others, and the rms of what they miss.
 
     One episode is foretold from its own other half.
     """
@@ -72,7 +84,9 @@ def known(episodes: Sequence[Array]) -> tuple[Known, float]:
 def _missed(parts: Sequence[Array], nearest: int) -> float:
     errors = []
     for i, part in enumerate(parts):
-        others = Known(_thinned(np.concatenate([p for j, p in enumerate(parts) if j != i]), MOST), nearest)
+        others = Known(
+            _thinned(np.concatenate([p for j, p in enumerate(parts) if j != i]), MOST), nearest
+        )
         errors += [others.velocity(q, u) - v for q, u, v in _thinned(part, ASKED)]
     return float(np.sqrt(np.mean(np.square(errors))))
 

@@ -1,11 +1,14 @@
 """A robot's tree from MJCF or URDF, as MuJoCo compiles it.
 
-MuJoCo reads the file with everything beside it, welds what has no joint, and works out masses and frames; what is taken over are the
-numbers. The frames are those of the robot at its zero position.
+MuJoCo reads the file with everything beside it, welds what has no joint, and works out masses and
+frames; what is taken over are the numbers. The frames are those of the robot at its zero position.
 
-- Hinges and slides are known; a free body or a ball joint has no place in a tree of joints with one number each.
-- An actuator acts on one joint with a constant gain and an affine bias: motors, position and velocity servos.
-- Contacts, limits, tendons and equality constraints are not simulated; `Compiled.left_out` names them.
+- Hinges and slides are known; a free body or a ball joint has no place in a tree of joints with one
+  number each.
+- An actuator acts on one joint with a constant gain and an affine bias: motors, position and
+  velocity servos.
+- Contacts, limits, tendons and equality constraints are not simulated; `Compiled.left_out` names
+  them.
 """
 
 from __future__ import annotations
@@ -45,7 +48,8 @@ def mujoco() -> ModuleType:
 
 
 def compile_file(path: Path) -> Compiled:
-    """The robot in an MJCF or URDF file. Raises BadPlant where it is no robot that can be rolled out, NotInstalled without MuJoCo."""
+    """The robot in an MJCF or URDF file. Raises BadPlant where it is no robot that can be rolled
+    out, NotInstalled without MuJoCo."""
     engine = mujoco()
     if not path.is_file():
         raise BadPlant(f"there is no {path.name} beside plant.json", field="nominal.mjcf")
@@ -58,7 +62,8 @@ def compile_file(path: Path) -> Compiled:
 
 
 def resolved(document: Any, folder: Path) -> Any:
-    """A plant's document with the numbers of the MJCF that it names in a folder; as it is where it names none or has them already.
+    """A plant's document with the numbers of the MJCF that it names in a folder; as it is where it
+    names none or has them already.
 
     Raises BadPlant, NotInstalled.
     """
@@ -70,7 +75,11 @@ def resolved(document: Any, folder: Path) -> Any:
     if not path.is_relative_to(folder.resolve()):
         raise BadPlant(f"{name} lies outside the case's folder", field="nominal.mjcf")
     found = compile_file(path)
-    numbers = {"tree": found.tree.document(), "sha256": found.sha256, "left_out": list(found.left_out)}
+    numbers = {
+        "tree": found.tree.document(),
+        "sha256": found.sha256,
+        "left_out": list(found.left_out),
+    }
     return {**document, "nominal": {**nominal, **numbers}}
 
 
@@ -94,7 +103,9 @@ def tree_of(engine: Any, model: Any) -> Tree:
     inertial = np.zeros((model.njnt, LINK))
     for body in range(1, model.nbody):
         if link_of[body] >= 0:
-            inertial[link_of[body]] += seen_from(model, data, body, axes[link_of[body]], data.xanchor[link_of[body]])
+            inertial[link_of[body]] += seen_from(
+                model, data, body, axes[link_of[body]], data.xanchor[link_of[body]]
+            )
     weightless = bool(model.opt.disableflags & int(engine.mjtDisableBit.mjDSBL_GRAVITY))
     gravity = np.zeros(3) if weightless else np.array(model.opt.gravity)
     at_joint = np.zeros((model.njnt, JOINT))
@@ -102,10 +113,19 @@ def tree_of(engine: Any, model: Any) -> Tree:
     for j in range(model.njnt):
         body = model.jnt_bodyid[j]
         parent = j - 1 if j > model.body_jntadr[body] else link_of[model.body_parentid[body]]
-        turn, origin = (axes[parent], data.xanchor[parent]) if parent >= 0 else (np.eye(3), np.zeros(3))
+        turn, origin = (
+            (axes[parent], data.xanchor[parent]) if parent >= 0 else (np.eye(3), np.zeros(3))
+        )
         dof, at = model.jnt_dofadr[j], model.jnt_qposadr[j]
         rest = float(model.qpos_spring[at])
-        at_joint[j] = model.dof_armature[dof], np.ravel(model.dof_damping[dof])[0], 0.0, 0.0, np.ravel(model.jnt_stiffness[j])[0], 0.0
+        at_joint[j] = (
+            model.dof_armature[dof],
+            np.ravel(model.dof_damping[dof])[0],
+            0.0,
+            0.0,
+            np.ravel(model.jnt_stiffness[j])[0],
+            0.0,
+        )
         at_joint[j, 5] = model.dof_frictionloss[dof]
         offset, limit = _actuated(engine, model, j, names[j], at_joint[j])
         frame = [*(turn.T @ axes[j]).T.ravel(), *(turn.T @ (data.xanchor[j] - origin))]
@@ -115,7 +135,9 @@ def tree_of(engine: Any, model: Any) -> Tree:
             constants[j, 2:14] = [*axes[j].T.ravel(), *data.xanchor[j]]
     if model.nu == 0:  # a URDF names no actuators: an effort acts as it is
         at_joint[:, GAIN] = 1.0
-    return Tree(tuple(names), constants, tuple(float(x) for x in [*inertial.ravel(), *at_joint.ravel()]))
+    return Tree(
+        tuple(names), constants, tuple(float(x) for x in [*inertial.ravel(), *at_joint.ravel()])
+    )
 
 
 def links(model: Any) -> list[int]:
@@ -123,7 +145,9 @@ def links(model: Any) -> list[int]:
     found = [-1] * model.nbody
     for body in range(1, model.nbody):
         count = model.body_jntnum[body]
-        found[body] = model.body_jntadr[body] + count - 1 if count else found[model.body_parentid[body]]
+        found[body] = (
+            model.body_jntadr[body] + count - 1 if count else found[model.body_parentid[body]]
+        )
     return found
 
 
@@ -145,7 +169,9 @@ def seen_from(model: Any, data: Any, body: int, axes: Array, origin: Array) -> A
     mass = float(model.body_mass[body])
     turn = axes.T @ data.ximat[body].reshape(3, 3)
     at = axes.T @ (data.xipos[body] - origin)
-    inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T + mass * (at @ at * np.eye(3) - np.outer(at, at))
+    inertia = turn @ np.diag(model.body_inertia[body]) @ turn.T + mass * (
+        at @ at * np.eye(3) - np.outer(at, at)
+    )
     x, y, z = inertia
     return np.array([mass, *(mass * at), x[0], y[1], z[2], x[1], x[2], y[2]])
 
@@ -153,21 +179,47 @@ def seen_from(model: Any, data: Any, body: int, axes: Array, origin: Array) -> A
 def _actuated(engine: Any, model: Any, joint: int, name: str, row: Array) -> tuple[float, float]:
     """Add what the joint's actuator does to its numbers; its constant force and its limit."""
     offset, limit = 0.0, NO_LIMIT
-    through = (int(engine.mjtTrn.mjTRN_JOINT), int(engine.mjtTrn.mjTRN_JOINTINPARENT))  # alike for hinges and slides
-    acting = [i for i in range(model.nu) if model.actuator_trntype[i] in through and model.actuator_trnid[i, 0] == joint]
+    through = (
+        int(engine.mjtTrn.mjTRN_JOINT),
+        int(engine.mjtTrn.mjTRN_JOINTINPARENT),
+    )  # alike for hinges and slides
+    acting = [
+        i
+        for i in range(model.nu)
+        if model.actuator_trntype[i] in through and model.actuator_trnid[i, 0] == joint
+    ]
     if len(acting) > 1:
-        raise BadPlant(f"joint {name} has {len(acting)} actuators; one can be told from the log", field="nominal.mjcf")
+        raise BadPlant(
+            f"joint {name} has {len(acting)} actuators; one can be told from the log",
+            field="nominal.mjcf",
+        )
     for i in acting:
-        plain = (model.actuator_gaintype[i], model.actuator_dyntype[i]) == (int(engine.mjtGain.mjGAIN_FIXED), int(engine.mjtDyn.mjDYN_NONE))
-        affine = model.actuator_biastype[i] in (int(engine.mjtBias.mjBIAS_NONE), int(engine.mjtBias.mjBIAS_AFFINE))
+        plain = (model.actuator_gaintype[i], model.actuator_dyntype[i]) == (
+            int(engine.mjtGain.mjGAIN_FIXED),
+            int(engine.mjtDyn.mjDYN_NONE),
+        )
+        affine = model.actuator_biastype[i] in (
+            int(engine.mjtBias.mjBIAS_NONE),
+            int(engine.mjtBias.mjBIAS_AFFINE),
+        )
         if not (plain and affine):
             raise BadPlant(
-                f"the actuator of joint {name} is neither a motor nor a servo of position or velocity",
+                (
+                    f"the actuator of joint {name} is neither a motor nor a servo of position or "
+                    "velocity"
+                ),
                 field="nominal.mjcf",
-                hint="Describe it by <motor>, <position> or <velocity>; what else it does is what a diagnosis finds.",
+                hint=(
+                    "Describe it by <motor>, <position> or <velocity>; what else it does is "
+                    "what a diagnosis finds."
+                ),
             )
         gear = float(model.actuator_gear[i, 0])
-        bias = model.actuator_biasprm[i] if model.actuator_biastype[i] == int(engine.mjtBias.mjBIAS_AFFINE) else np.zeros(3)
+        bias = (
+            model.actuator_biasprm[i]
+            if model.actuator_biastype[i] == int(engine.mjtBias.mjBIAS_AFFINE)
+            else np.zeros(3)
+        )
         row[2] += gear * float(model.actuator_gainprm[i, 0])
         row[3] += -gear * gear * float(bias[1])
         row[1] += -gear * gear * float(bias[2])
@@ -183,7 +235,10 @@ def _largest(bounds: Array, name: str) -> float:
     """The force up to which an actuator goes both ways. Raises BadPlant where they differ."""
     low, high = float(bounds[0]), float(bounds[1])
     if low != -high:
-        raise BadPlant(f"the force range of joint {name}'s actuator is not the same both ways", field="nominal.mjcf")
+        raise BadPlant(
+            f"the force range of joint {name}'s actuator is not the same both ways",
+            field="nominal.mjcf",
+        )
     return high
 
 

@@ -1,7 +1,7 @@
 """MJCF patch: what of a corrected robot MuJoCo's own elements express, and what they cannot.
 
-It is made of numbers alone, so that a service that has neither MuJoCo nor the file can tell it; `trueup.model.mjcf_writer` writes it into
-the file.
+It is made of numbers alone, so that a service that has neither MuJoCo nor the file can tell it;
+`trueup.model.mjcf_writer` writes it into the file.
 """
 
 from __future__ import annotations
@@ -20,23 +20,40 @@ from trueup.model.tree import AT_JOINT, INERTIAL, JOINT, LINK, OFFSET, REST, Tre
 
 SAME = 1e-9  # of a number's size: not a change
 EXACT = 1e-5  # of the forces: links that move the same way
-ELEMENTS = dict(zip(AT_JOINT, ("joint", "joint", "actuator", "actuator", "joint", "joint"), strict=True))
+ELEMENTS = dict(
+    zip(AT_JOINT, ("joint", "joint", "actuator", "actuator", "joint", "joint"), strict=True)
+)
 PARTLY = ("hard_stop", "stribeck_friction")
 OF_SERVO = ", u being what ctrl exceeds a servo's position by, and the position added again"
 INSTEAD = {
     "asymmetric_viscous_friction": "subtract difference |v| from qfrc_applied of the joint",
-    "backlash": "give the actuator a joint of its own before the link, with a range as wide as the play",
-    "clock_skew": "stamp the log with the machine's clock; (1 + skew) timestep simulates it as it is",
-    "cogging": "add sine sin(2 pi q / pitch) + cosine cos(2 pi q / pitch) to qfrc_applied of the joint",
+    "backlash": (
+        "give the actuator a joint of its own before the link, with a range as wide as the play"
+    ),
+    "clock_skew": (
+        "stamp the log with the machine's clock; (1 + skew) timestep simulates it as it is"
+    ),
+    "cogging": (
+        "add sine sin(2 pi q / pitch) + cosine cos(2 pi q / pitch) to qfrc_applied of the joint"
+    ),
     "command_quantization": "round ctrl to multiples of the step before each step",
     "constant_force": "add the level to qfrc_applied of the joint",
     "cubic_stiffness": "subtract coefficient q^3 from qfrc_applied of the joint",
     "deadband": "set ctrl to sign(u) max(|u| - width, 0) before each step" + OF_SERVO,
     "dropped_frames": "hold the sensor's last value in what reads it",
-    "elastic_transmission": "give the motor a joint and an inertia of its own, joined to the link's by a tendon with stiffness and damping",
+    "elastic_transmission": (
+        "give the motor a joint and an inertia of its own, joined to the link's by a tendon "
+        "with stiffness and damping"
+    ),
     "gain_asymmetry": "set ctrl to u + asymmetry |u| before each step" + OF_SERVO,
-    "hard_stop": "the tendon's spring is the stop's; add damping v to qfrc_applied against the motion while it is pressed",
-    "hysteresis": "integrate the hidden state beside mj_step and subtract its force from qfrc_applied of the joint",
+    "hard_stop": (
+        "the tendon's spring is the stop's; add damping v to qfrc_applied against the "
+        "motion while it is pressed"
+    ),
+    "hysteresis": (
+        "integrate the hidden state beside mj_step and subtract its force from qfrc_applied "
+        "of the joint"
+    ),
     "load_dependent_friction": "set dof_frictionloss from the transmitted force before each step",
     "quadratic_gain": "set ctrl to u + (odd u |u| + even u^2) / limit before each step" + OF_SERVO,
     "rate_limit": "let ctrl change by no more than rate x timestep from step to step",
@@ -44,7 +61,10 @@ INSTEAD = {
     "sensor_drift": "add rate x time to the sensor's reading",
     "sensor_quantization": "round the sensor's reading to multiples of the step",
     "sensor_scale": "multiply the sensor's reading by 1 + error",
-    "stribeck_friction": "frictionloss holds the level; add what comes on top near rest to dof_frictionloss before each step",
+    "stribeck_friction": (
+        "frictionloss holds the level; add what comes on top near rest to dof_frictionloss "
+        "before each step"
+    ),
     "thermal_derating": "multiply actuator_gainprm by 1 - loss x heat as the heat builds up",
     "velocity_lag": "filter the velocity sensor's reading",
 }
@@ -52,7 +72,8 @@ INSTEAD = {
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One attribute of a joint, its actuator, its link, or its sensor, as numbers in MuJoCo's units."""
+    """One attribute of a joint, its actuator, its link, or its sensor, as numbers in MuJoCo's
+    units."""
 
     joint: str
     element: str
@@ -73,14 +94,17 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """What MJCF has no element for: an effect at a joint or "" for a number, and what a person can write instead."""
+    """What MJCF has no element for: an effect at a joint or "" for a number, and what a person can
+    write instead."""
 
     effect: str
     joint: str
     instead: str
 
     def __str__(self) -> str:
-        return f"{' at '.join(x for x in (self.effect, self.joint) if x) or 'masses'}: {self.instead}"
+        return (
+            f"{' at '.join(x for x in (self.effect, self.joint) if x) or 'masses'}: {self.instead}"
+        )
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
@@ -96,11 +120,18 @@ class Patch:
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
-        return {"changes": [c.document() for c in self.changes], "not_expressed": [x.document() for x in self.left]}
+        return {
+            "changes": [c.document() for c in self.changes],
+            "not_expressed": [x.document() for x in self.left],
+        }
 
     def of(self, joint: str, element: str) -> dict[str, Json]:
         """The corrected attributes of one element, by name."""
-        return {c.attribute: c.corrected for c in self.changes if (c.joint, c.element) == (joint, element)}
+        return {
+            c.attribute: c.corrected
+            for c in self.changes
+            if (c.joint, c.element) == (joint, element)
+        }
 
 
 def patch(model: Corrected) -> Patch:
@@ -115,17 +146,24 @@ def patch(model: Corrected) -> Patch:
     if not np.allclose(fitted.parameters[links], given.parameters[links], rtol=SAME, atol=0.0):
         fitted, off = feasible(fitted)
         if off > EXACT:
-            why = f"no bodies have the masses that were fitted; those written are the nearest, their forces off by {100.0 * off:.2g} %"
+            why = (
+                "no bodies have the masses that were fitted; those written are the nearest, "
+                f"their forces off by {100.0 * off:.2g} %"
+            )
             left.append(Left("", "", why))
     nominal, corrected = _numbers(given), _numbers(fitted)
     for term in model.hypothesis.effects:
         effect, at = kind(term).name, given.joints[joint(term)]
         values = {name: model.values[row] for name, row in model.plant.block.rows_of(term).items()}
-        if not _native(effect, values, float(dynamics.form.sizes[joint(term)]), given, joint(term), corrected):
+        if not _native(
+            effect, values, float(dynamics.form.sizes[joint(term)]), given, joint(term), corrected
+        ):
             left.append(Left(effect, at, INSTEAD.get(effect, "no element of MJCF does this")))
     for key, value in corrected.items():
         before = nominal.get(key)
-        if before is None or not np.allclose(np.array(value), np.array(before), rtol=SAME, atol=1e-12):
+        if before is None or not np.allclose(
+            np.array(value), np.array(before), rtol=SAME, atol=1e-12
+        ):
             changes.append(Change(*key, before, value))
     return Patch(tuple(changes), tuple(left))
 
@@ -146,7 +184,8 @@ def _numbers(tree: Tree) -> Numbers:
 
 
 def _limit(limit: float, at: str, into: Numbers) -> None:
-    """A motor's command ends at a limit, and so does a servo's force, where its error is that large."""
+    """A motor's command ends at a limit, and so does a servo's force, where its error is that
+    large."""
     if into[at, "actuator", "servo"]:
         force = abs(float(into[at, "actuator", "gain"])) * limit  # type: ignore[arg-type]
         into[at, "actuator", "forcerange"] = [-force, force]
@@ -154,8 +193,11 @@ def _limit(limit: float, at: str, into: Numbers) -> None:
         into[at, "actuator", "ctrlrange"] = [-limit, limit]
 
 
-def _native(effect: str, values: Mapping[str, float], size: float, tree: Tree, j: int, into: Numbers) -> bool:
-    """Write what MJCF has of an effect into the numbers; whether that is all of it. `size` is the inertia that forces were divided by."""
+def _native(
+    effect: str, values: Mapping[str, float], size: float, tree: Tree, j: int, into: Numbers
+) -> bool:
+    """Write what MJCF has of an effect into the numbers; whether that is all of it. `size` is the
+    inertia that forces were divided by."""
     at = tree.joints[j]
     driven = bool(into[at, "actuator", "gain"])
 

@@ -1,7 +1,9 @@
-"""MJCF writer: a corrected robot as the file that it was read from, changed only where the correction is.
+"""MJCF writer: a corrected robot as the file that it was read from, changed only where the
+correction is.
 
-Start tags are rewritten where they stand, so that the difference of the two files is the correction and nothing else. Where an element
-stands in no tag of the file itself (a URDF, an included file), MuJoCo's own writing of the whole model is what is changed.
+Start tags are rewritten where they stand, so that the difference of the two files is the correction
+and nothing else. Where an element stands in no tag of the file itself (a URDF, an included file),
+MuJoCo's own writing of the whole model is what is changed.
 """
 
 from __future__ import annotations
@@ -28,12 +30,14 @@ KEPT = ("name", "group", "user")  # attributes of an actuator that say nothing o
 HELD = 1e-6  # of a number's size: it was compiled as it was written
 ROUNDING = 1e-12  # of the largest number beside it
 HARD = "0.9999 0.9999"  # impedance of a constraint that hardly gives
-SPARE = 8  # times the samples that a delay's history needs: whoever simulates it on finer steps needs more
+# times the samples that a delay's history needs: whoever simulates it on finer steps needs more
+SPARE = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A corrected model: its text, the difference from the file as a unified diff ("" where the whole was written anew), what is left."""
+    """A corrected model: its text, the difference from the file as a unified diff ("" where the
+    whole was written anew), what is left."""
 
     text: str
     difference: str
@@ -42,7 +46,8 @@ class Written:
 
 @dataclass(frozen=True, slots=True)
 class Tag:
-    """A start tag as it stands in a text: bytes `[first, last)`, its attributes, and the place of its parent in the list of tags."""
+    """A start tag as it stands in a text: bytes `[first, last)`, its attributes, and the place of
+    its parent in the list of tags."""
 
     name: str
     attributes: Mapping[str, str]
@@ -52,7 +57,8 @@ class Tag:
 
 
 def write(path: Path, patch: Patch, heading: Sequence[str]) -> Written:
-    """The file with a patch applied, `heading` as a comment before everything. Raises NotInstalled without MuJoCo."""
+    """The file with a patch applied, `heading` as a comment before everything. Raises NotInstalled
+    without MuJoCo."""
     engine = mujoco()
     spec = engine.MjSpec.from_file(str(path))
     model = spec.compile()
@@ -69,8 +75,16 @@ def write(path: Path, patch: Patch, heading: Sequence[str]) -> Written:
     encoded = changed.encode()
     result = (encoded[:root] + comment.encode() + encoded[root:]).decode()
     names = (f"a/{path.name}", f"b/{path.name}")
-    lines = difflib.unified_diff(text.splitlines(keepends=True), result.splitlines(keepends=True), *names) if whole else ()
-    ended = (line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines)
+    lines = (
+        difflib.unified_diff(
+            text.splitlines(keepends=True), result.splitlines(keepends=True), *names
+        )
+        if whole
+        else ()
+    )
+    ended = (
+        line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n" for line in lines
+    )
     return Written(result, "".join(ended), tuple(left))
 
 
@@ -111,7 +125,9 @@ def _stands(text: str, patch: Patch) -> bool:
         found = tags(text)
     except expat.ExpatError:
         return False
-    joints = {t.attributes.get("name") for t in found if t.name == "joint" and "joint" not in t.attributes}
+    joints = {
+        t.attributes.get("name") for t in found if t.name == "joint" and "joint" not in t.attributes
+    }
     driven = {t.attributes.get("joint") for t in found if t.name in ACTUATORS}
     wanted = {c.joint for c in patch.changes}
     acted = {c.joint for c in patch.changes if c.element == "actuator"}
@@ -125,20 +141,61 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
     sections: list[str] = []
     for j in range(model.njnt):
         name = model.joint(j).name
-        tag = next((t for t in found if t.name == "joint" and t.attributes.get("name") == name and "joint" not in t.attributes), None)
+        tag = next(
+            (
+                t
+                for t in found
+                if t.name == "joint"
+                and t.attributes.get("name") == name
+                and "joint" not in t.attributes
+            ),
+            None,
+        )
         actuator = _actuator_of(model, j)
         joint = _joint(model, j, actuator, patch.of(name, "joint"))
         if joint and tag:
-            edits.append((tag.first, tag.last, _tag(tag.name, {**tag.attributes, **joint}, _closed(text, tag))))
+            edits.append(
+                (
+                    tag.first,
+                    tag.last,
+                    _tag(tag.name, {**tag.attributes, **joint}, _closed(text, tag)),
+                )
+            )
         acts = patch.of(name, "actuator")
         if acts:
-            at = next((t for t in found if t.name in ACTUATORS and t.attributes.get("joint") == name), None)
+            at = next(
+                (t for t in found if t.name in ACTUATORS and t.attributes.get("joint") == name),
+                None,
+            )
             given = {k: v for k, v in at.attributes.items() if k in KEPT} if at else {"name": name}
-            element = _tag("general", {**given, **_general(engine, model, name, actuator, patch)}, True)
-            if at and at.name == "motor" and set(acts) == {"gain"} and not model.actuator_forcelimited[actuator]:
-                edits.append((at.first, at.last, _tag("motor", {**at.attributes, "gear": _text(acts["gain"])}, _closed(text, at))))
+            element = _tag(
+                "general", {**given, **_general(engine, model, name, actuator, patch)}, True
+            )
+            if (
+                at
+                and at.name == "motor"
+                and set(acts) == {"gain"}
+                and not model.actuator_forcelimited[actuator]
+            ):
+                edits.append(
+                    (
+                        at.first,
+                        at.last,
+                        _tag(
+                            "motor",
+                            {**at.attributes, "gear": _text(acts["gain"])},
+                            _closed(text, at),
+                        ),
+                    )
+                )
             elif at:
-                edits.append((at.first, at.last, element if _closed(text, at) else element.replace("/>", ">")))
+                edits.append(
+                    (
+                        at.first,
+                        at.last,
+                        element if _closed(text, at) else element.replace("/>", ">"),
+                    )
+                )
             else:
                 sections.append(f"<actuator>{element}</actuator>")
         sections += _sections(model, name, patch)
@@ -157,7 +214,8 @@ def _closed(text: str, tag: Tag) -> bool:
 
 
 def _tag(name: str, attributes: Mapping[str, str], closed: bool) -> str:
-    return f"<{name}{''.join(f' {k}={quoteattr(v)}' for k, v in attributes.items())}{'/>' if closed else '>'}"
+    written = "".join(f" {k}={quoteattr(v)}" for k, v in attributes.items())
+    return f"<{name}{written}{'/>' if closed else '>'}"
 
 
 def _text(*numbers: object) -> str:
@@ -174,7 +232,11 @@ def _actuator_of(model: Any, joint: int) -> int:
 
 def _velocity_gain(model: Any, actuator: int) -> float:
     """What of a joint's damping its actuator gives."""
-    return -(float(model.actuator_gear[actuator, 0]) ** 2) * float(model.actuator_biasprm[actuator, 2]) if actuator >= 0 else 0.0
+    return (
+        -(float(model.actuator_gear[actuator, 0]) ** 2) * float(model.actuator_biasprm[actuator, 2])
+        if actuator >= 0
+        else 0.0
+    )
 
 
 def _joint(model: Any, j: int, actuator: int, given: Mapping[str, Json]) -> dict[str, str]:
@@ -207,29 +269,58 @@ def _general(engine: Any, model: Any, name: str, actuator: int, patch: Patch) ->
     limits: dict[str, str] = {"ctrllimited": "false", "forcelimited": "false"}
     if actuator >= 0:
         gear, affine = float(model.actuator_gear[actuator, 0]), int(engine.mjtBias.mjBIAS_AFFINE)
-        bias = model.actuator_biasprm[actuator] if model.actuator_biastype[actuator] == affine else np.zeros(3)
-        gain, servo, offset = gear * float(model.actuator_gainprm[actuator, 0]), -(gear**2) * float(bias[1]), gear * float(bias[0])
+        bias = (
+            model.actuator_biasprm[actuator]
+            if model.actuator_biastype[actuator] == affine
+            else np.zeros(3)
+        )
+        gain, servo, offset = (
+            gear * float(model.actuator_gainprm[actuator, 0]),
+            -(gear**2) * float(bias[1]),
+            gear * float(bias[0]),
+        )
         if model.actuator_ctrllimited[actuator]:
-            limits |= {"ctrllimited": "true", "ctrlrange": _text(*model.actuator_ctrlrange[actuator])}
+            limits |= {
+                "ctrllimited": "true",
+                "ctrlrange": _text(*model.actuator_ctrlrange[actuator]),
+            }
         if model.actuator_forcelimited[actuator]:
-            limits |= {"forcelimited": "true", "forcerange": _text(*(abs(gear) * model.actuator_forcerange[actuator]))}
+            limits |= {
+                "forcelimited": "true",
+                "forcerange": _text(*(abs(gear) * model.actuator_forcerange[actuator])),
+            }
     velocity = _velocity_gain(model, actuator)
     if "damping" in passive:
         velocity = min(velocity, max(float(passive["damping"]), 0.0))  # type: ignore[arg-type]
-    gain, servo, offset = (given.get(k, x) for k, x in (("gain", gain), ("servo", servo), ("offset", offset)))  # type: ignore[assignment]
+    gain, servo, offset = (
+        given.get(k, x) for k, x in (("gain", gain), ("servo", servo), ("offset", offset))
+    )  # type: ignore[assignment]
     for what in ("ctrl", "force"):
         if f"{what}range" in given:
             limits |= {f"{what}limited": "true", f"{what}range": _text(*given[f"{what}range"])}  # type: ignore[misc]
-    written = {"joint": name, "gear": "1", "gaintype": "fixed", "gainprm": _text(gain), "biastype": "affine"}
+    written = {
+        "joint": name,
+        "gear": "1",
+        "gaintype": "fixed",
+        "gainprm": _text(gain),
+        "biastype": "affine",
+    }
     written |= {"biasprm": _text(offset, -float(servo), -velocity), **limits}
-    lag = {"dyntype": "filterexact", "dynprm": _text(given["lag"]), "actlimited": "false"} if "lag" in given else {"dyntype": "none"}
+    lag = (
+        {"dyntype": "filterexact", "dynprm": _text(given["lag"]), "actlimited": "false"}
+        if "lag" in given
+        else {"dyntype": "none"}
+    )
     return {**written, **lag, **(_delay(model, given["delay"]) if "delay" in given else {})}
 
 
 def _delay(model: Any, seconds: Json) -> dict[str, str]:
     """A delay, and as many samples as it needs."""
     late = float(seconds)  # type: ignore[arg-type]
-    return {"delay": _text(late), "nsample": str(SPARE * (int(np.ceil(late / model.opt.timestep)) + 1))}
+    return {
+        "delay": _text(late),
+        "nsample": str(SPARE * (int(np.ceil(late / model.opt.timestep)) + 1)),
+    }
 
 
 def _sections(model: Any, name: str, patch: Patch) -> list[str]:
@@ -238,17 +329,33 @@ def _sections(model: Any, name: str, patch: Patch) -> list[str]:
     late, stop = patch.of(name, "sensor"), patch.of(name, "tendon")
     if late:
         held = _delay(model, late["delay"])
-        sensors = [_tag(k, {"name": f"{name} {k} as logged", "joint": name, **held}, True) for k in ("jointpos", "jointvel")]
+        sensors = [
+            _tag(k, {"name": f"{name} {k} as logged", "joint": name, **held}, True)
+            for k in ("jointpos", "jointvel")
+        ]
         added.append(f"<sensor>{''.join(sensors)}</sensor>")
     if stop:
         low, high, stiffness = stop["low high stiffness"]  # type: ignore[misc, str-unpack]
-        spring = _tag("fixed", {"name": f"stop of {name}", "springlength": _text(low, high), "stiffness": _text(stiffness)}, False)
-        added.append(f"<tendon>{spring}{_tag('joint', {'joint': name, 'coef': '1'}, True)}</fixed></tendon>")
+        spring = _tag(
+            "fixed",
+            {
+                "name": f"stop of {name}",
+                "springlength": _text(low, high),
+                "stiffness": _text(stiffness),
+            },
+            False,
+        )
+        added.append(
+            f"<tendon>{spring}{_tag('joint', {'joint': name, 'coef': '1'}, True)}</fixed></tendon>"
+        )
     return added
 
 
-def _inertials(engine: Any, model: Any, text: str, found: list[Tag], patch: Patch) -> list[tuple[int, int, str]]:
-    """Edits that give each changed link's body what its link has more than the bodies welded on to it."""
+def _inertials(
+    engine: Any, model: Any, text: str, found: list[Tag], patch: Patch
+) -> list[tuple[int, int, str]]:
+    """Edits that give each changed link's body what its link has more than the bodies welded on to
+    it."""
     data = engine.MjData(model)
     data.qpos[:] = model.qpos0
     engine.mj_forward(model, data)
@@ -256,7 +363,14 @@ def _inertials(engine: Any, model: Any, text: str, found: list[Tag], patch: Patc
     for j in range(model.njnt):
         name, body = model.joint(j).name, int(model.jnt_bodyid[j])
         given = list(patch.of(name, "link").values())
-        at = next((i for i, t in enumerate(found) if t.name == "joint" and t.attributes.get("name") == name), -1)
+        at = next(
+            (
+                i
+                for i, t in enumerate(found)
+                if t.name == "joint" and t.attributes.get("name") == name
+            ),
+            -1,
+        )
         if not given or at < 0:
             continue
         own = np.array(given[0], float)
@@ -265,9 +379,13 @@ def _inertials(engine: Any, model: Any, text: str, found: list[Tag], patch: Patc
                 own = own - seen_from(model, data, other, axes[j], data.xanchor[j])
         holder = next(i for i in _above(found, at) if found[i].name == "body")
         inertial = next((t for t in found if t.name == "inertial" and t.parent == holder), None)
-        element = _inertial(own, data.xmat[body].reshape(3, 3), data.xpos[body], axes[j], data.xanchor[j])
+        element = _inertial(
+            own, data.xmat[body].reshape(3, 3), data.xpos[body], axes[j], data.xanchor[j]
+        )
         if inertial:
-            edits.append((inertial.first, inertial.last, _tag("inertial", element, _closed(text, inertial))))
+            edits.append(
+                (inertial.first, inertial.last, _tag("inertial", element, _closed(text, inertial)))
+            )
         else:
             here = found[holder].last
             edits.append((here, here, _tag("inertial", element, True)))
@@ -283,14 +401,21 @@ def _above(found: Sequence[Tag], at: int) -> list[int]:
 
 
 def _inertial(link: Array, turn: Array, place: Array, axes: Array, origin: Array) -> dict[str, str]:
-    """An inertial element in a body's frame (`turn`, `place` in the world) of ten numbers about a joint's."""
+    """An inertial element in a body's frame (`turn`, `place` in the world) of ten numbers about a
+    joint's."""
     mass, centre = link[0], link[1:4] / link[0]
     x, y, z, xy, xz, yz = link[4:]
-    about = np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]]) - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+    about = np.array([[x, xy, xz], [xy, y, yz], [xz, yz, z]]) - mass * (
+        centre @ centre * np.eye(3) - np.outer(centre, centre)
+    )
     to = turn.T @ axes
     i = to @ about @ to.T
     position = turn.T @ (origin + axes @ centre - place)
-    return {"pos": _text(*position), "mass": _text(mass), "fullinertia": _text(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2])}
+    return {
+        "pos": _text(*position),
+        "mass": _text(mass),
+        "fullinertia": _text(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]),
+    }
 
 
 def _lost(engine: Any, nominal: Any, model: Any, patch: Patch) -> list[Left]:
@@ -310,10 +435,22 @@ def _lost(engine: Any, nominal: Any, model: Any, patch: Patch) -> list[Left]:
             "frictionloss": model.dof_frictionloss[j],
         }
         wanted = {k: v for k, v in joint.items() if k in has}
-        lost += [f"{k} of {name}" for k, v in wanted.items() if not np.allclose(has[k], v, rtol=HELD, atol=1e-9)]  # type: ignore[arg-type]
+        lost += [
+            f"{k} of {name}"
+            for k, v in wanted.items()
+            if not np.allclose(has[k], v, rtol=HELD, atol=1e-9)
+        ]  # type: ignore[arg-type]
         for link in patch.of(name, "link").values():
             bodies = [b for b in range(1, model.nbody) if link_of[b] == j]
-            compiled = sum((seen_from(model, data, b, axes[j], data.xanchor[j]) for b in bodies), np.zeros(LINK))
-            if not np.allclose(compiled, np.array(link), rtol=HELD, atol=HELD * float(np.abs(compiled).max())):
+            compiled = sum(
+                (seen_from(model, data, b, axes[j], data.xanchor[j]) for b in bodies),
+                np.zeros(LINK),
+            )
+            if not np.allclose(
+                compiled, np.array(link), rtol=HELD, atol=HELD * float(np.abs(compiled).max())
+            ):
                 lost.append(f"the masses of {name}'s link")
-    return [Left("", "", f"{what}: the file's own settings (inertiafromgeom, settotalmass) decide it") for what in lost]
+    return [
+        Left("", "", f"{what}: the file's own settings (inertiafromgeom, settotalmass) decide it")
+        for what in lost
+    ]

@@ -13,7 +13,14 @@ from trueup.canonical import Json, digest_of
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.errors import BadPlant
 from trueup.model.block import Block
-from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics, Form, mass_matrix, strictly_stable
+from trueup.model.dynamics import (
+    CompiledFamily,
+    CompiledTree,
+    Dynamics,
+    Form,
+    mass_matrix,
+    strictly_stable,
+)
 from trueup.model.family import families
 from trueup.model.fields import Reader
 from trueup.model.tree import ZERO, Tree
@@ -26,8 +33,9 @@ INTEGRATOR = "semi_implicit_euler"
 class Plant:
     """One machine: nominal model, channels, envelope, and how its predictions are evaluated.
 
-    `document` is the JSON that it was read from; its digest is the plant's identity. `parameters` are the nominal ones in
-    the order of `dynamics.parameter_names`; `joints` the names of the joints in the order of a state.
+    `document` is the JSON that it was read from; its digest is the plant's identity. `parameters`
+    are the nominal ones in the order of `dynamics.parameter_names`; `joints` the names of the
+    joints in the order of a state.
     """
 
     name: str
@@ -53,11 +61,24 @@ class Plant:
         envelope = root.child("envelope", optional=True)
         bounds = {name: envelope.interval(name) for name in envelope.value}
         horizon = root.child("evaluation").number("horizon_s", above=timestep)
-        root.no_more("name", "nominal", "commands", "observations", "envelope", "evaluation", "topics")
-        return Plant(root.name("name"), dynamics, joints, parameters, timestep, layout, bounds, horizon, root.value)
+        root.no_more(
+            "name", "nominal", "commands", "observations", "envelope", "evaluation", "topics"
+        )
+        return Plant(
+            root.name("name"),
+            dynamics,
+            joints,
+            parameters,
+            timestep,
+            layout,
+            bounds,
+            horizon,
+            root.value,
+        )
 
     def require_known_envelope(self) -> None:
-        """Raises BadPlant where the envelope names what is no observed channel: it would bound nothing, in silence."""
+        """Raises BadPlant where the envelope names what is no observed channel: it would bound
+        nothing, in silence."""
         names = [channel.name for channel in self.layout.observations]
         unknown = [name for name in self.envelope if name not in names]
         if unknown:
@@ -107,7 +128,12 @@ class Plant:
     def state_columns(self) -> NDArray[np.int64]:
         """For each observation the column of the state that it shows, `(observations,)`."""
         n = len(self.joints)
-        return np.array([self.joint_of(c) + (n if c.field is Field.VELOCITY else 0) for c in self.layout.observations])
+        return np.array(
+            [
+                self.joint_of(c) + (n if c.field is Field.VELOCITY else 0)
+                for c in self.layout.observations
+            ]
+        )
 
     @cached_property
     def command_columns(self) -> NDArray[np.int64]:
@@ -117,7 +143,8 @@ class Plant:
 
     @cached_property
     def command_scales(self) -> Array:
-        """The largest command that each joint is declared to take, `(joints,)`; 1 where it has none."""
+        """The largest command that each joint is declared to take, `(joints,)`; 1 where it has
+        none."""
         largest = np.append(np.max(np.abs(self.limits), axis=0), 1.0)
         return np.asarray(largest[self.command_columns])
 
@@ -130,26 +157,39 @@ class Plant:
         return self.joints[joint] or "joint"
 
     def applied(self, issued: Array) -> Array:
-        """What the joints get of issued commands `(…, commands)` after the declared limits, `(…, joints)`."""
+        """What the joints get of issued commands `(…, commands)` after the declared limits, `(…,
+        joints)`."""
         limited = np.clip(issued, *self.limits)
         if len(self.joints) == 1:
             return limited
         return np.where(self.command_columns >= 0, limited[..., self.command_columns], 0.0)
 
     def update(
-        self, states: Array, issued: Array, parameters: Sequence[float] | Array | None = None, h_s: Array | float | None = None
+        self,
+        states: Array,
+        issued: Array,
+        parameters: Sequence[float] | Array | None = None,
+        h_s: Array | float | None = None,
     ) -> Array:
-        """One semi-implicit Euler step of the plant with these parameters (the nominal ones if None)."""
+        """One semi-implicit Euler step of the plant with these parameters (the nominal ones if
+        None)."""
         chosen = np.asarray(self.parameters if parameters is None else parameters, float)
-        return self.dynamics.step(states, self.applied(issued), chosen, self.timestep_s if h_s is None else h_s)
+        return self.dynamics.step(
+            states, self.applied(issued), chosen, self.timestep_s if h_s is None else h_s
+        )
 
     def observe(self, states: Array) -> Array:
         """Observations `(…, observations)` of states `(…, 2 x joints)`."""
         return states[..., self.state_columns]
 
     def is_stable(self, parameters: Sequence[float] | None = None) -> bool:
-        """Whether the unforced update is strictly stable with these parameters (the nominal ones if None)."""
-        return strictly_stable(self.dynamics, np.asarray(self.parameters if parameters is None else parameters, float), self.timestep_s)
+        """Whether the unforced update is strictly stable with these parameters (the nominal ones if
+        None)."""
+        return strictly_stable(
+            self.dynamics,
+            np.asarray(self.parameters if parameters is None else parameters, float),
+            self.timestep_s,
+        )
 
 
 def _family(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
@@ -167,7 +207,10 @@ def _robot(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
         raise BadPlant(
             "the model's numbers are missing: an MJCF is read where its files are",
             field="nominal.tree",
-            hint="Hand in the case folder: `trueup plant register FOLDER` and `trueup diagnose FOLDER` read the model beside plant.json.",
+            hint=(
+                "Hand in the case folder: `trueup plant register FOLDER` and `trueup "
+                "diagnose FOLDER` read the model beside plant.json."
+            ),
         )
     tree = Tree.read(nominal.child("tree"))
     nominal.text("sha256", "")
@@ -177,17 +220,25 @@ def _robot(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
     nominal.no_more("mjcf", "timestep_s", "integrator", "tree", "sha256", "left_out")
     masses = mass_matrix(tree, tree.constants[None, :, ZERO])[0]
     if not np.isfinite(masses).all() or np.linalg.eigvalsh(masses)[0] <= 0.0:
-        raise BadPlant("the model's masses move no joint: its mass matrix is not positive", field="nominal.tree")
+        raise BadPlant(
+            "the model's masses move no joint: its mass matrix is not positive",
+            field="nominal.tree",
+        )
     return CompiledTree(tree), tree.parameters
 
 
 def _joints(layout: Layout, dynamics: Dynamics) -> tuple[str | None, ...]:
     """The joints in the order of a state. Raises BadPlant where channels and joints do not fit."""
     if any(c.field is Field.EFFORT for c in layout.observations):
-        raise BadPlant("an effort is no part of a state; observe positions and velocities", field="observations")
+        raise BadPlant(
+            "an effort is no part of a state; observe positions and velocities",
+            field="observations",
+        )
     shown = {c.joint for c in layout.observations if c.field is Field.POSITION}
     if not isinstance(dynamics, CompiledTree):
-        if {c.joint for c in layout.observations} != {layout.observations[0].joint} or len(layout.commands) != 1:
+        if {c.joint for c in layout.observations} != {layout.observations[0].joint} or len(
+            layout.commands
+        ) != 1:
             raise BadPlant(
                 "a family describes one joint with one command",
                 field="observations",
@@ -201,18 +252,36 @@ def _joints(layout: Layout, dynamics: Dynamics) -> tuple[str | None, ...]:
         seen: set[tuple[str | None, Field | None]] = set()
         for c in channels:
             if c.joint not in joints:
-                raise BadPlant(f"channel {c.name} names no joint of the model, which are {', '.join(map(str, joints))}", field=field)
+                raise BadPlant(
+                    (
+                        f"channel {c.name} names no joint of the model, which are "
+                        f"{', '.join(map(str, joints))}"
+                    ),
+                    field=field,
+                )
             what = (c.joint, c.field if field == "observations" else None)
             if what in seen:
-                raise BadPlant(f"channel {c.name} is the second one of its kind for joint {c.joint}", field=field)
+                raise BadPlant(
+                    f"channel {c.name} is the second one of its kind for joint {c.joint}",
+                    field=field,
+                )
             seen.add(what)
     for c in layout.commands:
-        if not np.ptp(dynamics.drive(dynamics.tree.parameters, joints.index(c.joint), np.zeros(2), np.array([0.0, 1.0]))):
-            raise BadPlant(f"the model has no actuator at joint {c.joint}, which {c.name} commands", field="commands")
+        if not np.ptp(
+            dynamics.drive(
+                dynamics.tree.parameters, joints.index(c.joint), np.zeros(2), np.array([0.0, 1.0])
+            )
+        ):
+            raise BadPlant(
+                f"the model has no actuator at joint {c.joint}, which {c.name} commands",
+                field="commands",
+            )
     hidden = [str(j) for j in joints if j not in shown]
     if hidden:
         raise BadPlant(
-            f"nobody observes the position of {', '.join(hidden)}", field="observations", hint="Log every joint, or weld it in the model."
+            f"nobody observes the position of {', '.join(hidden)}",
+            field="observations",
+            hint="Log every joint, or weld it in the model.",
         )
     return joints
 
@@ -220,7 +289,8 @@ def _joints(layout: Layout, dynamics: Dynamics) -> tuple[str | None, ...]:
 def _layout(root: Reader) -> Layout:
     commands = tuple(_channel(r, Field.EFFORT, command=True) for r in root.children("commands"))
     observations = tuple(
-        _channel(r, (Field.POSITION, Field.VELOCITY)[min(i, 1)], command=False) for i, r in enumerate(root.children("observations"))
+        _channel(r, (Field.POSITION, Field.VELOCITY)[min(i, 1)], command=False)
+        for i, r in enumerate(root.children("observations"))
     )
     names = [c.name for c in commands + observations]
     if len(set(names)) < len(names):
@@ -229,7 +299,10 @@ def _layout(root: Reader) -> Layout:
     topics.no_more("observation", "command")
     default = Layout(observations, commands)
     return Layout(
-        observations, commands, topics.text("observation", default.observation_topic), topics.text("command", default.command_topic)
+        observations,
+        commands,
+        topics.text("observation", default.observation_topic),
+        topics.text("command", default.command_topic),
     )
 
 

@@ -1,7 +1,9 @@
-"""What acts at each port, compiled: one small function for a port, which calls the effects there in their order.
+"""What acts at each port, compiled: one small function for a port, which calls the effects there in
+their order.
 
-They are written from the signatures of the effects' and families' `apply` and `acceleration`, a loop over the lanes for each, entered
-only where the effect acts. So a hypothesis costs what its own effects cost, nothing is compiled for it, and a new effect is one new file.
+They are written from the signatures of the effects' and families' `apply` and `acceleration`, a
+loop over the lanes for each, entered only where the effect acts. So a hypothesis costs what its own
+effects cost, nothing is compiled for it, and a new effect is one new file.
 
     begin          hidden states as they were before the log
     delays         transport delays [s]; whether there are any
@@ -18,9 +20,10 @@ only where the effect acts. So a hypothesis costs what its own effects cost, not
     correct        hidden states that an observation corrects
     jump           hidden states that a window's start sets
 
-Every port gets the number `j` of a joint; `signals` `(SIGNALS_AT_JOINT, joints, lanes)`; `common`, the signals that all joints share,
-`(SIGNALS_OF_ALL, lanes)`; `memory`, the effects' hidden states, `(states, joints, lanes)`; `on` `(effects, joints)`, which effects act;
-and `p` `(rows, lanes)`, their parameters.
+Every port gets the number `j` of a joint; `signals` `(SIGNALS_AT_JOINT, joints, lanes)`; `common`,
+the signals that all joints share, `(SIGNALS_OF_ALL, lanes)`; `memory`, the effects' hidden states,
+`(states, joints, lanes)`; `on` `(effects, joints)`, which effects act; and `p` `(rows, lanes)`,
+their parameters.
 """
 
 from __future__ import annotations
@@ -37,7 +40,11 @@ from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
 
 NOMINAL_PARTS = frozenset({"passive", "drive", "spring", "mobility"})
-WITHIN = (Port.FORCE, Port.FRICTION, Port.OBSERVATION)  # ports inside a step, where a position is the one at which the step acts
+WITHIN = (
+    Port.FORCE,
+    Port.FRICTION,
+    Port.OBSERVATION,
+)  # ports inside a step, where a position is the one at which the step acts
 GIVEN = "j, signals, common, memory, on, p"  # what a port is called with
 
 
@@ -59,13 +66,17 @@ SIGNALS_OF_ALL = (
     "period",  # of the samples [s]
     "implicit",  # 1 where a step takes its end's values, 0 where it takes its middle's
 )
-(Q, V, U, A, LEVEL, Q_AT, V_AT, PASSIVE, DRIVE, SPRING, MOBILITY, LAG_S, LATE_S, PAST, U_SCALE) = range(len(SIGNALS_AT_JOINT))
+(Q, V, U, A, LEVEL, Q_AT, V_AT, PASSIVE, DRIVE, SPRING, MOBILITY, LAG_S, LATE_S, PAST, U_SCALE) = (
+    range(len(SIGNALS_AT_JOINT))
+)
 (H, T, SINCE, PERIOD, IMPLICIT) = range(len(SIGNALS_OF_ALL))
 
 
 def memories() -> dict[tuple[str, str], int]:
     """The place of each effect's hidden states in a block's memory."""
-    return {key: i for i, key in enumerate((e.name, s) for e in effects().values() for s in e.states)}
+    return {
+        key: i for i, key in enumerate((e.name, s) for e in effects().values() for s in e.states)
+    }
 
 
 def digest() -> str:
@@ -77,7 +88,14 @@ def digest() -> str:
 def _made(name: str, arguments: str, body: Iterable[str], returns: str = "") -> Callable[..., Any]:
     """A function of this text, which tracebacks and debuggers can show."""
     lines = [*body] or ["pass"]
-    text = "\n".join([f"def {name}({arguments}):", *(f"    {line}" for line in lines), *([f"    return {returns}"] if returns else []), ""])
+    text = "\n".join(
+        [
+            f"def {name}({arguments}):",
+            *(f"    {line}" for line in lines),
+            *([f"    return {returns}"] if returns else []),
+            "",
+        ]
+    )
     where = f"<port {name}>"
     linecache.cache[where] = len(text), None, text.splitlines(keepends=True), where
     scope: dict[str, Any] = dict(FUNCTIONS)
@@ -94,7 +112,9 @@ def _all(of: Callable[[int, type[Effect]], Iterable[str]]) -> Iterator[str]:
 
 def _at(port: Port) -> Iterator[str]:
     """A port's own effects."""
-    return _all(lambda i, e: _loop(i, e) if e.port is port and not e.delays() and not _answers(e) else ())
+    return _all(
+        lambda i, e: _loop(i, e) if e.port is port and not e.delays() and not _answers(e) else ()
+    )
 
 
 def _answers(effect: type[Effect]) -> bool:
@@ -104,7 +124,10 @@ def _answers(effect: type[Effect]) -> bool:
 
 def _any_on(asks: Callable[[type[Effect]], bool]) -> str:
     """Whether any of those effects acts that ask for something."""
-    return " or ".join(f"on[{i}].any()" for i, e in enumerate(effects().values()) if asks(e)) or "False"
+    return (
+        " or ".join(f"on[{i}].any()" for i, e in enumerate(effects().values()) if asks(e))
+        or "False"
+    )
 
 
 def _loop(index: int, effect: type[Effect]) -> list[str]:
@@ -117,7 +140,10 @@ def _loop(index: int, effect: type[Effect]) -> list[str]:
             return f"p[{height()} * j + {rows[name]}, lane]"
         return _state(effect, name) if name in effect.states else _signal(within.get(name, name))
 
-    changed = [_signal(within.get(name, name)) for name in (DELAYS if effect.delays() else SIGNALS[effect.port])]
+    changed = [
+        _signal(within.get(name, name))
+        for name in (DELAYS if effect.delays() else SIGNALS[effect.port])
+    ]
     results = ", ".join([*changed, *(_state(effect, name) for name in effect.states)])
     given = ", ".join(value(name) for name in inspect.signature(effect.apply).parameters)
     sign = "+=" if effect.port is Port.FRICTION else "="
@@ -147,7 +173,10 @@ def _begin(_: int, effect: type[Effect]) -> Iterator[str]:
         if begins != "first":
             usual = "" if begins == "zero" else f"{_signal(begins)} + "
             yield f"for lane in range({BLOCK}):"
-            yield f"    {_state(effect, state)} = {usual}p[{height()} * j + {memory_offsets()[effect.name, state]}, lane]"
+            yield (
+                f"    {_state(effect, state)} = {usual}p[{height()} * j + "
+                f"{memory_offsets()[effect.name, state]}, lane]"
+            )
 
 
 def _follow(_: int, effect: type[Effect]) -> list[str]:
@@ -158,20 +187,31 @@ def _correct(index: int, effect: type[Effect]) -> list[str]:
     if not effect.hides_velocity:
         return []
     hidden, before = (_state(effect, state, "0") for state in effect.states)
-    return [f"if on[{index}, j]:", f"    {hidden} += by_hidden * missed", f"    {before} += by_velocity * missed"]
+    return [
+        f"if on[{index}, j]:",
+        f"    {hidden} += by_hidden * missed",
+        f"    {before} += by_velocity * missed",
+    ]
 
 
 def _jump(index: int, effect: type[Effect]) -> list[str]:
     if not effect.hides_velocity:
         return []
     before = _state(effect, effect.states[1])
-    return [f"if on[{index}, j]:", f"    for lane in range({BLOCK}):", f"        {before} += set_to[lane] - {_signal('v')}"]
+    return [
+        f"if on[{index}, j]:",
+        f"    for lane in range({BLOCK}):",
+        f"        {before} += set_to[lane] - {_signal('v')}",
+    ]
 
 
 def _family(number: int, family: type[Family]) -> list[str]:
-    """One family's loop over the lanes; its parts are told apart only where an effect asks for them."""
+    """One family's loop over the lanes; its parts are told apart only where an effect asks for
+    them."""
     values = "".join(f", own[{j}, lane]" for j in range(len(family.params)))
-    q, v, u, a, passive, spring, drive = (_signal(x, "0") for x in ("q_at", "v_at", "u", "a", "passive", "spring", "drive"))
+    q, v, u, a, passive, spring, drive = (
+        _signal(x, "0") for x in ("q_at", "v_at", "u", "a", "passive", "spring", "drive")
+    )
     acceleration = f"{family.name}({q}, {v}, {u}{values})"
     return [
         f"if number == {number}:",
@@ -193,15 +233,36 @@ begin = _made("begin", GIVEN, _all(_begin))
 delays = _made(
     "delays",
     GIVEN,
-    ["any_on = False", *_all(lambda i, e: [*_loop(i, e), f"any_on = any_on or on[{i}, j] != 0"] if e.delays() else ())],
+    [
+        "any_on = False",
+        *_all(
+            lambda i, e: [*_loop(i, e), f"any_on = any_on or on[{i}, j] != 0"] if e.delays() else ()
+        ),
+    ],
     "any_on",
 )
 timing = _made("timing", GIVEN, _at(Port.TIMING))
 command = _made("command", GIVEN, _at(Port.COMMAND))
-goal = _made("goal", GIVEN, _all(lambda i, e: _loop(i, e) if e.port is Port.COMMAND and not e.delays() and not e.of_drive else ()))
-drive = _made("drive", GIVEN, _all(lambda i, e: _loop(i, e) if e.port is Port.COMMAND and not e.delays() and e.of_drive else ()))
+goal = _made(
+    "goal",
+    GIVEN,
+    _all(
+        lambda i, e: (
+            _loop(i, e) if e.port is Port.COMMAND and not e.delays() and not e.of_drive else ()
+        )
+    ),
+)
+drive = _made(
+    "drive",
+    GIVEN,
+    _all(
+        lambda i, e: _loop(i, e) if e.port is Port.COMMAND and not e.delays() and e.of_drive else ()
+    ),
+)
 nominal = _made(
-    "nominal", "signals, common, own, number, alpha, parts", [line for i, f in enumerate(families().values()) for line in _family(i, f)]
+    "nominal",
+    "signals, common, own, number, alpha, parts",
+    [line for i, f in enumerate(families().values()) for line in _family(i, f)],
 )
 force = _made("force", GIVEN, _at(Port.FORCE))
 answer = _made("answer", GIVEN, _all(lambda i, e: _loop(i, e) if _answers(e) else ()))
@@ -210,5 +271,7 @@ observe = _made("observe", GIVEN, _at(Port.OBSERVATION))
 follow = _made("follow", f"{GIVEN}, lane", _all(_follow))
 correct = _made("correct", f"{GIVEN}, by_velocity, by_hidden, missed", _all(_correct))
 jump = _made("jump", f"{GIVEN}, set_to", _all(_jump))
-parts_asked = _made("parts_asked", "on", (), _any_on(lambda e: bool(NOMINAL_PARTS.intersection(e.arguments()))))
+parts_asked = _made(
+    "parts_asked", "on", (), _any_on(lambda e: bool(NOMINAL_PARTS.intersection(e.arguments())))
+)
 answers_asked = _made("answers_asked", "on", (), _any_on(_answers))

@@ -2,12 +2,14 @@
 
     nominal      the plant's own update with its nominal parameters
     identified   the same with identified parameters
-    blind        a linear map of declared features, fitted over a family of plants (domain-randomised, parameter-blind)
-    conditioned  the same, also fed the identified parameters (domain-randomised, parameter-conditioned)
+    blind        a linear map of declared features, fitted over a family of plants
+                 (domain-randomised, parameter-blind)
+    conditioned  the same, also fed the identified parameters (domain-randomised,
+                 parameter-conditioned)
     residual     nominal plus a linear map of declared features
 
-Source of the domain-randomised pair: J. Tobin et al., "Domain Randomization", IROS 2017; W. Yu et al., "Preparing for the
-Unknown", RSS 2017, for conditioning on identified parameters.
+Source of the domain-randomised pair: J. Tobin et al., "Domain Randomization", IROS 2017; W. Yu et
+al., "Preparing for the Unknown", RSS 2017, for conditioning on identified parameters.
 """
 
 from __future__ import annotations
@@ -33,21 +35,25 @@ Array = NDArray[np.float64]
 class Predictor(ABC):
     """A belief about how a plant moves.
 
-    `description` and `arrays` hold everything of it but the plant: `restore` makes the same predictor of them.
+    `description` and `arrays` hold everything of it but the plant: `restore` makes the same
+    predictor of them.
     """
 
     kind: ClassVar[str]
     plant: Plant
 
     @abstractmethod
-    def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
+    def predict_batch(
+        self, states: Array, issued: Array, h_s: Array | float | None = None
+    ) -> Array:
         """Next states `(n, states)`, of states `(n, states)` under issued commands `(n, commands)`.
 
         They are `h_s` [s] later, one length for all or `(n,)`; the declared step if None.
         """
 
     def course(self, states: Array, issued: Array, steps: int) -> Array:
-        """States `(n, steps, states)` after each of some declared steps from `(n, states)`, commands `(n, commands)` held."""
+        """States `(n, steps, states)` after each of some declared steps from `(n, states)`,
+        commands `(n, commands)` held."""
         found = []
         for _ in range(steps):
             states = self.predict_batch(states, issued)
@@ -55,16 +61,20 @@ class Predictor(ABC):
         return np.stack(found, axis=1)
 
     def run(self, initial: Array, issued: Array) -> Array:
-        """States `(samples, states)` from one `(states,)` on, under commands `(samples, commands)` each held for a declared step."""
+        """States `(samples, states)` from one `(states,)` on, under commands `(samples, commands)`
+        each held for a declared step."""
         found = [initial]
         for u in issued[:-1]:
-            with np.errstate(over="ignore", invalid="ignore"):  # running away is an answer: it ends as inf or nan
+            with np.errstate(
+                over="ignore", invalid="ignore"
+            ):  # running away is an answer: it ends as inf or nan
                 found.append(self.predict_batch(found[-1][None], u[None])[0])
         return np.stack(found)
 
     @abstractmethod
     def rollout(self, windows: Windows) -> Array:
-        """States `(windows, samples, states)` at the windows' samples, from their initial states on issued commands alone."""
+        """States `(windows, samples, states)` at the windows' samples, from their initial states on
+        issued commands alone."""
 
     @abstractmethod
     def description(self) -> dict[str, Json]:
@@ -76,8 +86,11 @@ class Predictor(ABC):
 
     @staticmethod
     @abstractmethod
-    def restore(plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]) -> Predictor:
-        """The predictor that was described. Raises KeyError, TypeError or ValueError where something is missing or misshapen."""
+    def restore(
+        plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
+    ) -> Predictor:
+        """The predictor that was described. Raises KeyError, TypeError or ValueError where
+        something is missing or misshapen."""
 
 
 class Physical(Predictor):
@@ -85,7 +98,9 @@ class Physical(Predictor):
 
     parameters: tuple[float, ...]
 
-    def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
+    def predict_batch(
+        self, states: Array, issued: Array, h_s: Array | float | None = None
+    ) -> Array:
         return self.plant.update(states, issued, self.parameters, h_s)
 
     def course(self, states: Array, issued: Array, steps: int) -> Array:
@@ -97,17 +112,29 @@ class Physical(Predictor):
         runs = np.ones(applied.shape[:2], np.int64)
         runs[:, -1] = 0
         h_s = np.full(applied.shape[:2], plant.timestep_s)
-        return np.asarray(plant.dynamics.rollout(np.array([self.parameters]), states, applied, h_s, runs)[0, :, 1:])
+        return np.asarray(
+            plant.dynamics.rollout(np.array([self.parameters]), states, applied, h_s, runs)[
+                0, :, 1:
+            ]
+        )
 
     def run(self, initial: Array, issued: Array) -> Array:
         applied = self.plant.applied(issued)[None]
         runs = np.ones(applied.shape[:2], np.int64)
         h_s = np.full(applied.shape[:2], self.plant.timestep_s)
-        return np.asarray(self.plant.dynamics.rollout(np.array([self.parameters]), initial[None], applied, h_s, runs)[0, 0])
+        return np.asarray(
+            self.plant.dynamics.rollout(
+                np.array([self.parameters]), initial[None], applied, h_s, runs
+            )[0, 0]
+        )
 
     def rollout(self, windows: Windows) -> Array:
         applied = self.plant.applied(windows.issued)
-        return np.asarray(self.plant.dynamics.rollout(np.array([self.parameters]), windows.initial, applied, windows.h_s, windows.steps)[0])
+        return np.asarray(
+            self.plant.dynamics.rollout(
+                np.array([self.parameters]), windows.initial, applied, windows.h_s, windows.steps
+            )[0]
+        )
 
     def arrays(self) -> dict[str, Array]:
         return {}
@@ -128,7 +155,9 @@ class Nominal(Physical):
         return {}
 
     @staticmethod
-    def restore(plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]) -> Nominal:
+    def restore(
+        plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
+    ) -> Nominal:
         return Nominal(plant)
 
 
@@ -141,12 +170,20 @@ class Identified(Physical):
     kind = "identified"
 
     def description(self) -> dict[str, Json]:
-        return {"parameters": dict(zip(self.plant.dynamics.parameter_names, self.parameters, strict=True))}
+        return {
+            "parameters": dict(
+                zip(self.plant.dynamics.parameter_names, self.parameters, strict=True)
+            )
+        }
 
     @staticmethod
-    def restore(plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]) -> Identified:
+    def restore(
+        plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
+    ) -> Identified:
         given = description["parameters"]
-        return Identified(plant, tuple(float(given[name]) for name in plant.dynamics.parameter_names))  # type: ignore[index,call-overload,arg-type]
+        return Identified(
+            plant, tuple(float(given[name]) for name in plant.dynamics.parameter_names)
+        )  # type: ignore[index,call-overload,arg-type]
 
 
 class Stepwise(Predictor):
@@ -159,8 +196,12 @@ class Stepwise(Predictor):
             now = states[:, i].copy()
             for step in range(int(windows.steps[:, i].max(initial=0))):
                 runs = windows.steps[:, i] > step
-                with np.errstate(over="ignore", invalid="ignore"):  # running away is an answer: it ends as inf or nan
-                    now[runs] = self.predict_batch(now[runs], windows.issued[runs, i], windows.h_s[runs, i])
+                with np.errstate(
+                    over="ignore", invalid="ignore"
+                ):  # running away is an answer: it ends as inf or nan
+                    now[runs] = self.predict_batch(
+                        now[runs], windows.issued[runs, i], windows.h_s[runs, i]
+                    )
             states[:, i + 1] = now
         return states
 
@@ -172,16 +213,23 @@ class LinearMap:
     features: tuple[str, ...]
     weights: Array
 
-    def __call__(self, states: Array, issued: Array, parameters: Mapping[str, float] | None = None) -> Array:
+    def __call__(
+        self, states: Array, issued: Array, parameters: Mapping[str, float] | None = None
+    ) -> Array:
         return design(self.features, states, issued, parameters or {}) @ self.weights
 
     @staticmethod
-    def restore(description: Mapping[str, Json], arrays: Mapping[str, Array], states: int) -> LinearMap:
+    def restore(
+        description: Mapping[str, Json], arrays: Mapping[str, Array], states: int
+    ) -> LinearMap:
         features = tuple(str(f) for f in description["features"])  # type: ignore[union-attr]
         known_features(features)
         weights = arrays["weights"]
         if weights.shape != (len(features), states) or not np.isfinite(weights).all():
-            raise BadArtifact(f"the weights are {weights.shape}, {len(features)} features and {states} states need finite ones")
+            raise BadArtifact(
+                f"the weights are {weights.shape}, {len(features)} features and {states} "
+                "states need finite ones"
+            )
         return LinearMap(features, weights)
 
 
@@ -193,7 +241,9 @@ class Blind(Stepwise):
     map: LinearMap
     kind = "blind"
 
-    def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
+    def predict_batch(
+        self, states: Array, issued: Array, h_s: Array | float | None = None
+    ) -> Array:
         return _move(states, self.map(states, issued) - states, self.plant, h_s)
 
     def description(self) -> dict[str, Json]:
@@ -203,7 +253,9 @@ class Blind(Stepwise):
         return {"weights": self.map.weights}
 
     @staticmethod
-    def restore(plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]) -> Blind:
+    def restore(
+        plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
+    ) -> Blind:
         return Blind(plant, LinearMap.restore(description, arrays, 2 * plant.dynamics.joints))
 
 
@@ -216,20 +268,29 @@ class Conditioned(Stepwise):
     parameters: tuple[float, ...]
     kind = "conditioned"
 
-    def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
+    def predict_batch(
+        self, states: Array, issued: Array, h_s: Array | float | None = None
+    ) -> Array:
         fed = dict(zip(self.plant.dynamics.parameter_names, self.parameters, strict=True))
         return _move(states, self.map(states, issued, fed) - states, self.plant, h_s)
 
     def description(self) -> dict[str, Json]:
-        return {"features": list(self.map.features), **Identified(self.plant, self.parameters).description()}
+        return {
+            "features": list(self.map.features),
+            **Identified(self.plant, self.parameters).description(),
+        }
 
     def arrays(self) -> dict[str, Array]:
         return {"weights": self.map.weights}
 
     @staticmethod
-    def restore(plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]) -> Conditioned:
+    def restore(
+        plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
+    ) -> Conditioned:
         parameters = Identified.restore(plant, description, arrays).parameters
-        return Conditioned(plant, LinearMap.restore(description, arrays, 2 * plant.dynamics.joints), parameters)
+        return Conditioned(
+            plant, LinearMap.restore(description, arrays, 2 * plant.dynamics.joints), parameters
+        )
 
 
 @dataclass(frozen=True)
@@ -240,8 +301,12 @@ class Residual(Stepwise):
     map: LinearMap
     kind = "residual"
 
-    def predict_batch(self, states: Array, issued: Array, h_s: Array | float | None = None) -> Array:
-        return _move(self.plant.update(states, issued, None, h_s), self.map(states, issued), self.plant, h_s)
+    def predict_batch(
+        self, states: Array, issued: Array, h_s: Array | float | None = None
+    ) -> Array:
+        return _move(
+            self.plant.update(states, issued, None, h_s), self.map(states, issued), self.plant, h_s
+        )
 
     def description(self) -> dict[str, Json]:
         return {"features": list(self.map.features)}
@@ -250,13 +315,19 @@ class Residual(Stepwise):
         return {"weights": self.map.weights}
 
     @staticmethod
-    def restore(plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]) -> Residual:
+    def restore(
+        plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
+    ) -> Residual:
         return Residual(plant, LinearMap.restore(description, arrays, 2 * plant.dynamics.joints))
 
 
 def _move(states: Array, by: Array, plant: Plant, h_s: Array | float | None) -> Array:
     """A map fitted at the declared step, scaled to another step length."""
-    return states + by if h_s is None else states + by * np.broadcast_to(np.asarray(h_s) / plant.timestep_s, len(states))[:, None]
+    return (
+        states + by
+        if h_s is None
+        else states + by * np.broadcast_to(np.asarray(h_s) / plant.timestep_s, len(states))[:, None]
+    )
 
 
 def predict_observations(predictor: Predictor, windows: Windows) -> Array:
@@ -264,9 +335,13 @@ def predict_observations(predictor: Predictor, windows: Windows) -> Array:
     return predictor.plant.observe(predictor.rollout(windows))
 
 
-def predict_episode(predictor: Predictor, episode: Episode, horizon_s: float | None = None) -> Array:
-    """Predicted observations at every sample `(samples, observations)`; rollouts start at each multiple of the horizon [s], the declared
-    one if None.
+def predict_episode(
+    predictor: Predictor, episode: Episode, horizon_s: float | None = None
+) -> Array:
+    """Predicted observations at every sample `(samples, observations)`; rollouts start at each
+    multiple of the horizon [s], the declared one if None.
     """
-    windows = cut(predictor.plant, episode, starts_every(episode.t_s, horizon_s or predictor.plant.horizon_s))
+    windows = cut(
+        predictor.plant, episode, starts_every(episode.t_s, horizon_s or predictor.plant.horizon_s)
+    )
     return np.asarray(predict_observations(predictor, windows)[windows.inside])

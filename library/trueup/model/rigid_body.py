@@ -1,16 +1,20 @@
-"""Rigid bodies in a tree: mass matrix and bias force of a block of lanes, as plain functions that the compiled rollout calls.
+"""Rigid bodies in a tree: mass matrix and bias force of a block of lanes, as plain functions that
+the compiled rollout calls.
 
 Lanes are innermost, joints outermost, so that the compiler keeps many lanes in one register.
 
-Each link's frame has its origin at its joint and its z axis along it, so a hinge turns about z and a slide moves along z. A link's ten
-inertial parameters enter linearly: mass, first moments, second moments about the frame's origin.
-Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 5 (recursive Newton-Euler) and 6 (composite rigid bodies).
+Each link's frame has its origin at its joint and its z axis along it, so a hinge turns about z and
+a slide moves along z. A link's ten inertial parameters enter linearly: mass, first moments, second
+moments about the frame's origin. Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008),
+chapters 5 (recursive Newton-Euler) and 6 (composite rigid bodies).
 
     tree     (joints, TREE) constants of each joint, as `Tree.constants` gives them
-    p        (parameters, lanes), of which a link's are rows 10 j to 10 j + 9, and behind all links a joint's are 6 rows each
+    p        (parameters, lanes), of which a link's are rows 10 j to 10 j + 9, and behind all links
+             a joint's are 6 rows each
     q, v     (joints, lanes) positions and velocities [rad, m, rad/s, m/s]
-    room     (joints, ROOM x lanes) what a state needs on the way: axes and origin, composite inertia, motion, force and
-             moment, its own inertia and its joint's velocity, each lane beside the other: places known to the compiler need no check
+    room     (joints, ROOM x lanes) what a state needs on the way: axes and origin, composite
+             inertia, motion, force and moment, its own inertia and its joint's velocity, each lane
+             beside the other: places known to the compiler need no check
 """
 
 from __future__ import annotations
@@ -40,7 +44,16 @@ from trueup.model.tree import (
 )
 
 ROOM = 48
-AXES, ORIGIN, COMPOSITE, SPIN, PULL, FORCE, OWN, SPEED = 0, 9, 12, 22, 28, 31, 37, 47  # first rows of what `room` holds
+AXES, ORIGIN, COMPOSITE, SPIN, PULL, FORCE, OWN, SPEED = (
+    0,
+    9,
+    12,
+    22,
+    28,
+    31,
+    37,
+    47,
+)  # first rows of what `room` holds
 SETTLED = 1e-12  # [rad/s, m/s] a sweep that changes no velocity by more is the last
 
 
@@ -53,7 +66,14 @@ def three(rows: Any, first: Any, lane: Any) -> Any:
 def six(rows: Any, first: Any, lane: Any) -> Any:
     """The same of six: two vectors, or second moments."""
     at = first * BLOCK + lane
-    return rows[at], rows[at + BLOCK], rows[at + 2 * BLOCK], rows[at + 3 * BLOCK], rows[at + 4 * BLOCK], rows[at + 5 * BLOCK]
+    return (
+        rows[at],
+        rows[at + BLOCK],
+        rows[at + 2 * BLOCK],
+        rows[at + 3 * BLOCK],
+        rows[at + 4 * BLOCK],
+        rows[at + 5 * BLOCK],
+    )
 
 
 def pose(tree: Any, p: Any, q: Any, room: Any, mass: Any) -> None:
@@ -64,16 +84,46 @@ def pose(tree: Any, p: Any, q: Any, room: Any, mass: Any) -> None:
         for lane in range(BLOCK):
             o[lane] = 0.0 if slides else q[j, lane] - zero
         turn(o)
-        x0, x1, x2, y0, y1, y2 = tree[j, 2], tree[j, 3], tree[j, 4], tree[j, 5], tree[j, 6], tree[j, 7]
-        z0, z1, z2, p0, p1, p2 = tree[j, 8], tree[j, 9], tree[j, 10], tree[j, 11], tree[j, 12], tree[j, 13]
+        x0, x1, x2, y0, y1, y2 = (
+            tree[j, 2],
+            tree[j, 3],
+            tree[j, 4],
+            tree[j, 5],
+            tree[j, 6],
+            tree[j, 7],
+        )
+        z0, z1, z2, p0, p1, p2 = (
+            tree[j, 8],
+            tree[j, 9],
+            tree[j, 10],
+            tree[j, 11],
+            tree[j, 12],
+            tree[j, 13],
+        )
         for lane in range(BLOCK):
             c, s, along = o[lane], o[1 * BLOCK + lane], q[j, lane] - zero if slides else 0.0
-            o[lane], o[1 * BLOCK + lane], o[2 * BLOCK + lane] = c * x0 + s * y0, c * x1 + s * y1, c * x2 + s * y2
-            o[3 * BLOCK + lane], o[4 * BLOCK + lane], o[5 * BLOCK + lane] = c * y0 - s * x0, c * y1 - s * x1, c * y2 - s * x2
+            o[lane], o[1 * BLOCK + lane], o[2 * BLOCK + lane] = (
+                c * x0 + s * y0,
+                c * x1 + s * y1,
+                c * x2 + s * y2,
+            )
+            o[3 * BLOCK + lane], o[4 * BLOCK + lane], o[5 * BLOCK + lane] = (
+                c * y0 - s * x0,
+                c * y1 - s * x1,
+                c * y2 - s * x2,
+            )
             o[6 * BLOCK + lane], o[7 * BLOCK + lane], o[8 * BLOCK + lane] = z0, z1, z2
-            o[9 * BLOCK + lane], o[10 * BLOCK + lane], o[11 * BLOCK + lane] = p0 + along * z0, p1 + along * z1, p2 + along * z2
+            o[9 * BLOCK + lane], o[10 * BLOCK + lane], o[11 * BLOCK + lane] = (
+                p0 + along * z0,
+                p1 + along * z1,
+                p2 + along * z2,
+            )
         for k in range(LINK):
-            composite, own, given = o[(12 + k) * BLOCK : (13 + k) * BLOCK], o[(37 + k) * BLOCK : (38 + k) * BLOCK], p[LINK * j + k]
+            composite, own, given = (
+                o[(12 + k) * BLOCK : (13 + k) * BLOCK],
+                o[(37 + k) * BLOCK : (38 + k) * BLOCK],
+                p[LINK * j + k],
+            )
             for lane in range(BLOCK):
                 composite[lane] = given[lane]
             for lane in range(BLOCK):
@@ -91,16 +141,32 @@ def couplings(tree: Any, p: Any, room: Any, mass: Any) -> None:
         o, slides = room[j], tree[j, SLIDE] > 0.0
         for lane in range(BLOCK):
             if slides:
-                o[31 * BLOCK + lane], o[32 * BLOCK + lane], o[33 * BLOCK + lane] = 0.0, 0.0, o[12 * BLOCK + lane]
-                o[34 * BLOCK + lane], o[35 * BLOCK + lane], o[36 * BLOCK + lane] = o[14 * BLOCK + lane], -o[13 * BLOCK + lane], 0.0
+                o[31 * BLOCK + lane], o[32 * BLOCK + lane], o[33 * BLOCK + lane] = (
+                    0.0,
+                    0.0,
+                    o[12 * BLOCK + lane],
+                )
+                o[34 * BLOCK + lane], o[35 * BLOCK + lane], o[36 * BLOCK + lane] = (
+                    o[14 * BLOCK + lane],
+                    -o[13 * BLOCK + lane],
+                    0.0,
+                )
             else:
-                o[31 * BLOCK + lane], o[32 * BLOCK + lane], o[33 * BLOCK + lane] = -o[14 * BLOCK + lane], o[13 * BLOCK + lane], 0.0
+                o[31 * BLOCK + lane], o[32 * BLOCK + lane], o[33 * BLOCK + lane] = (
+                    -o[14 * BLOCK + lane],
+                    o[13 * BLOCK + lane],
+                    0.0,
+                )
                 o[34 * BLOCK + lane], o[35 * BLOCK + lane], o[36 * BLOCK + lane] = (
                     o[20 * BLOCK + lane],
                     o[21 * BLOCK + lane],
                     o[18 * BLOCK + lane],
                 )
-        own, at, armature = mass[j, j * BLOCK : (j + 1) * BLOCK], 33 if slides else 36, p[LINK * n + JOINT * j + ARMATURE]
+        own, at, armature = (
+            mass[j, j * BLOCK : (j + 1) * BLOCK],
+            33 if slides else 36,
+            p[LINK * n + JOINT * j + ARMATURE],
+        )
         force = o[at * BLOCK : (at + 1) * BLOCK]
         for lane in range(BLOCK):
             own[lane] = force[lane] + armature[lane]
@@ -124,26 +190,42 @@ def couple(mass: Any, j: int, k: int, by: Any) -> None:
 
 
 def turn(o: Any) -> None:
-    """Angles in the first row become their cosines there, and sines in the second: the series at a quarter of what is left of a whole
-    turn, doubled twice, for a library's function would be called lane by lane.
+    """Angles in the first row become their cosines there, and sines in the second: the series at a
+    quarter of what is left of a whole turn, doubled twice, for a library's function would be called
+    lane by lane.
     """
     for lane in range(BLOCK):
         turns = o[lane] * (0.5 / np.pi)
         x = (turns - np.rint(turns)) * (0.5 * np.pi)
         y = x * x
-        s = x * (1.0 - y / 6 * (1.0 - y / 20 * (1.0 - y / 42 * (1.0 - y / 72 * (1.0 - y / 110 * (1.0 - y / 156))))))
-        c = 1.0 - y / 2 * (1.0 - y / 12 * (1.0 - y / 30 * (1.0 - y / 56 * (1.0 - y / 90 * (1.0 - y / 132 * (1.0 - y / 182))))))
+        s = x * (
+            1.0
+            - y
+            / 6
+            * (1.0 - y / 20 * (1.0 - y / 42 * (1.0 - y / 72 * (1.0 - y / 110 * (1.0 - y / 156)))))
+        )
+        c = 1.0 - y / 2 * (
+            1.0
+            - y
+            / 12
+            * (1.0 - y / 30 * (1.0 - y / 56 * (1.0 - y / 90 * (1.0 - y / 132 * (1.0 - y / 182)))))
+        )
         s, c = 2.0 * s * c, 1.0 - 2.0 * s * s
         o[lane], o[BLOCK + lane] = 1.0 - 2.0 * s * s, 2.0 * s * c
 
 
 def outward(frame: Any, at: Any) -> None:
-    """A force and a moment at a link's origin, turned into what they are at its parent's origin, in its axes."""
+    """A force and a moment at a link's origin, turned into what they are at its parent's origin, in
+    its axes."""
     for lane in range(BLOCK):
         f0, f1, f2, n0, n1, n2 = six(at, FORCE, lane)
         x0, x1, x2, y0, y1, y2 = six(frame, AXES, lane)
         z0, z1, z2, p0, p1, p2 = six(frame, AXES + 6, lane)
-        g0, g1, g2 = x0 * f0 + y0 * f1 + z0 * f2, x1 * f0 + y1 * f1 + z1 * f2, x2 * f0 + y2 * f1 + z2 * f2
+        g0, g1, g2 = (
+            x0 * f0 + y0 * f1 + z0 * f2,
+            x1 * f0 + y1 * f1 + z1 * f2,
+            x2 * f0 + y2 * f1 + z2 * f2,
+        )
         at[31 * BLOCK + lane], at[32 * BLOCK + lane], at[33 * BLOCK + lane] = g0, g1, g2
         at[34 * BLOCK + lane] = x0 * n0 + y0 * n1 + z0 * n2 + p1 * g2 - p2 * g1
         at[35 * BLOCK + lane] = x1 * n0 + y1 * n1 + z1 * n2 + p2 * g0 - p0 * g2
@@ -155,27 +237,55 @@ def add_to_parent(a: Any, to: Any) -> None:
     for lane in range(BLOCK):
         x0, x1, x2, y0, y1, y2 = six(a, AXES, lane)
         z0, z1, z2, p0, p1, p2 = six(a, AXES + 6, lane)
-        m, hx, hy, hz = a[12 * BLOCK + lane], a[13 * BLOCK + lane], a[14 * BLOCK + lane], a[15 * BLOCK + lane]
+        m, hx, hy, hz = (
+            a[12 * BLOCK + lane],
+            a[13 * BLOCK + lane],
+            a[14 * BLOCK + lane],
+            a[15 * BLOCK + lane],
+        )
         xx, yy, zz, xy, xz, yz = six(a, COMPOSITE + 4, lane)
-        h0, h1, h2 = x0 * hx + y0 * hy + z0 * hz, x1 * hx + y1 * hy + z1 * hz, x2 * hx + y2 * hy + z2 * hz
-        t00, t01, t02 = x0 * xx + y0 * xy + z0 * xz, x0 * xy + y0 * yy + z0 * yz, x0 * xz + y0 * yz + z0 * zz
-        t10, t11, t12 = x1 * xx + y1 * xy + z1 * xz, x1 * xy + y1 * yy + z1 * yz, x1 * xz + y1 * yz + z1 * zz
-        t20, t21, t22 = x2 * xx + y2 * xy + z2 * xz, x2 * xy + y2 * yy + z2 * yz, x2 * xz + y2 * yz + z2 * zz
+        h0, h1, h2 = (
+            x0 * hx + y0 * hy + z0 * hz,
+            x1 * hx + y1 * hy + z1 * hz,
+            x2 * hx + y2 * hy + z2 * hz,
+        )
+        t00, t01, t02 = (
+            x0 * xx + y0 * xy + z0 * xz,
+            x0 * xy + y0 * yy + z0 * yz,
+            x0 * xz + y0 * yz + z0 * zz,
+        )
+        t10, t11, t12 = (
+            x1 * xx + y1 * xy + z1 * xz,
+            x1 * xy + y1 * yy + z1 * yz,
+            x1 * xz + y1 * yz + z1 * zz,
+        )
+        t20, t21, t22 = (
+            x2 * xx + y2 * xy + z2 * xz,
+            x2 * xy + y2 * yy + z2 * yz,
+            x2 * xz + y2 * yz + z2 * zz,
+        )
         moved = 2.0 * (p0 * h0 + p1 * h1 + p2 * h2) + m * (p0 * p0 + p1 * p1 + p2 * p2)
         to[12 * BLOCK + lane] += m
         to[13 * BLOCK + lane] += h0 + m * p0
         to[14 * BLOCK + lane] += h1 + m * p1
         to[15 * BLOCK + lane] += h2 + m * p2
-        to[16 * BLOCK + lane] += t00 * x0 + t01 * y0 + t02 * z0 + moved - 2.0 * p0 * h0 - m * p0 * p0
-        to[17 * BLOCK + lane] += t10 * x1 + t11 * y1 + t12 * z1 + moved - 2.0 * p1 * h1 - m * p1 * p1
-        to[18 * BLOCK + lane] += t20 * x2 + t21 * y2 + t22 * z2 + moved - 2.0 * p2 * h2 - m * p2 * p2
+        to[16 * BLOCK + lane] += (
+            t00 * x0 + t01 * y0 + t02 * z0 + moved - 2.0 * p0 * h0 - m * p0 * p0
+        )
+        to[17 * BLOCK + lane] += (
+            t10 * x1 + t11 * y1 + t12 * z1 + moved - 2.0 * p1 * h1 - m * p1 * p1
+        )
+        to[18 * BLOCK + lane] += (
+            t20 * x2 + t21 * y2 + t22 * z2 + moved - 2.0 * p2 * h2 - m * p2 * p2
+        )
         to[19 * BLOCK + lane] += t00 * x1 + t01 * y1 + t02 * z1 - p0 * h1 - p1 * h0 - m * p0 * p1
         to[20 * BLOCK + lane] += t00 * x2 + t01 * y2 + t02 * z2 - p0 * h2 - p2 * h0 - m * p0 * p2
         to[21 * BLOCK + lane] += t10 * x2 + t11 * y2 + t12 * z2 - p1 * h2 - p2 * h1 - m * p1 * p2
 
 
 def bias(tree: Any, v: Any, room: Any, force: Any) -> None:
-    """Centrifugal, Coriolis and gravity force at each joint, `force` `(joints, lanes)`, of lanes whose pose is in `room`."""
+    """Centrifugal, Coriolis and gravity force at each joint, `force` `(joints, lanes)`, of lanes
+    whose pose is in `room`."""
     n = len(tree)
     for j in range(n):
         o, i, slides = room[j], int(tree[j, PARENT]), tree[j, SLIDE] > 0.0
@@ -196,14 +306,31 @@ def bias(tree: Any, v: Any, room: Any, force: Any) -> None:
             w0, w1, w2, e0, e1, e2 = six(o, SPIN, lane)
             (g0, g1, g2), (p0, p1, p2) = three(o, PULL, lane), three(o, ORIGIN, lane)
             x0, x1, x2, y0, y1, y2 = six(o, AXES, lane)
-            z0, z1, z2, speed = o[6 * BLOCK + lane], o[7 * BLOCK + lane], o[8 * BLOCK + lane], o[47 * BLOCK + lane]
+            z0, z1, z2, speed = (
+                o[6 * BLOCK + lane],
+                o[7 * BLOCK + lane],
+                o[8 * BLOCK + lane],
+                o[47 * BLOCK + lane],
+            )
             along, square = w0 * p0 + w1 * p1 + w2 * p2, w0 * w0 + w1 * w1 + w2 * w2
             h0 = g0 + e1 * p2 - e2 * p1 + w0 * along - square * p0
             h1 = g1 + e2 * p0 - e0 * p2 + w1 * along - square * p1
             h2 = g2 + e0 * p1 - e1 * p0 + w2 * along - square * p2
-            u0, u1, u2 = x0 * w0 + x1 * w1 + x2 * w2, y0 * w0 + y1 * w1 + y2 * w2, z0 * w0 + z1 * w1 + z2 * w2
-            r0, r1, r2 = x0 * e0 + x1 * e1 + x2 * e2, y0 * e0 + y1 * e1 + y2 * e2, z0 * e0 + z1 * e1 + z2 * e2
-            c0, c1, c2 = x0 * h0 + x1 * h1 + x2 * h2, y0 * h0 + y1 * h1 + y2 * h2, z0 * h0 + z1 * h1 + z2 * h2
+            u0, u1, u2 = (
+                x0 * w0 + x1 * w1 + x2 * w2,
+                y0 * w0 + y1 * w1 + y2 * w2,
+                z0 * w0 + z1 * w1 + z2 * w2,
+            )
+            r0, r1, r2 = (
+                x0 * e0 + x1 * e1 + x2 * e2,
+                y0 * e0 + y1 * e1 + y2 * e2,
+                z0 * e0 + z1 * e1 + z2 * e2,
+            )
+            c0, c1, c2 = (
+                x0 * h0 + x1 * h1 + x2 * h2,
+                y0 * h0 + y1 * h1 + y2 * h2,
+                z0 * h0 + z1 * h1 + z2 * h2,
+            )
             if slides:
                 c0, c1 = c0 + 2.0 * u1 * speed, c1 - 2.0 * u0 * speed
             else:
@@ -213,16 +340,30 @@ def bias(tree: Any, v: Any, room: Any, force: Any) -> None:
             o[28 * BLOCK + lane], o[29 * BLOCK + lane], o[30 * BLOCK + lane] = c0, c1, c2
         for lane in range(BLOCK):
             u0, u1, u2, r0, r1, r2 = six(o, SPIN, lane)
-            (c0, c1, c2), m, (x0, x1, x2) = three(o, PULL, lane), o[OWN * BLOCK + lane], three(o, OWN + 1, lane)
+            (c0, c1, c2), m, (x0, x1, x2) = (
+                three(o, PULL, lane),
+                o[OWN * BLOCK + lane],
+                three(o, OWN + 1, lane),
+            )
             xx, yy, zz, xy, xz, yz = six(o, OWN + 4, lane)
             along, square = u0 * x0 + u1 * x1 + u2 * x2, u0 * u0 + u1 * u1 + u2 * u2
-            s0, s1, s2 = xx * u0 + xy * u1 + xz * u2, xy * u0 + yy * u1 + yz * u2, xz * u0 + yz * u1 + zz * u2
+            s0, s1, s2 = (
+                xx * u0 + xy * u1 + xz * u2,
+                xy * u0 + yy * u1 + yz * u2,
+                xz * u0 + yz * u1 + zz * u2,
+            )
             o[31 * BLOCK + lane] = m * c0 + r1 * x2 - r2 * x1 + u0 * along - square * x0
             o[32 * BLOCK + lane] = m * c1 + r2 * x0 - r0 * x2 + u1 * along - square * x1
             o[33 * BLOCK + lane] = m * c2 + r0 * x1 - r1 * x0 + u2 * along - square * x2
-            o[34 * BLOCK + lane] = xx * r0 + xy * r1 + xz * r2 + u1 * s2 - u2 * s1 + x1 * c2 - x2 * c1
-            o[35 * BLOCK + lane] = xy * r0 + yy * r1 + yz * r2 + u2 * s0 - u0 * s2 + x2 * c0 - x0 * c2
-            o[36 * BLOCK + lane] = xz * r0 + yz * r1 + zz * r2 + u0 * s1 - u1 * s0 + x0 * c1 - x1 * c0
+            o[34 * BLOCK + lane] = (
+                xx * r0 + xy * r1 + xz * r2 + u1 * s2 - u2 * s1 + x1 * c2 - x2 * c1
+            )
+            o[35 * BLOCK + lane] = (
+                xy * r0 + yy * r1 + yz * r2 + u2 * s0 - u0 * s2 + x2 * c0 - x0 * c2
+            )
+            o[36 * BLOCK + lane] = (
+                xz * r0 + yz * r1 + zz * r2 + u0 * s1 - u1 * s0 + x0 * c1 - x1 * c0
+            )
     gather(tree, room, force)
 
 
@@ -243,7 +384,8 @@ def gather(tree: Any, room: Any, force: Any) -> None:
 
 
 def invert_lanes(matrix: Any, into: Any, wide: Any) -> None:
-    """Inverses of symmetric positive definite matrices, both `(n, n x lanes)`; the matrices are used up. `wide` is room for a row."""
+    """Inverses of symmetric positive definite matrices, both `(n, n x lanes)`; the matrices are
+    used up. `wide` is room for a row."""
     n = len(matrix)
     for i in range(n):
         row = into[i]
@@ -297,25 +439,32 @@ def invert(matrix: Any, into: Any) -> None:
 
 
 def net(tree: Any, p: Any, u: Any, q: Any, v: Any, force: Any) -> None:
-    """`force` `(joints, lanes)`, which holds what the links' motion needs, turned into what actuators under `u`, springs and dampers
-    leave over for accelerations.
+    """`force` `(joints, lanes)`, which holds what the links' motion needs, turned into what
+    actuators under `u`, springs and dampers leave over for accelerations.
     """
     n = len(tree)
     for j in range(n):
-        o, offset, limit, rest = LINK * n + JOINT * j, tree[j, OFFSET], tree[j, LIMIT], tree[j, REST]
+        o, offset, limit, rest = (
+            LINK * n + JOINT * j,
+            tree[j, OFFSET],
+            tree[j, LIMIT],
+            tree[j, REST],
+        )
         for lane in range(BLOCK):
             driven = p[o + GAIN, lane] * u[j, lane] - p[o + SERVO, lane] * q[j, lane] + offset
             driven = min(max(driven, -limit), limit)
-            passive = p[o + STIFFNESS, lane] * (q[j, lane] - rest) + p[o + DAMPING, lane] * v[j, lane]
+            passive = (
+                p[o + STIFFNESS, lane] * (q[j, lane] - rest) + p[o + DAMPING, lane] * v[j, lane]
+            )
             force[j, lane] = driven - passive - force[j, lane]
 
 
 def rub(moves: Any, held: Any, v: Any, impulse: Any) -> None:
-    """Dry friction of all joints at once: `v` `(joints, lanes)` after impulses no larger than `held`, each of which only ever stops its
-    joint.
+    """Dry friction of all joints at once: `v` `(joints, lanes)` after impulses no larger than
+    `held`, each of which only ever stops its joint.
 
-    `moves` `(joints, joints x lanes)` is the inverse mass matrix. Source: J. J. Moreau (1988); the sweeps: M. Jean, Computer Methods in
-    Applied Mechanics and Engineering 177 (1999).
+    `moves` `(joints, joints x lanes)` is the inverse mass matrix. Source: J. J. Moreau (1988); the
+    sweeps: M. Jean, Computer Methods in Applied Mechanics and Engineering 177 (1999).
     """
     n = len(held)
     several = 0
@@ -331,7 +480,9 @@ def rub(moves: Any, held: Any, v: Any, impulse: Any) -> None:
                 continue
             own = moves[j, j * BLOCK : (j + 1) * BLOCK]
             for lane in range(BLOCK):
-                wanted = min(max(impulse[j, lane] - v[j, lane] / own[lane], -held[j, lane]), held[j, lane])
+                wanted = min(
+                    max(impulse[j, lane] - v[j, lane] / own[lane], -held[j, lane]), held[j, lane]
+                )
                 by[lane] = wanted - impulse[j, lane]
                 impulse[j, lane] = wanted
                 largest = max(largest, abs(by[lane]) * own[lane])
@@ -343,5 +494,21 @@ def rub(moves: Any, held: Any, v: Any, impulse: Any) -> None:
             break
 
 
-for _function in (three, six, pose, couplings, couple, gather, turn, outward, add_to_parent, bias, spread, invert_lanes, invert, net, rub):
+for _function in (
+    three,
+    six,
+    pose,
+    couplings,
+    couple,
+    gather,
+    turn,
+    outward,
+    add_to_parent,
+    bias,
+    spread,
+    invert_lanes,
+    invert,
+    net,
+    rub,
+):
     register_jitable(_function)  # compiled into what calls them

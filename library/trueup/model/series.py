@@ -1,7 +1,7 @@
 """Series: an episode laid out for compiled rollouts, cut into windows whose starts are estimated.
 
-Positions and velocities are compared where they were observed; a sample that repeats the one before it (a held frame), or
-that has no number, is left out.
+Positions and velocities are compared where they were observed; a sample that repeats the one before
+it (a held frame), or that has no number, is left out.
 """
 
 from __future__ import annotations
@@ -21,14 +21,16 @@ from trueup.model.windows import intervals, starts_every
 Array = NDArray[np.float64]
 DISTINCT = 0.9  # of the samples have a value of their own where noise is finer than no lattice
 FINE_S = 0.0125  # there the error of a 1 Hz motion is 3e-4
-CATCHES_UP = 1.5  # times the step after it: the one that follows a lost frame, which a joint that stuck does not make
+# times the step after it: the one that follows a lost frame, which a joint that stuck does not make
+CATCHES_UP = 1.5
 MOSTLY = 0.4  # of the short runs
 AT_REST = 6  # equal positions in a row are a joint at rest, not frames lost one after another
 
 
 @dataclass(frozen=True, slots=True)
 class Scheme:
-    """How the dynamics are integrated: the declared step, or its symmetric form on `parts` of it."""
+    """How the dynamics are integrated: the declared step, or its symmetric form on `parts` of
+    it."""
 
     alpha: float
     parts: int
@@ -44,12 +46,13 @@ def refined(plant: Plant) -> Scheme:
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One episode for the kernel. Arrays over its samples; `issued` and its `integral` `(samples, joints)`; `observed` `(samples,
-    2 x joints)` are positions and velocities, `usable` what counts.
+    """One episode for the kernel. Arrays over its samples; `issued` and its `integral` `(samples,
+    joints)`; `observed` `(samples, 2 x joints)` are positions and velocities, `usable` what counts.
 
-    `window_of` is the window to which a sample belongs, `resets` the window that starts at it or -1; `begin` `(windows, 2 x joints)`
-    are first guesses of the windows' starting states, `begin_by_positions` the same with velocities that positions show; `u_scale`
-    `(joints,)` are the commands' declared limits.
+    `window_of` is the window to which a sample belongs, `resets` the window that starts at it or
+    -1; `begin` `(windows, 2 x joints)` are first guesses of the windows' starting states,
+    `begin_by_positions` the same with velocities that positions show; `u_scale` `(joints,)` are the
+    commands' declared limits.
     """
 
     digest: str
@@ -69,17 +72,29 @@ class Series:
     u_scale: Array
 
 
-def series(plant: Plant, episode: Episode, scheme: Scheme, window_s: float, parts: int = 1) -> Series:
-    """An episode cut into windows of about `window_s` [s], all of one length; the last one ends with the episode. Each in `parts`."""
+def series(
+    plant: Plant, episode: Episode, scheme: Scheme, window_s: float, parts: int = 1
+) -> Series:
+    """An episode cut into windows of about `window_s` [s], all of one length; the last one ends
+    with the episode. Each in `parts`."""
     t = episode.t_s
     begins = known_from(plant, episode)
     span = t[-1] - t[begins]
     count = max(1, round(span / window_s)) * parts
-    return whole(plant, episode, scheme, starts_every(t[:-1], span / count * (1 + 1e-9), float(t[begins])))
+    return whole(
+        plant, episode, scheme, starts_every(t[:-1], span / count * (1 + 1e-9), float(t[begins]))
+    )
 
 
-def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int64], begin: Array | None = None) -> Series:
-    """An episode with windows that start at the `first` samples `(windows,)`, from where they `begin`, else from smoothed states."""
+def whole(
+    plant: Plant,
+    episode: Episode,
+    scheme: Scheme,
+    first: NDArray[np.int64],
+    begin: Array | None = None,
+) -> Series:
+    """An episode with windows that start at the `first` samples `(windows,)`, from where they
+    `begin`, else from smoothed states."""
     t = episode.t_s
     h, steps = intervals(t, plant.timestep_s)
     observed = positions_and_velocities(plant, episode)
@@ -107,7 +122,9 @@ def whole(plant: Plant, episode: Episode, scheme: Scheme, first: NDArray[np.int6
 
 def integral_of(issued: Array, t_s: Array) -> Array:
     """Integral of a held command up to each sample, `(samples, joints)`."""
-    return np.concatenate([np.zeros_like(issued[:1]), np.cumsum(issued[:-1] * np.diff(t_s)[:, None], axis=0)])
+    return np.concatenate(
+        [np.zeros_like(issued[:1]), np.cumsum(issued[:-1] * np.diff(t_s)[:, None], axis=0)]
+    )
 
 
 def positions_and_velocities(plant: Plant, episode: Episode) -> Array:
@@ -117,8 +134,11 @@ def positions_and_velocities(plant: Plant, episode: Episode) -> Array:
     return observed
 
 
-def unobserved(scheme: Scheme, t_s: Array, command: Array, u_scale: Array, period_s: float) -> Series:
-    """A command `(samples, joints)` at `t_s` [s] that nobody recorded an answer to, from rest, in one window."""
+def unobserved(
+    scheme: Scheme, t_s: Array, command: Array, u_scale: Array, period_s: float
+) -> Series:
+    """A command `(samples, joints)` at `t_s` [s] that nobody recorded an answer to, from rest, in
+    one window."""
     n, t_s = len(t_s), t_s.copy()
     t_s.flags.writeable = False  # as an episode's: the kernel is compiled for one kind of array
     steps, resets = np.full(n, scheme.parts), np.full(n, -1)
@@ -150,10 +170,11 @@ def held_frames(observed: Array) -> NDArray[np.bool_]:
 
 
 def held(observed: Array) -> NDArray[np.bool_]:
-    """Which samples repeat the one before it while the joint moves, `(samples,)`, of a joint's position and velocity `(samples, 2)`:
-    frames that never arrived.
+    """Which samples repeat the one before it while the joint moves, `(samples,)`, of a joint's
+    position and velocity `(samples, 2)`: frames that never arrived.
 
-    A sensor coarser than its noise repeats values by itself, and a joint at rest without noise does; neither is counted.
+    A sensor coarser than its noise repeats values by itself, and a joint at rest without noise
+    does; neither is counted.
     """
     seen = np.isfinite(observed).any(axis=0)
     known = observed[:, seen]
@@ -166,31 +187,46 @@ def held(observed: Array) -> NDArray[np.bool_]:
     runs: NDArray[np.int64] = np.cumsum(fresh)  # of one value each, counted from 1
     many = np.bincount(runs)
     short = (many > 1) & (many < AT_REST)
-    steps = np.abs(np.diff(observed[fresh, 0], append=[np.nan, np.nan]))  # from each run to the next
+    steps = np.abs(
+        np.diff(observed[fresh, 0], append=[np.nan, np.nan])
+    )  # from each run to the next
     caught_up = steps[:-1][short[1:]] > CATCHES_UP * steps[1:][short[1:]]
     lost = bool(len(caught_up) and caught_up.mean() > MOSTLY)
     return np.asarray(np.logical_not(fresh) & short[runs] & lost)
 
 
 def seen_by(s: Series, late_s: Array) -> tuple[NDArray[np.int64], Array]:
-    """The window whose motion each sample shows, and how much each counts, `(samples, 2 x joints)` each, where joints are seen `late_s`.
+    """The window whose motion each sample shows, and how much each counts, `(samples, 2 x joints)`
+    each, where joints are seen `late_s`.
 
-    What a late sensor shows of the time before the log is no window's, -1; what is left of its samples counts for those too.
+    What a late sensor shows of the time before the log is no window's, -1; what is left of its
+    samples counts for those too.
     """
     if not late_s.any():
-        return np.repeat(s.window_of[:, None], 2 * len(late_s), axis=1), np.ones((len(s.t_s), 2 * len(late_s)))
+        return np.repeat(s.window_of[:, None], 2 * len(late_s), axis=1), np.ones(
+            (len(s.t_s), 2 * len(late_s))
+        )
     shown = np.searchsorted(s.t_s, s.t_s[:, None] - late_s, side="right") - 1
     windows = np.where(shown >= 0, s.window_of[shown], -1)
     weight = np.sqrt(len(shown) / np.maximum((shown >= 0).sum(axis=0), 1))
     return np.tile(windows, 2), np.tile(np.broadcast_to(weight, shown.shape), 2)
 
 
-def roll(s: Series, form: Form, p: Array, on: NDArray[np.uint8], init: Array, gain: Array | None = None, starts: int = 0) -> Array:
-    """Rollout of blocks of lanes over one series, `(samples, 2 x joints, lanes)`; with a gain `(beginning, joints, 4, 2)`, lanes follow
-    lane 0, which is a filter.
+def roll(
+    s: Series,
+    form: Form,
+    p: Array,
+    on: NDArray[np.uint8],
+    init: Array,
+    gain: Array | None = None,
+    starts: int = 0,
+) -> Array:
+    """Rollout of blocks of lanes over one series, `(samples, 2 x joints, lanes)`; with a gain
+    `(beginning, joints, 4, 2)`, lanes follow lane 0, which is a filter.
 
-    p `(rows, lanes)` and init `(windows, 2 x joints, lanes)`, whole blocks of lanes. So many as `starts` after the first differ from it
-    in what windows start from alone, and begin each window with its hidden states.
+    p `(rows, lanes)` and init `(windows, 2 x joints, lanes)`, whole blocks of lanes. So many as
+    `starts` after the first differ from it in what windows start from alone, and begin each window
+    with its hidden states.
     """
     from trueup.model.kernel import kernel  # noqa: PLC0415  (numba loads slowly; a server that only serves needs none)
 
@@ -202,8 +238,10 @@ def roll(s: Series, form: Form, p: Array, on: NDArray[np.uint8], init: Array, ga
         some = slice(first, first + BLOCK)
         part = out if lanes == BLOCK else np.empty((len(s.t_s), 2 * joints, BLOCK))
         kernel()(
-            np.ascontiguousarray(p[:, some]), on, form.block.nominal, form.family, form.tree, form.sizes, s.scheme.alpha, s.u_scale,
-            s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.integral, s.resets, np.ascontiguousarray(init[:, :, some]),
+            np.ascontiguousarray(p[:, some]), on, form.block.nominal, form.family, form.tree,
+            form.sizes, s.scheme.alpha, s.u_scale,
+            s.period_s, s.t_s, s.h_s, s.steps, s.issued, s.integral, s.resets,
+            np.ascontiguousarray(init[:, :, some]),
             0 if first else min(starts, BLOCK - 1), gain is not None, followed, observed, part,
         )  # fmt: skip
         if part is not out:

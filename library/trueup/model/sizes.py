@@ -24,11 +24,16 @@ def sizes_of(plant: Plant, episodes: Sequence[Episode]) -> tuple[Scales, ...]:
 
 
 def sizes(plant: Plant, joint: int, states: Array, issued: Array) -> Scales:
-    """A joint's own sizes. Raises NotIdentifiable where it does not move, or nothing drives it and no link beyond it could."""
+    """A joint's own sizes. Raises NotIdentifiable where it does not move, or nothing drives it and
+    no link beyond it could."""
     q, v = states[:, joint], states[:, len(plant.joints) + joint]
     known = np.isfinite(q) & np.isfinite(v)
     driven = plant.dynamics.drive(plant.parameters, joint, q[known], issued[known, joint])
-    position, velocity, force = float(np.abs(q[known]).max()), float(np.std(v[known])), float(np.sqrt(np.mean(driven**2)))
+    position, velocity, force = (
+        float(np.abs(q[known]).max()),
+        float(np.std(v[known])),
+        float(np.sqrt(np.mean(driven**2))),
+    )
     if plant.command_columns[joint] < 0:
         force = velocity**2 / position  # what its own motion needs
     if min(position, velocity, force) <= 0.0:
@@ -37,5 +42,9 @@ def sizes(plant: Plant, joint: int, states: Array, issued: Array) -> Scales:
             hint="Record episodes with a command that moves the joint.",
             joint=plant.joint_name(joint),
         )
-    error = float(np.abs(issued[known, joint] - plant.dynamics.neutral(plant.parameters, joint, q[known])).max())
+    error = float(
+        np.abs(
+            issued[known, joint] - plant.dynamics.neutral(plant.parameters, joint, q[known])
+        ).max()
+    )
     return Scales(position, velocity, force, float(np.abs(issued[:, joint]).max()) or 1.0, error)

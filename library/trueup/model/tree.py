@@ -1,6 +1,8 @@
-"""Tree: a robot of rigid links as numbers: how its joints hang together, and the parameters of its links and joints.
+"""Tree: a robot of rigid links as numbers: how its joints hang together, and the parameters of its
+links and joints.
 
-It is what is left of an MJCF once it has been compiled: nothing here reads XML, and nothing needs MuJoCo.
+It is what is left of an MJCF once it has been compiled: nothing here reads XML, and nothing needs
+MuJoCo.
 """
 
 from __future__ import annotations
@@ -18,11 +20,24 @@ Array = NDArray[np.float64]
 NO_LIMIT = 1e30
 MOST_JOINTS = 32  # of one robot
 SWEEPS = 12  # over the joints that rub, where several do
-INERTIAL = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")  # about the joint, along the link's axes
+INERTIAL = (
+    "mass",
+    "hx",
+    "hy",
+    "hz",
+    "Ixx",
+    "Iyy",
+    "Izz",
+    "Ixy",
+    "Ixz",
+    "Iyz",
+)  # about the joint, along the link's axes
 AT_JOINT = ("armature", "damping", "gain", "servo", "stiffness", "frictionloss")
 LINK, JOINT = len(INERTIAL), len(AT_JOINT)
 ARMATURE, DAMPING, GAIN, SERVO, STIFFNESS, FRICTION = range(JOINT)
-TREE = 21  # parent, slide, frame (x, y, z axes, origin), zero, spring's rest, actuator's offset and limit, gravity
+# parent, slide, frame (x, y, z axes, origin), zero, spring's rest, actuator's offset and limit,
+# gravity
+TREE = 21
 PARENT, SLIDE, FRAME, ZERO, REST, OFFSET, LIMIT, GRAVITY = 0, 1, 2, 14, 15, 16, 17, 18
 
 
@@ -30,10 +45,11 @@ PARENT, SLIDE, FRAME, ZERO, REST, OFFSET, LIMIT, GRAVITY = 0, 1, 2, 14, 15, 16, 
 class Tree:
     """Joints `(joints,)` in an order in which parents come first.
 
-    `constants` `(joints, TREE)` is what the compiled dynamics read: parent (-1 for the base), whether it slides, its frame in its
-    parent's, the position at which the frame is so [rad, m], the spring's rest, the actuator's constant force and its limit, gravity.
-    `parameters` are ten inertial numbers of each link [kg, kg m, kg m^2], then six of each joint: armature, damping, gain, servo
-    (the actuator's stiffness), stiffness, friction loss.
+    `constants` `(joints, TREE)` is what the compiled dynamics read: parent (-1 for the base),
+    whether it slides, its frame in its parent's, the position at which the frame is so [rad, m],
+    the spring's rest, the actuator's constant force and its limit, gravity. `parameters` are ten
+    inertial numbers of each link [kg, kg m, kg m^2], then six of each joint: armature, damping,
+    gain, servo (the actuator's stiffness), stiffness, friction loss.
     """
 
     joints: tuple[str, ...]
@@ -42,8 +58,11 @@ class Tree:
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the parameters: `mass(link)`, `damping(joint)`; a link is named for its joint."""
-        return tuple(f"{x}({j})" for j in self.joints for x in INERTIAL) + tuple(f"{x}({j})" for j in self.joints for x in AT_JOINT)
+        """Names of the parameters: `mass(link)`, `damping(joint)`; a link is named for its
+        joint."""
+        return tuple(f"{x}({j})" for j in self.joints for x in INERTIAL) + tuple(
+            f"{x}({j})" for j in self.joints for x in AT_JOINT
+        )
 
     @property
     def links(self) -> Array:
@@ -72,7 +91,9 @@ class Tree:
                     "inertial": [float(x) for x in link],
                     **dict(zip(AT_JOINT, (float(x) for x in at), strict=True)),
                 }
-                for name, c, link, at in zip(self.joints, self.constants, self.links, self.at_joint, strict=True)
+                for name, c, link, at in zip(
+                    self.joints, self.constants, self.links, self.at_joint, strict=True
+                )
             ],
         }
 
@@ -85,24 +106,51 @@ class Tree:
         for joint in given.children("joints"):
             parent = joint.text("parent", "") if joint.value.get("parent") is not None else ""
             if parent and parent not in names:
-                raise BadPlant(f"the parent {parent} does not come before its joint", field=joint.at("parent"))
+                raise BadPlant(
+                    f"the parent {parent} does not come before its joint", field=joint.at("parent")
+                )
             slides = joint.choice("type", ["hinge", "slide"]) == "slide"
-            limit = joint.number("limit", above=0.0) if joint.value.get("limit") is not None else NO_LIMIT
+            limit = (
+                joint.number("limit", above=0.0)
+                if joint.value.get("limit") is not None
+                else NO_LIMIT
+            )
             at = [names.index(parent) if parent else -1, slides, *joint.numbers("frame", 12)]
-            constants.append([*at, *(joint.number(k) for k in ("zero", "rest", "offset")), limit, *gravity])
+            constants.append(
+                [*at, *(joint.number(k) for k in ("zero", "rest", "offset")), limit, *gravity]
+            )
             links.append(joint.numbers("inertial", LINK))
             rows.append([joint.number(name) for name in AT_JOINT])
             names.append(joint.text("name"))
-            joint.no_more("name", "parent", "type", "frame", "zero", "rest", "offset", "limit", "inertial", *AT_JOINT)
+            joint.no_more(
+                "name",
+                "parent",
+                "type",
+                "frame",
+                "zero",
+                "rest",
+                "offset",
+                "limit",
+                "inertial",
+                *AT_JOINT,
+            )
         given.no_more("gravity", "joints")
         if len(set(names)) < len(names):
             raise BadPlant("two joints have one name", field=given.at("joints"))
         if len(names) > MOST_JOINTS:
-            raise BadPlant(f"the model has {len(names)} joints; {MOST_JOINTS} are the most", field=given.at("joints"))
+            raise BadPlant(
+                f"the model has {len(names)} joints; {MOST_JOINTS} are the most",
+                field=given.at("joints"),
+            )
         table = np.array(constants, float).reshape(-1, TREE)
         axes = table[:, FRAME : FRAME + 9].reshape(-1, 3, 3)
-        if not np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(3), atol=1e-6) or (np.linalg.det(axes) < 0.0).any():
+        if (
+            not np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(3), atol=1e-6)
+            or (np.linalg.det(axes) < 0.0).any()
+        ):
             raise BadPlant("a joint's frame is no rotation", field=given.at("joints"))
         if min(min(row[ARMATURE], row[DAMPING], row[FRICTION]) for row in rows) < 0.0:
-            raise BadPlant("an armature, a damping or a friction loss is negative", field=given.at("joints"))
+            raise BadPlant(
+                "an armature, a damping or a friction loss is negative", field=given.at("joints")
+            )
         return Tree(tuple(names), table, tuple(float(x) for part in (*links, *rows) for x in part))

@@ -1,1 +1,2 @@
-"""Is it still so: residuals of the serving model, detectors that follow them, and what they promise."""
+"""Is it still so: residuals of the serving model, detectors that follow them, and what they
+promise."""

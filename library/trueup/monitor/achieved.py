@@ -1,4 +1,5 @@
-"""What a detector was measured to do: false alarms on healthy episodes that it was not set on, and delays on drifts put into them."""
+"""What a detector was measured to do: false alarms on healthy episodes that it was not set on, and
+delays on drifts put into them."""
 
 from __future__ import annotations
 
@@ -22,8 +23,11 @@ LEAST = 1e-300  # of a power, to divide by
 LOG_LEAST = -700.0  # whose exponential is no zero yet
 
 
-def achieved(detector: Detector, fresh: Sequence[Residuals], promise_h: float, rng: np.random.Generator) -> dict[str, Json]:
-    """Figures on healthy episodes that the detector does not know: exceedance and alarms an hour with intervals, delays of drifts.
+def achieved(
+    detector: Detector, fresh: Sequence[Residuals], promise_h: float, rng: np.random.Generator
+) -> dict[str, Json]:
+    """Figures on healthy episodes that the detector does not know: exceedance and alarms an hour
+    with intervals, delays of drifts.
 
     Of an episode one alarm is counted at most.
     """
@@ -43,7 +47,10 @@ def achieved(detector: Detector, fresh: Sequence[Residuals], promise_h: float, r
         "alarms_per_h_ci95": [low / hours, high / hours],
         "exceedance": float(shares.mean()),
         "exceedance_ci95": [float(np.quantile(drawn, q)) for q in (0.025, 0.975)],
-        "delays": {name: _delay(detector, fresh, drift, rng) for name, drift in INJECTED[detector.follows].items()},
+        "delays": {
+            name: _delay(detector, fresh, drift, rng)
+            for name, drift in INJECTED[detector.follows].items()
+        },
     }
 
 
@@ -65,18 +72,26 @@ def _shifted(of: Residuals, part: float, luck: float) -> Residuals:
 def _like_an_effect(of: Residuals, part: float, luck: float) -> Residuals:
     evidence = of.evidence.copy()
     one = evidence[:, int(luck * evidence.shape[1])]
-    one[:, 0] += part * np.sqrt(one[:, 1].mean() / np.maximum(one[:, 1].mean() ** 2, LEAST)) * one[:, 1]
+    one[:, 0] += (
+        part * np.sqrt(one[:, 1].mean() / np.maximum(one[:, 1].mean() ** 2, LEAST)) * one[:, 1]
+    )
     return replace(of, evidence=evidence)
 
 
 INJECTED: Mapping[str, Mapping[str, Drift]] = {
-    "channels": {"the spread of a channel doubles": _grown, "the mean of a channel moves by its spread": _shifted},
+    "channels": {
+        "the spread of a channel doubles": _grown,
+        "the mean of a channel moves by its spread": _shifted,
+    },
     "signatures": {"an effect moves a channel by its spread": _like_an_effect},
 }
 
 
-def _delay(detector: Detector, fresh: Sequence[Residuals], drift: Drift, rng: np.random.Generator) -> dict[str, Json]:
-    """How long drifts that are full after EPISODES take to be found [s], and the share that is found by then."""
+def _delay(
+    detector: Detector, fresh: Sequence[Residuals], drift: Drift, rng: np.random.Generator
+) -> dict[str, Json]:
+    """How long drifts that are full after EPISODES take to be found [s], and the share that is
+    found by then."""
     found = []
     for _ in range(DRIFTS):
         state, seconds, luck = detector.begin(), 0.0, float(rng.random())
@@ -88,7 +103,11 @@ def _delay(detector: Detector, fresh: Sequence[Residuals], drift: Drift, rng: np
                 break
             state, seconds = followed.state, seconds + residuals.seconds
     median = float(np.median(found + [np.inf] * (DRIFTS - len(found))))
-    return {"episodes": EPISODES, "found": len(found) / DRIFTS, "median_s": median if np.isfinite(median) else None}
+    return {
+        "episodes": EPISODES,
+        "found": len(found) / DRIFTS,
+        "median_s": median if np.isfinite(median) else None,
+    }
 
 
 def poisson_interval(count: int, confidence: float = 0.95) -> tuple[float, float]:

@@ -1,7 +1,8 @@
 """Change: what is different since the reference, once a monitor alarms.
 
-The machine may have changed, or only what it is asked to do: channels that are predicted worse, samples outside the range that the
-reference covers, another sampling period and other declared conditions are told apart.
+The machine may have changed, or only what it is asked to do: channels that are predicted worse,
+samples outside the range that the reference covers, another sampling period and other declared
+conditions are told apart.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ SPAN = 1e-12  # of a range that is a point
 
 @dataclass(frozen=True, slots=True)
 class Before:
-    """What healthy episodes were like: ranges of observations and commands in declared units, sampling period [s], declared conditions."""
+    """What healthy episodes were like: ranges of observations and commands in declared units,
+    sampling period [s], declared conditions."""
 
     ranges: Mapping[str, Range]
     period_s: float
@@ -49,9 +51,15 @@ class Before:
                     seen.setdefault(channel, []).append((of["low"], of["high"]))
             for name, value in summary["conditions"].items():
                 declared.setdefault(name, set()).add(value)
-        ranges = {c: (min(low for low, _ in r), max(high for _, high in r)) for c, r in seen.items()}
+        ranges = {
+            c: (min(low for low, _ in r), max(high for _, high in r)) for c, r in seen.items()
+        }
         periods = [float(s["period_s"]) for s in summaries]
-        return Before(ranges, float(np.median(periods)), {name: sorted(values) for name, values in declared.items()})
+        return Before(
+            ranges,
+            float(np.median(periods)),
+            {name: sorted(values) for name, values in declared.items()},
+        )
 
     def document(self) -> dict[str, Json]:
         """The same as JSON."""
@@ -65,14 +73,20 @@ class Before:
     def from_document(document: Mapping[str, Any]) -> Before:
         """Read it back. Raises KeyError, TypeError, ValueError."""
         ranges = {c: (float(low), float(high)) for c, (low, high) in document["ranges"].items()}
-        return Before(ranges, float(document["period_s"]), {n: tuple(v) for n, v in document["conditions"].items()})
+        return Before(
+            ranges,
+            float(document["period_s"]),
+            {n: tuple(v) for n, v in document["conditions"].items()},
+        )
 
 
 def onset(rms: Array, usual: Sequence[tuple[float, float]]) -> int:
-    """The episode from which on errors grew, of the errors `(episodes, channels)` in healthy spreads up to an alarm.
+    """The episode from which on errors grew, of the errors `(episodes, channels)` in healthy
+    spreads up to an alarm.
 
-    Of each channel the sum of how far the logarithm of its error lies above what is usual, mean and standard deviation, and a margin; of
-    the channel with the largest sum where it was last nothing. Source: E. S. Page, Biometrika 41 (1954), on estimating the change.
+    Of each channel the sum of how far the logarithm of its error lies above what is usual, mean and
+    standard deviation, and a margin; of the channel with the largest sum where it was last nothing.
+    Source: E. S. Page, Biometrika 41 (1954), on estimating the change.
     """
     mean, spread = np.array(usual).T
     above = np.log(np.maximum(rms, 1e-9)) - mean - np.maximum(spread, GROWN)
@@ -84,7 +98,8 @@ def onset(rms: Array, usual: Sequence[tuple[float, float]]) -> int:
 
 
 def changed(reference: Before, channels: Mapping[str, Array], now: Before) -> dict[str, Json]:
-    """What is different: of each channel the error since in healthy spreads (`channels`: each episode's), ranges, period, conditions.
+    """What is different: of each channel the error since in healthy spreads (`channels`: each
+    episode's), ranges, period, conditions.
 
     `words` says it for people.
     """
@@ -104,13 +119,27 @@ def changed(reference: Before, channels: Mapping[str, Array], now: Before) -> di
         past = max(known[0] - low, high - known[1]) / span
         if past > BEYOND:
             outside[channel] = {"low": low, "high": high, "reference": list(known)}
-            words.append(f"{channel} goes {100 * past:.0f} % of its range beyond what the reference covers")
+            words.append(
+                f"{channel} goes {100 * past:.0f} % of its range beyond what the reference covers"
+            )
     others: dict[str, Json] = {}
     for name in sorted({*reference.conditions, *now.conditions}):
         before, after = list(reference.conditions.get(name, ())), list(now.conditions.get(name, ()))
         if name != "role" and set(after) - set(before):
             others[name] = {"reference": before, "now": after}
-            words.append(f"{name} is {' and '.join(after)}, in the reference {' and '.join(before) or 'not declared'}")
+            words.append(
+                f"{name} is {' and '.join(after)}, in the reference "
+                f"{' and '.join(before) or 'not declared'}"
+            )
     if abs(now.period_s / reference.period_s - 1.0) > PERIOD:
-        words.append(f"samples come every {now.period_s:.4g} s, in the reference every {reference.period_s:.4g} s")
-    return {"channels": errors, "outside": outside, "conditions": others, "period_s": now.period_s, "words": words}
+        words.append(
+            f"samples come every {now.period_s:.4g} s, in the reference every "
+            f"{reference.period_s:.4g} s"
+        )
+    return {
+        "channels": errors,
+        "outside": outside,
+        "conditions": others,
+        "period_s": now.period_s,
+        "words": words,
+    }

@@ -1,8 +1,10 @@
-"""Detector: follows residuals from episode to episode, and alarms where its statistic passes its level.
+"""Detector: follows residuals from episode to episode, and alarms where its statistic passes its
+level.
 
-A detector is calibrated on healthy blocks, parts of episodes of one length in rollouts, to a promised rate of false alarms. What the
-promise rests on differs, and each kind says it. No residual and no run of residuals reaches over the end of an episode; what a sum has
-gathered does, for a quiet drift shows over episodes only.
+A detector is calibrated on healthy blocks, parts of episodes of one length in rollouts, to a
+promised rate of false alarms. What the promise rests on differs, and each kind says it. No residual
+and no run of residuals reaches over the end of an episode; what a sum has gathered does, for a
+quiet drift shows over episodes only.
 """
 
 from __future__ import annotations
@@ -30,8 +32,9 @@ CAUTION = 0.5  # levels from a hundred blocks miss their rate by a factor of two
 class Reference:
     """Healthy residuals that a detector is calibrated on.
 
-    `fitted` are blocks of the episodes whose spread is the measure, `fresh` blocks of others, all of `windows` rollouts; a block stands for
-    `block_s` [s] of robot time. `promise_h` [h] is the operating time in which one false alarm is allowed.
+    `fitted` are blocks of the episodes whose spread is the measure, `fresh` blocks of others, all
+    of `windows` rollouts; a block stands for `block_s` [s] of robot time. `promise_h` [h] is the
+    operating time in which one false alarm is allowed.
     """
 
     fitted: Sequence[Residuals]
@@ -55,7 +58,8 @@ class Reference:
 class Followed:
     """An episode followed: the statistic at each sample `(samples,)`, and what is kept.
 
-    `alarm` is the sample at which an alarm is declared, or None, and `leading` which of the detector's statistics declared it.
+    `alarm` is the sample at which an alarm is declared, or None, and `leading` which of the
+    detector's statistics declared it.
     """
 
     statistic: Array
@@ -65,12 +69,16 @@ class Followed:
 
 
 class Detector(ABC):
-    """A frozen dataclass. Its state is handed in and out: `begin`, then `follow` for each episode in order. An alarm an episode at most."""
+    """A frozen dataclass. Its state is handed in and out: `begin`, then `follow` for each episode
+    in order. An alarm an episode at most."""
 
     name: ClassVar[str]
     rests_on: ClassVar[str]  # what its false-alarm figure needs to hold
     guarantee: ClassVar[bool] = False  # whether that figure is proven, given what it rests on
-    follows: ClassVar[str] = "channels"  # what it adds up: residuals of channels, or what they have in common with signatures
+    follows: ClassVar[str] = (
+        # what it adds up: residuals of channels, or what they have in common with signatures
+        "channels"
+    )
     reads_fresh: ClassVar[bool] = False  # whether it knows the fresh half of its reference
     level: float
 
@@ -89,7 +97,8 @@ class Detector(ABC):
 
     @abstractmethod
     def exceedance(self, residuals: Residuals) -> float:
-        """Share of an episode's units, samples or blocks, that are by themselves beyond the level: not an alarm."""
+        """Share of an episode's units, samples or blocks, that are by themselves beyond the level:
+        not an alarm."""
 
     @abstractmethod
     def labels(self, channels: Sequence[str], signs: Sequence[str]) -> list[str]:

@@ -1,10 +1,12 @@
-"""Monitor: detectors on one predictor's residuals, calibrated to one promise in robot time, with what they were measured to keep.
+"""Monitor: detectors on one predictor's residuals, calibrated to one promise in robot time, with
+what they were measured to keep.
 
-The promise, one false alarm in so many operating hours, is of all joints and all detectors together: each of them gets an equal
-share. One half of the reference, drawn at random within each kind of episodes for recordings come in patterns, sets the spread, and
-levels that are measured on the other; the levels that are used then come from both. The other half is also what the conformal test
-ranks against. Detectors that follow signatures need a longer reference than others: there are a hundred of them, and what is healthy for
-each must be known.
+The promise, one false alarm in so many operating hours, is of all joints and all detectors
+together: each of them gets an equal share. One half of the reference, drawn at random within each
+kind of episodes for recordings come in patterns, sets the spread, and levels that are measured on
+the other; the levels that are used then come from both. The other half is also what the conformal
+test ranks against. Detectors that follow signatures need a longer reference than others: there are
+a hundred of them, and what is healthy for each must be known.
 """
 
 from __future__ import annotations
@@ -29,19 +31,22 @@ from trueup.monitor.signature import Signatures
 
 SCHEMA = "trueup.monitor/1"
 LONGEST_BLOCK = 5  # rollouts
-COMES_AGAIN = 4  # episodes of each value of a condition, on the mean; one that is always another says nothing of kinds
+# episodes of each value of a condition, on the mean; one that is always another says nothing of
+# kinds
+COMES_AGAIN = 4
 LEAST_BLOCKS = 8  # in either half of the reference
 LEAST_FOR_SIGNATURES = 40  # blocks of the half that sets levels
 LEAST_ERROR = 1e-9  # of a healthy spread, to take the logarithm of
-SHORT = 0.1  # of the episodes may be shorter than a block, and then count for no more than single residuals
+# of the episodes may be shorter than a block, and then count for no more than single residuals
+SHORT = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
     """What a monitor saw in one episode.
 
-    Of each detector the highest statistic, and where it alarmed when [s] and what led; of each channel mean and root mean square, in
-    healthy spreads.
+    Of each detector the highest statistic, and where it alarmed when [s] and what led; of each
+    channel mean and root mean square, in healthy spreads.
     """
 
     seconds: float
@@ -55,8 +60,13 @@ class Seen:
         return {
             "seconds": self.seconds,
             "highest": dict(self.highest),
-            "alarms": {d: {"at_s": at, "leading": leading} for d, (at, leading) in self.alarms.items()},
-            "channels": {c: {"mean": m, "rms": r} for c, m, r in zip(channels, self.mean, self.rms, strict=True)},
+            "alarms": {
+                d: {"at_s": at, "leading": leading} for d, (at, leading) in self.alarms.items()
+            },
+            "channels": {
+                c: {"mean": m, "rms": r}
+                for c, m, r in zip(channels, self.mean, self.rms, strict=True)
+            },
         }
 
 
@@ -64,8 +74,9 @@ class Seen:
 class Monitor:
     """What follows one predictor on one plant. Frozen, and named by its digest.
 
-    `figures` is what the detectors were measured to keep, `reference` the digests of the healthy episodes, `before` what they were like;
-    `usual` is mean and standard deviation of the logarithm of each channel's error over healthy episodes.
+    `figures` is what the detectors were measured to keep, `reference` the digests of the healthy
+    episodes, `before` what they were like; `usual` is mean and standard deviation of the logarithm
+    of each channel's error over healthy episodes.
     """
 
     plant: str
@@ -84,12 +95,21 @@ class Monitor:
         """What is known before the first episode."""
         return {d.name: d.begin() for d in self.detectors}
 
-    def follow(self, state: Mapping[str, Sequence[float]], predictor: Predictor, episode: Episode) -> tuple[dict[str, State], Seen]:
-        """One more episode: what is kept, and what was seen. Raises NotAnEpisode where it is too short for a rollout."""
+    def follow(
+        self, state: Mapping[str, Sequence[float]], predictor: Predictor, episode: Episode
+    ) -> tuple[dict[str, State], Seen]:
+        """One more episode: what is kept, and what was seen. Raises NotAnEpisode where it is too
+        short for a rollout."""
         plant, of = predictor.plant, missed(predictor, episode)
         if not len(of.values):
-            raise NotAnEpisode(f"no rollout of {plant.horizon_s:g} s can start in this episode", rule="samples", digest=episode.digest)
-        looked_for = self.signatures if any(d.follows == "signatures" for d in self.detectors) else None
+            raise NotAnEpisode(
+                f"no rollout of {plant.horizon_s:g} s can start in this episode",
+                rule="samples",
+                digest=episode.digest,
+            )
+        looked_for = (
+            self.signatures if any(d.follows == "signatures" for d in self.detectors) else None
+        )
         residuals = measured(predictor, self.healthy, looked_for, episode, of)
         channels, signs = [c.name for c in plant.layout.observations], self.signatures.names(plant)
         after: dict[str, State] = {}
@@ -100,7 +120,11 @@ class Monitor:
             after[detector.name] = found.state
             highest[detector.name] = float(found.statistic.max(initial=0.0))
             if found.alarm is not None:
-                leading = None if found.leading is None else detector.labels(channels, signs)[found.leading]
+                leading = (
+                    None
+                    if found.leading is None
+                    else detector.labels(channels, signs)[found.leading]
+                )
                 alarms[detector.name] = float(residuals.t_s[found.alarm]), leading or ""
         mean, rms = residuals.mean_and_rms()
         return after, Seen(residuals.seconds, highest, alarms, mean, rms)
@@ -120,7 +144,15 @@ class Monitor:
             "signatures": self.signatures.document(),
             "windows": self.windows,
             "promise_h": self.promise_h,
-            "detectors": [{"detector": d.name, "rests_on": d.rests_on, "guarantee": d.guarantee, **d.document()} for d in self.detectors],
+            "detectors": [
+                {
+                    "detector": d.name,
+                    "rests_on": d.rests_on,
+                    "guarantee": d.guarantee,
+                    **d.document(),
+                }
+                for d in self.detectors
+            ],
             "reference": list(self.reference),
             "before": self.before.document(),
             "usual": [list(u) for u in self.usual],
@@ -159,33 +191,51 @@ def calibrate(
     kinds: Sequence[str] = (),
     progress: Callable[[str, float], None] = lambda _stage, _part: None,
 ) -> Monitor:
-    """A monitor of a predictor, the one that `artifact` names, whose detectors together give one false alarm in `promise_h` [h].
+    """A monitor of a predictor, the one that `artifact` names, whose detectors together give one
+    false alarm in `promise_h` [h].
 
-    `reference` are episodes in which the predictor was right; without `kinds` every detector takes part that it is long enough for.
-    Raises BadMonitor, NotIdentifiable where the reference is too short.
+    `reference` are episodes in which the predictor was right; without `kinds` every detector takes
+    part that it is long enough for. Raises BadMonitor, NotIdentifiable where the reference is too
+    short.
     """
     if not (np.isfinite(promise_h) and promise_h > 0.0) or set(kinds) - set(detectors()):
-        raise BadMonitor("a monitor needs a positive promise in hours, and detectors that are known", detectors=", ".join(detectors()))
+        raise BadMonitor(
+            "a monitor needs a positive promise in hours, and detectors that are known",
+            detectors=", ".join(detectors()),
+        )
     episodes = sorted(reference, key=lambda e: (e.start_ns, e.digest))
     found: list[Missed] = []
     for episode in episodes:
         found.append(missed(predictor, episode))
         progress("predicting healthy episodes", len(found) / len(episodes))
-    episodes, found = [e for e, m in zip(episodes, found, strict=True) if len(m.values)], [m for m in found if len(m.values)]
+    episodes, found = (
+        [e for e, m in zip(episodes, found, strict=True) if len(m.values)],
+        [m for m in found if len(m.values)],
+    )
     if len(found) < 2:  # noqa: PLR2004  (halves)
         raise _too_short(len(found), 0)
     rng = np.random.default_rng(seed)
     first, second = _halves(episodes, rng)
-    healthy, signatures = Healthy.of([found[i] for i in first]), Signatures.of(predictor.plant, episodes)
-    residuals = [measured(predictor, healthy, signatures, e, m) for e, m in zip(episodes, found, strict=True)]
+    healthy, signatures = (
+        Healthy.of([found[i] for i in first]),
+        Signatures.of(predictor.plant, episodes),
+    )
+    residuals = [
+        measured(predictor, healthy, signatures, e, m) for e, m in zip(episodes, found, strict=True)
+    ]
     lengths = sorted(r.windows for r in residuals)
     windows = max(1, min(LONGEST_BLOCK, lengths[int(SHORT * len(lengths))]))
     fitted, fresh = ([residuals[i] for i in half] for half in (first, second))
-    parts = [b for r in fitted for b in blocks(r, windows)], [b for r in fresh for b in blocks(r, windows)]
+    parts = (
+        [b for r in fitted for b in blocks(r, windows)],
+        [b for r in fresh for b in blocks(r, windows)],
+    )
     if min(len(p) for p in parts) < LEAST_BLOCKS:
         raise _too_short(len(episodes), sum(len(p) for p in parts))
     long = len(parts[0]) >= LEAST_FOR_SIGNATURES
-    chosen = kinds or tuple(name for name, kind in detectors().items() if long or kind.follows == "channels")
+    chosen = kinds or tuple(
+        name for name, kind in detectors().items() if long or kind.follows == "channels"
+    )
     share_h = promise_h * len(chosen)
     of = Reference(*parts, windows, float(np.mean([b.seconds for p in parts for b in p])), share_h)
     whole = replace(of, fitted=[*of.fitted, *of.fresh])
@@ -194,7 +244,9 @@ def calibrate(
         kind = detectors()[name]
         made.append(kind.calibrate(of if kind.reads_fresh else whole, rng))
         progress("setting levels", len(made) / len(chosen))
-    figures: dict[str, Json] = {d.name: {**_judged(d, of, fresh, windows, share_h, rng)} for d in made}
+    figures: dict[str, Json] = {
+        d.name: {**_judged(d, of, fresh, windows, share_h, rng)} for d in made
+    }
     hours = sum(m.seconds for m in found) / 3600.0
     told: dict[str, Json] = {
         "reference_h": hours,
@@ -217,20 +269,32 @@ def calibrate(
     )
 
 
-def _halves(episodes: Sequence[Episode], rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Two halves by chance, each with as many episodes of every kind: of every combination of declared conditions that come again."""
+def _halves(
+    episodes: Sequence[Episode], rng: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Two halves by chance, each with as many episodes of every kind: of every combination of
+    declared conditions that come again."""
     names = sorted({name for e in episodes for name in e.conditions})
-    again = [n for n in names if len({e.conditions.get(n) for e in episodes}) <= len(episodes) / COMES_AGAIN]
+    again = [
+        n
+        for n in names
+        if len({e.conditions.get(n) for e in episodes}) <= len(episodes) / COMES_AGAIN
+    ]
     kinds = [tuple(str(e.conditions.get(n)) for n in again) for e in episodes]
     order = sorted(rng.permutation(len(episodes)), key=lambda i: kinds[i])
     return np.sort(np.array(order[::2])), np.sort(np.array(order[1::2]))
 
 
 def _judged(
-    detector: Detector, of: Reference, fresh: Sequence[Residuals], windows: int, promise_h: float, rng: np.random.Generator
+    detector: Detector,
+    of: Reference,
+    fresh: Sequence[Residuals],
+    windows: int,
+    promise_h: float,
+    rng: np.random.Generator,
 ) -> dict[str, Json]:
-    """A detector's figures on the fresh half, made of the other alone; one that reads the fresh half is made of a part of it, and judged
-    on the rest.
+    """A detector's figures on the fresh half, made of the other alone; one that reads the fresh
+    half is made of a part of it, and judged on the rest.
     """
     if not detector.reads_fresh:
         return achieved(detector.calibrate(of, rng), fresh, promise_h, rng)
@@ -239,20 +303,39 @@ def _judged(
     return achieved(part, rest or fresh, promise_h, rng)
 
 
-def measured(predictor: Predictor, healthy: Healthy, signatures: Signatures | None, episode: Episode, of: Missed) -> Residuals:
-    """What was missed in one episode as detectors take it; without signatures nothing is looked for in it."""
+def measured(
+    predictor: Predictor,
+    healthy: Healthy,
+    signatures: Signatures | None,
+    episode: Episode,
+    of: Missed,
+) -> Residuals:
+    """What was missed in one episode as detectors take it; without signatures nothing is looked for
+    in it."""
     residuals = healthy.residuals(of)
-    return residuals if signatures is None else signatures.evidence(predictor, episode, of, healthy, residuals)
+    return (
+        residuals
+        if signatures is None
+        else signatures.evidence(predictor, episode, of, healthy, residuals)
+    )
 
 
 def _usual(residuals: Sequence[Residuals]) -> tuple[tuple[float, float], ...]:
     errors = np.log(np.maximum([r.mean_and_rms()[1] for r in residuals], LEAST_ERROR))
-    return tuple((float(m), float(s)) for m, s in zip(errors.mean(axis=0), errors.std(axis=0), strict=True))
+    return tuple(
+        (float(m), float(s)) for m, s in zip(errors.mean(axis=0), errors.std(axis=0), strict=True)
+    )
 
 
 def _too_short(episodes: int, found: int) -> NotIdentifiable:
     return NotIdentifiable(
-        f"{episodes} reference episodes with {found} blocks of rollouts are too few to know what is healthy",
+        (
+            f"{episodes} reference episodes with {found} blocks of rollouts are too few to know "
+            "what is healthy"
+        ),
         blocks=found,
-        hint=f"Record healthy operation with the role reference: {2 * LEAST_BLOCKS} blocks of rollouts at least, a hundred are better.",
+        hint=(
+            f"Record healthy operation with the role reference: {2 * LEAST_BLOCKS} blocks of "
+            "rollouts at least, a hundred are better."
+        ),
     )

@@ -1,8 +1,10 @@
-"""Residuals of a predictor on an episode: what was observed less what was predicted, in units of what is healthy.
+"""Residuals of a predictor on an episode: what was observed less what was predicted, in units of
+what is healthy.
 
-Rollouts start at each multiple of the horizon, as everywhere, and anew with each episode. A sample's residual is divided by the
-root mean square that healthy episodes show in its channel at its age, the time since its rollout started: so a sample a moment
-after a start and one at the end of a window count alike.
+Rollouts start at each multiple of the horizon, as everywhere, and anew with each episode. A
+sample's residual is divided by the root mean square that healthy episodes show in its channel at
+its age, the time since its rollout started: so a sample a moment after a start and one at the end
+of a window count alike.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ TOUCH = 1e-9  # of the horizon: an age that rounding put at a bound
 
 
 def one_step_residuals(predictor: Predictor, states: Array, issued: Array) -> Array:
-    """Norm over channels of (observed - predicted next observation) / declared scale, `(samples - 1,)`, of one episode."""
+    """Norm over channels of (observed - predicted next observation) / declared scale, `(samples -
+    1,)`, of one episode."""
     plant = predictor.plant
     missed = plant.observe(states[1:]) - plant.observe(predictor.predict_batch(states[:-1], issued))
     return np.asarray(np.linalg.norm(missed / plant.scales, axis=1))
@@ -35,10 +38,12 @@ def one_step_residuals(predictor: Predictor, states: Array, issued: Array) -> Ar
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Missed:
-    """What a predictor missed in one episode, in declared units: `values` `(samples, channels)` at `t_s` [s] of the episode.
+    """What a predictor missed in one episode, in declared units: `values` `(samples, channels)` at
+    `t_s` [s] of the episode.
 
-    `rows` `(samples,)` are these samples in the episode, `age` the time since the sample's rollout started, in horizons, `window` its
-    number; samples at which a rollout starts, `first` `(windows,)`, are left out. `seconds` [s] is the robot time of the episode.
+    `rows` `(samples,)` are these samples in the episode, `age` the time since the sample's rollout
+    started, in horizons, `window` its number; samples at which a rollout starts, `first`
+    `(windows,)`, are left out. `seconds` [s] is the robot time of the episode.
     """
 
     values: Array
@@ -51,29 +56,50 @@ class Missed:
 
 
 def missed(predictor: Predictor, episode: Episode) -> Missed:
-    """What the predictor misses, from rollouts that start at each multiple of the plant's horizon."""
+    """What the predictor misses, from rollouts that start at each multiple of the plant's
+    horizon."""
     plant, horizon_s = predictor.plant, predictor.plant.horizon_s
     begin_s = float(episode.t_s[known_from(plant, episode)])
     starts = starts_every(episode.t_s[:-1], horizon_s, begin_s)
     if not len(starts):  # a velocity that nobody observes needs a span of positions
         nothing = np.zeros(0, np.int64)
-        return Missed(np.zeros((0, len(plant.scales))), np.zeros(0), nothing, nothing, np.zeros(0), nothing, float(episode.t_s[-1]))
+        return Missed(
+            np.zeros((0, len(plant.scales))),
+            np.zeros(0),
+            nothing,
+            nothing,
+            np.zeros(0),
+            nothing,
+            float(episode.t_s[-1]),
+        )
     windows = cut(plant, episode, starts)
     with np.errstate(over="ignore", invalid="ignore"):  # running away is an answer
-        values = (predict_observations(predictor, windows) - episode.observations[windows.rows]) / plant.scales
+        values = (
+            predict_observations(predictor, windows) - episode.observations[windows.rows]
+        ) / plant.scales
     counts = windows.inside & (np.arange(windows.inside.shape[1]) > 0)
     rows = windows.rows[counts]
     since = episode.t_s[rows] - np.repeat(episode.t_s[windows.first], counts.sum(axis=1))
     number = np.repeat(np.arange(len(windows.first)), counts.sum(axis=1))
-    return Missed(values[counts], episode.t_s[rows], rows, windows.first, since / horizon_s, number, float(episode.t_s[-1]))
+    return Missed(
+        values[counts],
+        episode.t_s[rows],
+        rows,
+        windows.first,
+        since / horizon_s,
+        number,
+        float(episode.t_s[-1]),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """Normalised residuals of one episode, `values` `(samples, channels)`, finite; a channel that was not observed is 0 there.
+    """Normalised residuals of one episode, `values` `(samples, channels)`, finite; a channel that
+    was not observed is 0 there.
 
-    `weight` `(samples,)` is the time that each sample stands for, in horizons. `evidence` `(windows, signatures, 2)` is what each window's
-    residuals have in common with each signature, and that signature's own power there.
+    `weight` `(samples,)` is the time that each sample stands for, in horizons. `evidence`
+    `(windows, signatures, 2)` is what each window's residuals have in common with each signature,
+    and that signature's own power there.
     """
 
     values: Array
@@ -93,20 +119,31 @@ class Residuals:
         if not len(self.weight):
             return [0.0] * self.values.shape[1], [0.0] * self.values.shape[1]
         share = self.weight / self.weight.sum()
-        return [float(x) for x in share @ self.values], [float(x) for x in np.sqrt(share @ self.values**2)]
+        return [float(x) for x in share @ self.values], [
+            float(x) for x in np.sqrt(share @ self.values**2)
+        ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Healthy:
-    """Root mean square of what is missed while all is well, `(ages, channels)`, in declared units."""
+    """Root mean square of what is missed while all is well, `(ages, channels)`, in declared
+    units."""
 
     spread: Array
 
     @staticmethod
     def of(reference: Sequence[Missed]) -> Healthy:
         """The spread of healthy episodes."""
-        values, age = np.concatenate([m.values for m in reference]), np.concatenate([_bin(m.age) for m in reference])
-        spread = np.stack([_rms(values[age == i]) if (age == i).any() else np.full(values.shape[1], np.nan) for i in range(AGES)])
+        values, age = (
+            np.concatenate([m.values for m in reference]),
+            np.concatenate([_bin(m.age) for m in reference]),
+        )
+        spread = np.stack(
+            [
+                _rms(values[age == i]) if (age == i).any() else np.full(values.shape[1], np.nan)
+                for i in range(AGES)
+            ]
+        )
         whole = _rms(values)
         least = np.where(whole > 0.0, whole, 1.0) * 1e-6
         return Healthy(np.maximum(np.where(np.isfinite(spread), spread, whole), least))
@@ -115,11 +152,22 @@ class Healthy:
         """What was missed, in units of what is healthy."""
         with np.errstate(over="ignore", invalid="ignore"):
             values = of.values / self.at(of)
-        gone = np.isnan(of.values) & np.isfinite(of.values).any(axis=0)  # running away; a channel that nobody observed is not
-        values = np.where(gone, RAN_AWAY, np.nan_to_num(values, nan=0.0, posinf=RAN_AWAY, neginf=-RAN_AWAY))
+        gone = np.isnan(of.values) & np.isfinite(of.values).any(
+            axis=0
+        )  # running away; a channel that nobody observed is not
+        values = np.where(
+            gone, RAN_AWAY, np.nan_to_num(values, nan=0.0, posinf=RAN_AWAY, neginf=-RAN_AWAY)
+        )
         starts = np.diff(of.window, prepend=-1) > 0
         weight = np.where(starts, of.age, np.diff(of.age, prepend=0.0))
-        return Residuals(np.clip(values, -RAN_AWAY, RAN_AWAY), of.t_s, weight, of.window, of.seconds, np.zeros((0, 0, 2)))
+        return Residuals(
+            np.clip(values, -RAN_AWAY, RAN_AWAY),
+            of.t_s,
+            weight,
+            of.window,
+            of.seconds,
+            np.zeros((0, 0, 2)),
+        )
 
     def at(self, of: Missed) -> Array:
         """The healthy spread at each sample, `(samples, channels)`."""
@@ -144,7 +192,13 @@ def blocks(of: Residuals, windows: int) -> list[Residuals]:
     for k in range(of.windows // windows):
         inside = (of.window >= k * windows) & (of.window < (k + 1) * windows)
         part = of.values[inside], of.t_s[inside], of.weight[inside], of.window[inside] - k * windows
-        found.append(Residuals(*part, of.seconds * windows / of.windows, of.evidence[k * windows : (k + 1) * windows]))
+        found.append(
+            Residuals(
+                *part,
+                of.seconds * windows / of.windows,
+                of.evidence[k * windows : (k + 1) * windows],
+            )
+        )
     return found
 
 

@@ -1,9 +1,9 @@
 """Signatures: what each effect of the catalogue would do to the residuals, if it began to act.
 
-From every window's start the model is rolled out once as it serves and once with a little of each effect, and of each parameter, more.
-What the residuals have in common with the difference speaks for that effect, long before their size does: noise is like no
-signature.
-Source: G. L. Turin, IRE Transactions on Information Theory 6 (1960), on matched filters.
+From every window's start the model is rolled out once as it serves and once with a little of each
+effect, and of each parameter, more. What the residuals have in common with the difference speaks
+for that effect, long before their size does: noise is like no signature. Source: G. L. Turin, IRE
+Transactions on Information Theory 6 (1960), on matched filters.
 """
 
 from __future__ import annotations
@@ -36,7 +36,8 @@ STEP = 0.1  # of a parameter
 
 @dataclass(frozen=True, slots=True)
 class Sign:
-    """One signature: a term begun at a start in units of its scales, or without a start a parameter of that name."""
+    """One signature: a term begun at a start in units of its scales, or without a start a parameter
+    of that name."""
 
     of: str
     start: tuple[float, ...] = ()
@@ -51,15 +52,28 @@ class Signatures:
 
     @staticmethod
     def of(plant: Plant, reference: Sequence[Episode]) -> Signatures:
-        """Every effect at every joint that a log cannot show by itself, and a family's own parameters."""
+        """Every effect at every joint that a log cannot show by itself, and a family's own
+        parameters."""
         joints = len(plant.joints)
         shown = [e for e in effects().values() if not e.counted and not e.zoomed]
-        signs = [Sign(term(e.name, j), s) for j in range(joints) for e in shown for s in _shapes(e.starts, SHAPES if joints == 1 else 1)]
+        signs = [
+            Sign(term(e.name, j), s)
+            for j in range(joints)
+            for e in shown
+            for s in _shapes(e.starts, SHAPES if joints == 1 else 1)
+        ]
         if isinstance(plant.dynamics, CompiledFamily):
             signs += [Sign(name) for name, value in plant.nominal.items() if value]
         return Signatures(tuple(signs), sizes_of(plant, reference))
 
-    def evidence(self, predictor: Predictor, episode: Episode, of: Missed, healthy: Healthy, residuals: Residuals) -> Residuals:
+    def evidence(
+        self,
+        predictor: Predictor,
+        episode: Episode,
+        of: Missed,
+        healthy: Healthy,
+        residuals: Residuals,
+    ) -> Residuals:
         """The residuals with what they have in common with each signature."""
         plant = predictor.plant
         base, hypothesis, scheme = _base(predictor)
@@ -68,53 +82,83 @@ class Signatures:
         for sign in self.signs:
             hypothesis = hypothesis | sign.of if sign.start else hypothesis
         series = whole(plant, episode, scheme, of.first)
-        init = np.repeat(np.nan_to_num(past_states(plant, episode)[of.first])[:, :, None], block.shape[1], axis=2)
+        init = np.repeat(
+            np.nan_to_num(past_states(plant, episode)[of.first])[:, :, None], block.shape[1], axis=2
+        )
         with np.errstate(over="ignore", invalid="ignore"):
-            out = roll(series, plant.form, block, switches(hypothesis, len(plant.joints)), init)[:, plant.state_columns]
-            moved = (out[of.rows, :, 1 : len(lanes)] - out[of.rows, :, :1]) / (plant.scales * healthy.at(of))[:, :, None]
-            sound = np.isfinite(moved).all(axis=(0, 1)) & (np.abs(moved).max(axis=(0, 1), initial=0.0) < np.sqrt(np.finfo(float).max))
+            out = roll(series, plant.form, block, switches(hypothesis, len(plant.joints)), init)[
+                :, plant.state_columns
+            ]
+            moved = (out[of.rows, :, 1 : len(lanes)] - out[of.rows, :, :1]) / (
+                plant.scales * healthy.at(of)
+            )[:, :, None]
+            sound = np.isfinite(moved).all(axis=(0, 1)) & (
+                np.abs(moved).max(axis=(0, 1), initial=0.0) < np.sqrt(np.finfo(float).max)
+            )
         moved = np.where(sound & (np.isfinite(of.values))[:, :, None], moved, 0.0)
         weighted = moved * residuals.weight[:, None, None]
         common = -np.einsum("icl,ic->il", weighted, residuals.values)
         power = np.einsum("icl,icl->il", weighted, moved)
         starts = np.flatnonzero(np.diff(of.window, prepend=-1))
-        return replace(residuals, evidence=np.stack([np.add.reduceat(x, starts) for x in (common, power)], axis=2))
+        return replace(
+            residuals,
+            evidence=np.stack([np.add.reduceat(x, starts) for x in (common, power)], axis=2),
+        )
 
     def _lane(self, plant: Plant, base: Array, acting: Hypothesis, index: int) -> Array:
-        """The model with a little more of one sign: begun where the effect does not act yet, else one of its numbers grown."""
+        """The model with a little more of one sign: begun where the effect does not act yet, else
+        one of its numbers grown."""
         sign = self.signs[index]
         if sign.start and sign.of not in acting.effects:
             return begun(plant.block, base, self.scales[joint(sign.of)], sign.of, sign.start)
         shape = index - [s.of for s in self.signs].index(sign.of)
-        rows = plant.block.rows(sign.of) if sign.start else (plant.dynamics.parameter_names.index(sign.of),)
+        rows = (
+            plant.block.rows(sign.of)
+            if sign.start
+            else (plant.dynamics.parameter_names.index(sign.of),)
+        )
         values = base.copy()
         values[rows[shape % len(rows)]] *= 1.0 + STEP
         return values
 
     def names(self, plant: Plant) -> list[str]:
-        """What each signature is of, for people: an effect, with its joint where there are several, or a parameter."""
+        """What each signature is of, for people: an effect, with its joint where there are several,
+        or a parameter."""
         several = len(plant.joints) > 1
         return [
-            (f"{kind(s.of).name} at {plant.joint_name(joint(s.of))}" if several else s.of) if s.start else f"parameter {s.of}"
+            (f"{kind(s.of).name} at {plant.joint_name(joint(s.of))}" if several else s.of)
+            if s.start
+            else f"parameter {s.of}"
             for s in self.signs
         ]
 
     def document(self) -> dict[str, Json]:
         """The same as JSON; a number that begins at its null is null."""
         return {
-            "signs": [{"of": s.of, "start": [None if np.isnan(x) else x for x in s.start]} for s in self.signs],
-            "scales": [[s.position, s.velocity, s.acceleration, s.command, s.error] for s in self.scales],
+            "signs": [
+                {"of": s.of, "start": [None if np.isnan(x) else x for x in s.start]}
+                for s in self.signs
+            ],
+            "scales": [
+                [s.position, s.velocity, s.acceleration, s.command, s.error] for s in self.scales
+            ],
         }
 
     @staticmethod
     def from_document(document: Any) -> Signatures:
         """Read them back. Raises KeyError, TypeError, ValueError."""
-        signs = tuple(Sign(s["of"], tuple(NULL if x is None else float(x) for x in s["start"])) for s in document["signs"])
-        return Signatures(signs, tuple(Scales(*map(float, numbers)) for numbers in document["scales"]))
+        signs = tuple(
+            Sign(s["of"], tuple(NULL if x is None else float(x) for x in s["start"]))
+            for s in document["signs"]
+        )
+        return Signatures(
+            signs, tuple(Scales(*map(float, numbers)) for numbers in document["scales"])
+        )
 
 
 def _base(predictor: Predictor) -> tuple[Array, Hypothesis, Scheme]:
-    """The model that signatures are differences from: the predictor itself where it is a form with numbers, else the plant's own."""
+    """The model that signatures are differences from: the predictor itself where it is a form with
+    numbers, else the plant's own."""
     if isinstance(predictor, Corrected):
         return np.array(predictor.values), predictor.hypothesis, predictor.scheme
     plant, values = predictor.plant, predictor.plant.block.nulls.copy()
@@ -124,9 +168,14 @@ def _base(predictor: Predictor) -> tuple[Array, Hypothesis, Scheme]:
 
 
 def _shapes(starts: Sequence[tuple[float, ...]], most: int) -> list[tuple[float, ...]]:
-    """Some of the starts, from the first to the last; of two that differ in the sign alone the first."""
+    """Some of the starts, from the first to the last; of two that differ in the sign alone the
+    first."""
     kept: list[tuple[float, ...]] = []
     for start in starts:
         if tuple(-x for x in start) not in kept:
             kept.append(start)
-    return [kept[i] for i in np.unique(np.linspace(0, len(kept) - 1, most).round().astype(int))] if most > 1 else [kept[len(kept) // 3]]
+    return (
+        [kept[i] for i in np.unique(np.linspace(0, len(kept) - 1, most).round().astype(int))]
+        if most > 1
+        else [kept[len(kept) // 3]]
+    )

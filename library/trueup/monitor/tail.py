@@ -1,8 +1,8 @@
 """The tail behind the largest healthy values: what a reference is too short to show.
 
-Excesses over a threshold are taken for a Pareto tail of index INDEX, heavier than an exponential on purpose: the fifth largest of a hundred
-values says little of the thousandth.
-Source: J. Pickands, Annals of Statistics 3 (1975), for the form that excesses over a high threshold take.
+Excesses over a threshold are taken for a Pareto tail of index INDEX, heavier than an exponential on
+purpose: the fifth largest of a hundred values says little of the thousandth. Source: J. Pickands,
+Annals of Statistics 3 (1975), for the form that excesses over a high threshold take.
 """
 
 from __future__ import annotations
@@ -35,7 +35,12 @@ class Tail:
 
     def quantile(self, chance: float | Array) -> Array:
         """The value that is passed with a chance, at most `share`."""
-        return np.asarray(self.threshold + self.excess * (INDEX - 1.0) * ((np.asarray(chance) / self.share) ** (-1.0 / INDEX) - 1.0))
+        return np.asarray(
+            self.threshold
+            + self.excess
+            * (INDEX - 1.0)
+            * ((np.asarray(chance) / self.share) ** (-1.0 / INDEX) - 1.0)
+        )
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
         """Values behind the threshold, `(count,)`."""

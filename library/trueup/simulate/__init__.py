@@ -1,1 +1,2 @@
-"""A second simulator: known truths for blind trials, demonstrations and tests. It shares no line with the models it checks."""
+"""A second simulator: known truths for blind trials, demonstrations and tests. It shares no line
+with the models it checks."""

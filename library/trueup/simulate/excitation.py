@@ -31,4 +31,6 @@ def planned(shape: str, samples: int, timestep_s: float, rng: np.random.Generato
             at += hold
         return series
     period = rng.uniform(2.0, 6.0)
-    return np.asarray(rng.uniform(0.7, 0.9) * (4.0 * np.abs((t / period + rng.uniform()) % 1.0 - 0.5) - 1.0))
+    return np.asarray(
+        rng.uniform(0.7, 0.9) * (4.0 * np.abs((t / period + rng.uniform()) % 1.0 - 0.5) - 1.0)
+    )

@@ -1,9 +1,10 @@
 """Machine: one joint with known imperfections, integrated on a step far finer than its log.
 
-Written apart from the models that are fitted to what it produces, and on purpose in other laws: velocity-verlet steps, friction
-after Karnopp with an exponential Stribeck curve, Bouc-Wen hysteresis of exponent 2, a one-way damped stop. What resists a motion is
-taken at the middle of a fine step, as the last step foretells it.
-Sources: D. Karnopp, ASME Journal of Dynamic Systems 107 (1985); R. Bouc (1967), Y.-K. Wen (1976).
+Written apart from the models that are fitted to what it produces, and on purpose in other laws:
+velocity-verlet steps, friction after Karnopp with an exponential Stribeck curve, Bouc-Wen
+hysteresis of exponent 2, a one-way damped stop. What resists a motion is taken at the middle of a
+fine step, as the last step foretells it. Sources: D. Karnopp, ASME Journal of Dynamic Systems 107
+(1985); R. Bouc (1967), Y.-K. Wen (1976).
 """
 
 from __future__ import annotations
@@ -66,14 +67,18 @@ SLOTS: Mapping[str, tuple[str, ...]] = {
 BEYOND = tuple(list(SLOTS)[-8:])
 FIRST = dict(zip(SLOTS, np.cumsum([0] + [len(v) for v in SLOTS.values()])[:-1], strict=True))
 SIZE = sum(len(v) for v in SLOTS.values())
-(S_COULOMB, S_STRIBECK, S_DRAG, S_CUBIC, S_FORCE, S_HYST, S_STOP, S_COG, S_ELASTIC, S_LOAD, S_VASYM, S_DEAD, S_PLAY, S_LAG, S_DELAY,
- S_SAT, S_RATE, S_HEAT, S_ASYM, S_CQUANT, S_QGAIN, S_SDELAY, S_BIAS, S_SCALE, S_SQUANT, S_DRIFT, S_VLAG, S_SKEW, S_DROP, S_KMOD, S_VDP,
- S_PDAMP, S_SPEED, S_MODE, S_VISCO, S_ASTIFF, S_GROW) = (int(FIRST[name]) for name in SLOTS)  # fmt: skip
+(S_COULOMB, S_STRIBECK, S_DRAG, S_CUBIC, S_FORCE, S_HYST, S_STOP, S_COG, S_ELASTIC, S_LOAD,
+    S_VASYM, S_DEAD, S_PLAY, S_LAG, S_DELAY,
+ S_SAT, S_RATE, S_HEAT, S_ASYM, S_CQUANT, S_QGAIN, S_SDELAY, S_BIAS, S_SCALE, S_SQUANT, S_DRIFT,
+ S_VLAG, S_SKEW, S_DROP, S_KMOD, S_VDP,
+ S_PDAMP, S_SPEED, S_MODE, S_VISCO, S_ASTIFF,
+ S_GROW) = (int(FIRST[name]) for name in SLOTS)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A joint: its kind, its true k, c, b (per unit mass), its command limit, and what else is wrong with it.
+    """A joint: its kind, its true k, c, b (per unit mass), its command limit, and what else is
+    wrong with it.
 
     `bounds` are the command's limits where they are not +-limit.
     """
@@ -102,8 +107,8 @@ class Machine:
 
 @dataclass(frozen=True)
 class Run:
-    """A log: sample times [s] `(n,)`, issued commands `(n,)`, observed position and velocity `(n, 2)`; of a robot `(n, joints)` and
-    `(n, 2 x joints)`.
+    """A log: sample times [s] `(n,)`, issued commands `(n,)`, observed position and velocity `(n,
+    2)`; of a robot `(n, joints)` and `(n, 2 x joints)`.
     """
 
     t_s: Array
@@ -120,12 +125,16 @@ class Feedback:
 
 
 def run(
-    machine: Machine, planned: Array, timestep_s: float, parts: int, sigma: tuple[float, float], rng: np.random.Generator,
-    start: tuple[float, float] = (0.0, 0.0), warm_up: int = 0, feedback: Feedback | None = None, law: Noise = WHITE,
+    machine: Machine, planned: Array, timestep_s: float, parts: int, sigma: tuple[float, float],
+    rng: np.random.Generator,
+    start: tuple[float, float] = (0.0, 0.0), warm_up: int = 0, feedback: Feedback | None = None,
+    law: Noise = WHITE,
 ) -> Run:  # fmt: skip
-    """Run a machine on planned commands, or references with feedback, `(warm_up + n,)`; the log begins after the warm-up.
+    """Run a machine on planned commands, or references with feedback, `(warm_up + n,)`; the log
+    begins after the warm-up.
 
-    `parts` fine steps make a sample; with one, the step is the plain semi-implicit one of a discrete-time plant.
+    `parts` fine steps make a sample; with one, the step is the plain semi-implicit one of a
+    discrete-time plant.
     """
     numbers, present = machine.vector()
     total = len(planned)
@@ -134,16 +143,33 @@ def run(
     low, high = machine.bounds or (-machine.limit, machine.limit)
     gains = (feedback.kp, feedback.kd) if feedback else (0.0, 0.0)
     issued, observed = _run(
-        KINDS[machine.kind], machine.k, machine.c, machine.b, low, high, machine.limit, numbers, present, np.ascontiguousarray(planned),
+        KINDS[machine.kind], machine.k, machine.c, machine.b, low, high, machine.limit, numbers,
+        present, np.ascontiguousarray(planned),
         timestep_s, parts,
         noise, lost, start[0], start[1], warm_up, feedback is not None, gains[0], gains[1],
     )  # fmt: skip
     kept = slice(warm_up, total)
-    return Run(np.asarray(np.arange(total - warm_up) * timestep_s, np.float64), issued[kept].copy(), observed[kept].copy())
+    return Run(
+        np.asarray(np.arange(total - warm_up) * timestep_s, np.float64),
+        issued[kept].copy(),
+        observed[kept].copy(),
+    )
 
 
 # What a joint remembers between fine steps.
-(M_PLAY, M_LAG, M_RATE, M_HEAT, M_WIND, M_CREEP, M_MODE, M_MODE_SPEED, M_TWIST, M_TWIST_SPEED, M_SLOW) = range(11)
+(
+    M_PLAY,
+    M_LAG,
+    M_RATE,
+    M_HEAT,
+    M_WIND,
+    M_CREEP,
+    M_MODE,
+    M_MODE_SPEED,
+    M_TWIST,
+    M_TWIST_SPEED,
+    M_SLOW,
+) = range(11)
 MEMORY = 11
 
 
@@ -216,7 +242,8 @@ def driven(n, has, m, u, h, fine, limit):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def pulling(n, has, m, force, x, w, h):  # type: ignore[no-untyped-def]
-    """A force with those added that act on a joint at position `x` and velocity `w`, dry friction apart."""
+    """A force with those added that act on a joint at position `x` and velocity `w`, dry friction
+    apart."""
     force += n[S_FORCE] - n[S_DRAG] * w * abs(w) - n[S_CUBIC] * x**3
     if has[S_COG]:
         force += n[S_COG] * np.sin(2.0 * np.pi * x / n[S_COG + 1] + n[S_COG + 2])
@@ -232,7 +259,11 @@ def pulling(n, has, m, force, x, w, h):  # type: ignore[no-untyped-def]
             force -= push if x > 0.0 else -push
     if has[S_HYST]:
         # exponent 2: the restoring part follows |z|
-        m[M_WIND] += h * (w - 0.5 * abs(w) * abs(m[M_WIND]) * m[M_WIND] - 0.5 * w * m[M_WIND] * m[M_WIND]) / n[S_HYST + 1]
+        m[M_WIND] += (
+            h
+            * (w - 0.5 * abs(w) * abs(m[M_WIND]) * m[M_WIND] - 0.5 * w * m[M_WIND] * m[M_WIND])
+            / n[S_HYST + 1]
+        )
         force -= n[S_HYST] * m[M_WIND]
     if has[S_VISCO]:
         m[M_CREEP] += h * (x - m[M_CREEP]) / n[S_VISCO + 1]
@@ -247,7 +278,8 @@ def pulling(n, has, m, force, x, w, h):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def sticking(n, has, w, load, now):  # type: ignore[no-untyped-def]
-    """The force up to which dry friction holds a joint that moves at `w`; `load` is what its transmission carries."""
+    """The force up to which dry friction holds a joint that moves at `w`; `load` is what its
+    transmission carries."""
     stick = n[S_COULOMB] + n[S_LOAD] * abs(load) / 2.0 + n[S_GROW] * max(now, 0.0)
     if has[S_STRIBECK]:
         stick += n[S_STRIBECK] + n[S_STRIBECK + 1] * np.exp(-((w / n[S_STRIBECK + 2]) ** 2))
@@ -257,12 +289,37 @@ def sticking(n, has, w, load, now):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def observed_velocity(n, has, m, v, gained, h):  # type: ignore[no-untyped-def]
     """The velocity that is observed: a slow estimate lags behind."""
-    m[M_SLOW] = m[M_SLOW] + (v - 0.5 * gained - m[M_SLOW]) * (1.0 - np.exp(-h / n[S_VLAG])) if has[S_VLAG] else v
+    m[M_SLOW] = (
+        m[M_SLOW] + (v - 0.5 * gained - m[M_SLOW]) * (1.0 - np.exp(-h / n[S_VLAG]))
+        if has[S_VLAG]
+        else v
+    )
     return m[M_SLOW]
 
 
 @njit(cache=True)
-def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, lost, q, v, warm_up, closed, kp, kd):  # type: ignore[no-untyped-def]
+def _run(
+    kind,
+    k,
+    c,
+    b,
+    low,
+    high,
+    limit,
+    n,
+    has,
+    planned,
+    dt,
+    parts,
+    noise,
+    lost,
+    q,
+    v,
+    warm_up,
+    closed,
+    kp,
+    kd,
+):  # type: ignore[no-untyped-def]
     total, fine = len(planned), parts > 1
     h = dt * (1.0 + n[S_SKEW]) / parts
     issued, observed = np.zeros(total), np.zeros((total, 2))
@@ -273,7 +330,9 @@ def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, los
         now = (i - warm_up) * dt
         seen_q, seen_v = sensed(n, fine_q, fine_v, i * parts, h, now)
         last = observed[i - 1] if i > 0 else observed[0]
-        seen_q, seen_v = stored(n, has, seen_q + noise[i, 0], seen_v + noise[i, 1], lost[i], last[0], last[1], i == 0)
+        seen_q, seen_v = stored(
+            n, has, seen_q + noise[i, 0], seen_v + noise[i, 1], lost[i], last[0], last[1], i == 0
+        )
         observed[i, 0], observed[i, 1] = seen_q, seen_v
         u = kp * (planned[i] - seen_q) - kd * seen_v if closed else planned[i]
         issued[i] = min(max(u, low), high)
@@ -296,7 +355,9 @@ def _run(kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, los
             if has[S_ELASTIC]:
                 share = n[S_ELASTIC + 2]
                 coupling = n[S_ELASTIC] * m[M_TWIST] + n[S_ELASTIC + 1] * m[M_TWIST_SPEED]
-                m[M_TWIST_SPEED] += h * ((drive - coupling) / share - (force - damping * w + coupling) / (1.0 - share))
+                m[M_TWIST_SPEED] += h * (
+                    (drive - coupling) / share - (force - damping * w + coupling) / (1.0 - share)
+                )
                 m[M_TWIST] += h * m[M_TWIST_SPEED]
                 pulled = (force - damping * w + coupling) / (1.0 - share)
             else:

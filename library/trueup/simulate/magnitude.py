@@ -1,6 +1,7 @@
 """Magnitude: how large an imperfection is, by the gap that it makes.
 
-Its numbers grow from nothing with one magnitude, in proportion to a joint's own motion and forces, and the magnitude is bisected.
+Its numbers grow from nothing with one magnitude, in proportion to a joint's own motion and forces,
+and the magnitude is bisected.
 """
 
 from __future__ import annotations
@@ -16,16 +17,24 @@ from trueup.simulate.robot import RobotMachine
 
 Array = NDArray[np.float64]
 AnyMachine = TypeVar("AnyMachine", Machine, RobotMachine)
-Shape = Mapping[str, tuple[float, float, bool]]  # of each number: at magnitude 0, its growth, and whether it falls instead
+Shape = Mapping[
+    str, tuple[float, float, bool]
+]  # of each number: at magnitude 0, its growth, and whether it falls instead
 ROUNDS = 18  # of bisection for a magnitude
 CLOSE = 0.1  # of what is wanted: close enough for a lot
-SHAKEN = 1.5  # times the motion without it: a drive that an imperfection makes unstable is no machine that anybody logs
+# times the motion without it: a drive that an imperfection makes unstable is no machine that
+# anybody logs
+SHAKEN = 1.5
 
 
-def shape_of(name: str, s: Mapping[str, float], rng: np.random.Generator, *, hardens: bool) -> dict[str, tuple[float, float, bool]]:
-    """Of each number: its value at magnitude 0 and its growth with magnitude, or (value, 0) where it does not grow.
+def shape_of(
+    name: str, s: Mapping[str, float], rng: np.random.Generator, *, hardens: bool
+) -> dict[str, tuple[float, float, bool]]:
+    """Of each number: its value at magnitude 0 and its growth with magnitude, or (value, 0) where
+    it does not grow.
 
-    `s` are the sizes of the joint's motion and forces; a cubic spring `hardens` where nothing else holds the joint.
+    `s` are the sizes of the joint's motion and forces; a cubic spring `hardens` where nothing else
+    holds the joint.
     """
     a, q, v, u, t = s["acceleration"], s["position"], s["velocity"], s["command"], s["time"]
     sign = float(rng.choice([-1.0, 1.0]))
@@ -51,9 +60,21 @@ def shape_of(name: str, s: Mapping[str, float], rng: np.random.Generator, *, har
         "cubic_stiffness": {"coefficient": grows(a / q**3 * (1.0 if hardens else sign) * 0.3)},
         "constant_force": {"level": grows(a * sign)},
         "hysteresis": {"level": grows(a), "distance": fixed(q * rng.uniform(0.15, 0.6))},
-        "hard_stop": {"limit": shrinks(s["travel"]), "stiffness": fixed(400.0 * a / q), "damping": fixed(5.0 * a / v)},
-        "cogging": {"amplitude": grows(a), "pitch": fixed(q * rng.uniform(0.3, 1.2)), "phase": fixed(rng.uniform(0, 6.28))},
-        "elastic_transmission": {"stiffness": shrinks(40.0 / t**2), "damping": fixed(0.15 / t), "share": fixed(rng.uniform(0.15, 0.5))},
+        "hard_stop": {
+            "limit": shrinks(s["travel"]),
+            "stiffness": fixed(400.0 * a / q),
+            "damping": fixed(5.0 * a / v),
+        },
+        "cogging": {
+            "amplitude": grows(a),
+            "pitch": fixed(q * rng.uniform(0.3, 1.2)),
+            "phase": fixed(rng.uniform(0, 6.28)),
+        },
+        "elastic_transmission": {
+            "stiffness": shrinks(40.0 / t**2),
+            "damping": fixed(0.15 / t),
+            "share": fixed(rng.uniform(0.15, 0.5)),
+        },
         "load_dependent_friction": {"coefficient": grows(1.0)},
         "asymmetric_viscous_friction": {"difference": grows(a / v * sign)},
         "deadband": {"width": grows(u)},
@@ -78,8 +99,15 @@ def shape_of(name: str, s: Mapping[str, float], rng: np.random.Generator, *, har
         "van_der_pol": {"strength": grows(a / v), "width": fixed(q)},
         "position_damping": {"coefficient": grows(a / v / q)},
         "torque_speed": {"loss": grows(0.3 / v)},
-        "hidden_mode": {"stiffness": grows(a / q), "damping": fixed(0.02 * a / v), "share": fixed(rng.uniform(0.1, 0.4))},
-        "viscoelastic": {"stiffness": grows(a / q), "time_constant": fixed(t * rng.uniform(0.5, 2.0))},
+        "hidden_mode": {
+            "stiffness": grows(a / q),
+            "damping": fixed(0.02 * a / v),
+            "share": fixed(rng.uniform(0.1, 0.4)),
+        },
+        "viscoelastic": {
+            "stiffness": grows(a / q),
+            "time_constant": fixed(t * rng.uniform(0.5, 2.0)),
+        },
         "asymmetric_stiffness": {"change": grows(sign)},
         "growing_friction": {"rate": grows(a / 8.0)},
     }
@@ -95,18 +123,28 @@ def as_large_as(
     column: int,
     joint: int = 0,
 ) -> tuple[AnyMachine, float]:
-    """The machine with one imperfection more, its magnitude bisected until it moves an observed column by `wanted` of its motion, and what
-    it moves it by: 0 where it only makes the machine shake.
+    """The machine with one imperfection more, its magnitude bisected until it moves an observed
+    column by `wanted` of its motion, and what it moves it by: 0 where it only makes the machine
+    shake.
     """
     without = observe(machine)
     low, high, best, reached = 0.0, 1.0, machine, 0.0  # the largest that is not too large
     grows = any(by or falls for _, by, falls in shape.values())
     for _ in range(ROUNDS if grows else 1):
         size = 0.5 * (low + high)
-        tried = machine.having(name, {key: at * (1.0 - size) if falls else at + by * size for key, (at, by, falls) in shape.items()}, joint)
+        tried = machine.having(
+            name,
+            {
+                key: at * (1.0 - size) if falls else at + by * size
+                for key, (at, by, falls) in shape.items()
+            },
+            joint,
+        )
         with_it = observe(tried)
         with np.errstate(over="ignore", invalid="ignore"):  # a machine that runs away is too much
-            gap = float(np.sqrt(np.mean((with_it - without)[:, column] ** 2)) / without[:, column].std())
+            gap = float(
+                np.sqrt(np.mean((with_it - without)[:, column] ** 2)) / without[:, column].std()
+            )
             sane = bool((with_it.std(axis=0) < SHAKEN * without.std(axis=0)).all())
         gap = gap if sane else np.inf
         if gap > (1.0 + CLOSE) * wanted:

@@ -1,6 +1,7 @@
 """Noise: what a sensor adds to what it senses.
 
-Encoders, filters and differentiated velocities make noise that remembers itself from sample to sample, and some of it has outliers.
+Encoders, filters and differentiated velocities make noise that remembers itself from sample to
+sample, and some of it has outliers.
 """
 
 from __future__ import annotations
@@ -18,19 +19,24 @@ FORGOTTEN = 200  # samples before the first that counts
 class Noise:
     """A law of noise, of standard deviation 1.
 
-    Equation: n(k) = correlation * n(k - 1) + sqrt(1 - correlation^2) * w(k), w independent, normal or Student's t with `tails` degrees of
-    freedom, more than 2; 0 stands for normal.
-    Source: G. E. P. Box, G. M. Jenkins, Time Series Analysis (1970), section 3.2.
+    Equation: n(k) = correlation * n(k - 1) + sqrt(1 - correlation^2) * w(k), w independent, normal
+    or Student's t with `tails` degrees of freedom, more than 2; 0 stands for normal. Source: G. E.
+    P. Box, G. M. Jenkins, Time Series Analysis (1970), section 3.2.
     """
 
     correlation: float = 0.0
     tails: float = 0.0
 
     def drawn(self, rng: np.random.Generator, samples: int, channels: int) -> Array:
-        """Noise of independent channels, `(samples, channels)`; white and normal noise takes one draw for each number."""
+        """Noise of independent channels, `(samples, channels)`; white and normal noise takes one
+        draw for each number."""
         before = FORGOTTEN if self.correlation else 0
         size = (samples + before, channels)
-        fresh = rng.standard_t(self.tails, size) / np.sqrt(self.tails / (self.tails - 2.0)) if self.tails else rng.normal(size=size)
+        fresh = (
+            rng.standard_t(self.tails, size) / np.sqrt(self.tails / (self.tails - 2.0))
+            if self.tails
+            else rng.normal(size=size)
+        )
         if not self.correlation:
             return fresh
         kept, noise = np.sqrt(1.0 - self.correlation**2), fresh

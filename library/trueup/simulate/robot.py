@@ -1,8 +1,11 @@
-"""Robot: a tree of joints with known imperfections, its rigid bodies simulated by MuJoCo on a step far finer than its log.
+"""Robot: a tree of joints with known imperfections, its rigid bodies simulated by MuJoCo on a step
+far finer than its log.
 
-The laws at a joint are those of a machine of one; forces are generalised ones. Positions drift by half a fine step, MuJoCo says how the
-velocities change there, at those of the middle as the last step foretells them, and positions drift by another half. Dry friction is
-MuJoCo's friction loss, made as hard as it can be. What acts on a whole log, a skewed clock or lost frames, acts at every joint alike.
+The laws at a joint are those of a machine of one; forces are generalised ones. Positions drift by
+half a fine step, MuJoCo says how the velocities change there, at those of the middle as the last
+step foretells them, and positions drift by another half. Dry friction is MuJoCo's friction loss,
+made as hard as it can be. What acts on a whole log, a skewed clock or lost frames, acts at every
+joint alike.
 """
 
 from __future__ import annotations
@@ -60,9 +63,18 @@ from trueup.simulate.machine import (
 )
 
 Array = NDArray[np.float64]
-OF_DRIVE = ("saturation", "deadband", "gain_asymmetry", "thermal_derating", "quadratic_gain")  # at a servo they act on its error
+OF_DRIVE = (
+    "saturation",
+    "deadband",
+    "gain_asymmetry",
+    "thermal_derating",
+    "quadratic_gain",
+)  # at a servo they act on its error
 OF_LOG = ("clock_skew", "dropped_frames")
-OF_A_SPRING = ("k_modulated", "asymmetric_stiffness")  # of a family's own: a tree's joints have none to speak of
+OF_A_SPRING = (
+    "k_modulated",
+    "asymmetric_stiffness",
+)  # of a family's own: a tree's joints have none to speak of
 ROTOR = 0.8  # of a joint's armature, at most, is a rotor behind a spring
 LEAST_MASS, LEAST_INERTIA = 1e-9, 1e-12  # [kg, kg m^2] MuJoCo wants some of every body that moves
 HARD, STIFF = "0.9999 0.9999", 2.0  # of friction: impedance, and a time constant in fine steps
@@ -70,8 +82,8 @@ HARD, STIFF = "0.9999 0.9999", 2.0  # of friction: impedance, and a time constan
 
 @dataclass(frozen=True)
 class RobotMachine:
-    """A robot: its true numbers, the limits of its commands `(joints,)`, the size of each joint's drive, and what else is wrong with it, by
-    effect and joint."""
+    """A robot: its true numbers, the limits of its commands `(joints,)`, the size of each joint's
+    drive, and what else is wrong with it, by effect and joint."""
 
     tree: Tree
     low: Array
@@ -96,7 +108,8 @@ class RobotMachine:
 
 @dataclass(frozen=True)
 class Follow:
-    """u = planned + kp (reference - position) + kd (its velocity - velocity), on observed values, `(joints,)` each."""
+    """u = planned + kp (reference - position) + kd (its velocity - velocity), on observed values,
+    `(joints,)` each."""
 
     kp: Array
     kd: Array
@@ -104,8 +117,8 @@ class Follow:
 
 @dataclass(frozen=True)
 class RobotPlan:
-    """One recording's commands `(samples, joints)`, and the states that they led to `(samples, 2 x joints)`: it starts from
-    the first.
+    """One recording's commands `(samples, joints)`, and the states that they led to `(samples, 2 x
+    joints)`: it starts from the first.
     """
 
     role: str
@@ -120,15 +133,23 @@ class RobotPlan:
 
     def led_in(self, samples: int) -> RobotPlan:
         """With a beginning before it: its own, backwards, so that the robot is under way."""
-        way = RobotPlan(self.role, self.commands[1 : samples + 1], self.reached[1 : samples + 1]).backwards(self.role)
-        return RobotPlan(self.role, np.concatenate([way.commands, self.commands]), np.concatenate([way.reached, self.reached]))
+        way = RobotPlan(
+            self.role, self.commands[1 : samples + 1], self.reached[1 : samples + 1]
+        ).backwards(self.role)
+        return RobotPlan(
+            self.role,
+            np.concatenate([way.commands, self.commands]),
+            np.concatenate([way.reached, self.reached]),
+        )
 
 
 def run(
-    machine: RobotMachine, plan: RobotPlan, timestep_s: float, parts: int, sigma: Array, rng: np.random.Generator,
+    machine: RobotMachine, plan: RobotPlan, timestep_s: float, parts: int, sigma: Array,
+    rng: np.random.Generator,
     warm_up: int = 0, follow: Follow | None = None,
 ) -> Run:  # fmt: skip
-    """Run a robot on a plan; the log begins after so many samples of warm-up, `parts` fine steps make a sample."""
+    """Run a robot on a plan; the log begins after so many samples of warm-up, `parts` fine steps
+    make a sample."""
     engine = mujoco()
     plan = plan.led_in(warm_up)
     numbers, present = machine.vectors()
@@ -145,7 +166,9 @@ def run(
     gained = np.zeros(joints)
     for i in range(total):
         last = observed[i - 1] if i else observed[0]
-        drive.see(i * parts, (i - warm_up) * timestep_s, noise[i], lost[i], last, i == 0, observed[i])
+        drive.see(
+            i * parts, (i - warm_up) * timestep_s, noise[i], lost[i], last, i == 0, observed[i]
+        )
         u = plan.commands[i]
         if follow is not None:
             missed = plan.reached[i] - observed[i]
@@ -159,56 +182,115 @@ def run(
             model.dof_frictionloss[:] = drive.friction
             for stage in (engine.mj_fwdPosition, engine.mj_fwdVelocity):
                 stage(model, data)
-            data.efc_aref[:] = -before[drive.friction > 0.0] / h  # friction that holds ends the step at rest
-            for stage in (engine.mj_fwdActuation, engine.mj_fwdAcceleration, engine.mj_fwdConstraint):
+            data.efc_aref[:] = (
+                -before[drive.friction > 0.0] / h
+            )  # friction that holds ends the step at rest
+            for stage in (
+                engine.mj_fwdActuation,
+                engine.mj_fwdAcceleration,
+                engine.mj_fwdConstraint,
+            ):
                 stage(model, data)
             gained = h * data.qacc
             data.qvel[:] = before + gained
             data.qpos += 0.5 * h * data.qvel
             drive.moved(i * parts + part, gained, data)
     kept = slice(warm_up, total)
-    return Run(np.asarray(np.arange(total - warm_up) * timestep_s, np.float64), issued[kept].copy(), observed[kept].copy())
+    return Run(
+        np.asarray(np.arange(total - warm_up) * timestep_s, np.float64),
+        issued[kept].copy(),
+        observed[kept].copy(),
+    )
 
 
 class _Drive:
     """What happens at the joints of a robot, between the commands and MuJoCo."""
 
-    def __init__(self, numbers: Array, present: NDArray[np.bool_], machine: RobotMachine, h: float, parts: int, samples: int) -> None:
+    def __init__(
+        self,
+        numbers: Array,
+        present: NDArray[np.bool_],
+        machine: RobotMachine,
+        h: float,
+        parts: int,
+        samples: int,
+    ) -> None:
         joints, steps = len(numbers), samples * parts + 1
         of_drive = np.zeros(SIZE, np.bool_)
         for name in OF_DRIVE:
             of_drive[FIRST[name] : FIRST[name] + len(SLOTS[name])] = True
         self.of_joints = (numbers, present, present & of_drive, present & ~of_drive)
         self.own = (
-            np.column_stack([machine.tree.at_joint[:, [GAIN, SERVO, FRICTION]], machine.tree.constants[:, LIMIT]]),
+            np.column_stack(
+                [
+                    machine.tree.at_joint[:, [GAIN, SERVO, FRICTION]],
+                    machine.tree.constants[:, LIMIT],
+                ]
+            ),
             np.ascontiguousarray(machine.tree.constants[:, OFFSET]),
             machine.drive,
             h,
         )
         self.memory = np.zeros((joints, MEMORY))
-        self.q, self.v, self.u = np.zeros((joints, steps)), np.zeros((joints, steps)), np.zeros((joints, steps))
+        self.q, self.v, self.u = (
+            np.zeros((joints, steps)),
+            np.zeros((joints, steps)),
+            np.zeros((joints, steps)),
+        )
         self.friction = np.zeros(joints)
 
     def begin(self, state: Array, issued: Array) -> None:
         """From a state `(2 x joints,)`, with drives that have followed their commands."""
         joints = len(self.friction)
         self.memory[:, [M_PLAY, M_LAG, M_RATE]] = issued[:, None]
-        self.q[:, 0], self.v[:, 0], self.memory[:, M_SLOW] = state[:joints], state[joints:], state[joints:]
+        self.q[:, 0], self.v[:, 0], self.memory[:, M_SLOW] = (
+            state[:joints],
+            state[joints:],
+            state[joints:],
+        )
 
-    def see(self, k: int, now: float, noise: Array, luck: float, last: Array, first: bool, out: Array) -> None:
+    def see(
+        self, k: int, now: float, noise: Array, luck: float, last: Array, first: bool, out: Array
+    ) -> None:
         """Write what the log keeps."""
-        _see(self.of_joints[0], self.of_joints[1], self.q, self.v, k, self.own[3], now, noise, luck, last, first, out)
+        _see(
+            self.of_joints[0],
+            self.of_joints[1],
+            self.q,
+            self.v,
+            k,
+            self.own[3],
+            now,
+            noise,
+            luck,
+            last,
+            first,
+            out,
+        )
 
     def act(self, k: int, now: float, issued: Array, gained: Array, data: Any) -> None:
-        """Set MuJoCo's controls and forces, and the friction at each joint. `gained` is the velocity that the last fine step gave."""
+        """Set MuJoCo's controls and forces, and the friction at each joint. `gained` is the
+        velocity that the last fine step gave."""
         _act(
-            *self.of_joints, *self.own, self.memory, self.u, k, now, issued, data.qpos, data.qvel, gained, data.qfrc_bias, data.ctrl,
+            *self.of_joints, *self.own, self.memory, self.u, k, now, issued, data.qpos, data.qvel,
+            gained, data.qfrc_bias, data.ctrl,
             data.qfrc_applied, self.friction,
         )  # fmt: skip
 
     def moved(self, k: int, gained: Array, data: Any) -> None:
         """Remember where a fine step led."""
-        _moved(self.of_joints[0], self.of_joints[1], self.own[3], self.memory, self.q, self.v, k, data.qpos, data.qvel, gained)
+        _moved(
+            self.of_joints[0],
+            self.of_joints[1],
+            self.own[3],
+            self.memory,
+            self.q,
+            self.v,
+            k,
+            data.qpos,
+            data.qvel,
+            gained,
+        )
 
 
 @njit(cache=True)
@@ -217,11 +299,34 @@ def _see(n, has, q, v, k, h, now, noise, luck, last, first, out):  # type: ignor
     for j in range(joints):
         seen_q, seen_v = sensed(n[j], q[j], v[j], k, h, now)
         seen_q, seen_v = seen_q + noise[j], seen_v + noise[joints + j]
-        out[j], out[joints + j] = stored(n[j], has[j], seen_q, seen_v, luck, last[j], last[joints + j], first)
+        out[j], out[joints + j] = stored(
+            n[j], has[j], seen_q, seen_v, luck, last[j], last[joints + j], first
+        )
 
 
 @njit(cache=True)
-def _act(n, has, of_drive, of_goal, own, offset, size, h, m, fine_u, k, now, issued, q, v, gained, bias, ctrl, applied, friction):  # type: ignore[no-untyped-def]
+def _act(
+    n,
+    has,
+    of_drive,
+    of_goal,
+    own,
+    offset,
+    size,
+    h,
+    m,
+    fine_u,
+    k,
+    now,
+    issued,
+    q,
+    v,
+    gained,
+    bias,
+    ctrl,
+    applied,
+    friction,
+):  # type: ignore[no-untyped-def]
     for j in range(len(n)):
         gain, servo, rubs, most = own[j, 0], own[j, 1], own[j, 2], own[j, 3]
         fine_u[j, k] = issued[j]
@@ -234,12 +339,22 @@ def _act(n, has, of_drive, of_goal, own, offset, size, h, m, fine_u, k, now, iss
             u = driven(n[j], has[j], m[j], u, h, True, size[j])
         x, w = q[j], v[j]
         drive = min(max(gain * (u - rest), -most), most)
-        force = pulling(n[j], has[j], m[j], 0.0, x, w, h) - n[j, S_VASYM] * abs(w) - drive * min(1.0, n[j, S_SPEED] * abs(w))
+        force = (
+            pulling(n[j], has[j], m[j], 0.0, x, w, h)
+            - n[j, S_VASYM] * abs(w)
+            - drive * min(1.0, n[j, S_SPEED] * abs(w))
+        )
         if has[j, S_ELASTIC]:
             stiffness, damping, inertia = n[j, S_ELASTIC], n[j, S_ELASTIC + 1], n[j, S_ELASTIC + 2]
             m[j, M_TWIST] += 0.5 * h * m[j, M_TWIST_SPEED]
-            foretold = m[j, M_TWIST_SPEED] - 0.5 * gained[j] + 0.5 * h * (drive - stiffness * m[j, M_TWIST]) / inertia
-            coupling = stiffness * m[j, M_TWIST] + damping * foretold / (1.0 + 0.5 * h * damping / inertia)
+            foretold = (
+                m[j, M_TWIST_SPEED]
+                - 0.5 * gained[j]
+                + 0.5 * h * (drive - stiffness * m[j, M_TWIST]) / inertia
+            )
+            coupling = stiffness * m[j, M_TWIST] + damping * foretold / (
+                1.0 + 0.5 * h * damping / inertia
+            )
             m[j, M_TWIST_SPEED] += h * (drive - coupling) / inertia
             force += coupling - drive
         ctrl[j], applied[j] = u, force
@@ -252,7 +367,10 @@ def _moved(n, has, h, m, fine_q, fine_v, k, q, v, gained):  # type: ignore[no-un
         if has[j, S_ELASTIC]:
             m[j, M_TWIST_SPEED] -= gained[j]
             m[j, M_TWIST] += 0.5 * h * m[j, M_TWIST_SPEED]
-        fine_q[j, k + 1], fine_v[j, k + 1] = q[j], observed_velocity(n[j], has[j], m[j], v[j], gained[j], h)
+        fine_q[j, k + 1], fine_v[j, k + 1] = (
+            q[j],
+            observed_velocity(n[j], has[j], m[j], v[j], gained[j], h),
+        )
 
 
 def _make_room_for_rotors(model: Any, numbers: Array, present: NDArray[np.bool_]) -> None:
@@ -277,32 +395,44 @@ def mjcf(tree: Tree, timestep_s: float) -> str:
         c, own = tree.constants[j], at_joint[j]
         inside = "".join(body(k) for k in children.get(j, []))
         return (
-            f'<body pos="{_text(c[FRAME + 9 : FRAME + 12])}" xyaxes="{_text(c[FRAME : FRAME + 6])}">'
-            f'<joint name="j{j}" type="{"slide" if c[SLIDE] else "hinge"}" axis="0 0 1" ref="{_text(c[ZERO])}" '
+            f'<body pos="{_text(c[FRAME + 9 : FRAME + 12])}" '
+            f'xyaxes="{_text(c[FRAME : FRAME + 6])}">'
+            f'<joint name="j{j}" type="{"slide" if c[SLIDE] else "hinge"}" axis="0 0 1" '
+            f'ref="{_text(c[ZERO])}" '
             f'springref="{_text(c[REST])}" '
-            f'stiffness="{_text(own[STIFFNESS])}" damping="{_text(own[DAMPING])}" armature="{_text(own[ARMATURE])}" '
-            f'frictionloss="{_text(own[FRICTION])}" solimpfriction="{HARD}" solreffriction="{_text(STIFF * timestep_s)} 1"/>'
+            f'stiffness="{_text(own[STIFFNESS])}" damping="{_text(own[DAMPING])}" '
+            f'armature="{_text(own[ARMATURE])}" '
+            f'frictionloss="{_text(own[FRICTION])}" solimpfriction="{HARD}" '
+            f'solreffriction="{_text(STIFF * timestep_s)} 1"/>'
             f"{_inertial(links[j])}{inside}</body>"
         )
 
     motors = "".join(
-        f'<general joint="j{j}" gainprm="{_text(own[GAIN])}" biastype="affine" biasprm="{_text(c[OFFSET], -own[SERVO])} 0"'
+        (
+            f'<general joint="j{j}" gainprm="{_text(own[GAIN])}" biastype="affine" '
+            f'biasprm="{_text(c[OFFSET], -own[SERVO])} 0"'
+        )
         + (f' forcerange="{_text(-c[LIMIT], c[LIMIT])}"' if c[LIMIT] < NO_LIMIT else "")
         + "/>"
         for j, (own, c) in enumerate(zip(at_joint, tree.constants, strict=True))
     )
     return (
         '<mujoco><compiler angle="radian" autolimits="true"/>'
-        f'<option timestep="{_text(timestep_s)}" integrator="implicitfast" gravity="{_text(tree.constants[0, GRAVITY : GRAVITY + 3])}"/>'
-        f"<worldbody>{''.join(body(j) for j in children[-1])}</worldbody><actuator>{motors}</actuator></mujoco>"
+        f'<option timestep="{_text(timestep_s)}" integrator="implicitfast" '
+        f'gravity="{_text(tree.constants[0, GRAVITY : GRAVITY + 3])}"/>'
+        f"<worldbody>{''.join(body(j) for j in children[-1])}</worldbody>"
+        f"<actuator>{motors}</actuator></mujoco>"
     )
 
 
 def _inertial(link: Array) -> str:
-    """A link's ten numbers about its own centre of mass; one without mass, where two joints move one body, has next to none."""
+    """A link's ten numbers about its own centre of mass; one without mass, where two joints move
+    one body, has next to none."""
     mass = max(float(link[0]), LEAST_MASS)
     at, (xx, yy, zz, xy, xz, yz) = link[1:4] / mass, link[4:]
-    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - mass * (at @ at * np.eye(3) - np.outer(at, at))
+    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - mass * (
+        at @ at * np.eye(3) - np.outer(at, at)
+    )
     about += np.eye(3) * LEAST_INERTIA * (link[0] <= LEAST_MASS)
     inertia = [*np.diag(about), about[0, 1], about[0, 2], about[1, 2]]
     return f'<inertial mass="{_text(mass)}" pos="{_text(at)}" fullinertia="{_text(inertia)}"/>'

@@ -20,10 +20,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RobotBench:
-    """How trials of one robot are made: its numbers, rates and noise, and what was recorded. A second before each log is not logged.
+    """How trials of one robot are made: its numbers, rates and noise, and what was recorded. A
+    second before each log is not logged.
 
-    `drive` `(joints,)` is the largest declared command, `asked` what each joint's drive was asked for at most: a command, or a servo's
-    error; `force` that of its motion; `sigma` `(2 x joints,)` the noise.
+    `drive` `(joints,)` is the largest declared command, `asked` what each joint's drive was asked
+    for at most: a command, or a servo's error; `force` that of its motion; `sigma` `(2 x joints,)`
+    the noise.
     """
 
     tree: Tree
@@ -48,9 +50,13 @@ class RobotBench:
         """The robot without anything wrong."""
         return RobotMachine(self.tree, self.low, self.high, self.drive)
 
-    def record(self, machine: RobotMachine, plan: RobotPlan, sigma: Array, rng: np.random.Generator) -> Run:
+    def record(
+        self, machine: RobotMachine, plan: RobotPlan, sigma: Array, rng: np.random.Generator
+    ) -> Run:
         """What a robot does on a plan."""
-        return run(machine, plan, self.timestep_s, self.parts, sigma, rng, self.warm_up, self.feedback)
+        return run(
+            machine, plan, self.timestep_s, self.parts, sigma, rng, self.warm_up, self.feedback
+        )
 
 
 def draw_robot(
@@ -61,12 +67,12 @@ def draw_robot(
     gaps: tuple[float, float],
     spread: tuple[float, float],
 ) -> Trial:
-    """A robot of a bench with imperfections, each an effect at a joint and as large as a gap drawn within `gaps`, recorded by the bench's
-    plans, and by those of validation backwards.
+    """A robot of a bench with imperfections, each an effect at a joint and as large as a gap drawn
+    within `gaps`, recorded by the bench's plans, and by those of validation backwards.
 
-    The gap is the change of the joint's position, or velocity where it changes that alone, on the plan in which the joint moves most.
-    Masses with their moments, dampings and friction losses that are shifted move by factors within `spread`, each link's and joint's its
-    own.
+    The gap is the change of the joint's position, or velocity where it changes that alone, on the
+    plan in which the joint moves most. Masses with their moments, dampings and friction losses that
+    are shifted move by factors within `spread`, each link's and joint's its own.
     """
     machine, joints = bench.machine, len(bench.tree.joints)
     if shifted:
@@ -83,16 +89,30 @@ def draw_robot(
         shape = shape_of(name, size, rng, hardens=True)
         if name == "elastic_transmission":  # the rotor is part of the armature
             largest = rotor(machine.tree, joint)
-            shape |= {"share": (largest, 0.0, False), "stiffness": (40.0 * largest / size["time"] ** 2, 0.0, True)}
+            shape |= {
+                "share": (largest, 0.0, False),
+                "stiffness": (40.0 * largest / size["time"] ** 2, 0.0, True),
+            }
             shape |= {"damping": (0.15 * largest / size["time"], 0.0, False)}
         column = joints + joint if name == "velocity_lag" else joint
-        machine, reached = as_large_as(machine, name, shape, wanted, partial(observe, joint=joint), column, joint)
+        machine, reached = as_large_as(
+            machine, name, shape, wanted, partial(observe, joint=joint), column, joint
+        )
         gaps_made.append(reached)
         if name == "sensor_quantization":
             sigma = np.where(np.arange(2 * joints) % joints == joint, 0.3 * sigma, sigma)
-    plans = [*bench.recorded, *(p.backwards("test") for p in bench.recorded if p.role == "validation")]
+    plans = [
+        *bench.recorded,
+        *(p.backwards("test") for p in bench.recorded if p.role == "validation"),
+    ]
     gap = min(gaps_made, default=0.0)
-    return Trial(machine, shifted, gap, sigma, [(p.role, bench.record(machine, p, sigma, rng)) for p in plans])
+    return Trial(
+        machine,
+        shifted,
+        gap,
+        sigma,
+        [(p.role, bench.record(machine, p, sigma, rng)) for p in plans],
+    )
 
 
 def _moved(tree: Tree, rng: np.random.Generator, spread: tuple[float, float]) -> Tree:
@@ -104,7 +124,8 @@ def _moved(tree: Tree, rng: np.random.Generator, spread: tuple[float, float]) ->
 
 
 def _sizes(bench: RobotBench, name: str, joint: int) -> dict[str, float]:
-    """Sizes of one joint's motion and forces, as recorded, and of the command that an effect acts on: a servo's goal, or its error."""
+    """Sizes of one joint's motion and forces, as recorded, and of the command that an effect acts
+    on: a servo's goal, or its error."""
     joints = len(bench.tree.joints)
     reached = np.concatenate([p.reached for p in bench.recorded])
     goal = max(float(np.abs(p.commands[:, joint]).max()) for p in bench.recorded)

@@ -20,7 +20,8 @@ CATALOGUE = tuple(name for name in SLOTS if name not in BEYOND)
 
 @dataclass(frozen=True)
 class Plan:
-    """What one recording is commanded, or the reference it is to follow, `(samples,)`, and the position and velocity it starts from."""
+    """What one recording is commanded, or the reference it is to follow, `(samples,)`, and the
+    position and velocity it starts from."""
 
     role: str
     series: Array
@@ -31,7 +32,8 @@ class Plan:
 class Bench:
     """How trials of one plant are made: its numbers, rates, noise and excitation.
 
-    With `recorded` plans every machine is given those; without, each trial draws its own. A second before each log is not logged.
+    With `recorded` plans every machine is given those; without, each trial draws its own. A second
+    before each log is not logged.
     """
 
     kind: str
@@ -56,13 +58,15 @@ class Bench:
         return min([round(1.0 / self.timestep_s), *(len(p.series) - 1 for p in self.recorded)])
 
     def led_in(self, series: Array) -> Array:
-        """A series with its warm-up: a recorded one is led in by its own beginning backwards, so that its machine is under way."""
+        """A series with its warm-up: a recorded one is led in by its own beginning backwards, so
+        that its machine is under way."""
         return np.concatenate([series[self.warm_up : 0 : -1], series]) if self.recorded else series
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What was recorded, by role, and what is wrong: a machine with its effects, whether parameters moved, the gap that the least makes.
+    """What was recorded, by role, and what is wrong: a machine with its effects, whether parameters
+    moved, the gap that the least makes.
 
     `sigma` is the noise of positions and velocities `(2 x joints,)`.
     """
@@ -79,7 +83,8 @@ class Trial:
 
 
 def draw_bench(tier: str, rng: np.random.Generator) -> Bench:
-    """A plant of one of four tiers: A0 the chapter's discrete oscillator, A1 oscillator, B1 pendulum, B2 an inertia in a loop."""
+    """A plant of one of four tiers: A0 the chapter's discrete oscillator, A1 oscillator, B1
+    pendulum, B2 an inertia in a loop."""
     if tier == "A0":
         return Bench("oscillator", 1.0, 0.4, 1.0, 1.0, 0.05, 1, 8.0, 0.0, None, 1.0)
     if tier == "A1":
@@ -88,10 +93,22 @@ def draw_bench(tier: str, rng: np.random.Generator) -> Bench:
     if tier == "B1":
         k, c, b = rng.uniform(6.0, 18.0), rng.uniform(0.7, 2.0), rng.uniform(0.9, 1.2)
         limit = round(k * rng.uniform(0.25, 0.6), 1)
-        return Bench("pendulum", k, c, b, limit, 0.01, 20, 8.0, rng.uniform(0.002, 0.008), None, limit)
+        return Bench(
+            "pendulum", k, c, b, limit, 0.01, 20, 8.0, rng.uniform(0.002, 0.008), None, limit
+        )
     c, b = rng.uniform(0.6, 2.0), rng.uniform(4.0, 12.0)
     return Bench(
-        "inertia", 0.0, c, b, 2.0, 0.005, 10, 8.0, rng.uniform(0.002, 0.006), Feedback(rng.uniform(3.0, 8.0), rng.uniform(0.3, 0.8)), 1.0
+        "inertia",
+        0.0,
+        c,
+        b,
+        2.0,
+        0.005,
+        10,
+        8.0,
+        rng.uniform(0.002, 0.006),
+        Feedback(rng.uniform(3.0, 8.0), rng.uniform(0.3, 0.8)),
+        1.0,
     )
 
 
@@ -103,53 +120,107 @@ def draw(
     gaps: tuple[float, float] = (0.06, 0.5),
     spread: tuple[float, float] = (0.75, 1.3),
 ) -> Trial:
-    """A machine of a bench with the named imperfections, each as large as a gap drawn within `gaps`, recorded by the bench's plans.
+    """A machine of a bench with the named imperfections, each as large as a gap drawn within
+    `gaps`, recorded by the bench's plans.
 
-    The gap is the change of position that an imperfection causes, relative to the motion; of the velocity where it changes that alone.
-    Parameters that are shifted move by factors within `spread`.
+    The gap is the change of position that an imperfection causes, relative to the motion; of the
+    velocity where it changes that alone. Parameters that are shifted move by factors within
+    `spread`.
     """
     moved = rng.uniform(*spread, 3) if shifted else np.ones(3)
-    machine = Machine(bench.kind, bench.k * moved[0], bench.c * moved[1], bench.b * moved[2], bench.limit, bounds=bench.bounds)
+    machine = Machine(
+        bench.kind,
+        bench.k * moved[0],
+        bench.c * moved[1],
+        bench.b * moved[2],
+        bench.limit,
+        bounds=bench.bounds,
+    )
     plan = bench.recorded or [Plan("", _plan(bench, shape, rng), (0.0, 0.0)) for shape in SHAPES]
     size = _sizes(bench, machine, plan)
     gaps_made = []
     for name in names:
         wanted = float(np.exp(rng.uniform(*np.log(gaps))))
         shape = shape_of(name, size, rng, hardens=bench.kind == "inertia")
-        machine, reached = as_large_as(machine, name, shape, wanted, lambda m: _seen(bench, m, plan), int(name == "velocity_lag"))
+        machine, reached = as_large_as(
+            machine,
+            name,
+            shape,
+            wanted,
+            lambda m: _seen(bench, m, plan),
+            int(name == "velocity_lag"),
+        )
         gaps_made.append(reached)
     sigma = bench.sigma or (bench.noise * size["position"], bench.noise * 1.5 * size["velocity"])
     if "sensor_quantization" in names:
         sigma = (sigma[0] * 0.3, sigma[1] * 0.3)
     rates = bench.timestep_s, bench.parts
     runs = [
-        (p.role, run(machine, bench.led_in(p.series), *rates, sigma, rng, p.start, bench.warm_up, bench.feedback, bench.law))
+        (
+            p.role,
+            run(
+                machine,
+                bench.led_in(p.series),
+                *rates,
+                sigma,
+                rng,
+                p.start,
+                bench.warm_up,
+                bench.feedback,
+                bench.law,
+            ),
+        )
         for p in _plans(bench, size, rng)
     ]
     return Trial(machine, shifted, min(gaps_made, default=0.0), np.array(sigma), runs)
 
 
 def _plans(bench: Bench, size: Mapping[str, float], rng: np.random.Generator) -> Iterator[Plan]:
-    """What is recorded: drawn series from rest about the middle, or the recorded ones, and as a test those of validation backwards."""
+    """What is recorded: drawn series from rest about the middle, or the recorded ones, and as a
+    test those of validation backwards."""
     if bench.recorded:
         yield from bench.recorded
         for p in bench.recorded:
             if p.role == "validation":
-                yield Plan("test", np.ascontiguousarray(p.series[::-1]), (float(p.series[-1]), 0.0) if bench.feedback else p.start)
+                yield Plan(
+                    "test",
+                    np.ascontiguousarray(p.series[::-1]),
+                    (float(p.series[-1]), 0.0) if bench.feedback else p.start,
+                )
         return
-    for i, role in zip((0, 1, 2, 3, 0, 2, 0, 1, 2, 3), ["adaptation"] * 4 + ["validation"] * 2 + ["test"] * 4, strict=True):
+    for i, role in zip(
+        (0, 1, 2, 3, 0, 2, 0, 1, 2, 3),
+        ["adaptation"] * 4 + ["validation"] * 2 + ["test"] * 4,
+        strict=True,
+    ):
         series = _plan(bench, SHAPES[i], rng)
-        yield Plan(role, series, (0.3 * rng.normal() * size["position"], 0.3 * rng.normal() * size["velocity"]))
+        yield Plan(
+            role,
+            series,
+            (0.3 * rng.normal() * size["position"], 0.3 * rng.normal() * size["velocity"]),
+        )
 
 
 def _plan(bench: Bench, shape: str, rng: np.random.Generator) -> Array:
-    return bench.reach * planned(shape, round(bench.duration_s / bench.timestep_s) + 1 + bench.warm_up, bench.timestep_s, rng)
+    return bench.reach * planned(
+        shape, round(bench.duration_s / bench.timestep_s) + 1 + bench.warm_up, bench.timestep_s, rng
+    )
 
 
 def _record(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> list[Run]:
     quiet = np.random.default_rng(0)
     return [
-        run(machine, bench.led_in(p.series), bench.timestep_s, bench.parts, (0.0, 0.0), quiet, p.start, bench.warm_up, bench.feedback)
+        run(
+            machine,
+            bench.led_in(p.series),
+            bench.timestep_s,
+            bench.parts,
+            (0.0, 0.0),
+            quiet,
+            p.start,
+            bench.warm_up,
+            bench.feedback,
+        )
         for p in plan
     ]
 
@@ -163,6 +234,8 @@ def _sizes(bench: Bench, machine: Machine, plan: Sequence[Plan]) -> dict[str, fl
     y = np.concatenate([r.observed for r in runs])
     u = np.concatenate([r.issued for r in runs])
     return {
-        "position": float(y[:, 0].std()), "velocity": float(y[:, 1].std()), "travel": float(np.abs(y[:, 0]).max()),
-        "acceleration": float(machine.b * u.std()), "command": float(np.abs(u).max()), "time": float(y[:, 0].std() / y[:, 1].std()),
+        "position": float(y[:, 0].std()), "velocity": float(y[:, 1].std()),
+        "travel": float(np.abs(y[:, 0]).max()),
+        "acceleration": float(machine.b * u.std()), "command": float(np.abs(u).max()),
+        "time": float(y[:, 0].std() / y[:, 1].std()),
     }  # fmt: skip

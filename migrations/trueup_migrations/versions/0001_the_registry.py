@@ -63,7 +63,9 @@ def upgrade() -> None:
         sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_artifacts_plant")),
         sa.PrimaryKeyConstraint("plant", "version", name=op.f("pk_artifacts")),
     )
-    op.create_index(op.f("ix_artifacts_plant_digest"), "artifacts", ["plant", "digest"], unique=True)
+    op.create_index(
+        op.f("ix_artifacts_plant_digest"), "artifacts", ["plant", "digest"], unique=True
+    )
     op.create_table(
         "episodes",
         sa.Column("plant", sa.String(length=63), nullable=False),
@@ -78,7 +80,12 @@ def upgrade() -> None:
         sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_episodes_plant")),
         sa.PrimaryKeyConstraint("plant", "digest", name=op.f("pk_episodes")),
     )
-    op.create_index(op.f("ix_episodes_plant_role_created_at"), "episodes", ["plant", "role", "created_at"], unique=False)
+    op.create_index(
+        op.f("ix_episodes_plant_role_created_at"),
+        "episodes",
+        ["plant", "role", "created_at"],
+        unique=False,
+    )
     op.create_table(
         "gates",
         sa.Column("plant", sa.String(length=63), nullable=False),
@@ -126,12 +133,18 @@ def upgrade() -> None:
         sa.Column("job", sa.String(length=32), nullable=True),
         sa.Column("created_at", sa.String(length=27), nullable=False),
         sa.Column("created_by", sa.Text(), nullable=False),
-        sa.ForeignKeyConstraint(["plant", "gate"], ["gates.plant", "gates.digest"], name=op.f("fk_decisions_plant_gate")),
+        sa.ForeignKeyConstraint(
+            ["plant", "gate"], ["gates.plant", "gates.digest"], name=op.f("fk_decisions_plant_gate")
+        ),
         sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_decisions_plant")),
         sa.PrimaryKeyConstraint("digest", name=op.f("pk_decisions")),
     )
-    op.create_index(op.f("ix_decisions_plant_candidate"), "decisions", ["plant", "candidate"], unique=False)
-    op.create_index(op.f("ix_decisions_plant_created_at"), "decisions", ["plant", "created_at"], unique=False)
+    op.create_index(
+        op.f("ix_decisions_plant_candidate"), "decisions", ["plant", "candidate"], unique=False
+    )
+    op.create_index(
+        op.f("ix_decisions_plant_created_at"), "decisions", ["plant", "created_at"], unique=False
+    )
     op.create_table(
         "job_reads",
         sa.Column("job", sa.String(length=32), nullable=False),
@@ -158,5 +171,6 @@ def upgrade() -> None:
     )
     op.create_index(op.f("ix_moves_plant_at"), "moves", ["plant", "at"], unique=False)
     op.bulk_insert(
-        sa.table("audit_head", sa.column("id"), sa.column("sequence"), sa.column("digest")), [{"id": 1, "sequence": 0, "digest": "0" * 64}]
+        sa.table("audit_head", sa.column("id"), sa.column("sequence"), sa.column("digest")),
+        [{"id": 1, "sequence": 0, "digest": "0" * 64}],
     )

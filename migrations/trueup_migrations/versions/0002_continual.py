@@ -22,7 +22,9 @@ def upgrade() -> None:
         sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_monitors_plant_plants")),
         sa.PrimaryKeyConstraint("plant", "digest", name=op.f("pk_monitors")),
     )
-    op.create_index(op.f("ix_monitors_plant_created_at"), "monitors", ["plant", "created_at"], unique=False)
+    op.create_index(
+        op.f("ix_monitors_plant_created_at"), "monitors", ["plant", "created_at"], unique=False
+    )
     op.create_table(
         "watching",
         sa.Column("plant", sa.String(length=63), nullable=False),
@@ -42,12 +44,19 @@ def upgrade() -> None:
         sa.Column("seen", sa.Text(), nullable=False),
         sa.Column("at", sa.String(length=27), nullable=False),
         sa.ForeignKeyConstraint(
-            ["plant", "monitor"], ["monitors.plant", "monitors.digest"], name=op.f("fk_watches_plant_monitor_monitors")
+            ["plant", "monitor"],
+            ["monitors.plant", "monitors.digest"],
+            name=op.f("fk_watches_plant_monitor_monitors"),
         ),
         sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_watches_plant_plants")),
         sa.PrimaryKeyConstraint("plant", "monitor", "sequence", name=op.f("pk_watches")),
     )
-    op.create_index(op.f("ix_watches_plant_monitor_episode"), "watches", ["plant", "monitor", "episode"], unique=True)
+    op.create_index(
+        op.f("ix_watches_plant_monitor_episode"),
+        "watches",
+        ["plant", "monitor", "episode"],
+        unique=True,
+    )
     op.create_table(
         "alarms",
         sa.Column("id", sa.String(length=32), nullable=False),
@@ -90,7 +99,9 @@ def upgrade() -> None:
         sa.ForeignKeyConstraint(["plant"], ["plants.name"], name=op.f("fk_evidence_plant_plants")),
         sa.PrimaryKeyConstraint("plant", "digest", name=op.f("pk_evidence")),
     )
-    op.create_index(op.f("ix_evidence_plant_artifact"), "evidence", ["plant", "artifact"], unique=False)
+    op.create_index(
+        op.f("ix_evidence_plant_artifact"), "evidence", ["plant", "artifact"], unique=False
+    )
     op.create_table(
         "channels",
         sa.Column("plant", sa.String(length=63), nullable=False),
@@ -112,8 +123,12 @@ def upgrade() -> None:
         sa.Column("at", sa.String(length=27), nullable=False),
         sa.Column("actor", sa.Text(), nullable=False),
         sa.ForeignKeyConstraint(
-            ["plant", "channel"], ["channels.plant", "channels.name"], name=op.f("fk_channel_moves_plant_channel_channels")
+            ["plant", "channel"],
+            ["channels.plant", "channels.name"],
+            name=op.f("fk_channel_moves_plant_channel_channels"),
         ),
         sa.PrimaryKeyConstraint("plant", "channel", "generation", name=op.f("pk_channel_moves")),
     )
-    op.create_index(op.f("ix_alarms_plant_raised_at"), "alarms", ["plant", "raised_at"], unique=False)
+    op.create_index(
+        op.f("ix_alarms_plant_raised_at"), "alarms", ["plant", "raised_at"], unique=False
+    )

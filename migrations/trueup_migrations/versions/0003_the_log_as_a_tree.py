@@ -1,4 +1,5 @@
-"""The log as a Merkle tree, whose entries name every row; what was there before is named by one entry for each plant."""
+"""The log as a Merkle tree, whose entries name every row; what was there before is named by one
+entry for each plant."""
 
 import json
 from datetime import UTC, datetime
@@ -14,7 +15,8 @@ branch_labels = None
 depends_on = None
 
 NAMED = (
-    "plants", "episodes", "artifacts", "gates", "decisions", "moves", "serving", "monitors", "watching", "watches", "alarms",
+    "plants", "episodes", "artifacts", "gates", "decisions", "moves", "serving", "monitors",
+    "watching", "watches", "alarms",
     "policies", "evidence", "channels", "channel_moves", "jobs",
 )  # fmt: skip
 FINAL = ("succeeded", "failed", "cancelled")
@@ -50,7 +52,8 @@ def upgrade() -> None:
 
 
 def _grow(connection: sa.Connection) -> None:
-    """Make the tree of the entries that there are, and one more for each plant that names its rows."""
+    """Make the tree of the entries that there are, and one more for each plant that names its
+    rows."""
     reflected = sa.MetaData()
     reflected.reflect(connection)
     audit, tree = reflected.tables["audit"], reflected.tables["audit_tree"]
@@ -66,11 +69,26 @@ def _grow(connection: sa.Connection) -> None:
                 rows[row_name(table.name, row)] = row_digest(table, row)
     at = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S.%fZ")
     for plant, rows in sorted(of_plants.items()):
-        added = {"sequence": len(entries) + 1, "at": at, "kind": "log:migrated", "actor": "migration", "plant": plant, "subject": revision}
-        connection.execute(sa.insert(audit), added | {"facts": "{}", "rows": canonical(rows).decode()})
+        added = {
+            "sequence": len(entries) + 1,
+            "at": at,
+            "kind": "log:migrated",
+            "actor": "migration",
+            "plant": plant,
+            "subject": revision,
+        }
+        connection.execute(
+            sa.insert(audit), added | {"facts": "{}", "rows": canonical(rows).decode()}
+        )
         entries.append((added, {}, rows))
     frontier: list[bytes] = []
     for size, (entry, facts, rows) in enumerate(entries):
-        nodes = [{"node": number, "hash": hashed} for number, hashed in append(frontier, size, leaf(entry, facts, rows)).items()]
+        nodes = [
+            {"node": number, "hash": hashed}
+            for number, hashed in append(frontier, size, leaf(entry, facts, rows)).items()
+        ]
         connection.execute(sa.insert(tree), nodes)
-    connection.execute(sa.insert(reflected.tables["audit_head"]), {"id": 1, "size": len(entries), "frontier": b"".join(frontier)})
+    connection.execute(
+        sa.insert(reflected.tables["audit_head"]),
+        {"id": 1, "size": len(entries), "frontier": b"".join(frontier)},
+    )

@@ -1,4 +1,5 @@
-"""Projects, tokens, sessions, promotions that need a second person, and plants that came from elsewhere."""
+"""Projects, tokens, sessions, promotions that need a second person, and plants that came from
+elsewhere."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -30,7 +31,9 @@ def upgrade() -> None:
         sa.Column("expires_at", sa.String(length=27), nullable=True),
         sa.Column("revoked_at", sa.String(length=27), nullable=True),
         sa.Column("revoked_by", sa.Text(), nullable=True),
-        sa.ForeignKeyConstraint(["project"], ["projects.name"], name=op.f("fk_tokens_project_projects")),
+        sa.ForeignKeyConstraint(
+            ["project"], ["projects.name"], name=op.f("fk_tokens_project_projects")
+        ),
         sa.PrimaryKeyConstraint("prefix", name=op.f("pk_tokens")),
     )
     op.create_table(

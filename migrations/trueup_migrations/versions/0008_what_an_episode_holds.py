@@ -1,4 +1,5 @@
-"""What an episode holds, whatever its bytes are: the same samples in another file are no fresh test."""
+"""What an episode holds, whatever its bytes are: the same samples in another file are no fresh
+test."""
 
 import sqlalchemy as sa
 from alembic import op

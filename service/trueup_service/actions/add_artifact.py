@@ -12,8 +12,11 @@ from trueup_service.registry.records import ArtifactRecord
 from trueup_service.registry.store import Writer
 
 
-def add_artifact(writer: Writer, plant: str, artifact: Artifact, job: str | None, stamp: Stamp) -> tuple[ArtifactRecord, bool]:
-    """The version, and whether it is new. The caller has unpacked the artifact, and its arrays are durable. Raises BadArtifact."""
+def add_artifact(
+    writer: Writer, plant: str, artifact: Artifact, job: str | None, stamp: Stamp
+) -> tuple[ArtifactRecord, bool]:
+    """The version, and whether it is new. The caller has unpacked the artifact, and its arrays are
+    durable. Raises BadArtifact."""
     require_plant(artifact, find.plant_digest(writer, plant))
     writer.lock_plant(plant)
     known = writer.artifact(plant, artifact.digest)
@@ -41,7 +44,14 @@ def add_artifact(writer: Writer, plant: str, artifact: Artifact, job: str | None
         "arrays": record.arrays,
         "job": job,
     }
-    writer.append_audit(at=stamp.now, kind="artifact:added", actor=stamp.actor, plant=plant, subject=artifact.digest, facts=facts)
+    writer.append_audit(
+        at=stamp.now,
+        kind="artifact:added",
+        actor=stamp.actor,
+        plant=plant,
+        subject=artifact.digest,
+        facts=facts,
+    )
     return record, True
 
 
@@ -49,4 +59,8 @@ def require_plant(artifact: Artifact, digest: str) -> None:
     """Raises BadArtifact if the artifact was made for another configuration than this plant's."""
     made_for = artifact.document.get("plant")
     if not isinstance(made_for, dict) or made_for.get("sha256") != digest:
-        raise BadArtifact("the artifact was made for another plant", expected=digest, hint="Fit it again for this plant's description.")
+        raise BadArtifact(
+            "the artifact was made for another plant",
+            expected=digest,
+            hint="Fit it again for this plant's description.",
+        )

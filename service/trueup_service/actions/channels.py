@@ -1,7 +1,9 @@
-"""Channels of serving: other pointers of a plant, each behind what its own may serve, and only with the evidence that it requires.
+"""Channels of serving: other pointers of a plant, each behind what its own may serve, and only with
+the evidence that it requires.
 
-A plant's own pointer moves by decisions. A channel, such as `staging` or `field`, follows: to an artifact that has served there, with
-evidence that was passed at each stage that the channel requires. Going back is a move like any other.
+A plant's own pointer moves by decisions. A channel, such as `staging` or `field`, follows: to an
+artifact that has served there, with evidence that was passed at each stage that the channel
+requires. Going back is a move like any other.
 """
 
 from __future__ import annotations
@@ -19,8 +21,11 @@ from trueup_service.registry.records import ChannelMove, ChannelRecord
 from trueup_service.registry.store import Writer
 
 
-def declare_channel(writer: Writer, plant: str, name: str, requires: Sequence[str], stamp: Stamp) -> tuple[ChannelRecord, bool]:
-    """The channel, and whether it is new. Raises BadRequest for a stage that there is not, Conflict if it requires something else."""
+def declare_channel(
+    writer: Writer, plant: str, name: str, requires: Sequence[str], stamp: Stamp
+) -> tuple[ChannelRecord, bool]:
+    """The channel, and whether it is new. Raises BadRequest for a stage that there is not, Conflict
+    if it requires something else."""
     find.plant_digest(writer, plant)
     if set(requires) - set(STAGES):
         raise BadRequest(f"a channel requires stages of {', '.join(STAGES)}", field="requires")
@@ -29,16 +34,27 @@ def declare_channel(writer: Writer, plant: str, name: str, requires: Sequence[st
     known = writer.channel(plant, name)
     if known is not None:
         if known.requires != ordered:
-            raise Conflict(f"channel {name!r} requires something else already", requires=known.requires)
+            raise Conflict(
+                f"channel {name!r} requires something else already", requires=known.requires
+            )
         return known, False
     record = ChannelRecord(plant, name, ordered, stamp.now, stamp.actor)
     writer.add_channel(record)
     facts: dict[str, Json] = {"requires": list(ordered)}
-    writer.append_audit(at=stamp.now, kind="channel:declared", actor=stamp.actor, plant=plant, subject=name, facts=facts)
+    writer.append_audit(
+        at=stamp.now,
+        kind="channel:declared",
+        actor=stamp.actor,
+        plant=plant,
+        subject=name,
+        facts=facts,
+    )
     return record, True
 
 
-def move_channel(writer: Writer, plant: str, name: str, artifact: str, expected_generation: int, stamp: Stamp) -> ChannelMove:
+def move_channel(
+    writer: Writer, plant: str, name: str, artifact: str, expected_generation: int, stamp: Stamp
+) -> ChannelMove:
     """The channel at an artifact. Raises PointerMoved, NeverServed, EvidenceMissing, NotFound."""
     channel, wanted = find.channel(writer, plant, name), find.artifact(writer, plant, artifact)
     writer.lock_plant(plant)
@@ -51,15 +67,37 @@ def move_channel(writer: Writer, plant: str, name: str, artifact: str, expected_
             found=generation,
         )
     if not writer.has_served(plant, artifact):
-        raise NeverServed(f"version {wanted.version} has never served the plant itself", artifact=artifact)
-    last = writer.last_evidence(plant, artifact)  # a stage that was failed after it was passed is failed
+        raise NeverServed(
+            f"version {wanted.version} has never served the plant itself", artifact=artifact
+        )
+    last = writer.last_evidence(
+        plant, artifact
+    )  # a stage that was failed after it was passed is failed
     missing = [stage for stage in channel.requires if not last.get(stage, ("", False))[1]]
     if missing:
-        raise EvidenceMissing(f"version {wanted.version} has no passed evidence of {', '.join(missing)}", stages=missing, artifact=artifact)
+        raise EvidenceMissing(
+            f"version {wanted.version} has no passed evidence of {', '.join(missing)}",
+            stages=missing,
+            artifact=artifact,
+        )
     evidence = [last[stage][0] for stage in channel.requires]
     at = max(before.at, stamp.now) if before else stamp.now
-    move = ChannelMove(plant, name, generation + 1, artifact, wanted.version, evidence, at, stamp.actor)
+    move = ChannelMove(
+        plant, name, generation + 1, artifact, wanted.version, evidence, at, stamp.actor
+    )
     writer.move_channel(move)
-    facts: dict[str, Json] = {"operation": Operation.CORRECTION, "channel": name, "generation": move.generation, "evidence": list(evidence)}
-    writer.append_audit(at=stamp.now, kind="channel:moved", actor=stamp.actor, plant=plant, subject=artifact, facts=facts)
+    facts: dict[str, Json] = {
+        "operation": Operation.CORRECTION,
+        "channel": name,
+        "generation": move.generation,
+        "evidence": list(evidence),
+    }
+    writer.append_audit(
+        at=stamp.now,
+        kind="channel:moved",
+        actor=stamp.actor,
+        plant=plant,
+        subject=artifact,
+        facts=facts,
+    )
     return move

@@ -1,12 +1,14 @@
 """Continue the cycle, as far as the plant's policy lets it go without a person.
 
-    an alarm is open       diagnose what was recorded since the change began; again once twice as much has been, if that led nowhere
+    an alarm is open       diagnose what was recorded since the change began; again once twice as
+                           much has been, if that led nowhere
     a diagnosis ended      judge the corrected model by the policy's gate
     a candidate passed     promote it, and close the alarm
-    the pointer moved      once enough healthy episodes came in, calibrate a monitor of what serves now
+    the pointer moved      once enough healthy episodes came in, calibrate a monitor of what serves
+                           now
 
-Each step is asked for in the transaction of the one before, so that none is lost and none happens twice. Without a policy an alarm opens a
-diagnosis, and the rest is a person's.
+Each step is asked for in the transaction of the one before, so that none is lost and none happens
+twice. Without a policy an alarm opens a diagnosis, and the rest is a person's.
 """
 
 from __future__ import annotations
@@ -25,9 +27,23 @@ from trueup_service.actions.alarms import close_alarm, follow_alarm
 from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.move_pointer import promote_decision
 from trueup_service.actions.stamp import Stamp
-from trueup_service.actions.submit_job import submit_calibration, submit_diagnosis, submit_gate, submit_watch
+from trueup_service.actions.submit_job import (
+    submit_calibration,
+    submit_diagnosis,
+    submit_gate,
+    submit_watch,
+)
 from trueup_service.jobs import JobQueue
-from trueup_service.registry.records import FINAL, AlarmRecord, DecisionRecord, EpisodeRecord, JobRecord, JobState, Move, MoveKind
+from trueup_service.registry.records import (
+    FINAL,
+    AlarmRecord,
+    DecisionRecord,
+    EpisodeRecord,
+    JobRecord,
+    JobState,
+    Move,
+    MoveKind,
+)
 from trueup_service.registry.store import Writer
 
 DIAGNOSED = {Role.ADAPTATION, Role.VALIDATION}
@@ -45,7 +61,8 @@ class Cycle:
     stamp: Stamp
 
     def go_on(self, plant: str) -> None:
-        """Do what is next after an episode came in, a monitor was calibrated or has looked at some."""
+        """Do what is next after an episode came in, a monitor was calibrated or has looked at
+        some."""
         self.writer.lock_plant(plant)
         self._watch(plant)
         alarm = self.writer.open_alarm(plant)
@@ -54,68 +71,128 @@ class Cycle:
             self._diagnose(alarm, policy)
 
     def diagnosed(self, job: JobRecord, candidate: str, verdict: str) -> None:
-        """A diagnosis ended: judge its model, if the open alarm asked for it and the policy says so."""
+        """A diagnosis ended: judge its model, if the open alarm asked for it and the policy says
+        so."""
         self.writer.lock_plant(job.plant)
         alarm, policy = self.writer.open_alarm(job.plant), policy_of(self.writer, job.plant)
-        if alarm is None or alarm.job != job.id or policy is None or policy.on_diagnosis == ASK or verdict == NOTHING:
+        if (
+            alarm is None
+            or alarm.job != job.id
+            or policy is None
+            or policy.on_diagnosis == ASK
+            or verdict == NOTHING
+        ):
             return
         episodes: list[Json] = list(self._held_out(job, alarm, policy))
-        request: dict[str, Json] = {"candidate": candidate, "gate": policy.gate, "episodes": episodes}
+        request: dict[str, Json] = {
+            "candidate": candidate,
+            "gate": policy.gate,
+            "episodes": episodes,
+        }
         trial = self.new()
-        if self._tried(job.plant, lambda: submit_gate(self.writer, self.queue, trial, job.plant, request, self.stamp)):
+        if self._tried(
+            job.plant,
+            lambda: submit_gate(self.writer, self.queue, trial, job.plant, request, self.stamp),
+        ):
             follow_alarm(self.writer, alarm, self.stamp, trial=trial)
 
     def judged(self, job: JobRecord, decision: DecisionRecord, rehearsed: dict[str, Json]) -> None:
-        """A trial ended: promote its candidate, if the cycle asked for this very trial, by the gate of the policy that holds."""
+        """A trial ended: promote its candidate, if the cycle asked for this very trial, by the gate
+        of the policy that holds."""
         plant = decision.plant
         self.writer.lock_plant(plant)
         alarm, policy = self.writer.open_alarm(plant), policy_of(self.writer, plant)
         if alarm is None or alarm.trial != job.id or policy is None or policy.on_acceptance == ASK:
             return
-        if not decision.accepted or decision.gate != policy.gate or find.serving(self.writer, plant).generation != decision.generation:
+        if (
+            not decision.accepted
+            or decision.gate != policy.gate
+            or find.serving(self.writer, plant).generation != decision.generation
+        ):
             return
         self._tried(
-            plant, lambda: self.moved(promote_decision(self.writer, plant, decision.digest, decision.generation, rehearsed, self.stamp))
+            plant,
+            lambda: self.moved(
+                promote_decision(
+                    self.writer, plant, decision.digest, decision.generation, rehearsed, self.stamp
+                )
+            ),
         )
 
     def moved(self, move: Move) -> None:
         """Another model serves: the alarm was about the one before it."""
         alarm = self.writer.open_alarm(move.plant)
         if alarm is not None:
-            because = f"{move.kind}: version {move.version} serves from generation {move.generation} on"
+            because = (
+                f"{move.kind}: version {move.version} serves from generation {move.generation} on"
+            )
             close_alarm(self.writer, move.plant, alarm.id, because, self.stamp)
 
     def _watch(self, plant: str) -> None:
-        """Let the monitor of what serves look at what is new; make one where the policy wants it and there is what it takes.
+        """Let the monitor of what serves look at what is new; make one where the policy wants it
+        and there is what it takes.
 
-        What is healthy for a new model is what came in since it serves and that it was neither made nor chosen by. After a rollback a
-        person says what is healthy: the change may still be there.
+        What is healthy for a new model is what came in since it serves and that it was neither made
+        nor chosen by. After a rollback a person says what is healthy: the change may still be
+        there.
         """
         now, watching = find.serving(self.writer, plant), self.writer.watching(plant)
-        if watching is not None and find.monitor(self.writer, plant, watching.monitor).artifact == now.artifact:
+        if (
+            watching is not None
+            and find.monitor(self.writer, plant, watching.monitor).artifact == now.artifact
+        ):
             submit_watch(self.writer, self.queue, self.new(), plant, self.stamp)
             return
         policy, last = policy_of(self.writer, plant), self.writer.last_job(plant, "calibrate")
-        if policy is None or now.kind != MoveKind.PROMOTED or (last is not None and last.state not in FINAL):
+        if (
+            policy is None
+            or now.kind != MoveKind.PROMOTED
+            or (last is not None and last.state not in FINAL)
+        ):
             return
-        judged: Any = [] if now.decision is None else find.decision(self.writer, plant, now.decision).document["episodes"]
-        healthy = [e.digest for e in self.writer.episodes_of_role(plant, HEALTHY, came_in=now.at) if e.digest not in judged]
-        tried: Any = [] if last is None or last.request.get("artifact") != now.artifact else last.request["episodes"]
+        judged: Any = (
+            []
+            if now.decision is None
+            else find.decision(self.writer, plant, now.decision).document["episodes"]
+        )
+        healthy = [
+            e.digest
+            for e in self.writer.episodes_of_role(plant, HEALTHY, came_in=now.at)
+            if e.digest not in judged
+        ]
+        tried: Any = (
+            []
+            if last is None or last.request.get("artifact") != now.artifact
+            else last.request["episodes"]
+        )
         if len(healthy) >= max(policy.reference_episodes, AGAIN * len(tried)):
-            request: dict[str, Json] = {"promise_h": policy.promise_h, "seed": 0, "episodes": list(healthy)}
-            self._tried(plant, lambda: submit_calibration(self.writer, self.queue, self.new(), plant, request, self.stamp))
+            request: dict[str, Json] = {
+                "promise_h": policy.promise_h,
+                "seed": 0,
+                "episodes": list(healthy),
+            }
+            self._tried(
+                plant,
+                lambda: submit_calibration(
+                    self.writer, self.queue, self.new(), plant, request, self.stamp
+                ),
+            )
 
     def _diagnose(self, alarm: AlarmRecord, policy: UpdatePolicy | None) -> None:
-        """Diagnose what was recorded since the change began: at once, or again when there is twice as much."""
+        """Diagnose what was recorded since the change began: at once, or again when there is twice
+        as much."""
         found = self.writer.episodes_of_role(alarm.plant, DIAGNOSED, _since_ns(alarm))
         if {e.role for e in found} != DIAGNOSED or not self._is_due(alarm, policy, len(found)):
             return
         request: dict[str, Json] = {"episodes": [e.digest for e in found], "seed": 0}
-        job = submit_diagnosis(self.writer, self.queue, self.new(), alarm.plant, request, self.stamp)
+        job = submit_diagnosis(
+            self.writer, self.queue, self.new(), alarm.plant, request, self.stamp
+        )
         follow_alarm(self.writer, alarm, self.stamp, job=job.id, trial=None)
 
     def _is_due(self, alarm: AlarmRecord, policy: UpdatePolicy | None, episodes: int) -> bool:
-        """Whether there was no diagnosis yet, or one that led nowhere and there is twice as much now."""
+        """Whether there was no diagnosis yet, or one that led nowhere and there is twice as much
+        now."""
         if alarm.job is None:
             return True
         job = find.job(self.writer, alarm.job)
@@ -125,13 +202,19 @@ class Cycle:
         result: Any = job.result or {}
         judged: Any = {} if trial is None else trial.result or {}
         found_nothing = job.state != JobState.SUCCEEDED or result["report"]["verdict"] == NOTHING
-        led_nowhere = policy is not None and policy.on_diagnosis != ASK and not judged.get("accepted")
+        led_nowhere = (
+            policy is not None and policy.on_diagnosis != ASK and not judged.get("accepted")
+        )
         return (found_nothing or led_nowhere) and episodes >= AGAIN * len(job.request["episodes"])  # type: ignore[arg-type]
 
-    def _held_out(self, diagnosis: JobRecord, alarm: AlarmRecord, policy: UpdatePolicy) -> list[str]:
-        """What to judge on, of each cell of the gate's conditions: what was recorded since the change, or where nothing was, what there is.
+    def _held_out(
+        self, diagnosis: JobRecord, alarm: AlarmRecord, policy: UpdatePolicy
+    ) -> list[str]:
+        """What to judge on, of each cell of the gate's conditions: what was recorded since the
+        change, or where nothing was, what there is.
 
-        What the diagnosis has not compared on is taken before what it has; what is spent is left out.
+        What the diagnosis has not compared on is taken before what it has; what is spent is left
+        out.
         """
         gate: Any = find.gate(self.writer, alarm.plant, policy.gate).document
         cells: dict[tuple[str, ...], list[EpisodeRecord]] = {}
@@ -139,7 +222,9 @@ class Cycle:
             if self.writer.uses(episode.digest, "gate") >= budget_of(gate):
                 continue
             declared: Any = episode.summary["conditions"]
-            cells.setdefault(tuple(declared.get(name, "") for name in gate.get("conditions", [])), []).append(episode)
+            cells.setdefault(
+                tuple(declared.get(name, "") for name in gate.get("conditions", [])), []
+            ).append(episode)
         chosen: list[str] = []
         for inside in cells.values():
             new = [e for e in inside if e.start_ns >= _since_ns(alarm)] or inside
@@ -148,7 +233,8 @@ class Cycle:
         return chosen
 
     def _tried(self, plant: str, act: Callable[[], object]) -> bool:
-        """Take a step; where it cannot be, the log says why, and the cycle waits for a person or for more data."""
+        """Take a step; where it cannot be, the log says why, and the cycle waits for a person or
+        for more data."""
         try:
             act()
         except TrueupError as error:

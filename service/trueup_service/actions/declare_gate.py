@@ -22,11 +22,14 @@ from trueup_service.registry.store import Writer
 TOLD = 10  # decisions that a refusal names
 
 
-def declare_gate(writer: Writer, plant: str, document: Mapping[str, Json] | None, stamp: Stamp) -> tuple[GateRecord, bool]:
-    """The gate, and whether it is new. Without a document the one in force, or where there is none the default.
+def declare_gate(
+    writer: Writer, plant: str, document: Mapping[str, Json] | None, stamp: Stamp
+) -> tuple[GateRecord, bool]:
+    """The gate, and whether it is new. Without a document the one in force, or where there is none
+    the default.
 
-    Once a candidate of the plant has been judged, another gate names the one in force and says why. Raises BadGate, VacuousGate,
-    GateFollows, NotFound.
+    Once a candidate of the plant has been judged, another gate names the one in force and says why.
+    Raises BadGate, VacuousGate, GateFollows, NotFound.
     """
     registered = find.plant(writer, plant)
     given = None if document is None else Gate.from_document(document)
@@ -34,32 +37,56 @@ def declare_gate(writer: Writer, plant: str, document: Mapping[str, Json] | None
     line = writer.gate_line(plant)
     if given is None and line:
         return line[-1], False
-    gate = default_gate(Plant.from_document(registered.document).horizon_s) if given is None else given
+    gate = (
+        default_gate(Plant.from_document(registered.document).horizon_s) if given is None else given
+    )
     known = next((g for g in line if g.digest == gate.digest), None)
     if known is not None:
         return known, False
     if gate.because is not None and (character := obeyed_character(gate.because, allowed="\n\t")):
-        raise BadGate(f"because holds the control character {character}: write it as text that can be read", field="because")
+        raise BadGate(
+            f"because holds the control character {character}: write it as text that can be read",
+            field="because",
+        )
     twice = [name for name, count in Counter(rule.name for rule in gate.rules).items() if count > 1]
     if twice:
-        raise BadGate(f"it holds the rule {twice[0]} twice: one of them is idle", hint="Name each rule once.", rules=list(twice))
+        raise BadGate(
+            f"it holds the rule {twice[0]} twice: one of them is idle",
+            hint="Name each rule once.",
+            rules=list(twice),
+        )
     require_can_reject(gate)
     _require_follows(writer, plant, gate, line)
     record = GateRecord(plant, gate.digest, gate.document(), stamp.now, stamp.actor)
     writer.add_gate(record)
     facts: dict[str, Json] = {"gate": gate.document()}
     if line:
-        facts |= {"in_place_of": line[-1].digest, "looser": list(looser(line[-1].document, gate.document()))}
-    writer.append_audit(at=stamp.now, kind="gate:declared", actor=stamp.actor, plant=plant, subject=gate.digest, facts=facts)
+        facts |= {
+            "in_place_of": line[-1].digest,
+            "looser": list(looser(line[-1].document, gate.document())),
+        }
+    writer.append_audit(
+        at=stamp.now,
+        kind="gate:declared",
+        actor=stamp.actor,
+        plant=plant,
+        subject=gate.digest,
+        facts=facts,
+    )
     return record, True
 
 
 def _require_follows(writer: Writer, plant: str, gate: Gate, line: Sequence[GateRecord]) -> None:
-    """Raises GateFollows where the gate does not say that it follows the one in force and must, BadGate where it follows another."""
+    """Raises GateFollows where the gate does not say that it follows the one in force and must,
+    BadGate where it follows another."""
     last = line[-1] if line else None
     if gate.follows is not None and (last is None or gate.follows != last.digest):
         in_force = "none is in force" if last is None else f"{last.digest[:12]} is in force"
-        raise BadGate(f"it follows {gate.follows[:12]}, and {in_force}", field="follows", in_force=None if last is None else last.digest)
+        raise BadGate(
+            f"it follows {gate.follows[:12]}, and {in_force}",
+            field="follows",
+            in_force=None if last is None else last.digest,
+        )
     if last is None or gate.follows is not None:
         return
     scored: list[Any] = writer.decisions(plant, END_OF_TIME, TOLD)
@@ -70,4 +97,10 @@ def _require_follows(writer: Writer, plant: str, gate: Gate, line: Sequence[Gate
         "looser": looser(last.document, gate.document()),
         "decisions": [d.digest for d in scored],
     }
-    raise GateFollows(f"gate {last.digest[:12]} is in force, and this plant's gates have judged candidates, or are about to", **facts)
+    raise GateFollows(
+        (
+            f"gate {last.digest[:12]} is in force, and this plant's gates have judged "
+            "candidates, or are about to"
+        ),
+        **facts,
+    )

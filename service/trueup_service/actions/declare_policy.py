@@ -19,8 +19,8 @@ def declare_policy(
 ) -> tuple[PolicyRecord, bool]:
     """The policy, and whether it is another than held before.
 
-    Raises BadPolicy, NotFound for a gate that is not declared, GateSuperseded for one that is not in force, Forbidden where somebody but an
-    admin makes promotions easier.
+    Raises BadPolicy, NotFound for a gate that is not declared, GateSuperseded for one that is not
+    in force, Forbidden where somebody but an admin makes promotions easier.
     """
     policy = UpdatePolicy.from_document(document)
     gate = find.gate(writer, plant, policy.gate)
@@ -31,13 +31,31 @@ def declare_policy(
     require_in_force(writer, plant, gate)
     before = policy_of(writer, plant)
     if before is not None and policy.approvals < before.approvals and not by_admin:
-        raise Forbidden(f"the policy that holds takes {before.approvals} people", hint="An admin may declare one that takes fewer.")
+        raise Forbidden(
+            f"the policy that holds takes {before.approvals} people",
+            hint="An admin may declare one that takes fewer.",
+        )
     if before is not None and before.on_rejected == FORBID != policy.on_rejected and not by_admin:
-        raise Forbidden("the policy that holds forbids to promote what was rejected", hint="An admin may declare one that does not.")
-    record = PolicyRecord(plant, held.sequence + 1 if held else 1, policy.digest, policy.document(), stamp.now, stamp.actor)
+        raise Forbidden(
+            "the policy that holds forbids to promote what was rejected",
+            hint="An admin may declare one that does not.",
+        )
+    record = PolicyRecord(
+        plant,
+        held.sequence + 1 if held else 1,
+        policy.digest,
+        policy.document(),
+        stamp.now,
+        stamp.actor,
+    )
     writer.add_policy(record)
     writer.append_audit(
-        at=stamp.now, kind="policy:declared", actor=stamp.actor, plant=plant, subject=policy.digest, facts={"policy": policy.document()}
+        at=stamp.now,
+        kind="policy:declared",
+        actor=stamp.actor,
+        plant=plant,
+        subject=policy.digest,
+        facts={"policy": policy.document()},
     )
     return record, True
 

@@ -26,7 +26,17 @@ from trueup_service.registry.records import (
 from trueup_service.registry.store import Reader
 
 # kinds of jobs that read episodes
-PURPOSES = ("fit", "gate", "diagnose", "blindtrial", "calibrate", "watch", "validate", "recompute", "compare")
+PURPOSES = (
+    "fit",
+    "gate",
+    "diagnose",
+    "blindtrial",
+    "calibrate",
+    "watch",
+    "validate",
+    "recompute",
+    "compare",
+)
 T = TypeVar("T")
 
 
@@ -57,7 +67,10 @@ def uses(reader: Reader, digest: str) -> dict[str, int]:
 
 def served_during(reader: Reader, episode: EpisodeRecord) -> list[Move]:
     """Every position of the pointer that was live at some time of the recording."""
-    begin, end = (time_text(datetime.fromtimestamp(ns / 1e9, UTC)) for ns in (episode.start_ns, episode.end_ns))
+    begin, end = (
+        time_text(datetime.fromtimestamp(ns / 1e9, UTC))
+        for ns in (episode.start_ns, episode.end_ns)
+    )
     first, last = reader.served_at(episode.plant, begin), reader.served_at(episode.plant, end)
     if last is None:
         return []
@@ -102,7 +115,12 @@ def channel_move(reader: Reader, plant: str, name: str) -> ChannelMove:
     channel(reader, plant, name)
     found = reader.channel_move(plant, name)
     if found is None:
-        raise NotFound(f"channel {name!r} serves nothing yet", noun="position", name=name, hint="Move it to an artifact that serves.")
+        raise NotFound(
+            f"channel {name!r} serves nothing yet",
+            noun="position",
+            name=name,
+            hint="Move it to an artifact that serves.",
+        )
     return found
 
 

@@ -20,7 +20,12 @@ def finish_job(
 ) -> bool:
     """Run the job's effects and close it; False, and nothing is done, if it was closed before."""
     if not writer.update_job(
-        job.id, now=stamp.now, state=state, progress=1.0 if state == JobState.SUCCEEDED else None, stage=str(state), result=result
+        job.id,
+        now=stamp.now,
+        state=state,
+        progress=1.0 if state == JobState.SUCCEEDED else None,
+        stage=str(state),
+        result=result,
     ):
         return False
     effects(writer)
@@ -31,5 +36,12 @@ def finish_job(
         "reads": dict(writer.job_reads(job.id)),
         "result": result,
     }
-    writer.append_audit(at=stamp.now, kind="job:finished", actor=stamp.actor, plant=job.plant, subject=job.id, facts=facts)
+    writer.append_audit(
+        at=stamp.now,
+        kind="job:finished",
+        actor=stamp.actor,
+        plant=job.plant,
+        subject=job.id,
+        facts=facts,
+    )
     return True

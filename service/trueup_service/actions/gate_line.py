@@ -1,6 +1,7 @@
 """A plant's line of gates: which one is in force, and what was known when a gate was declared.
 
-What came before what is told by the log's own order, not by clocks, which may be wrong. What was imported came before everything here.
+What came before what is told by the log's own order, not by clocks, which may be wrong. What was
+imported came before everything here.
 """
 
 from __future__ import annotations
@@ -13,7 +14,13 @@ from trueup.canonical import Json
 from trueup.gate.line import LooserThan, alike, known, looser_than, past_of, rejects, selection
 from trueup_service.actions import find
 from trueup_service.errors import GateSuperseded
-from trueup_service.registry.records import NOTHING_CAME, DecisionRecord, GateRecord, JobRecord, JobState
+from trueup_service.registry.records import (
+    NOTHING_CAME,
+    DecisionRecord,
+    GateRecord,
+    JobRecord,
+    JobState,
+)
 from trueup_service.registry.store import Reader
 
 DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingested"
@@ -21,7 +28,8 @@ DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingeste
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A gate's place in its line: the one before it, each one before in which it is looser and in what, and whether it is in force."""
+    """A gate's place in its line: the one before it, each one before in which it is looser and in
+    what, and whether it is in force."""
 
     gate: GateRecord
     before: GateRecord | None
@@ -31,13 +39,22 @@ class Place:
     @property
     def looser(self) -> list[str]:
         """What is looser in it than in the one before it."""
-        return next((less.looser for less in self.looser_than if self.before is not None and less.gate == self.before.digest), [])
+        return next(
+            (
+                less.looser
+                for less in self.looser_than
+                if self.before is not None and less.gate == self.before.digest
+            ),
+            [],
+        )
 
 
 def place(reader: Reader, plant: str, digest: str | None = None) -> Place | None:
     """The place of a gate, or without a digest of the one in force; None where there is none."""
     line = reader.gate_line(plant)
-    at = next((i for i, gate in reversed(list(enumerate(line))) if digest in (None, gate.digest)), None)
+    at = next(
+        (i for i, gate in reversed(list(enumerate(line))) if digest in (None, gate.digest)), None
+    )
     if at is None:
         return None
     than = looser_than([(gate.digest, gate.document) for gate in line[:at]], line[at].document)
@@ -49,40 +66,69 @@ def require_in_force(reader: Reader, plant: str, gate: GateRecord) -> None:
     last = reader.gate_line(plant)[-1]
     if last.digest != gate.digest:
         raise GateSuperseded(
-            f"gate {gate.digest[:12]} was superseded: {last.digest[:12]} is in force since {last.created_at}", in_force=last.digest
+            (
+                f"gate {gate.digest[:12]} was superseded: {last.digest[:12]} is in force since "
+                f"{last.created_at}"
+            ),
+            in_force=last.digest,
         )
 
 
-def known_at(reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]) -> dict[str, Json]:
+def known_at(
+    reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]
+) -> dict[str, Json]:
     """What was known of a candidate and its held-out episodes when a gate was declared."""
     return disclosed(reader, plant, gate, candidate, episodes)["known"]
 
 
-def disclosed(reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]) -> dict[str, dict[str, Json]]:
-    """What the decision of a trial must tell: what was `known` of its candidate and its episodes when its gate was declared, and of what
-    both are selected now (`selection`).
+def disclosed(
+    reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]
+) -> dict[str, dict[str, Json]]:
+    """What the decision of a trial must tell: what was `known` of its candidate and its episodes
+    when its gate was declared, and of what both are selected now (`selection`).
     """
     declared = reader.log_positions(plant, DECLARED, [gate.digest]).get(gate.digest, 0)
-    made, comparisons = reader.decisions_on(plant, candidate, episodes), reader.jobs_reading(episodes, "compare")
+    made, comparisons = (
+        reader.decisions_on(plant, candidate, episodes),
+        reader.jobs_reading(episodes, "compare"),
+    )
     at: dict[str, int] = {}
     for other in {d.plant for d in made}:
         at |= reader.log_positions(other, DECIDED, [d.digest for d in made if d.plant == other])
     before = [
-        d for d in made if at.get(d.digest, 0) < declared or (at.get(d.digest, 0) == declared == 0 and d.created_at < gate.created_at)
+        d
+        for d in made
+        if at.get(d.digest, 0) < declared
+        or (at.get(d.digest, 0) == declared == 0 and d.created_at < gate.created_at)
     ]
     before.sort(key=lambda d: (at.get(d.digest, 0), d.created_at, d.digest))
     pasts = [past_of(d.digest, d.plant, d.document) for d in before]
-    outcomes = [d.accepted for d in made if d.plant == plant and d.candidate != candidate and at.get(d.digest, 0) > declared]
+    outcomes = [
+        d.accepted
+        for d in made
+        if d.plant == plant and d.candidate != candidate and at.get(d.digest, 0) > declared
+    ]
     shown = sum(job.plant == plant and job.state not in NOTHING_CAME for job in comparisons)
     return {
-        "known": known(plant, candidate, episodes, pasts, _compared(reader, candidate, comparisons, declared)),
-        "selection": selection(reader.held_out(plant), outcomes.count(True), outcomes.count(False), shown),
+        "known": known(
+            plant, candidate, episodes, pasts, _compared(reader, candidate, comparisons, declared)
+        ),
+        "selection": selection(
+            reader.held_out(plant), outcomes.count(True), outcomes.count(False), shown
+        ),
     }
 
 
-def _compared(reader: Reader, candidate: str, comparisons: Sequence[JobRecord], declared: int) -> list[str]:
-    """Those of some comparisons that had shown the candidate's errors when the gate was declared."""
-    jobs = [j for j in comparisons if j.state == JobState.SUCCEEDED and candidate in (j.request["first"], j.request["second"])]
+def _compared(
+    reader: Reader, candidate: str, comparisons: Sequence[JobRecord], declared: int
+) -> list[str]:
+    """Those of some comparisons that had shown the candidate's errors when the gate was
+    declared."""
+    jobs = [
+        j
+        for j in comparisons
+        if j.state == JobState.SUCCEEDED and candidate in (j.request["first"], j.request["second"])
+    ]
     ended: dict[str, int] = {}
     for plant in {j.plant for j in jobs}:
         ended |= reader.log_positions(plant, "job:finished", [j.id for j in jobs])
@@ -90,27 +136,43 @@ def _compared(reader: Reader, candidate: str, comparisons: Sequence[JobRecord], 
 
 
 def rejections(reader: Reader, made: DecisionRecord) -> list[DecisionRecord]:
-    """Decisions, whenever they were made, that rejected the candidate of a decision: itself, or what errs as it does."""
+    """Decisions, whenever they were made, that rejected the candidate of a decision: itself, or
+    what errs as it does."""
     document: Any = made.document
     scoring = find.gate(reader, made.plant, made.gate).document["scoring"]
     return [
         other
-        for other in reader.rejections_of(made.plant, [made.candidate, *alike(document)], document["episodes"])
-        if rejects(other.document, document, same_scoring=find.gate(reader, other.plant, other.gate).document["scoring"] == scoring)
+        for other in reader.rejections_of(
+            made.plant, [made.candidate, *alike(document)], document["episodes"]
+        )
+        if rejects(
+            other.document,
+            document,
+            same_scoring=find.gate(reader, other.plant, other.gate).document["scoring"] == scoring,
+        )
     ]
 
 
 def stale(reader: Reader, made: DecisionRecord, rejected: Sequence[DecisionRecord]) -> list[str]:
-    """The episodes of an accepted decision that did not come in after its gate was declared and after its candidate was rejected."""
+    """The episodes of an accepted decision that did not come in after its gate was declared and
+    after its candidate was rejected."""
     document: Any = made.document
     episodes: list[str] = document["episodes"]
     since = reader.log_positions(made.plant, DECLARED, [made.gate]).get(made.gate, 0)
     for other in rejected:
-        since = max(since, reader.log_positions(other.plant, DECIDED, [other.digest]).get(other.digest, 0))
+        since = max(
+            since, reader.log_positions(other.plant, DECIDED, [other.digest]).get(other.digest, 0)
+        )
     twins = {e: reader.twins(e, made.plant) for e in episodes}
-    came = reader.log_positions(made.plant, INGESTED, sorted({twin for each in twins.values() for twin in each}))
+    came = reader.log_positions(
+        made.plant, INGESTED, sorted({twin for each in twins.values() for twin in each})
+    )
     before = {e for other in rejected for e in _episodes(other)}
-    return [e for e, same in twins.items() if same & before or min(came.get(twin, 0) for twin in same) <= since]
+    return [
+        e
+        for e, same in twins.items()
+        if same & before or min(came.get(twin, 0) for twin in same) <= since
+    ]
 
 
 def _episodes(made: DecisionRecord) -> list[str]:

@@ -32,8 +32,19 @@ def ingest_episode(
         inspected.samples_digest,
     )
     writer.add_episode(record)
-    facts: dict[str, Json] = {"role": record.role, "size_bytes": size_bytes, "conditions": inspected.summary["conditions"]}
+    facts: dict[str, Json] = {
+        "role": record.role,
+        "size_bytes": size_bytes,
+        "conditions": inspected.summary["conditions"],
+    }
     if inspected.samples_digest is not None:
         facts["samples_digest"] = inspected.samples_digest
-    writer.append_audit(at=stamp.now, kind="episode:ingested", actor=stamp.actor, plant=plant, subject=digest, facts=facts)
+    writer.append_audit(
+        at=stamp.now,
+        kind="episode:ingested",
+        actor=stamp.actor,
+        plant=plant,
+        subject=digest,
+        facts=facts,
+    )
     return record, True

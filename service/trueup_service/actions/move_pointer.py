@@ -9,7 +9,14 @@ from typing import Any
 from trueup.canonical import Json, digest_of
 from trueup.errors import BrokenChain
 from trueup.ledger.operation import Operation
-from trueup.ledger.pointer import Judged, NothingToRollBackTo, ServingPointer, promote, require_generation, roll_back
+from trueup.ledger.pointer import (
+    Judged,
+    NothingToRollBackTo,
+    ServingPointer,
+    promote,
+    require_generation,
+    roll_back,
+)
 from trueup_service.actions import find
 from trueup_service.actions.approve import require_not_rejected
 from trueup_service.actions.stamp import Stamp
@@ -26,7 +33,8 @@ def promote_decision(
     stamp: Stamp,
     approved: Mapping[str, Json] = MappingProxyType({}),
 ) -> Move:
-    """The new position, at the decision's candidate; `rehearsed` is the record of the way back, tried before, `approved` says by whom.
+    """The new position, at the decision's candidate; `rehearsed` is the record of the way back,
+    tried before, `approved` says by whom.
 
     Raises PointerMoved, NotAccepted, RejectedBefore, NotFound.
     """
@@ -48,19 +56,37 @@ def promote_decision(
         pointer.since,
         stamp.actor,
     )
-    return _move(writer, now, move, stamp, {"gate": made.gate, "rehearsed": rehearsed, **approved, **rejected})
+    return _move(
+        writer,
+        now,
+        move,
+        stamp,
+        {"gate": made.gate, "rehearsed": rehearsed, **approved, **rejected},
+    )
 
 
 def _judged(made: DecisionRecord) -> Judged:
-    """What the decision's document says, if it still is the one that the digest names. Raises BrokenChain."""
+    """What the decision's document says, if it still is the one that the digest names. Raises
+    BrokenChain."""
     document: dict[str, Any] = made.document
     if digest_of(document) != made.digest:
-        raise BrokenChain("the decision's document is not the one that its digest names", decision=made.digest)
-    return Judged(made.digest, document["accepted"], document["candidate"], document["incumbent"], document["generation"])
+        raise BrokenChain(
+            "the decision's document is not the one that its digest names", decision=made.digest
+        )
+    return Judged(
+        made.digest,
+        document["accepted"],
+        document["candidate"],
+        document["incumbent"],
+        document["generation"],
+    )
 
 
-def previous_artifact(reader: Reader, plant: str, expected_generation: int) -> tuple[Move, ArtifactRecord]:
-    """The position that a rollback would return to, and its artifact. Raises PointerMoved, NothingToRollBackTo."""
+def previous_artifact(
+    reader: Reader, plant: str, expected_generation: int
+) -> tuple[Move, ArtifactRecord]:
+    """The position that a rollback would return to, and its artifact. Raises PointerMoved,
+    NothingToRollBackTo."""
     now = find.serving(reader, plant)
     require_generation(_pointer(now), expected_generation)
     back = None if now.back_to is None else reader.move(plant, now.back_to)
@@ -69,8 +95,11 @@ def previous_artifact(reader: Reader, plant: str, expected_generation: int) -> t
     return back, find.artifact(reader, plant, back.artifact)
 
 
-def roll_back_pointer(writer: Writer, plant: str, expected_generation: int, tested: dict[str, Json], stamp: Stamp) -> Move:
-    """The new position, at the artifact that served before; `tested` is the record of its switchback test."""
+def roll_back_pointer(
+    writer: Writer, plant: str, expected_generation: int, tested: dict[str, Json], stamp: Stamp
+) -> Move:
+    """The new position, at the artifact that served before; `tested` is the record of its
+    switchback test."""
     writer.lock_plant(plant)
     now = find.serving(writer, plant)
     back, artifact = previous_artifact(writer, plant, expected_generation)
@@ -100,7 +129,14 @@ def _move(writer: Writer, before: Move, move: Move, stamp: Stamp, facts: dict[st
         "token": stamp.token,
         **facts,
     }
-    writer.append_audit(at=stamp.now, kind="pointer:moved", actor=stamp.actor, plant=move.plant, subject=move.artifact, facts=moved)
+    writer.append_audit(
+        at=stamp.now,
+        kind="pointer:moved",
+        actor=stamp.actor,
+        plant=move.plant,
+        subject=move.artifact,
+        facts=moved,
+    )
     return move
 
 

@@ -20,7 +20,8 @@ class Key:
 
 
 def once(writer: Writer, key: Key, now: str, act: Callable[[], dict[str, Json]]) -> dict[str, Json]:
-    """The response of `act`, or the one given before under this key. Raises KeyReused if that was to another request."""
+    """The response of `act`, or the one given before under this key. Raises KeyReused if that was
+    to another request."""
     writer.lock_name(f"key {key.scope} {key.value}")
     known = writer.remembered(key.scope, key.value)
     if known is None:

@@ -1,4 +1,5 @@
-"""People: who is behind a token. Two tokens of one name are one person, and whoever's token was revoked is nobody."""
+"""People: who is behind a token. Two tokens of one name are one person, and whoever's token was
+revoked is nobody."""
 
 from __future__ import annotations
 
@@ -7,9 +8,11 @@ from trueup_service.registry.store import Reader
 
 
 def person_of(reader: Reader, token: str, actor: str) -> str | None:
-    """The person behind a token's prefix, by name, however it is written; None where the token was revoked.
+    """The person behind a token's prefix, by name, however it is written; None where the token was
+    revoked.
 
-    A token that is not known here, as the admin's of the settings or one of the site where a plant comes from, is its actor's.
+    A token that is not known here, as the admin's of the settings or one of the site where a plant
+    comes from, is its actor's.
     """
     found = reader.token(token)
     if found is None:

@@ -16,9 +16,11 @@ from trueup_service.registry.store import Writer
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """What came of following episodes `before` which the monitor stood: what its detectors keep, what was seen, and the first alarm.
+    """What came of following episodes `before` which the monitor stood: what its detectors keep,
+    what was seen, and the first alarm.
 
-    `alarm` has the `episode` on which it was raised, and the `document` that says what changed since when.
+    `alarm` has the `episode` on which it was raised, and the `document` that says what changed
+    since when.
     """
 
     before: Watching

@@ -10,7 +10,8 @@ END_OF_TIME = "9999-12-31T23:59:59.999999Z"
 
 @dataclass(frozen=True, slots=True)
 class Stamp:
-    """The actor of a change, its time as the registry writes it, and the token that the actor came with."""
+    """The actor of a change, its time as the registry writes it, and the token that the actor came
+    with."""
 
     actor: str
     now: str

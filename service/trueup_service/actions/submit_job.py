@@ -1,4 +1,5 @@
-"""Submit a job: freeze everything that it will read, and hand it to the engine in the same transaction."""
+"""Submit a job: freeze everything that it will read, and hand it to the engine in the same
+transaction."""
 
 from __future__ import annotations
 
@@ -17,20 +18,34 @@ from trueup_service.jobs import JobQueue
 from trueup_service.registry.records import EpisodeRecord, JobRecord, JobState
 from trueup_service.registry.store import Writer
 
-LEAST_VALIDATED = 5  # episodes: of one, the error differs by luck alone by as much as an alarm takes
+LEAST_VALIDATED = (
+    5  # episodes: of one, the error differs by luck alone by as much as an alarm takes
+)
 
 
-def submit_fit(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
-    """A fit of `method` from adaptation episodes: those named, or all there are now. Raises RoleRefused, NotIdentifiable."""
+def submit_fit(
+    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+) -> JobRecord:
+    """A fit of `method` from adaptation episodes: those named, or all there are now. Raises
+    RoleRefused, NotIdentifiable."""
     find.plant_digest(writer, plant)
     episodes = _episodes(writer, plant, request.get("episodes"), (Role.ADAPTATION,))
     if not episodes:
-        raise NotIdentifiable("there is no adaptation episode to fit", hint="Upload one whose metadata says role = adaptation.")
-    frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(writer, plant).artifact}
+        raise NotIdentifiable(
+            "there is no adaptation episode to fit",
+            hint="Upload one whose metadata says role = adaptation.",
+        )
+    frozen = {
+        **request,
+        "episodes": _digests(episodes),
+        "parent": find.serving(writer, plant).artifact,
+    }
     return _submit(writer, queue, job, plant, "fit", frozen, stamp)
 
 
-def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+def submit_gate(
+    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+) -> JobRecord:
     """A trial of a candidate against what serves now, under the plant's gate in force.
 
     Raises GateSuperseded, HeldOutSpent, RoleRefused, BadGate.
@@ -41,15 +56,23 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
     writer.lock_name("uses of held-out episodes")  # which are counted over all plants
     require_in_force(writer, plant, gate)
     named = request.get("episodes")
-    held_out = _not_fitted(writer, plant, _episodes(writer, plant, named, HELD_OUT), named=named is not None)
+    held_out = _not_fitted(
+        writer, plant, _episodes(writer, plant, named, HELD_OUT), named=named is not None
+    )
     if not held_out:
-        raise BadGate("there is no held-out episode to judge on", hint="Upload one whose metadata says role = validation.")
+        raise BadGate(
+            "there is no held-out episode to judge on",
+            hint="Upload one whose metadata says role = validation.",
+        )
     budget = budget_of(gate.document)
     uses = {e.digest: writer.uses(e.digest, "gate") for e in held_out}
     spent = [digest for digest, used in uses.items() if used >= budget]
     episodes = [e for e in held_out if e.digest not in spent]
     if not episodes or (spent and named is not None):
-        raise HeldOutSpent(f"{len(spent)} held-out episodes were used {budget} times, as often as the gate allows", spent=spent[:10])
+        raise HeldOutSpent(
+            f"{len(spent)} held-out episodes were used {budget} times, as often as the gate allows",
+            spent=spent[:10],
+        )
     digests = _digests(episodes)
     now = find.serving(writer, plant)
     frozen: dict[str, Json] = {
@@ -65,66 +88,122 @@ def submit_gate(writer: Writer, queue: JobQueue, job: str, plant: str, request: 
         "generation": now.generation,
     }
     record = _submit(writer, queue, job, plant, "gate", frozen, stamp)
-    writer.add_reads(job, digests, "gate")  # used from now on, so that many at once do not spend more than there is
+    writer.add_reads(
+        job, digests, "gate"
+    )  # used from now on, so that many at once do not spend more than there is
     return record
 
 
-def submit_diagnosis(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
-    """A diagnosis of the nominal model from adaptation and validation episodes. Raises RoleRefused, NotIdentifiable."""
+def submit_diagnosis(
+    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+) -> JobRecord:
+    """A diagnosis of the nominal model from adaptation and validation episodes. Raises RoleRefused,
+    NotIdentifiable."""
     return _submit_on_both(writer, queue, job, plant, "diagnose", request, stamp)
 
 
-def submit_blindtrial(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
-    """A blind trial after adaptation and validation episodes. Raises RoleRefused, NotIdentifiable."""
+def submit_blindtrial(
+    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+) -> JobRecord:
+    """A blind trial after adaptation and validation episodes. Raises RoleRefused,
+    NotIdentifiable."""
     return _submit_on_both(writer, queue, job, plant, "blindtrial", request, stamp)
 
 
-def _submit_on_both(writer: Writer, queue: JobQueue, job: str, plant: str, kind: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+def _submit_on_both(
+    writer: Writer,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    kind: str,
+    request: dict[str, Json],
+    stamp: Stamp,
+) -> JobRecord:
     find.plant_digest(writer, plant)
     episodes = _episodes(writer, plant, request.get("episodes"), (Role.ADAPTATION, Role.VALIDATION))
     missing = {Role.ADAPTATION, Role.VALIDATION} - {Role(e.role) for e in episodes}
     if missing:
         role = min(missing)
-        raise NotIdentifiable(f"there is no {role} episode to start from", hint=f"Upload one whose metadata says role = {role}.")
-    frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(writer, plant).artifact}
+        raise NotIdentifiable(
+            f"there is no {role} episode to start from",
+            hint=f"Upload one whose metadata says role = {role}.",
+        )
+    frozen = {
+        **request,
+        "episodes": _digests(episodes),
+        "parent": find.serving(writer, plant).artifact,
+    }
     return _submit(writer, queue, job, plant, kind, frozen, stamp)
 
 
-def submit_calibration(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
-    """A monitor of what serves now, on healthy episodes: those named, or all of the role reference. Raises RoleRefused, NotIdentifiable."""
+def submit_calibration(
+    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+) -> JobRecord:
+    """A monitor of what serves now, on healthy episodes: those named, or all of the role reference.
+    Raises RoleRefused, NotIdentifiable."""
     find.plant_digest(writer, plant)
     named = request.get("episodes")
     episodes = _episodes(writer, plant, named, (Role.REFERENCE,) if named is None else HEALTHY)
     if not episodes:
-        raise NotIdentifiable("there is no reference episode", hint="Upload healthy operation whose metadata says role = reference.")
-    frozen = {**request, "episodes": _digests(episodes), "artifact": find.serving(writer, plant).artifact}
+        raise NotIdentifiable(
+            "there is no reference episode",
+            hint="Upload healthy operation whose metadata says role = reference.",
+        )
+    frozen = {
+        **request,
+        "episodes": _digests(episodes),
+        "artifact": find.serving(writer, plant).artifact,
+    }
     return _submit(writer, queue, job, plant, "calibrate", frozen, stamp)
 
 
-def submit_watch(writer: Writer, queue: JobQueue, job: str, plant: str, stamp: Stamp) -> JobRecord | None:
-    """A look at the episodes that the plant's monitor has not seen; None if there are none, or one waits already, or nobody watches."""
+def submit_watch(
+    writer: Writer, queue: JobQueue, job: str, plant: str, stamp: Stamp
+) -> JobRecord | None:
+    """A look at the episodes that the plant's monitor has not seen; None if there are none, or one
+    waits already, or nobody watches."""
     watching = writer.watching(plant)
     if watching is None or writer.waits(plant, "watch"):
         return None
-    if find.monitor(writer, plant, watching.monitor).artifact != find.serving(writer, plant).artifact:
+    if (
+        find.monitor(writer, plant, watching.monitor).artifact
+        != find.serving(writer, plant).artifact
+    ):
         return None
     if not writer.unwatched(watching, WATCHED, 1):
         return None
     return _submit(writer, queue, job, plant, "watch", {"monitor": watching.monitor}, stamp)
 
 
-def submit_validation(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
-    """A validation of what serves, on what was held out since it was promoted, beside what its promotion was judged on.
+def submit_validation(
+    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+) -> JobRecord:
+    """A validation of what serves, on what was held out since it was promoted, beside what its
+    promotion was judged on.
 
     Raises NotIdentifiable where too little was: a few episodes differ by luck.
     """
     now = find.serving(writer, plant)
-    judged: Any = [] if now.decision is None else find.decision(writer, plant, now.decision).document["episodes"]
-    gate: Any = {} if now.decision is None else find.gate(writer, plant, find.decision(writer, plant, now.decision).gate).document
-    new = [e for e in writer.episodes_of_role(plant, HELD_OUT, came_in=now.at) if e.digest not in judged]
+    judged: Any = (
+        []
+        if now.decision is None
+        else find.decision(writer, plant, now.decision).document["episodes"]
+    )
+    gate: Any = (
+        {}
+        if now.decision is None
+        else find.gate(writer, plant, find.decision(writer, plant, now.decision).gate).document
+    )
+    new = [
+        e
+        for e in writer.episodes_of_role(plant, HELD_OUT, came_in=now.at)
+        if e.digest not in judged
+    ]
     if len(new) < LEAST_VALIDATED:
         hint = f"Upload {LEAST_VALIDATED} episodes with the role validation at least."
-        raise NotIdentifiable(f"only {len(new)} episodes were held out since this model serves", hint=hint)
+        raise NotIdentifiable(
+            f"only {len(new)} episodes were held out since this model serves", hint=hint
+        )
     frozen: dict[str, Json] = {
         "artifact": now.artifact,
         "episodes": [*judged, *_digests(new)],
@@ -134,22 +213,42 @@ def submit_validation(writer: Writer, queue: JobQueue, job: str, plant: str, req
     return _submit(writer, queue, job, plant, "validate", frozen, stamp)
 
 
-def submit_recomputation(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
+def submit_recomputation(
+    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+) -> JobRecord:
     """A decision, made anew from its bytes. Raises NotFound."""
     made = find.decision(writer, plant, str(request["decision"]))
     frozen: dict[str, Json] = {"decision": made.digest, "episodes": made.document["episodes"]}
     return _submit(writer, queue, job, plant, "recompute", frozen, stamp)
 
 
-def submit_comparison(writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp) -> JobRecord:
-    """Two versions side by side on some episodes, or on all that were held out. Raises NotFound, NotIdentifiable."""
+def submit_comparison(
+    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+) -> JobRecord:
+    """Two versions side by side on some episodes, or on all that were held out. Raises NotFound,
+    NotIdentifiable."""
     writer.lock_plant(plant)
-    both: dict[str, Json] = {which: find.artifact(writer, plant, str(request[which])).digest for which in ("first", "second")}
-    episodes = _episodes(writer, plant, request.get("episodes"), tuple(Role) if request.get("episodes") is not None else HELD_OUT)
+    both: dict[str, Json] = {
+        which: find.artifact(writer, plant, str(request[which])).digest
+        for which in ("first", "second")
+    }
+    episodes = _episodes(
+        writer,
+        plant,
+        request.get("episodes"),
+        tuple(Role) if request.get("episodes") is not None else HELD_OUT,
+    )
     if not episodes:
-        raise NotIdentifiable("there is no held-out episode to compare on", hint="Upload one whose metadata says role = validation.")
-    record = _submit(writer, queue, job, plant, "compare", {**both, "episodes": _digests(episodes)}, stamp)
-    writer.add_reads(job, _digests(episodes), "compare")  # a gate's decision tells of it from now on
+        raise NotIdentifiable(
+            "there is no held-out episode to compare on",
+            hint="Upload one whose metadata says role = validation.",
+        )
+    record = _submit(
+        writer, queue, job, plant, "compare", {**both, "episodes": _digests(episodes)}, stamp
+    )
+    writer.add_reads(
+        job, _digests(episodes), "compare"
+    )  # a gate's decision tells of it from now on
     return record
 
 
@@ -165,27 +264,38 @@ SUBMIT = {
 }
 
 
-def _episodes(writer: Writer, plant: str, named: Json, roles: Sequence[Role]) -> list[EpisodeRecord]:
+def _episodes(
+    writer: Writer, plant: str, named: Json, roles: Sequence[Role]
+) -> list[EpisodeRecord]:
     if named is None:
         return writer.episodes_of_role(plant, roles)
     found = [find.episode(writer, plant, str(digest)) for digest in named]  # type: ignore[union-attr]
     for episode in found:
         if episode.role not in roles:
             raise RoleRefused(
-                f"episode {episode.digest[:12]} has the role {episode.role}, {' or '.join(roles)} is needed",
+                (
+                    f"episode {episode.digest[:12]} has the role {episode.role}, "
+                    f"{' or '.join(roles)} is needed"
+                ),
                 role=episode.role,
                 digest=episode.digest,
             )
     return found
 
 
-def _not_fitted(writer: Writer, plant: str, episodes: list[EpisodeRecord], *, named: bool) -> list[EpisodeRecord]:
-    """Those whose samples are not in as an adaptation episode, too: a fit may have seen them. Raises RoleRefused for one that was named."""
+def _not_fitted(
+    writer: Writer, plant: str, episodes: list[EpisodeRecord], *, named: bool
+) -> list[EpisodeRecord]:
+    """Those whose samples are not in as an adaptation episode, too: a fit may have seen them.
+    Raises RoleRefused for one that was named."""
     fitted = writer.samples_of_role(plant, Role.ADAPTATION)
     seen = [e for e in episodes if e.samples_digest in fitted]
     if seen and named:
         raise RoleRefused(
-            f"episode {seen[0].digest[:12]} holds the samples of an adaptation episode, from which models are fitted",
+            (
+                f"episode {seen[0].digest[:12]} holds the samples of an adaptation episode, from "
+                "which models are fitted"
+            ),
             role=seen[0].role,
             digest=seen[0].digest,
         )
@@ -196,8 +306,28 @@ def _digests(episodes: Sequence[EpisodeRecord]) -> list[str]:
     return list(dict.fromkeys(e.digest for e in episodes))
 
 
-def _submit(writer: Writer, queue: JobQueue, job: str, plant: str, kind: str, frozen: dict[str, Json], stamp: Stamp) -> JobRecord:
-    record = JobRecord(job, plant, kind, frozen, JobState.QUEUED, 0.0, "queued", None, stamp.now, stamp.actor, stamp.now)
+def _submit(
+    writer: Writer,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    kind: str,
+    frozen: dict[str, Json],
+    stamp: Stamp,
+) -> JobRecord:
+    record = JobRecord(
+        job,
+        plant,
+        kind,
+        frozen,
+        JobState.QUEUED,
+        0.0,
+        "queued",
+        None,
+        stamp.now,
+        stamp.actor,
+        stamp.now,
+    )
     writer.add_job(record)
     queue.enqueue(writer.connection, job, kind, plant)
     writer.append_audit(

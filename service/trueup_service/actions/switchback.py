@@ -23,16 +23,24 @@ from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ArtifactRecord
 
 AT_ONCE = BoundedSemaphore(2)  # tests: each reads two models and a recording
-HELD: dict[str, Json] = {"loads": True, "digests_hold": True, "answers_probe": True, "fits_plant": True}
+HELD: dict[str, Json] = {
+    "loads": True,
+    "digests_hold": True,
+    "answers_probe": True,
+    "fits_plant": True,
+}
 
 
 def load_artifact(blobs: Blobs, record: ArtifactRecord) -> Artifact:
     """An artifact's bytes, as they are kept."""
-    return Artifact(record.manifest.encode(), b"" if record.arrays is None else blobs.get(record.arrays))
+    return Artifact(
+        record.manifest.encode(), b"" if record.arrays is None else blobs.get(record.arrays)
+    )
 
 
 def rehearse_rollback(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> dict[str, Json]:
-    """What held: it loads, its digests hold, it answers its recorded probe, it was made for the plant as it is. Raises SwitchbackFailed."""
+    """What held: it loads, its digests hold, it answers its recorded probe, it was made for the
+    plant as it is. Raises SwitchbackFailed."""
     with AT_ONCE:
         _able(blobs, record, plant_digest)
     return {**HELD, "artifact": record.digest}
@@ -46,17 +54,27 @@ def _able(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> Predictor:
         require_plant(artifact, plant_digest)
     except TrueupError as error:
         raise SwitchbackFailed(
-            f"version {record.version} cannot serve: {error.message}", cause=error.code, artifact=record.digest
+            f"version {record.version} cannot serve: {error.message}",
+            cause=error.code,
+            artifact=record.digest,
         ) from error
     return found
 
 
 def rehearse(
-    blobs: Blobs, back: ArtifactRecord, plant_digest: str, candidate: Predictor, probe: Episode, scoring: Scoring, now: str
+    blobs: Blobs,
+    back: ArtifactRecord,
+    plant_digest: str,
+    candidate: Predictor,
+    probe: Episode,
+    scoring: Scoring,
+    now: str,
 ) -> dict[str, Json]:
-    """Try the way back before going forward: what serves now is loaded again and scored on a probe episode, beside the candidate.
+    """Try the way back before going forward: what serves now is loaded again and scored on a probe
+    episode, beside the candidate.
 
-    The record says when, how long it took to be ready [s], and what going back would change. Raises SwitchbackFailed.
+    The record says when, how long it took to be ready [s], and what going back would change. Raises
+    SwitchbackFailed.
     """
     began = perf_counter()
     predictor = _able(blobs, back, plant_digest)
@@ -83,8 +101,11 @@ def rehearse_decision(
     gate: Mapping[str, Any],
     now: str,
 ) -> dict[str, Json]:
-    """The same for a decision that is to be promoted, on its first episode. Raises SwitchbackFailed."""
+    """The same for a decision that is to be promoted, on its first episode. Raises
+    SwitchbackFailed."""
     with AT_ONCE, blobs.at_hand(decision["episodes"][0], spool) as path, path.open("rb") as file:
         forward = unpack(load_artifact(blobs, candidate), candidate.digest)
         probe = read_episode_stream(file, path.stat().st_size, forward.plant.layout)
-        return rehearse(blobs, back, plant_digest, forward, probe, Gate.from_document(gate).scoring, now)
+        return rehearse(
+            blobs, back, plant_digest, forward, probe, Gate.from_document(gate).scoring, now
+        )

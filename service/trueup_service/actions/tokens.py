@@ -18,12 +18,15 @@ def create_project(writer: Writer, name: str, stamp: Stamp) -> tuple[ProjectReco
         return known, False
     record = ProjectRecord(name, stamp.now, stamp.actor)
     writer.add_project(record)
-    writer.append_audit(at=stamp.now, kind="project:created", actor=stamp.actor, plant=None, subject=name, facts={})
+    writer.append_audit(
+        at=stamp.now, kind="project:created", actor=stamp.actor, plant=None, subject=name, facts={}
+    )
     return record, True
 
 
 def issue_token(writer: Writer, token: TokenRecord, stamp: Stamp) -> TokenRecord:
-    """Keep a token. Raises NotFound for a project that there is not, BadRequest for a robot of no plant."""
+    """Keep a token. Raises NotFound for a project that there is not, BadRequest for a robot of no
+    plant."""
     if Role.ROBOT in token.roles and (token.plant is None or len(token.roles) > 1):
         raise BadRequest("a robot's token is of one plant, and has no other role", field="plant")
     if token.project is not None:
@@ -40,7 +43,14 @@ def issue_token(writer: Writer, token: TokenRecord, stamp: Stamp) -> TokenRecord
         "plant": token.plant,
         "expires_at": token.expires_at,
     }
-    writer.append_audit(at=stamp.now, kind="token:issued", actor=stamp.actor, plant=token.plant, subject=token.prefix, facts=facts)
+    writer.append_audit(
+        at=stamp.now,
+        kind="token:issued",
+        actor=stamp.actor,
+        plant=token.plant,
+        subject=token.prefix,
+        facts=facts,
+    )
     return token
 
 
@@ -48,7 +58,18 @@ def revoke_token(writer: Writer, prefix: str, stamp: Stamp) -> TokenRecord:
     """Revoke a token, for good. Raises NotFound, Conflict where it is revoked."""
     found = find.token(writer, prefix)
     if not writer.revoke_token(prefix, stamp.now, stamp.actor):
-        raise Conflict("the token is revoked already", hint="Nothing is left to do.", revoked_at=found.revoked_at)
+        raise Conflict(
+            "the token is revoked already",
+            hint="Nothing is left to do.",
+            revoked_at=found.revoked_at,
+        )
     facts: dict[str, Json] = {"name": found.name}
-    writer.append_audit(at=stamp.now, kind="token:revoked", actor=stamp.actor, plant=found.plant, subject=prefix, facts=facts)
+    writer.append_audit(
+        at=stamp.now,
+        kind="token:revoked",
+        actor=stamp.actor,
+        plant=found.plant,
+        subject=prefix,
+        facts=facts,
+    )
     return find.token(writer, prefix)

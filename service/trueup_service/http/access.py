@@ -1,7 +1,9 @@
-"""Who may do what: one row for each route. A route without a row is refused to everybody, and fails the tests.
+"""Who may do what: one row for each route. A route without a row is refused to everybody, and fails
+the tests.
 
-An admin may do everything. A token of a project sees the plants of that project alone, one of a plant that plant alone; what it does not
-see answers as what does not exist. What is `everywhere` shows the whole registry, and needs a token of all projects.
+An admin may do everything. A token of a project sees the plants of that project alone, one of a
+plant that plant alone; what it does not see answers as what does not exist. What is `everywhere`
+shows the whole registry, and needs a token of all projects.
 """
 
 from __future__ import annotations
@@ -11,12 +13,19 @@ from dataclasses import dataclass
 
 from trueup_service.registry.records import Role
 
-ROBOT, ENGINEER, OPERATOR, AUDITOR, ADMIN = Role.ROBOT, Role.ENGINEER, Role.OPERATOR, Role.AUDITOR, Role.ADMIN
+ROBOT, ENGINEER, OPERATOR, AUDITOR, ADMIN = (
+    Role.ROBOT,
+    Role.ENGINEER,
+    Role.OPERATOR,
+    Role.AUDITOR,
+    Role.ADMIN,
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """Which roles may use a route, an admin beside them; `public` for everybody, `everywhere` only with a token of all projects."""
+    """Which roles may use a route, an admin beside them; `public` for everybody, `everywhere` only
+    with a token of all projects."""
 
     roles: frozenset[Role] = frozenset()
     public: bool = False

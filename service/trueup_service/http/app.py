@@ -47,21 +47,34 @@ from trueup_service.inspection import Inspector
 from trueup_service.signed_log import SignedLog, open_log
 from trueup_service.wiring import Parts
 
-DESCRIPTION = """Find where a robot's dynamics model is wrong, correct it, and serve the correction only if it has earned it.
+DESCRIPTION = """Find where a robot's dynamics model is wrong, correct it, and serve the correction
+only if it has earned it.
 
-A recorded episode goes in (`POST …/episodes`), a job fits a candidate (`POST …/jobs`), a gate that was declared before decides,
-and the serving pointer moves (`POST …/serving/promote`) or goes back (`POST …/serving/rollback`). Everything done stands in `/v1/audit`.
+A recorded episode goes in (`POST …/episodes`), a job fits a candidate (`POST …/jobs`), a gate that
+was declared before decides, and the serving pointer moves (`POST …/serving/promote`) or goes back
+(`POST …/serving/rollback`). Everything done stands in `/v1/audit`.
 
-Errors are `application/problem+json` with a stable `code` and a `hint`. Every POST takes an `Idempotency-Key`."""
+Errors are `application/problem+json` with a stable `code` and a `hint`. Every POST takes an
+`Idempotency-Key`."""
 
 
 ROUTERS = (
-    plants, episodes, uploads, telemetry, artifacts, gates, jobs, decisions, serving, monitors, policies, channels, audit, access,
+    plants, episodes, uploads, telemetry, artifacts, gates, jobs, decisions, serving, monitors,
+    policies, channels, audit, access,
     operations,
 )  # fmt: skip
 
 
-PAGES = (session_page, plants_page, plant_page, diagnosis_page, decision_page, episode_page, compare_page, audit_page)
+PAGES = (
+    session_page,
+    plants_page,
+    plant_page,
+    diagnosis_page,
+    decision_page,
+    episode_page,
+    compare_page,
+    audit_page,
+)
 log = logging.getLogger("trueup.http")
 
 
@@ -93,7 +106,9 @@ def create_app(parts: Parts) -> FastAPI:
         app.state.answers = ServingAnswers(parts.database, parts.settings.watch_interval_s)
         limits = parts.settings.inspection_memory_bytes, parts.settings.inspection_timeout_s
         app.state.inspector = Inspector(parts.settings.inspections, *limits)
-        publishing = asyncio.create_task(_publish(app.state.log, parts.settings.checkpoint_interval_s))
+        publishing = asyncio.create_task(
+            _publish(app.state.log, parts.settings.checkpoint_interval_s)
+        )
         tidying = asyncio.create_task(_tidy(parts))
         yield
         publishing.cancel()
@@ -101,7 +116,14 @@ def create_app(parts: Parts) -> FastAPI:
         app.state.inspector.close()
         parts.close()
 
-    app = FastAPI(title="trueup", version=__version__, description=DESCRIPTION, lifespan=alive, docs_url=None, redoc_url=None)
+    app = FastAPI(
+        title="trueup",
+        version=__version__,
+        description=DESCRIPTION,
+        lifespan=alive,
+        docs_url=None,
+        redoc_url=None,
+    )
     app.state.parts = parts
     app.state.identities = Identities(parts.settings, parts.database)
     app.state.log = open_log(parts.settings, parts.database)

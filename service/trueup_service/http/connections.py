@@ -1,11 +1,16 @@
-"""Connections as the server holds them: no more than it has room for, and none for somebody who keeps it waiting.
+"""Connections as the server holds them: no more than it has room for, and none for somebody who
+keeps it waiting.
 
-- A request's head arrives whole within `header_limit_s` of its first byte, or of the connection, and within HEAD_BYTES.
-- A connection without a request ends after `keep_alive_s`, and so does one whose request was answered before all of it had come.
-- A body that is waited for, and an answer that is taken, move by LEAST_BYTES_S over each `silence_limit_s`. A request that the service
-  itself keeps waiting, such as a long poll, is no silence.
-- Descriptors are kept back for database, blobs, spool and checkpoint. Where the others are taken, a new connection takes the place of the
-  one that has been without a request for longest; where every one has a request, the new one is answered 503.
+- A request's head arrives whole within `header_limit_s` of its first byte, or of the connection,
+  and within HEAD_BYTES.
+- A connection without a request ends after `keep_alive_s`, and so does one whose request was
+  answered before all of it had come.
+- A body that is waited for, and an answer that is taken, move by LEAST_BYTES_S over each
+  `silence_limit_s`. A request that the service itself keeps waiting, such as a long poll, is no
+  silence.
+- Descriptors are kept back for database, blobs, spool and checkpoint. Where the others are taken, a
+  new connection takes the place of the one that has been without a request for longest; where every
+  one has a request, the new one is answered 503.
 
 Source: RFC 9110, section 15.5.9 (408), and RFC 6585, section 5 (431).
 """
@@ -42,7 +47,8 @@ class Limits:
 
 
 def room_for_connections(database_pool: int) -> int:
-    """How many connections the limit on open files leaves room for, beside what the service opens itself."""
+    """How many connections the limit on open files leaves room for, beside what the service opens
+    itself."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     own = len(os.listdir("/dev/fd")) + OF_A_DATABASE_CONNECTION * database_pool + OF_THREADS
     return max(LEAST_CONNECTIONS, soft - max(own, soft // KEPT_SHARE))
@@ -50,7 +56,8 @@ def room_for_connections(database_pool: int) -> int:
 
 @dataclass(slots=True)
 class Door:
-    """Who is let in, and who has to go. Connections without a request wait here, the one that has waited longest first."""
+    """Who is let in, and who has to go. Connections without a request wait here, the one that has
+    waited longest first."""
 
     limits: Limits
     waiting: dict[HeldConnection, None] = field(default_factory=dict)
@@ -92,7 +99,12 @@ class HeldConnection(HttpToolsProtocol):
         if self._door.admit(len(self.connections)):
             self._door.waiting[self] = None
         else:
-            self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "busy", "every connection is taken", "Try again in a moment.")
+            self._refuse(
+                HTTPStatus.SERVICE_UNAVAILABLE,
+                "busy",
+                "every connection is taken",
+                "Try again in a moment.",
+            )
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Let it go."""
@@ -106,7 +118,12 @@ class HeldConnection(HttpToolsProtocol):
         super().data_received(data)
         if self._stray > HEAD_BYTES and not self.transport.is_closing():
             detail = f"the request's head has more than {HEAD_BYTES} bytes"
-            self._refuse(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, "head-too-large", detail, "Send less in it, and the rest as a body.")
+            self._refuse(
+                HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE,
+                "head-too-large",
+                detail,
+                "Send less in it, and the rest as a body.",
+            )
 
     def on_message_begin(self) -> None:
         """A head begins: its clock starts, unless it runs since the connection was made."""
@@ -125,7 +142,8 @@ class HeldConnection(HttpToolsProtocol):
         super().on_body(body)
 
     def on_response_complete(self) -> None:
-        """A request is answered: the connection waits for the next one, if that is not here already."""
+        """A request is answered: the connection waits for the next one, if that is not here
+        already."""
         super().on_response_complete()
         self._idle_since = self.loop.time()
         if not self._is_answering:
@@ -133,7 +151,12 @@ class HeldConnection(HttpToolsProtocol):
 
     def send_400_response(self, msg: str) -> None:
         """What is no HTTP is refused as everything else is."""
-        self._refuse(HTTPStatus.BAD_REQUEST, "bad-request", msg, "Speak HTTP/1.1, without control characters in a header.")
+        self._refuse(
+            HTTPStatus.BAD_REQUEST,
+            "bad-request",
+            msg,
+            "Speak HTTP/1.1, without control characters in a header.",
+        )
 
     def give_way(self) -> None:
         """End, for somebody else."""
@@ -175,13 +198,22 @@ class HeldConnection(HttpToolsProtocol):
 
     @property
     def _is_body_wanted(self) -> bool:
-        return self.cycle.more_body and not self.flow.read_paused and not self.cycle.waiting_for_100_continue
+        return (
+            self.cycle.more_body
+            and not self.flow.read_paused
+            and not self.cycle.waiting_for_100_continue
+        )
 
     def _time_out(self, detail: str) -> None:
         if self._received == 0 or (self._is_answering and self.cycle.response_started):
             self.transport.close()
         else:
-            self._refuse(HTTPStatus.REQUEST_TIMEOUT, "request-timeout", detail, "Send it again, with its Idempotency-Key.")
+            self._refuse(
+                HTTPStatus.REQUEST_TIMEOUT,
+                "request-timeout",
+                detail,
+                "Send it again, with its Idempotency-Key.",
+            )
 
     def _refuse(self, status: HTTPStatus, code: str, detail: str, hint: str) -> None:
         """Answer with a problem document, and close."""
@@ -208,8 +240,15 @@ class _Clock:
 
 def refusal(status: HTTPStatus, code: str, detail: str, hint: str) -> bytes:
     """A whole answer, for a connection that has no request."""
-    problem = {"type": f"urn:trueup:problem:{code}", "title": status.phrase, "status": int(status), "detail": detail}
-    body = json.dumps(problem | {"code": code, "hint": hint, "facts": {}, "request_id": None}).encode()
+    problem = {
+        "type": f"urn:trueup:problem:{code}",
+        "title": status.phrase,
+        "status": int(status),
+        "detail": detail,
+    }
+    body = json.dumps(
+        problem | {"code": code, "hint": hint, "facts": {}, "request_id": None}
+    ).encode()
     head = (
         f"HTTP/1.1 {int(status)} {status.phrase}",
         "content-type: application/problem+json",

@@ -29,13 +29,20 @@ async def _parts(request: Request) -> Parts:
 async def _stamp(
     request: Request,
     actor: Annotated[
-        str | None, Header(alias="Trueup-Actor", max_length=200, description="For whom; stands in the log behind the token's name")
+        str | None,
+        Header(
+            alias="Trueup-Actor",
+            max_length=200,
+            description="For whom; stands in the log behind the token's name",
+        ),
     ] = None,
 ) -> Stamp:
     who: Who = request.scope["who"]
     if actor and (found := obeyed_character(actor)):
         raise BadRequest(
-            f"Trueup-Actor holds the control character {found}", hint="Name who asks in one line of text.", header="Trueup-Actor"
+            f"Trueup-Actor holds the control character {found}",
+            hint="Name who asks in one line of text.",
+            header="Trueup-Actor",
         )
     return Stamp(actor_of(who.name, actor), time_text(datetime.now(UTC)), who.token)
 
@@ -48,35 +55,67 @@ IdempotencyKey = Annotated[
         alias="Idempotency-Key",
         min_length=1,
         max_length=255,
-        description="The same key repeats the same request's answer; with another request it is refused",
+        description=(
+            "The same key repeats the same request's answer; with another request it is refused"
+        ),
     ),
 ]
-PlantName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A plant's name")]
+PlantName = Annotated[
+    str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A plant's name")
+]
 PrefixPath = Annotated[str, Path(pattern=r"^[0-9a-f]{12}$", description="A token's public prefix")]
-DigestPath = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")]
+DigestPath = Annotated[
+    str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")
+]
 Limit = Annotated[int, Query(ge=1, le=1000, description="Most items in the answer")]
-Before = Annotated[str, Query(max_length=27, description="Only what was made before this time; `next` of the page before")]
+Before = Annotated[
+    str,
+    Query(
+        max_length=27, description="Only what was made before this time; `next` of the page before"
+    ),
+]
 
 
 def run_once(
-    parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], dict[str, Any]]
+    parts: Parts,
+    stamp: Stamp,
+    scope: str,
+    key: str | None,
+    request: Json,
+    act: Callable[[Writer], dict[str, Any]],
 ) -> dict[str, Any]:
     """Run an action in a transaction of its own, once under its idempotency key."""
     with writing(parts.database) as writer:
         if key is None:
             return act(writer)
-        return once(writer, Key(f"{scope}@{stamp.token}", key, digest_of(request)), stamp.now, lambda: act(writer))
+        return once(
+            writer,
+            Key(f"{scope}@{stamp.token}", key, digest_of(request)),
+            stamp.now,
+            lambda: act(writer),
+        )
 
 
 def create(
-    parts: Parts, stamp: Stamp, scope: str, key: str | None, request: Json, act: Callable[[Writer], tuple[Any, bool]], kind: type[BaseModel]
+    parts: Parts,
+    stamp: Stamp,
+    scope: str,
+    key: str | None,
+    request: Json,
+    act: Callable[[Writer], tuple[Any, bool]],
+    kind: type[BaseModel],
 ) -> Response:
-    """Run an action that makes something; 201 if it is new, 200 if it was there, with the record as `kind`."""
+    """Run an action that makes something; 201 if it is new, 200 if it was there, with the record as
+    `kind`."""
 
     def run(writer: Writer) -> dict[str, Any]:
         record, new = act(writer)
         return {"record": asdict(record), "new": new}
 
     answer = run_once(parts, stamp, scope, key, request, run)
-    shown = kind.model_construct(**{name: answer["record"][name] for name in kind.model_fields})  # our own record: checked when it was made
-    return Response(shown.model_dump_json(), 201 if answer["new"] else 200, media_type="application/json")
+    shown = kind.model_construct(
+        **{name: answer["record"][name] for name in kind.model_fields}
+    )  # our own record: checked when it was made
+    return Response(
+        shown.model_dump_json(), 201 if answer["new"] else 200, media_type="application/json"
+    )

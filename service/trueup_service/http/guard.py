@@ -56,31 +56,47 @@ async def _recognised(request: Request) -> Who:
 
 
 def require_own_page(request: Request) -> None:
-    """A browser sends its cookie whoever made it ask: what changes something must come from a page of ours. Raises Forbidden.
+    """A browser sends its cookie whoever made it ask: what changes something must come from a page
+    of ours. Raises Forbidden.
 
-    SameSite=Strict keeps other sites' requests without the cookie; this holds against other origins of the same site, too.
+    SameSite=Strict keeps other sites' requests without the cookie; this holds against other origins
+    of the same site, too.
     """
     if request.method in SAFE:
         return
     origin = request.headers.get("origin")
     ours = origin_of(request)
     if request.headers.get("sec-fetch-site", "same-origin") != "same-origin" or origin != ours:
-        raise Forbidden("the request does not come from a page of this service", hint="Programs send a token, not a cookie.")
+        raise Forbidden(
+            "the request does not come from a page of this service",
+            hint="Programs send a token, not a cookie.",
+        )
 
 
 def origin_of(request: Request) -> str:
-    """Scheme and host under which a browser reaches the service; behind a proxy the settings say so."""
+    """Scheme and host under which a browser reaches the service; behind a proxy the settings say
+    so."""
     public: str | None = request.app.state.parts.settings.public_url
-    return public.rstrip("/") if public else f"{request.url.scheme}://{request.headers.get('host', '')}"
+    return (
+        public.rstrip("/")
+        if public
+        else f"{request.url.scheme}://{request.headers.get('host', '')}"
+    )
 
 
 def _require(who: Who, rule: Rule) -> None:
     """Raises Forbidden."""
     if not who.roles & rule.roles:
         roles = sorted(rule.roles)
-        raise Forbidden(f"{who.name!r} is {' and '.join(sorted(who.roles))}; this takes {' or '.join(roles)}", roles=roles)
+        raise Forbidden(
+            f"{who.name!r} is {' and '.join(sorted(who.roles))}; this takes {' or '.join(roles)}",
+            roles=roles,
+        )
     if rule.everywhere and not who.everywhere:
-        raise Forbidden("this shows all projects, and the token is of one", hint="Ask an admin for a token of all projects.")
+        raise Forbidden(
+            "this shows all projects, and the token is of one",
+            hint="Ask an admin for a token of all projects.",
+        )
 
 
 async def _require_plant(request: Request, who: Who) -> None:
@@ -108,7 +124,8 @@ async def _who(request: Request) -> Who:
 
 
 def require_seen(database: Database, who: Who, plant: str, hidden: NotFound) -> None:
-    """For what is named without its plant. Raises `hidden`, which says what is said of what does not exist."""
+    """For what is named without its plant. Raises `hidden`, which says what is said of what does
+    not exist."""
     if not who.everywhere and not sees(database, who, plant):
         raise hidden
 

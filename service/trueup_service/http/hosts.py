@@ -1,10 +1,12 @@
 """Which names a request may call the service by.
 
-A page of another site can give its own name the service's address (DNS rebinding): the browser then takes the service for that site, and
-lets the page read what it answers. So the Host header must be a name of the service's own.
-- An address is nobody's name, and always allowed; so are `localhost` and what the machine calls itself.
-- Other names are those of the settings: `host`, `public_url` and `allowed_hosts`, in which `*.example.com` stands for every name below
-  example.com, and `*` for any name at all.
+A page of another site can give its own name the service's address (DNS rebinding): the browser then
+takes the service for that site, and lets the page read what it answers. So the Host header must be
+a name of the service's own.
+- An address is nobody's name, and always allowed; so are `localhost` and what the machine calls
+  itself.
+- Other names are those of the settings: `host`, `public_url` and `allowed_hosts`, in which
+  `*.example.com` stands for every name below example.com, and `*` for any name at all.
 - Probes ask by whatever name: /healthz and /readyz tell nothing.
 Source: RFC 9110, section 7.2 (Host) and 15.5.20 (421).
 """
@@ -24,7 +26,9 @@ from trueup_service.http.observing import App, Receive, Scope, Send
 from trueup_service.settings import Settings
 
 ANY = "*"
-HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+?)\.?)(?::[0-9]*)?")  # an address in brackets, or a name; a port
+HOST = re.compile(
+    r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+?)\.?)(?::[0-9]*)?"
+)  # an address in brackets, or a name; a port
 PROBES = ("/healthz", "/readyz")
 
 
@@ -36,28 +40,40 @@ class Hosts:
         self._allowed = allowed_hosts(settings)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http" or scope["path"] in PROBES or self._is_ours([v for k, v in scope["headers"] if k == b"host"]):
+        if (
+            scope["type"] != "http"
+            or scope["path"] in PROBES
+            or self._is_ours([v for k, v in scope["headers"] if k == b"host"])
+        ):
             await self._app(scope, receive, send)
             return
         await problems.answer(Request(scope), UnknownHost())(scope, receive, send)
 
     def _is_ours(self, given: list[bytes]) -> bool:
-        return ANY in self._allowed or (len(given) == 1 and is_allowed(given[0].decode("latin-1"), self._allowed))
+        return ANY in self._allowed or (
+            len(given) == 1 and is_allowed(given[0].decode("latin-1"), self._allowed)
+        )
 
 
 def allowed_hosts(settings: Settings) -> frozenset[str]:
     """The names, in lower case."""
     public = urlsplit(settings.public_url).hostname if settings.public_url else None
     listed = settings.allowed_hosts.split(",") if settings.allowed_hosts else []
-    names = (name.strip().lower() for name in ("localhost", socket.gethostname(), settings.host, public or "", *listed))
+    names = (
+        name.strip().lower()
+        for name in ("localhost", socket.gethostname(), settings.host, public or "", *listed)
+    )
     return frozenset(name for name in names if name)
 
 
 def is_allowed(host: str, allowed: frozenset[str]) -> bool:
-    """Whether a Host header is an address, one of these names, or a name below one of them that begins with `*.`."""
+    """Whether a Host header is an address, one of these names, or a name below one of them that
+    begins with `*.`."""
     found = HOST.fullmatch(host)
     name = (found[1] or found[2]).lower() if found else ""
-    if name in allowed or any(pattern.startswith("*.") and name.endswith(pattern[1:]) for pattern in allowed):
+    if name in allowed or any(
+        pattern.startswith("*.") and name.endswith(pattern[1:]) for pattern in allowed
+    ):
         return True
     try:
         ipaddress.ip_address(name)

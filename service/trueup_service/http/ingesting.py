@@ -1,4 +1,5 @@
-"""Ingest what was received: inspected in a process of its own, durable before the row, and shown to the plant's monitor."""
+"""Ingest what was received: inspected in a process of its own, durable before the row, and shown to
+the plant's monitor."""
 
 from __future__ import annotations
 
@@ -34,8 +35,11 @@ def against(parts: Parts, plant: str) -> Against:
     return Against(document, coverage if isinstance(coverage, list) else [])
 
 
-async def inspect(request: Request, path: Path, held: Against, *, telemetry: bool = False) -> Inspected:
-    """What a file holds, once there is a slot to look at it. Raises BadEpisode, InspectionFailed."""
+async def inspect(
+    request: Request, path: Path, held: Against, *, telemetry: bool = False
+) -> Inspected:
+    """What a file holds, once there is a slot to look at it. Raises BadEpisode,
+    InspectionFailed."""
     return await inspector_of(request).inspect(path, held, telemetry=telemetry)
 
 
@@ -45,8 +49,11 @@ def inspector_of(request: Request) -> Inspector:
     return inspector
 
 
-def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected) -> Response:
-    """Bytes first, then the row, its audit entry and the look that the monitor takes at it, in one transaction."""
+def ingest(
+    parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected
+) -> Response:
+    """Bytes first, then the row, its audit entry and the look that the monitor takes at it, in one
+    transaction."""
     parts.blobs.put(file.digest, file.path)
     watched = inspected.role in WATCHED and _is_waited_for(parts, plant)
     if watched:
@@ -60,7 +67,9 @@ def ingest(parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Receiv
 
     answer = create(parts, stamp, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)
     if not parts.blobs.holds(file.digest):
-        parts.blobs.put(file.digest, file.path)  # taken for left over in this very moment, before its row was there
+        parts.blobs.put(
+            file.digest, file.path
+        )  # taken for left over in this very moment, before its row was there
     return answer
 
 
@@ -71,7 +80,10 @@ def known_episode(parts: Parts, plant: str, digest: str) -> EpisodeRecord | None
 
 
 def _is_waited_for(parts: Parts, plant: str) -> bool:
-    """Whether anybody waits for episodes: a monitor, an alarm that wants a diagnosis, a policy that wants a monitor."""
+    """Whether anybody waits for episodes: a monitor, an alarm that wants a diagnosis, a policy that
+    wants a monitor."""
     with parts.database.read() as connection:
         reader = Reader(connection)
-        return any(of(plant) is not None for of in (reader.watching, reader.open_alarm, reader.policy))
+        return any(
+            of(plant) is not None for of in (reader.watching, reader.open_alarm, reader.policy)
+        )

@@ -1,6 +1,8 @@
-"""Bodies that are held in memory have a limit, each and all together; uploads, which stream to disk, have one of their own.
+"""Bodies that are held in memory have a limit, each and all together; uploads, which stream to
+disk, have one of their own.
 
-Whoever shows no token may send a form to sign in, and takes no room from others; nobody with one may take more than a share of it.
+Whoever shows no token may send a form to sign in, and takes no room from others; nobody with one
+may take more than a share of it.
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+)")
 
 
 class Limiting:
-    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it, one that others leave no room for in MemoryFull."""
+    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it, one that
+    others leave no room for in MemoryFull."""
 
     def __init__(self, app: App, room_bytes: int) -> None:
         self._app, self._room = app, room_bytes
@@ -42,7 +45,9 @@ class Limiting:
             if read > limit:
                 told = f"the body has more than {limit} bytes"
                 raise TooLargeUpload(
-                    told, hint="Send less at once; long recordings and arrays have routes of their own.", limit_bytes=limit
+                    told,
+                    hint="Send less at once; long recordings and arrays have routes of their own.",
+                    limit_bytes=limit,
                 )
             if who is not None:
                 whose, more = who.token, read - taken
@@ -55,7 +60,9 @@ class Limiting:
         finally:
             self._give_back(whose, taken)
             self._passed += read
-            if self._passed > self._limit:  # a refused body hangs on its error, in a circle that the collector is slow to see
+            if (
+                self._passed > self._limit
+            ):  # a refused body hangs on its error, in a circle that the collector is slow to see
                 self._passed = 0
                 gc.collect()
 

@@ -1,4 +1,5 @@
-"""Moving the pointer: the way back is tried first, outside any transaction, then the pointer moves if it is still where it was tried."""
+"""Moving the pointer: the way back is tried first, outside any transaction, then the pointer moves
+if it is still where it was tried."""
 
 from __future__ import annotations
 
@@ -10,7 +11,11 @@ from trueup.errors import PointerMoved
 from trueup_service.actions import find
 from trueup_service.actions.approve import require_approvals
 from trueup_service.actions.continue_cycle import Cycle
-from trueup_service.actions.move_pointer import previous_artifact, promote_decision, roll_back_pointer
+from trueup_service.actions.move_pointer import (
+    previous_artifact,
+    promote_decision,
+    roll_back_pointer,
+)
 from trueup_service.actions.stamp import Stamp
 from trueup_service.http.context import run_once
 from trueup_service.http.serving_answers import document
@@ -18,35 +23,58 @@ from trueup_service.registry.store import Reader, Writer
 from trueup_service.wiring import Parts
 
 
-def promote_tested(parts: Parts, stamp: Stamp, plant: str, decision: str, expected_generation: int, key: str | None) -> dict[str, Any]:
-    """The new position. The way back is tried outside any transaction, for that reads models; then it moves, if it is still there."""
+def promote_tested(
+    parts: Parts, stamp: Stamp, plant: str, decision: str, expected_generation: int, key: str | None
+) -> dict[str, Any]:
+    """The new position. The way back is tried outside any transaction, for that reads models; then
+    it moves, if it is still there."""
     rehearsed = _rehearsed(parts, stamp, plant, decision)
 
     def act(writer: Writer) -> dict[str, Any]:
-        approved: dict[str, Json] = {"approved_by": require_approvals(writer, plant, decision, stamp)}
-        move = promote_decision(writer, plant, decision, expected_generation, rehearsed, stamp, approved)
+        approved: dict[str, Json] = {
+            "approved_by": require_approvals(writer, plant, decision, stamp)
+        }
+        move = promote_decision(
+            writer, plant, decision, expected_generation, rehearsed, stamp, approved
+        )
         Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).moved(move)
         return document(move)
 
-    return run_once(parts, stamp, f"promote/{plant}", key, {"decision": decision, "expected_generation": expected_generation}, act)
+    return run_once(
+        parts,
+        stamp,
+        f"promote/{plant}",
+        key,
+        {"decision": decision, "expected_generation": expected_generation},
+        act,
+    )
 
 
 def _rehearsed(parts: Parts, stamp: Stamp, plant: str, decision: str) -> dict[str, Any]:
-    """The record of the way back from a decision's candidate; none where it cannot be promoted anyway. Raises SwitchbackFailed."""
+    """The record of the way back from a decision's candidate; none where it cannot be promoted
+    anyway. Raises SwitchbackFailed."""
     with parts.database.read() as connection:
         reader = Reader(connection)
         made, serving = find.decision(reader, plant, decision), find.serving(reader, plant)
         if not made.accepted or made.generation != serving.generation:
             return {}
-        artifacts = find.artifact(reader, plant, made.incumbent), find.artifact(reader, plant, made.candidate)
+        artifacts = (
+            find.artifact(reader, plant, made.incumbent),
+            find.artifact(reader, plant, made.candidate),
+        )
         registered, gate = find.plant_digest(reader, plant), find.gate(reader, plant, made.gate)
     from trueup_service.actions.switchback import rehearse_decision  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    return rehearse_decision(parts.blobs, parts.spool, *artifacts, registered, made.document, gate.document, stamp.now)
+    return rehearse_decision(
+        parts.blobs, parts.spool, *artifacts, registered, made.document, gate.document, stamp.now
+    )
 
 
-def roll_back_tested(parts: Parts, stamp: Stamp, plant: str, expected_generation: int, key: str | None) -> dict[str, Any]:
-    """The new position. Test outside any transaction, for it reads a model; then move, if the pointer is still where the test found it."""
+def roll_back_tested(
+    parts: Parts, stamp: Stamp, plant: str, expected_generation: int, key: str | None
+) -> dict[str, Any]:
+    """The new position. Test outside any transaction, for it reads a model; then move, if the
+    pointer is still where the test found it."""
     tested, refused = {}, None
     try:
         tested = tested_way_back(parts, plant, expected_generation)
@@ -62,11 +90,14 @@ def roll_back_tested(parts: Parts, stamp: Stamp, plant: str, expected_generation
         Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).moved(move)
         return document(move)
 
-    return run_once(parts, stamp, f"rollback/{plant}", key, {"expected_generation": expected_generation}, act)
+    return run_once(
+        parts, stamp, f"rollback/{plant}", key, {"expected_generation": expected_generation}, act
+    )
 
 
 def tested_way_back(parts: Parts, plant: str, expected_generation: int) -> dict[str, Any]:
-    """The record of the switchback test on what served before. Raises PointerMoved, SwitchbackFailed."""
+    """The record of the switchback test on what served before. Raises PointerMoved,
+    SwitchbackFailed."""
     from trueup_service.actions.switchback import rehearse_rollback  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     with parts.database.read() as connection:

@@ -1,4 +1,5 @@
-"""Around every request: an id, metrics, and one JSON log line; for a read that succeeds only at DEBUG, for fleets poll."""
+"""Around every request: an id, metrics, and one JSON log line; for a read that succeeds only at
+DEBUG, for fleets poll."""
 
 from __future__ import annotations
 
@@ -28,15 +29,21 @@ SECONDS = Histogram(
 )
 FIRST_REFUSAL = 400
 FOR_BROWSERS = (
-    (b"content-security-policy", b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'"),
+    (
+        b"content-security-policy",
+        b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
+    ),
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
-)  # an answer is data: nothing in it may run, or be shown inside another site; a page says itself what it may load
+    # an answer is data: nothing in it may run, or be shown inside another site; a page says itself
+    # what it may load
+)
 GIVEN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
 class Observing:
-    """ASGI middleware; takes the caller's `X-Request-Id` if it is a plain one, and answers with it."""
+    """ASGI middleware; takes the caller's `X-Request-Id` if it is a plain one, and answers with
+    it."""
 
     def __init__(self, app: App) -> None:
         self._app = app
@@ -70,10 +77,19 @@ class Observing:
         method, route = scope["method"], getattr(scope.get("route"), "path", "none")
         measures = self._measures.get((method, route, status))
         if measures is None:
-            measures = self._measures[method, route, status] = REQUESTS.labels(method, route, status), SECONDS.labels(method, route)
+            measures = self._measures[method, route, status] = (
+                REQUESTS.labels(method, route, status),
+                SECONDS.labels(method, route),
+            )
         measures[0].inc()
         measures[1].observe(seconds)
         level = logging.DEBUG if method == "GET" and status < FIRST_REFUSAL else logging.INFO
         if log.isEnabledFor(level):
-            told = {"request_id": name, "method": method, "path": scope["path"], "status": status, "seconds": round(seconds, 6)}
+            told = {
+                "request_id": name,
+                "method": method,
+                "path": scope["path"],
+                "status": status,
+                "seconds": round(seconds, 6),
+            }
             log.log(level, "request", extra=told)

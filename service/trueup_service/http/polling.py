@@ -9,8 +9,16 @@ from fastapi import Request, Response
 from trueup_service.errors import BadRequest
 from trueup_service.http.serving_answers import ServingAnswers, matches
 
-UNCHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Still what If-None-Match names"}}
-PLANT = {"name": "plant", "in": "path", "required": True, "schema": {"type": "string"}, "description": "A plant's name"}
+UNCHANGED: dict[int | str, dict[str, Any]] = {
+    304: {"description": "Still what If-None-Match names"}
+}
+PLANT = {
+    "name": "plant",
+    "in": "path",
+    "required": True,
+    "schema": {"type": "string"},
+    "description": "A plant's name",
+}
 ASKED: tuple[dict[str, Any], ...] = (
     {
         "name": "wait_s",
@@ -18,7 +26,12 @@ ASKED: tuple[dict[str, Any], ...] = (
         "schema": {"type": "number", "minimum": 0, "default": 0},
         "description": "With If-None-Match: wait this long for a change [s]",
     },
-    {"name": "If-None-Match", "in": "header", "schema": {"type": "string"}, "description": "The tag of the answer that the caller has"},
+    {
+        "name": "If-None-Match",
+        "in": "header",
+        "schema": {"type": "string"},
+        "description": "The tag of the answer that the caller has",
+    },
 )
 
 
@@ -29,8 +42,16 @@ async def polled(request: Request, plant: str, channel: str | None = None) -> Re
     """
     answers: ServingAnswers = request.app.state.answers
     tag = request.headers.get("if-none-match")
-    wait_s = _wait_s(request, request.app.state.parts.settings.long_poll_limit_s) if request.scope["query_string"] else 0.0
-    answer = await answers.after((plant, channel), tag, wait_s) if tag and wait_s else await answers.now((plant, channel))
+    wait_s = (
+        _wait_s(request, request.app.state.parts.settings.long_poll_limit_s)
+        if request.scope["query_string"]
+        else 0.0
+    )
+    answer = (
+        await answers.after((plant, channel), tag, wait_s)
+        if tag and wait_s
+        else await answers.now((plant, channel))
+    )
     if tag and matches(answer.etag, tag):
         return Response(status_code=304, headers=answer.headers)
     return Response(answer.body, media_type="application/json", headers=answer.headers)

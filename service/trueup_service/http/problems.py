@@ -91,7 +91,10 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
 
 def status_of(error: errors.TrueupError) -> HTTPStatus:
     """The status of an error: that of the nearest class in the table."""
-    return next((STATUS[kind] for kind in type(error).__mro__ if kind in STATUS), HTTPStatus.INTERNAL_SERVER_ERROR)
+    return next(
+        (STATUS[kind] for kind in type(error).__mro__ if kind in STATUS),
+        HTTPStatus.INTERNAL_SERVER_ERROR,
+    )
 
 
 def answer(request: Request, error: errors.TrueupError) -> Response:
@@ -104,12 +107,28 @@ def answer(request: Request, error: errors.TrueupError) -> Response:
     return found
 
 
-def problem(request: Request, status: int, code: str, detail: str, hint: str, facts: dict[str, object] | None = None) -> Response:
-    """A problem document: stable `code`, what to do next in `hint`, values in `facts`, and the request's id; for a browser a page of it."""
+def problem(
+    request: Request,
+    status: int,
+    code: str,
+    detail: str,
+    hint: str,
+    facts: dict[str, object] | None = None,
+) -> Response:
+    """A problem document: stable `code`, what to do next in `hint`, values in `facts`, and the
+    request's id; for a browser a page of it."""
     if wants_page(request):
         if status == HTTPStatus.UNAUTHORIZED:
             return to_sign_in(request)
-        return show(request, "problem.html", status, code=code, detail=detail, hint=hint, request_id=request.scope.get("request_id"))
+        return show(
+            request,
+            "problem.html",
+            status,
+            code=code,
+            detail=detail,
+            hint=hint,
+            request_id=request.scope.get("request_id"),
+        )
     body = {
         "type": f"urn:trueup:problem:{code}",
         "title": HTTPStatus(status).phrase,
@@ -140,7 +159,9 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     def _invalid(request: Request, error: RequestValidationError) -> Response:
-        found = [{"field": ".".join(map(str, e["loc"])), "message": e["msg"]} for e in error.errors()]
+        found = [
+            {"field": ".".join(map(str, e["loc"])), "message": e["msg"]} for e in error.errors()
+        ]
         first = found[0] if found else {"field": "", "message": "invalid"}
         return problem(
             request,
@@ -153,17 +174,29 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     def _plain(request: Request, error: HTTPException) -> Response:
-        if isinstance(error.__cause__, errors.TrueupError):  # it came up while the framework read a body, and says more
+        if isinstance(
+            error.__cause__, errors.TrueupError
+        ):  # it came up while the framework read a body, and says more
             return answer(request, error.__cause__)
         code = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
-        found = problem(request, error.status_code, code, str(error.detail), "Compare the request with /openapi.json.")
+        found = problem(
+            request,
+            error.status_code,
+            code,
+            str(error.detail),
+            "Compare the request with /openapi.json.",
+        )
         found.headers.update(error.headers or {})
         return found
 
     @app.exception_handler(OperationalError)
     @app.exception_handler(PoolTimeout)
     def _database(request: Request, error: Exception) -> Response:
-        log.error("the database failed", exc_info=error, extra={"request_id": request.scope.get("request_id")})
+        log.error(
+            "the database failed",
+            exc_info=error,
+            extra={"request_id": request.scope.get("request_id")},
+        )
         return problem(
             request,
             HTTPStatus.SERVICE_UNAVAILABLE,
@@ -174,22 +207,41 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(OSError)
     def _disk(request: Request, error: OSError) -> Response:
-        log.error("the disk failed", exc_info=error, extra={"request_id": request.scope.get("request_id")})
+        log.error(
+            "the disk failed", exc_info=error, extra={"request_id": request.scope.get("request_id")}
+        )
         is_full = error.errno in FULL
         return problem(
             request,
             HTTPStatus.INSUFFICIENT_STORAGE if is_full else HTTPStatus.SERVICE_UNAVAILABLE,
             "storage-full" if is_full else "storage-failed",
             "the disk is full" if is_full else "the disk cannot be used now",
-            "Nothing was kept. Try again with the same Idempotency-Key once /readyz says that there is room.",
+            (
+                "Nothing was kept. Try again with the same Idempotency-Key once /readyz "
+                "says that there is room."
+            ),
         )
 
     @app.exception_handler(DataError)
     def _value(request: Request, error: DataError) -> Response:
         hint = "Compare the request with /openapi.json."
-        return problem(request, HTTPStatus.BAD_REQUEST, "bad-request", "the database cannot hold a value that was sent", hint)
+        return problem(
+            request,
+            HTTPStatus.BAD_REQUEST,
+            "bad-request",
+            "the database cannot hold a value that was sent",
+            hint,
+        )
 
     @app.exception_handler(Exception)
     def _unexpected(request: Request, error: Exception) -> Response:
-        log.error("unexpected", exc_info=error, extra={"request_id": request.scope.get("request_id")})
-        return problem(request, HTTPStatus.INTERNAL_SERVER_ERROR, "internal", "the service failed", "Report it with the request id.")
+        log.error(
+            "unexpected", exc_info=error, extra={"request_id": request.scope.get("request_id")}
+        )
+        return problem(
+            request,
+            HTTPStatus.INTERNAL_SERVER_ERROR,
+            "internal",
+            "the service failed",
+            "Report it with the request id.",
+        )

@@ -14,8 +14,13 @@ from trueup_service.registry.records import Role
 
 T = TypeVar("T")
 A = TypeVar("A", bound="Answer")
-Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")]
-Time = Annotated[str, Field(description="UTC, ISO 8601 with microseconds", examples=["2026-01-31T12:00:00.000000Z"])]
+Digest = Annotated[
+    str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256, lower-case hexadecimal")
+]
+Time = Annotated[
+    str,
+    Field(description="UTC, ISO 8601 with microseconds", examples=["2026-01-31T12:00:00.000000Z"]),
+]
 
 
 class Answer(BaseModel):
@@ -25,7 +30,8 @@ class Answer(BaseModel):
 
 
 class Problem(BaseModel):
-    """A refusal (RFC 9457). `code` is stable, `hint` says what to do next, `facts` are values that a program may want."""
+    """A refusal (RFC 9457). `code` is stable, `hint` says what to do next, `facts` are values that
+    a program may want."""
 
     type: str
     title: str
@@ -83,7 +89,8 @@ class Project(Answer):
 
 
 class NewToken(BaseModel):
-    """A token for somebody. Without a project it is of all; `plant` narrows it to one; without `days` it does not expire."""
+    """A token for somebody. Without a project it is of all; `plant` narrows it to one; without
+    `days` it does not expire."""
 
     model_config = ConfigDict(extra="forbid")
     name: str = Field(min_length=1, max_length=100, pattern=LINE)
@@ -172,17 +179,23 @@ class LooserThan(Answer):
 
 
 class GateInLine(Gate):
-    """A gate in its plant's line, in force or not, and what is looser in it than in the one before, in words; and than in every one."""
+    """A gate in its plant's line, in force or not, and what is looser in it than in the one before,
+    in words; and than in every one."""
 
     in_force: bool
-    follows: Digest | None = Field(description="The gate that was in force before; null for the first")
+    follows: Digest | None = Field(
+        description="The gate that was in force before; null for the first"
+    )
     looser: list[str]
-    looser_than: list[LooserThan] = Field(description="Each gate before it in which this one is looser, the newest first")
+    looser_than: list[LooserThan] = Field(
+        description="Each gate before it in which this one is looser, the newest first"
+    )
 
 
 class Job(Answer):
-    """`progress` runs from 0 to 1. `result` is what came of it, or a problem with `code`, `detail` and `hint`. `operation` says whether it
-    monitors, identifies parameters or corrects a model; nothing here adapts a control policy."""
+    """`progress` runs from 0 to 1. `result` is what came of it, or a problem with `code`, `detail`
+    and `hint`. `operation` says whether it monitors, identifies parameters or corrects a model;
+    nothing here adapts a control policy."""
 
     id: str
     plant: str
@@ -263,7 +276,8 @@ class ChannelPosition(Answer):
 
 
 class ChannelMove(BaseModel):
-    """Serve an artifact on a channel, if the channel is still at `expected_generation`; 0 before its first."""
+    """Serve an artifact on a channel, if the channel is still at `expected_generation`; 0 before
+    its first."""
 
     model_config = ConfigDict(extra="forbid")
     artifact: Digest
@@ -282,7 +296,8 @@ class Policy(Answer):
 
 
 class Monitor(Answer):
-    """A calibrated monitor: its detectors with their levels, and what they were measured to keep."""
+    """A calibrated monitor: its detectors with their levels, and what they were measured to
+    keep."""
 
     plant: str
     digest: Digest
@@ -294,7 +309,8 @@ class Monitor(Answer):
 
 
 class Watch(Answer):
-    """What a monitor saw in one episode: of each detector its highest statistic, of each channel its error in healthy spreads."""
+    """What a monitor saw in one episode: of each detector its highest statistic, of each channel
+    its error in healthy spreads."""
 
     sequence: int
     episode: Digest
@@ -303,8 +319,8 @@ class Watch(Answer):
 
 
 class Alarm(Answer):
-    """`document` says which detectors alarmed, since when, and what changed; `job` is the diagnosis that it opened, once it could,
-    `trial` the gate that judged what that made."""
+    """`document` says which detectors alarmed, since when, and what changed; `job` is the diagnosis
+    that it opened, once it could, `trial` the gate that judged what that made."""
 
     id: str
     plant: str
@@ -321,7 +337,8 @@ class Alarm(Answer):
 
 
 class MonitorState(BaseModel):
-    """Whether somebody watches. `watches` is false where no monitor was calibrated for what serves now: `hint` says what to do."""
+    """Whether somebody watches. `watches` is false where no monitor was calibrated for what serves
+    now: `hint` says what to do."""
 
     plant: str
     serving: Digest
@@ -352,7 +369,12 @@ class Decision(Answer):
     created_at: Time
     created_by: str
 
-    @computed_field(description="What was known when the gate was declared, in words; null of a decision that does not tell")  # type: ignore[prop-decorator]
+    @computed_field(
+        description=(
+            "What was known when the gate was declared, in words; null of a decision that "
+            "does not tell"
+        )
+    )  # type: ignore[prop-decorator]
     @property
     def disclosure(self) -> str | None:
         """What was known when the gate was declared."""
@@ -376,7 +398,8 @@ class ApprovalRequest(BaseModel):
 
 
 class Serving(BaseModel):
-    """Which artifact answers for a plant, since when, and by which decision; null for a registration."""
+    """Which artifact answers for a plant, since when, and by which decision; null for a
+    registration."""
 
     plant: str
     version: int
@@ -396,11 +419,14 @@ class AuditEntry(Answer):
     plant: str | None
     subject: str
     facts: dict[str, Any]
-    rows: dict[str, Digest] = Field(description="Every row that was written: table/key, and its digest as it was then")
+    rows: dict[str, Digest] = Field(
+        description="Every row that was written: table/key, and its digest as it was then"
+    )
 
 
 class AuditKey(BaseModel):
-    """A public key under which the log was signed; `endorsement` is the note in which the one before hands over to it."""
+    """A public key under which the log was signed; `endorsement` is the note in which the one
+    before hands over to it."""
 
     verifier: str
     endorsement: str | None
@@ -420,7 +446,8 @@ class Proof(BaseModel):
 
 
 class Rows(BaseModel):
-    """Rows of a table, all columns as they are stored; `next` goes into the next request's `after`, null at the end."""
+    """Rows of a table, all columns as they are stored; `next` goes into the next request's `after`,
+    null at the end."""
 
     items: list[dict[str, Any]]
     next: str | None = None
@@ -441,23 +468,32 @@ class FitRequest(BaseModel):
     kind: Literal["fit"]
     method: Literal["identify", "residual"]
     episodes: list[Digest] | None = None
-    features: list[str] | None = Field(None, description="residual only: features of the linear map, such as q, v, u, q*v, sign(v), 1")
-    penalty: float | None = Field(None, gt=0, allow_inf_nan=False, description="residual only: ridge penalty on every weight")
+    features: list[str] | None = Field(
+        None,
+        description="residual only: features of the linear map, such as q, v, u, q*v, sign(v), 1",
+    )
+    penalty: float | None = Field(
+        None, gt=0, allow_inf_nan=False, description="residual only: ridge penalty on every weight"
+    )
 
 
 class GateRequest(BaseModel):
-    """Judge `candidate` against what serves now, under the gate in force; `episodes` are held-out ones, null for all there are."""
+    """Judge `candidate` against what serves now, under the gate in force; `episodes` are held-out
+    ones, null for all there are."""
 
     model_config = ConfigDict(extra="forbid")
     kind: Literal["gate"]
     candidate: Digest
     gate: Digest
     episodes: list[Digest] | None = None
-    scales: bool = Field(False, description="Also judge with each channel's reporting scale halved and doubled")
+    scales: bool = Field(
+        False, description="Also judge with each channel's reporting scale halved and doubled"
+    )
 
 
 class DiagnosisRequest(BaseModel):
-    """Diagnose the gap of the plant's nominal model; `episodes` are adaptation and validation ones, null for all there are."""
+    """Diagnose the gap of the plant's nominal model; `episodes` are adaptation and validation ones,
+    null for all there are."""
 
     model_config = ConfigDict(extra="forbid")
     kind: Literal["diagnose"]
@@ -466,23 +502,28 @@ class DiagnosisRequest(BaseModel):
 
 
 class BlindtrialRequest(BaseModel):
-    """Hide effects in simulated machines after the plant and its episodes, diagnose them blindly, and say how often that was right."""
+    """Hide effects in simulated machines after the plant and its episodes, diagnose them blindly,
+    and say how often that was right."""
 
     model_config = ConfigDict(extra="forbid")
     kind: Literal["blindtrial"]
-    trials: int = Field(60, ge=1, le=2000, description="machines to draw; each takes as long as a diagnosis")
+    trials: int = Field(
+        60, ge=1, le=2000, description="machines to draw; each takes as long as a diagnosis"
+    )
     episodes: list[Digest] | None = None
 
 
 class ValidationRequest(BaseModel):
-    """Compare what serves now on what was held out since its promotion with how right it was then."""
+    """Compare what serves now on what was held out since its promotion with how right it was
+    then."""
 
     model_config = ConfigDict(extra="forbid")
     kind: Literal["validate"]
 
 
 class RecomputationRequest(BaseModel):
-    """Make a decision anew from its gate, its artifacts and its episodes, and say whether that agrees with what was recorded."""
+    """Make a decision anew from its gate, its artifacts and its episodes, and say whether that
+    agrees with what was recorded."""
 
     model_config = ConfigDict(extra="forbid")
     kind: Literal["recompute"]
@@ -490,7 +531,8 @@ class RecomputationRequest(BaseModel):
 
 
 class ComparisonRequest(BaseModel):
-    """Roll two versions out on the same episodes, null for all that were held out; of one episode an MCAP with both is left behind."""
+    """Roll two versions out on the same episodes, null for all that were held out; of one episode
+    an MCAP with both is left behind."""
 
     model_config = ConfigDict(extra="forbid")
     kind: Literal["compare"]
@@ -500,15 +542,22 @@ class ComparisonRequest(BaseModel):
 
 
 class CalibrationRequest(BaseModel):
-    """Calibrate a monitor of what serves now. `episodes` are healthy ones, null for all of the role reference."""
+    """Calibrate a monitor of what serves now. `episodes` are healthy ones, null for all of the role
+    reference."""
 
     model_config = ConfigDict(extra="forbid")
     kind: Literal["calibrate"]
     promise_h: float = Field(
-        100.0, gt=0, allow_inf_nan=False, description="operating hours in which one false alarm is allowed, of all joints"
+        100.0,
+        gt=0,
+        allow_inf_nan=False,
+        description="operating hours in which one false alarm is allowed, of all joints",
     )
     detectors: list[str] | None = Field(
-        None, description="which detectors share the promise; null for all that the reference is long enough for"
+        None,
+        description=(
+            "which detectors share the promise; null for all that the reference is long enough for"
+        ),
     )
     episodes: list[Digest] | None = None
     seed: int = Field(0, ge=0, lt=2**32, description="of the resampling")

@@ -19,29 +19,40 @@ from trueup_service.wiring import Parts
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A listening socket with Nagle's algorithm off: small answers must not wait for the other side's acknowledgement.
+    """A listening socket with Nagle's algorithm off: small answers must not wait for the other
+    side's acknowledgement.
 
     Accepted connections inherit the option, whatever event loop and number of processes serve them.
     """
-    found = socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=2048)
+    found = socket.create_server(
+        (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=2048
+    )
     found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return found
 
 
-COLLECT_AFTER = (20_000, 20, 50)  # allocations; a request makes some thousands, nearly all freed without the collector
+COLLECT_AFTER = (
+    20_000,
+    20,
+    50,
+)  # allocations; a request makes some thousands, nearly all freed without the collector
 SWEEP_TICKS = 10  # of 0.1 s
-SWITCH_INTERVAL_S = 0.0005  # a writer back from its commit must not wait Python's usual 5 ms for its turn, with a lock in its hands
+# a writer back from its commit must not wait Python's usual 5 ms for its turn, with a lock in its
+# hands
+SWITCH_INTERVAL_S = 0.0005
 
 
 def _quiet_collector() -> None:
-    """Leave what was loaded at the start out of every garbage collection: looking through it stalls requests for tens of ms."""
+    """Leave what was loaded at the start out of every garbage collection: looking through it stalls
+    requests for tens of ms."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(*COLLECT_AFTER)
 
 
 class _Server(uvicorn.Server):
-    """Lets those who wait for a change go as soon as it is told to stop, and those who keep it waiting while it runs."""
+    """Lets those who wait for a change go as soon as it is told to stop, and those who keep it
+    waiting while it runs."""
 
     def __init__(self, config: uvicorn.Config, door: Door) -> None:
         super().__init__(config)
@@ -61,7 +72,9 @@ class _Server(uvicorn.Server):
 
 def _limits(settings: Settings) -> Limits:
     connections = settings.connections or room_for_connections(settings.database_pool)
-    return Limits(settings.header_limit_s, settings.keep_alive_s, settings.silence_limit_s, connections)
+    return Limits(
+        settings.header_limit_s, settings.keep_alive_s, settings.silence_limit_s, connections
+    )
 
 
 def serve(parts: Parts, listening: socket.socket) -> None:

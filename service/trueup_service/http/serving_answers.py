@@ -1,9 +1,10 @@
-"""Answers to "what serves?", cheap enough for a fleet to poll, and never older than the last acknowledged move.
+"""Answers to "what serves?", cheap enough for a fleet to poll, and never older than the last
+acknowledged move.
 
-On SQLite the answer is kept, and before it is given SQLite's change counter is read (`PRAGMA data_version`, a few
-microseconds, no table touched): any commit by any connection of any process moves it, and then the row is read again. A
-move is acknowledged after its commit, so whoever was told of it finds the counter moved. On PostgreSQL the row is
-read each time.
+On SQLite the answer is kept, and before it is given SQLite's change counter is read (`PRAGMA
+data_version`, a few microseconds, no table touched): any commit by any connection of any process
+moves it, and then the row is read again. A move is acknowledged after its commit, so whoever was
+told of it finds the counter moved. On PostgreSQL the row is read each time.
 """
 
 from __future__ import annotations
@@ -47,12 +48,18 @@ def document(move: Move) -> dict[str, Any]:
 
 
 def matches(etag: str, asked: str) -> bool:
-    """Whether an If-None-Match header holds this tag: any of a list, weak ones too, or `*` (RFC 9110, section 13.1.2)."""
-    return asked == etag or asked.strip() == "*" or etag in (tag.strip().removeprefix("W/") for tag in asked.split(","))
+    """Whether an If-None-Match header holds this tag: any of a list, weak ones too, or `*` (RFC
+    9110, section 13.1.2)."""
+    return (
+        asked == etag
+        or asked.strip() == "*"
+        or etag in (tag.strip().removeprefix("W/") for tag in asked.split(","))
+    )
 
 
 class ServingAnswers:
-    """Gives the answers; used on the event loop only. Once it is `closing` nobody waits any more."""
+    """Gives the answers; used on the event loop only. Once it is `closing` nobody waits any
+    more."""
 
     closing = False
 
@@ -78,7 +85,11 @@ class ServingAnswers:
         """What serves once its tag is another than `etag`, or what serves after `wait_s` [s]."""
         clock = asyncio.get_running_loop().time
         deadline = clock() + wait_s
-        while matches((answer := await self.now(asked)).etag, etag) and (left := deadline - clock()) > 0 and not self.closing:
+        while (
+            matches((answer := await self.now(asked)).etag, etag)
+            and (left := deadline - clock()) > 0
+            and not self.closing
+        ):
             await self._next_look(min(left, self._interval_s))
         return answer
 

@@ -1,4 +1,5 @@
-"""Sessions: a browser trades a token for a cookie that scripts cannot read and other sites cannot send."""
+"""Sessions: a browser trades a token for a cookie that scripts cannot read and other sites cannot
+send."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ from trueup_service.wiring import Parts
 
 
 def begin_session(identities: Identities, parts: Parts, token: str) -> tuple[Who, str]:
-    """Who a token is of, and the secret of a session that lasts for a while. Raises Unauthenticated."""
+    """Who a token is of, and the secret of a session that lasts for a while. Raises
+    Unauthenticated."""
     who = identities.by_token(token)
     now, secret = datetime.now(UTC), secrets.token_urlsafe(32)
     ends = now + timedelta(seconds=parts.settings.session_s)
@@ -27,7 +29,14 @@ def begin_session(identities: Identities, parts: Parts, token: str) -> tuple[Who
 def give_cookie(request: Request, response: Response, parts: Parts, secret: str) -> None:
     """Let a browser keep a session's secret, out of reach of scripts and of other sites."""
     is_https = origin_of(request).startswith("https:")
-    response.set_cookie(COOKIE, secret, max_age=int(parts.settings.session_s), httponly=True, samesite="strict", secure=is_https)
+    response.set_cookie(
+        COOKIE,
+        secret,
+        max_age=int(parts.settings.session_s),
+        httponly=True,
+        samesite="strict",
+        secure=is_https,
+    )
 
 
 def end_session(request: Request, parts: Parts) -> None:

@@ -1,4 +1,5 @@
-"""What is kept for a while only: answers of idempotency keys, and uploads in parts that nobody goes on with."""
+"""What is kept for a while only: answers of idempotency keys, and uploads in parts that nobody goes
+on with."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ INTERVAL_S = 60.0  # an age is hours: it matters little if something stays a min
 
 
 def tidy(parts: Parts, now: datetime | None = None) -> None:
-    """Let go of what has reached its age, and of each token's oldest answers beyond those that are kept."""
+    """Let go of what has reached its age, and of each token's oldest answers beyond those that are
+    kept."""
     settings = parts.settings
     before = time_text((now or datetime.now(UTC)) - timedelta(seconds=settings.answers_kept_s))
     with parts.database.read() as connection:

@@ -34,8 +34,11 @@ class Received:
 
 
 @asynccontextmanager
-async def received(request: Request, spool: Path, limit_bytes: int, hint: str | None = None) -> AsyncIterator[Received]:
-    """The body as a file in `spool`, removed at the end. Raises TooLargeUpload with this hint or its own, DigestMismatch, BadRequest."""
+async def received(
+    request: Request, spool: Path, limit_bytes: int, hint: str | None = None
+) -> AsyncIterator[Received]:
+    """The body as a file in `spool`, removed at the end. Raises TooLargeUpload with this hint or
+    its own, DigestMismatch, BadRequest."""
     declared = request.headers.get("content-length", "")
     allow(int(declared) if declared.isdigit() else 0, limit_bytes, hint)
     path = spool / uuid.uuid4().hex
@@ -47,8 +50,11 @@ async def received(request: Request, spool: Path, limit_bytes: int, hint: str | 
         path.unlink(missing_ok=True)
 
 
-async def _receive(request: Request, path: Path, limit_bytes: int, hint: str | None) -> tuple[str, int]:
-    """Digest and size of the body. While one part is hashed and written in a thread, the next one is received."""
+async def _receive(
+    request: Request, path: Path, limit_bytes: int, hint: str | None
+) -> tuple[str, int]:
+    """Digest and size of the body. While one part is hashed and written in a thread, the next one
+    is received."""
     gathered, under_way, size = bytearray(), None, 0
     with path.open("xb", buffering=0) as file:
         sink = _Sink(file)
@@ -63,7 +69,9 @@ async def _receive(request: Request, path: Path, limit_bytes: int, hint: str | N
                     under_way = asyncio.create_task(run_in_threadpool(sink.take, gathered))
                     gathered = bytearray()
         except ClientDisconnect as error:
-            raise BadRequest("the connection closed before the body was whole", hint="Send it again.") from error
+            raise BadRequest(
+                "the connection closed before the body was whole", hint="Send it again."
+            ) from error
         finally:
             if under_way is not None:
                 await under_way
@@ -72,7 +80,8 @@ async def _receive(request: Request, path: Path, limit_bytes: int, hint: str | N
 
 
 class _Sink:
-    """Hashes and writes parts, and syncs now and then, so that little is left to sync at the end."""
+    """Hashes and writes parts, and syncs now and then, so that little is left to sync at the
+    end."""
 
     def __init__(self, file: FileIO) -> None:
         self.hashed = hashlib.sha256()
@@ -90,12 +99,18 @@ class _Sink:
 def allow(size: int, limit_bytes: int, hint: str | None = None) -> None:
     """Raises TooLargeUpload for more bytes."""
     if size > limit_bytes:
-        raise TooLargeUpload(f"the upload has more than {limit_bytes} bytes", hint=hint, limit_bytes=limit_bytes)
+        raise TooLargeUpload(
+            f"the upload has more than {limit_bytes} bytes", hint=hint, limit_bytes=limit_bytes
+        )
 
 
 def _require_digest(header: str | None, digest: str) -> None:
-    """Hold the body against RFC 9530's `Content-Digest: sha-256=:base64:`; other algorithms are not ours to judge."""
+    """Hold the body against RFC 9530's `Content-Digest: sha-256=:base64:`; other algorithms are not
+    ours to judge."""
     for item in (header or "").split(","):
         name, _, value = item.strip().partition("=")
-        if name.lower() == "sha-256" and value.strip(":") != base64.b64encode(bytes.fromhex(digest)).decode():
+        if (
+            name.lower() == "sha-256"
+            and value.strip(":") != base64.b64encode(bytes.fromhex(digest)).decode()
+        ):
             raise DigestMismatch("the body is not what Content-Digest says", found=digest)

@@ -1,6 +1,7 @@
 """Bytes by digest: created once, never changed. A folder, or any S3-compatible store.
 
-A put returns when the bytes are durable: on a folder the file and the folder that names it are synced, a store has acknowledged.
+A put returns when the bytes are durable: on a folder the file and the folder that names it are
+synced, a store has acknowledged.
 """
 
 from __future__ import annotations
@@ -35,14 +36,20 @@ class BlobMissing(TrueupError):
     """The blob store does not hold these bytes."""
 
     code = "blob-missing"
-    hint = "A row names bytes that the store lost: restore them from a copy; their digest tells whether it is the right one."
+    hint = (
+        "A row names bytes that the store lost: restore them from a copy; their digest "
+        "tells whether it is the right one."
+    )
 
 
 class BlobDamaged(TrueupError):
     """The bytes that are kept are not what their digest names."""
 
     code = "blob-damaged"
-    hint = "The stored copy is damaged or was changed: `trueup fsck` lists all such, and sending the right bytes again mends a folder."
+    hint = (
+        "The stored copy is damaged or was changed: `trueup fsck` lists all such, and "
+        "sending the right bytes again mends a folder."
+    )
 
     @classmethod
     def of(cls, digest: str) -> BlobDamaged:
@@ -81,7 +88,8 @@ class Blobs(ABC):
 
     @abstractmethod
     def at_hand(self, digest: str, spool: Path) -> AbstractContextManager[Path]:
-        """The bytes as a file of ours in `spool`, whatever happens to the blob meanwhile. Raises BlobMissing."""
+        """The bytes as a file of ours in `spool`, whatever happens to the blob meanwhile. Raises
+        BlobMissing."""
 
     @abstractmethod
     def holds(self, digest: str) -> bool:
@@ -93,7 +101,8 @@ class Blobs(ABC):
 
     @abstractmethod
     def remove(self, digest: str, older_than_s: float, *, dry_run: bool) -> int | None:
-        """Remove bytes that nobody has put for so long [s]; how many, None if they are younger. They can be brought back until `forget`."""
+        """Remove bytes that nobody has put for so long [s]; how many, None if they are younger.
+        They can be brought back until `forget`."""
 
     @abstractmethod
     def bring_back(self, digest: str) -> None:
@@ -105,11 +114,13 @@ class Blobs(ABC):
 
     @abstractmethod
     def removed(self) -> Iterator[str]:
-        """What was removed and neither forgotten nor brought back, as by somebody who was killed over it."""
+        """What was removed and neither forgotten nor brought back, as by somebody who was killed
+        over it."""
 
 
 class FolderBlobs(Blobs):
-    """Blobs as files `ab/cdef…` below a folder on the same file system as the files that are put."""
+    """Blobs as files `ab/cdef…` below a folder on the same file system as the files that are
+    put."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
@@ -121,11 +132,15 @@ class FolderBlobs(Blobs):
         _sync(source)
         while not self._linked(source, target):
             continue  # it was being removed: once it is gone it can be linked
-        for folder in (target.parent, self._root):  # also for a file that was there: whoever linked it may not have come this far
+        for folder in (
+            target.parent,
+            self._root,
+        ):  # also for a file that was there: whoever linked it may not have come this far
             _sync(folder)
 
     def _linked(self, source: Path, target: Path) -> bool:
-        """Link the file, or make the one that is there young again, so that nobody takes it for left over; False if it went meanwhile."""
+        """Link the file, or make the one that is there young again, so that nobody takes it for
+        left over; False if it went meanwhile."""
         try:
             os.link(source, target)
         except FileExistsError:
@@ -139,7 +154,8 @@ class FolderBlobs(Blobs):
 
     @staticmethod
     def _mend(target: Path, source: Path) -> None:
-        """Replace a kept file whose bytes have changed since, by the right ones that have come again."""
+        """Replace a kept file whose bytes have changed since, by the right ones that have come
+        again."""
         named = target.parent.name + target.name
         if not filecmp.cmp(target, source, shallow=False) and _digest_of(source) == named:
             beside = target.with_name(f"{target.name}.{uuid.uuid4().hex}")
@@ -232,9 +248,17 @@ class S3Blobs(Blobs):
     def put(self, digest: str, source: Path) -> None:
         import obstore  # noqa: PLC0415  (only a scaled installation has a store)
 
-        if self._age_s(digest) > YOUNG_S:  # put again what is old, so that nobody takes it for left over
+        if (
+            self._age_s(digest) > YOUNG_S
+        ):  # put again what is old, so that nobody takes it for left over
             with source.open("rb") as file, _answering(digest):
-                obstore.put(self._store, _checked(digest), file, chunk_size=PART_BYTES, max_concurrency=PARTS)
+                obstore.put(
+                    self._store,
+                    _checked(digest),
+                    file,
+                    chunk_size=PART_BYTES,
+                    max_concurrency=PARTS,
+                )
 
     def get(self, digest: str) -> bytes:
         return b"".join(self.stream(digest))
@@ -260,7 +284,9 @@ class S3Blobs(Blobs):
         import obstore  # noqa: PLC0415
 
         with _answering(digest):
-            for part in obstore.get(self._store, _checked(digest)).stream(min_chunk_size=STREAM_BYTES):
+            for part in obstore.get(self._store, _checked(digest)).stream(
+                min_chunk_size=STREAM_BYTES
+            ):
                 yield bytes(part)
 
     def holds(self, digest: str) -> bool:

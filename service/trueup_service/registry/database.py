@@ -1,7 +1,8 @@
 """Engine and transactions, on SQLite and PostgreSQL.
 
-SQLite: write-ahead log, `synchronous=FULL` so that a commit is on disk when it returns, and writers take the write lock when they
-begin. Within one process they queue on a lock of ours first, for SQLite's own waiting is sleeping and looking again.
+SQLite: write-ahead log, `synchronous=FULL` so that a commit is on disk when it returns, and writers
+take the write lock when they begin. Within one process they queue on a lock of ours first, for
+SQLite's own waiting is sleeping and looking again.
 """
 
 from __future__ import annotations
@@ -21,12 +22,17 @@ _WRITES = "trueup_writes"
 
 
 class Database:
-    """Where rows are kept. `read` and `write` give a connection inside a transaction; leaving it commits, an error rolls back."""
+    """Where rows are kept. `read` and `write` give a connection inside a transaction; leaving it
+    commits, an error rolls back."""
 
     def __init__(self, url: str, pool: int) -> None:
         self._url = url
         self.is_sqlite = url.startswith("sqlite")
-        self.engine = _sqlite_engine(url, pool) if self.is_sqlite else create_engine(url, pool_size=pool, max_overflow=0)
+        self.engine = (
+            _sqlite_engine(url, pool)
+            if self.is_sqlite
+            else create_engine(url, pool_size=pool, max_overflow=0)
+        )
         self._queue: Any = threading.Lock() if self.is_sqlite else nullcontext()
 
     @contextmanager
@@ -44,14 +50,19 @@ class Database:
 
     @contextmanager
     def glance(self) -> Iterator[Connection]:
-        """For one statement that reads: no transaction is begun or ended, which on PostgreSQL spares two round trips."""
+        """For one statement that reads: no transaction is begun or ended, which on PostgreSQL
+        spares two round trips."""
         with self.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
             yield connection
 
     @contextmanager
     def write(self) -> Iterator[Connection]:
         """A transaction that commits when it is left without an error."""
-        with self._queue, self.engine.connect().execution_options(**{_WRITES: True}) as connection, connection.begin():
+        with (
+            self._queue,
+            self.engine.connect().execution_options(**{_WRITES: True}) as connection,
+            connection.begin(),
+        ):
             yield connection
 
     def change_counter(self) -> ChangeCounter | None:
@@ -64,12 +75,18 @@ class Database:
 
 
 def copied(database: Path, folder: Path) -> Path:
-    """A copy of an SQLite database in a folder, as it is at one moment. Raises OSError, sqlite3.Error."""
+    """A copy of an SQLite database in a folder, as it is at one moment. Raises OSError,
+    sqlite3.Error."""
     to = folder / database.name
     try:
-        with closing(sqlite3.connect(f"{database.as_uri()}?mode=ro", uri=True)) as source, closing(sqlite3.connect(to)) as target:
+        with (
+            closing(sqlite3.connect(f"{database.as_uri()}?mode=ro", uri=True)) as source,
+            closing(sqlite3.connect(to)) as target,
+        ):
             source.backup(target)
-    except sqlite3.OperationalError:  # SQLite needs an index beside the write-ahead log, and cannot make one here
+    except (
+        sqlite3.OperationalError
+    ):  # SQLite needs an index beside the write-ahead log, and cannot make one here
         for name in (database.name, f"{database.name}-wal"):
             if (found := database.with_name(name)).exists():
                 shutil.copyfile(found, folder / name)
@@ -79,13 +96,15 @@ def copied(database: Path, folder: Path) -> Path:
 class ChangeCounter:
     """SQLite's own counter of commits, read through a connection that does nothing else.
 
-    The counter that a connection sees moves with every commit by any other connection, of this process or another one. So the
-    connection must be ours alone: one that also wrote would not see its own commits.
-    Source: SQLite documentation, PRAGMA data_version.
+    The counter that a connection sees moves with every commit by any other connection, of this
+    process or another one. So the connection must be ours alone: one that also wrote would not see
+    its own commits. Source: SQLite documentation, PRAGMA data_version.
     """
 
     def __init__(self, url: str) -> None:
-        self._connection = sqlite3.connect(make_url(url).database or "", check_same_thread=False, isolation_level=None)
+        self._connection = sqlite3.connect(
+            make_url(url).database or "", check_same_thread=False, isolation_level=None
+        )
         self._seen = -1
 
     def moved(self) -> bool:
@@ -97,17 +116,27 @@ class ChangeCounter:
 
 def _sqlite_engine(url: str, pool: int) -> Engine:
     engine = create_engine(
-        url, pool_size=pool, max_overflow=0, connect_args={"timeout": BUSY_TIMEOUT_MS / 1000, "check_same_thread": False}
+        url,
+        pool_size=pool,
+        max_overflow=0,
+        connect_args={"timeout": BUSY_TIMEOUT_MS / 1000, "check_same_thread": False},
     )
 
     @event.listens_for(engine, "connect")
     def _prepare(connection: sqlite3.Connection, _record: object) -> None:
         connection.isolation_level = None
-        for pragma in (f"busy_timeout={BUSY_TIMEOUT_MS}", "journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON"):
+        for pragma in (
+            f"busy_timeout={BUSY_TIMEOUT_MS}",
+            "journal_mode=WAL",
+            "synchronous=FULL",
+            "foreign_keys=ON",
+        ):
             connection.execute(f"PRAGMA {pragma}")
 
     @event.listens_for(engine, "begin")
     def _begin(connection: Connection) -> None:
-        connection.exec_driver_sql("BEGIN IMMEDIATE" if connection.get_execution_options().get(_WRITES) else "BEGIN")
+        connection.exec_driver_sql(
+            "BEGIN IMMEDIATE" if connection.get_execution_options().get(_WRITES) else "BEGIN"
+        )
 
     return engine

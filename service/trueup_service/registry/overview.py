@@ -1,4 +1,5 @@
-"""Overview: what somebody who looks at all plants, or at one, wants to see at a glance, in a few statements for a whole page."""
+"""Overview: what somebody who looks at all plants, or at one, wants to see at a glance, in a few
+statements for a whole page."""
 
 from __future__ import annotations
 
@@ -21,8 +22,8 @@ LOOKED_THROUGH = 200  # jobs of a kind, the newest
 
 @dataclass(frozen=True, slots=True)
 class PlantLine:
-    """A plant at a glance: what serves since when, how large the gap was in the last episodes (None: nobody watches), the last alarm and
-    the last decision.
+    """A plant at a glance: what serves since when, how large the gap was in the last episodes
+    (None: nobody watches), the last alarm and the last decision.
 
     `gap` is in the spreads that are healthy for the model that serves: 1 is healthy.
     """
@@ -39,10 +40,28 @@ class PlantLine:
     accepted: bool | None
 
 
-def plant_lines(connection: Connection, after: str, limit: int, *, of: str | None, project: str | None, containing: str) -> list[PlantLine]:
-    """Plants by name from behind one, all or those of a project or the plant `of`, whose name contains some text."""
-    last = select(t.alarms.c.raised_at).where(t.alarms.c.plant == t.plants.c.name).order_by(t.alarms.c.raised_at.desc()).limit(1)
-    is_open = select(t.alarms.c.id).where(t.alarms.c.plant == t.plants.c.name, t.alarms.c.closed_at.is_(None)).exists()
+def plant_lines(
+    connection: Connection,
+    after: str,
+    limit: int,
+    *,
+    of: str | None,
+    project: str | None,
+    containing: str,
+) -> list[PlantLine]:
+    """Plants by name from behind one, all or those of a project or the plant `of`, whose name
+    contains some text."""
+    last = (
+        select(t.alarms.c.raised_at)
+        .where(t.alarms.c.plant == t.plants.c.name)
+        .order_by(t.alarms.c.raised_at.desc())
+        .limit(1)
+    )
+    is_open = (
+        select(t.alarms.c.id)
+        .where(t.alarms.c.plant == t.plants.c.name, t.alarms.c.closed_at.is_(None))
+        .exists()
+    )
     decided = t.decisions.alias()
     newest = (
         select(t.decisions.c.digest)
@@ -54,7 +73,11 @@ def plant_lines(connection: Connection, after: str, limit: int, *, of: str | Non
     names = select(t.plants.c.name).where(t.plants.c.name > after)
     names = names if of is None else names.where(t.plants.c.name == of)
     names = names if project is None else names.where(t.plants.c.project == project)
-    names = names if not containing else names.where(t.plants.c.name.contains(containing, autoescape=True, escape=ESCAPE))
+    names = (
+        names
+        if not containing
+        else names.where(t.plants.c.name.contains(containing, autoescape=True, escape=ESCAPE))
+    )
     page = names.order_by(t.plants.c.name).limit(limit).subquery()
     query = (
         select(
@@ -70,7 +93,11 @@ def plant_lines(connection: Connection, after: str, limit: int, *, of: str | Non
         )
         .join(page, page.c.name == t.plants.c.name)
         .join(t.serving, t.serving.c.plant == t.plants.c.name)
-        .join(t.moves, (t.moves.c.plant == t.serving.c.plant) & (t.moves.c.generation == t.serving.c.generation))
+        .join(
+            t.moves,
+            (t.moves.c.plant == t.serving.c.plant)
+            & (t.moves.c.generation == t.serving.c.generation),
+        )
         .outerjoin(decided, decided.c.digest == newest)
         .order_by(t.plants.c.name)
     )
@@ -80,11 +107,18 @@ def plant_lines(connection: Connection, after: str, limit: int, *, of: str | Non
 
 
 def gaps_of(connection: Connection, plants: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """The error of the model that serves in the last episodes, the oldest first, where its monitor watches."""
+    """The error of the model that serves in the last episodes, the oldest first, where its monitor
+    watches."""
     query = (
         select(t.watches.c.plant, t.watches.c.seen)
-        .join(t.watching, (t.watching.c.plant == t.watches.c.plant) & (t.watching.c.monitor == t.watches.c.monitor))
-        .where(t.watching.c.plant.in_(plants), t.watches.c.sequence > t.watching.c.sequence - WATCHED)
+        .join(
+            t.watching,
+            (t.watching.c.plant == t.watches.c.plant)
+            & (t.watching.c.monitor == t.watches.c.monitor),
+        )
+        .where(
+            t.watching.c.plant.in_(plants), t.watches.c.sequence > t.watching.c.sequence - WATCHED
+        )
         .order_by(t.watches.c.plant, t.watches.c.sequence)
     )
     gaps: dict[str, list[float]] = {}
@@ -97,19 +131,41 @@ def gaps_of(connection: Connection, plants: Sequence[str]) -> dict[str, tuple[fl
 
 
 def last_entries(
-    connection: Connection, before: int, limit: int, *, plant: str | None = None, project: str | None = None, kind: str = ""
+    connection: Connection,
+    before: int,
+    limit: int,
+    *,
+    plant: str | None = None,
+    project: str | None = None,
+    kind: str = "",
 ) -> list[AuditEntry]:
-    """Entries of the log, the newest first, before one; of all, of a plant, of a project's plants; of a kind or of what it begins with."""
+    """Entries of the log, the newest first, before one; of all, of a plant, of a project's plants;
+    of a kind or of what it begins with."""
     query = select(t.audit).where(t.audit.c.sequence < before)
     query = query if plant is None else query.where(t.audit.c.plant == plant)
-    query = query if project is None else query.where(t.audit.c.plant.in_(select(t.plants.c.name).where(t.plants.c.project == project)))
-    query = query if not kind else query.where(t.audit.c.kind.startswith(kind, autoescape=True, escape=ESCAPE))
+    query = (
+        query
+        if project is None
+        else query.where(
+            t.audit.c.plant.in_(select(t.plants.c.name).where(t.plants.c.project == project))
+        )
+    )
+    query = (
+        query
+        if not kind
+        else query.where(t.audit.c.kind.startswith(kind, autoescape=True, escape=ESCAPE))
+    )
     return _entries(connection, query.order_by(t.audit.c.sequence.desc()).limit(limit))
 
 
 def entry_on(connection: Connection, subject: str, kind: str) -> AuditEntry | None:
     """The entry of a kind that tells of something."""
-    query = select(t.audit).where(t.audit.c.subject == subject, t.audit.c.kind == kind).order_by(t.audit.c.sequence).limit(1)
+    query = (
+        select(t.audit)
+        .where(t.audit.c.subject == subject, t.audit.c.kind == kind)
+        .order_by(t.audit.c.sequence)
+        .limit(1)
+    )
     return next(iter(_entries(connection, query)), None)
 
 
@@ -117,8 +173,15 @@ def _entries(connection: Connection, query: Select[Any]) -> list[AuditEntry]:
     return [record_of(AuditEntry, row) for row in connection.execute(query).mappings()]
 
 
-def newest_job(connection: Connection, plant: str, kind: str, fits: Callable[[Mapping[str, Any]], bool]) -> JobRecord | None:
+def newest_job(
+    connection: Connection, plant: str, kind: str, fits: Callable[[Mapping[str, Any]], bool]
+) -> JobRecord | None:
     """The newest job of a kind whose request fits, among the last of that kind."""
-    query = select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.kind == kind).order_by(t.jobs.c.created_at.desc()).limit(LOOKED_THROUGH)
+    query = (
+        select(t.jobs)
+        .where(t.jobs.c.plant == plant, t.jobs.c.kind == kind)
+        .order_by(t.jobs.c.created_at.desc())
+        .limit(LOOKED_THROUGH)
+    )
     found = (record_of(JobRecord, row) for row in connection.execute(query).mappings())
     return next((job for job in found if fits(job.request)), None)

@@ -53,7 +53,8 @@ class ProjectRecord:
 
 @dataclass(frozen=True, slots=True)
 class TokenRecord:
-    """A token by its public prefix and the digest of its secret; of one project, or of all; of one plant, or of all of those."""
+    """A token by its public prefix and the digest of its secret; of one project, or of all; of one
+    plant, or of all of those."""
 
     prefix: str
     digest: str
@@ -82,7 +83,8 @@ class Approval:
 
 @dataclass(frozen=True, slots=True)
 class PlantRecord:
-    """A registered plant; without a project it belongs to none, and only tokens of all projects see it."""
+    """A registered plant; without a project it belongs to none, and only tokens of all projects see
+    it."""
 
     name: str
     digest: str
@@ -94,7 +96,8 @@ class PlantRecord:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRecord:
-    """An ingested episode; its bytes are the blob of its digest, and `samples_digest` names what was recorded, whatever the bytes are.
+    """An ingested episode; its bytes are the blob of its digest, and `samples_digest` names what
+    was recorded, whatever the bytes are.
 
     An episode that came in before samples were named has none.
     """
@@ -139,7 +142,8 @@ class GateRecord:
 
 @dataclass(frozen=True, slots=True)
 class JobRecord:
-    """Work that was asked for. `result` is set once the state is final: what came of it, or the problem."""
+    """Work that was asked for. `result` is set once the state is final: what came of it, or the
+    problem."""
 
     id: str
     plant: str
@@ -190,7 +194,8 @@ class DecisionRecord:
 
 @dataclass(frozen=True, slots=True)
 class ImportRecord:
-    """Where an imported plant came from: the archive, the head of its log, and the blob of its entries, each with its proof."""
+    """Where an imported plant came from: the archive, the head of its log, and the blob of its
+    entries, each with its proof."""
 
     plant: str
     archive: str
@@ -203,7 +208,8 @@ class ImportRecord:
 
 @dataclass(frozen=True, slots=True)
 class AuditKey:
-    """A public key under which the log was signed, and the note in which the one before handed over to it."""
+    """A public key under which the log was signed, and the note in which the one before handed over
+    to it."""
 
     verifier: str
     endorsement: str | None
@@ -224,7 +230,8 @@ class MonitorRecord:
 
 @dataclass(frozen=True, slots=True)
 class Watching:
-    """Which monitor watches a plant since when, how many episodes it has seen, and what its detectors have kept of them."""
+    """Which monitor watches a plant since when, how many episodes it has seen, and what its
+    detectors have kept of them."""
 
     plant: str
     monitor: str
@@ -247,8 +254,8 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRecord:
-    """An alarm: which monitor raised it, None for a scheduled validation, on which episode, what changed, the diagnosis that it opened,
-    the trial of what that made, and why it was closed.
+    """An alarm: which monitor raised it, None for a scheduled validation, on which episode, what
+    changed, the diagnosis that it opened, the trial of what that made, and why it was closed.
     """
 
     id: str
@@ -319,7 +326,8 @@ class ChannelMove:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One position of a serving pointer. `back_to` is the generation whose artifact a rollback would serve."""
+    """One position of a serving pointer. `back_to` is the generation whose artifact a rollback
+    would serve."""
 
     plant: str
     generation: int

@@ -13,13 +13,15 @@ from trueup_service.registry.database import Database
 
 SQLITE_TRIGGERS = "SELECT name, tbl_name FROM sqlite_master WHERE type = 'trigger'"
 POSTGRES_TRIGGERS = (
-    "SELECT tgname, relname FROM pg_trigger JOIN pg_class ON pg_class.oid = tgrelid WHERE NOT tgisinternal AND pg_table_is_visible(tgrelid)"
+    "SELECT tgname, relname FROM pg_trigger JOIN pg_class ON pg_class.oid = tgrelid WHERE "
+    "NOT tgisinternal AND pg_table_is_visible(tgrelid)"
 )
 ADVISORY_LOCK = 0x7472756575  # "trueu": one migration at a time among many servers
 
 
 def migrate(database: Database) -> None:
-    """Run the migrations that are missing. An up-to-date schema costs one query, for the migration tool loads slowly."""
+    """Run the migrations that are missing. An up-to-date schema costs one query, for the migration
+    tool loads slowly."""
     before = current(database)
     if before == HEAD or _made(database):
         return
@@ -30,12 +32,14 @@ def migrate(database: Database) -> None:
             upgrade(connection)
         except (OperationalError, ProgrammingError) as error:
             raise NotWhole(
-                f"the database says that its schema is {before}, and cannot be brought from there to {HEAD}: {error.orig}"
+                f"the database says that its schema is {before}, and cannot be brought from "
+                f"there to {HEAD}: {error.orig}"
             ) from error
 
 
 def _made(database: Database) -> bool:
-    """Make the tables of an empty database at once, as the migrations would; False where there is something already."""
+    """Make the tables of an empty database at once, as the migrations would; False where there is
+    something already."""
     with database.write() as connection:
         if not database.is_sqlite:
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": ADVISORY_LOCK})
@@ -43,23 +47,29 @@ def _made(database: Database) -> bool:
             return False
         t.metadata.create_all(connection)
         connection.execute(insert(t.audit_head), {"id": 1, "size": 0, "frontier": b""})
-        connection.execute(text("CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY)"))
+        connection.execute(
+            text("CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL PRIMARY KEY)")
+        )
         connection.execute(text("INSERT INTO alembic_version VALUES (:head)"), {"head": HEAD})
     return True
 
 
 def altered(database: Database) -> list[Finding]:
-    """How the tables differ from those that were made here: without its key a table takes two rows of one name, and a trigger writes what
-    nobody asked for.
+    """How the tables differ from those that were made here: without its key a table takes two rows
+    of one name, and a trigger writes what nobody asked for.
     """
     wrong: list[Finding] = []
     with database.read() as connection:
         seen = inspect(connection)
         for table in t.metadata.sorted_tables:
             key = [column.name for column in table.primary_key.columns]
-            if not seen.has_table(table.name) or set(seen.get_pk_constraint(table.name)["constrained_columns"]) != set(key):
+            if not seen.has_table(table.name) or set(
+                seen.get_pk_constraint(table.name)["constrained_columns"]
+            ) != set(key):
                 wrong.append(Finding(table.name, f"it is no table with the key {', '.join(key)}"))
-        for name, table_name in connection.execute(text(SQLITE_TRIGGERS if database.is_sqlite else POSTGRES_TRIGGERS)):
+        for name, table_name in connection.execute(
+            text(SQLITE_TRIGGERS if database.is_sqlite else POSTGRES_TRIGGERS)
+        ):
             if table_name in t.metadata.tables:
                 wrong.append(Finding(str(table_name), f"it has a trigger, {name}"))
     return wrong

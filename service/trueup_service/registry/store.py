@@ -1,7 +1,8 @@
 """What may be asked of the registry, and what may be added to it.
 
-`Reader` asks, `Writer` adds. Nothing here updates or deletes an episode, an artifact, a gate, a decision, a move or an audit entry;
-only a job's progress, the generation that serves, where a monitor stands, and whether an alarm is open change.
+`Reader` asks, `Writer` adds. Nothing here updates or deletes an episode, an artifact, a gate, a
+decision, a move or an audit entry; only a job's progress, the generation that serves, where a
+monitor stands, and whether an alarm is open change.
 """
 
 from __future__ import annotations
@@ -69,7 +70,19 @@ from trueup_service.registry.records import (
 from trueup_service.registry.rows import plain, stored
 
 R = TypeVar("R")
-_JSON = {"document", "summary", "request", "result", "facts", "kept", "seen", "requires", "evidence", "rows", "roles"}
+_JSON = {
+    "document",
+    "summary",
+    "request",
+    "result",
+    "facts",
+    "kept",
+    "seen",
+    "requires",
+    "evidence",
+    "rows",
+    "roles",
+}
 
 AT_ONCE = 500  # digests that one statement names
 
@@ -78,11 +91,16 @@ _BY_PLANT: BindParameter[str] = bindparam("plant")
 _PLANT = select(t.plants).where(t.plants.c.name == _BY_PLANT)
 _PLANT_DIGEST = select(t.plants.c.digest).where(t.plants.c.name == _BY_PLANT)
 _LOCK_PLANT = select(t.plants.c.name).where(t.plants.c.name == _BY_PLANT).with_for_update()
-_ARTIFACT = select(t.artifacts).where(t.artifacts.c.plant == _BY_PLANT, t.artifacts.c.digest == bindparam("digest"))
+_ARTIFACT = select(t.artifacts).where(
+    t.artifacts.c.plant == _BY_PLANT, t.artifacts.c.digest == bindparam("digest")
+)
 _LATEST_VERSION = select(func.max(t.artifacts.c.version)).where(t.artifacts.c.plant == _BY_PLANT)
 _SERVING = (
     select(t.moves)
-    .join(t.serving, (t.moves.c.plant == t.serving.c.plant) & (t.moves.c.generation == t.serving.c.generation))
+    .join(
+        t.serving,
+        (t.moves.c.plant == t.serving.c.plant) & (t.moves.c.generation == t.serving.c.generation),
+    )
     .where(t.serving.c.plant == _BY_PLANT)
 )
 _DECISION = select(t.decisions).where(t.decisions.c.digest == bindparam("digest"))
@@ -95,10 +113,14 @@ _LOCK_NAME = text("SELECT pg_advisory_xact_lock(hashtextextended(:name, 0))")
 _HEAD = select(t.audit_head.c.size, t.audit_head.c.frontier).where(t.audit_head.c.id == 1)
 _SIZE = select(t.audit_head.c.size).where(t.audit_head.c.id == 1).scalar_subquery()
 _LOCK_HEAD = _HEAD.with_for_update()
-_MOVE_HEAD = update(t.audit_head).values(size=bindparam("new_size"), frontier=bindparam("new_frontier"))
+_MOVE_HEAD = update(t.audit_head).values(
+    size=bindparam("new_size"), frontier=bindparam("new_frontier")
+)
 _NODES = select(t.audit_tree).where(t.audit_tree.c.node.in_(bindparam("nodes", expanding=True)))
 _FORGET_ANSWER = delete(t.idempotency).where(
-    t.idempotency.c.scope == bindparam("of"), t.idempotency.c.key == bindparam("under"), t.idempotency.c.at == bindparam("since")
+    t.idempotency.c.scope == bindparam("of"),
+    t.idempotency.c.key == bindparam("under"),
+    t.idempotency.c.at == bindparam("since"),
 )
 _INSERT = {name: insert(table) for name, table in t.metadata.tables.items()}
 
@@ -144,17 +166,24 @@ class Reader:
 
     def session(self, digest: str, now: str) -> str | None:
         """The token of a session that has not ended."""
-        query = select(t.sessions.c.token).where(t.sessions.c.digest == digest, t.sessions.c.expires_at > now)
+        query = select(t.sessions.c.token).where(
+            t.sessions.c.digest == digest, t.sessions.c.expires_at > now
+        )
         found: str | None = self.connection.scalar(query)
         return found
 
     def approvals(self, plant: str, decision: str) -> list[Approval]:
         """Who wants a decision promoted, in order."""
         of = t.approvals.c.plant == plant, t.approvals.c.decision == decision
-        return self._all(Approval, select(t.approvals).where(*of).order_by(t.approvals.c.at, t.approvals.c.token))
+        return self._all(
+            Approval, select(t.approvals).where(*of).order_by(t.approvals.c.at, t.approvals.c.token)
+        )
 
     def episode(self, plant: str, digest: str) -> EpisodeRecord | None:
-        return self._one(EpisodeRecord, select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.digest == digest))
+        return self._one(
+            EpisodeRecord,
+            select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.digest == digest),
+        )
 
     def episodes(self, plant: str, role: str | None, after: str, limit: int) -> list[EpisodeRecord]:
         """Episodes in the order of their digests, from behind `after`."""
@@ -162,23 +191,37 @@ class Reader:
         query = query if role is None else query.where(t.episodes.c.role == role)
         return self._all(EpisodeRecord, query.order_by(t.episodes.c.digest).limit(limit))
 
-    def episodes_of_role(self, plant: str, roles: Iterable[str], since_ns: int | None = None, came_in: str = "") -> list[EpisodeRecord]:
-        """Every episode of these roles that was recorded `since_ns` and came in after a time, in the order of their start."""
-        query = select(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.role.in_(list(roles)), t.episodes.c.created_at > came_in)
+    def episodes_of_role(
+        self, plant: str, roles: Iterable[str], since_ns: int | None = None, came_in: str = ""
+    ) -> list[EpisodeRecord]:
+        """Every episode of these roles that was recorded `since_ns` and came in after a time, in
+        the order of their start."""
+        query = select(t.episodes).where(
+            t.episodes.c.plant == plant,
+            t.episodes.c.role.in_(list(roles)),
+            t.episodes.c.created_at > came_in,
+        )
         query = query if since_ns is None else query.where(t.episodes.c.start_ns >= since_ns)
         return self._all(EpisodeRecord, query.order_by(t.episodes.c.start_ns, t.episodes.c.digest))
 
     def samples_of_role(self, plant: str, role: str) -> set[str]:
         """The digests of the samples of every episode of a role that tells them."""
         of = t.episodes.c
-        held = select(of.samples_digest).where(of.plant == plant, of.role == role, of.samples_digest.is_not(None))
+        held = select(of.samples_digest).where(
+            of.plant == plant, of.role == role, of.samples_digest.is_not(None)
+        )
         return set(self.connection.scalars(held))
 
     def artifact(self, plant: str, digest: str) -> ArtifactRecord | None:
         return self._one(ArtifactRecord, _ARTIFACT, plant=plant, digest=digest)
 
     def artifact_version(self, plant: str, version: int) -> ArtifactRecord | None:
-        return self._one(ArtifactRecord, select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.version == version))
+        return self._one(
+            ArtifactRecord,
+            select(t.artifacts).where(
+                t.artifacts.c.plant == plant, t.artifacts.c.version == version
+            ),
+        )
 
     def artifacts(self, plant: str, after: int, limit: int) -> list[ArtifactRecord]:
         return self._all(
@@ -194,27 +237,42 @@ class Reader:
         return int(self.connection.scalar(_LATEST_VERSION, {"plant": plant}) or 0)
 
     def gate(self, plant: str, digest: str) -> GateRecord | None:
-        return self._one(GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest == digest))
+        return self._one(
+            GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest == digest)
+        )
 
     def gates(self, plant: str, after: str, limit: int) -> list[GateRecord]:
         return self._all(
-            GateRecord, select(t.gates).where(t.gates.c.plant == plant, t.gates.c.digest > after).order_by(t.gates.c.digest).limit(limit)
+            GateRecord,
+            select(t.gates)
+            .where(t.gates.c.plant == plant, t.gates.c.digest > after)
+            .order_by(t.gates.c.digest)
+            .limit(limit),
         )
 
     def gate_line(self, plant: str) -> list[GateRecord]:
-        """Every gate of a plant in the order in which the log tells of them; those that came from elsewhere first, by their time."""
+        """Every gate of a plant in the order in which the log tells of them; those that came from
+        elsewhere first, by their time."""
         found = self._all(GateRecord, select(t.gates).where(t.gates.c.plant == plant))
         at = self.log_positions(plant, "gate:declared", [g.digest for g in found])
         return sorted(found, key=lambda g: (at.get(g.digest, 0), g.created_at, g.digest))
 
     def log_positions(self, plant: str, kind: str, subjects: Sequence[str]) -> dict[str, int]:
-        """The first entry of a kind on each of these subjects of a plant; none on what came from elsewhere."""
+        """The first entry of a kind on each of these subjects of a plant; none on what came from
+        elsewhere."""
         query = (
             select(t.audit.c.subject, func.min(t.audit.c.sequence))
-            .where(t.audit.c.plant == plant, t.audit.c.kind == kind, t.audit.c.subject.in_(bindparam("subjects", expanding=True)))
+            .where(
+                t.audit.c.plant == plant,
+                t.audit.c.kind == kind,
+                t.audit.c.subject.in_(bindparam("subjects", expanding=True)),
+            )
             .group_by(t.audit.c.subject)
         )
-        return {str(subject): int(sequence) for subject, sequence in self._in_parts(query, "subjects", subjects)}
+        return {
+            str(subject): int(sequence)
+            for subject, sequence in self._in_parts(query, "subjects", subjects)
+        }
 
     def job(self, job: str) -> JobRecord | None:
         return self._one(JobRecord, select(t.jobs).where(t.jobs.c.id == job))
@@ -231,29 +289,46 @@ class Reader:
 
     def jobs_under_way(self) -> list[str]:
         """Every job that has not ended."""
-        return list(self.connection.scalars(select(t.jobs.c.id).where(t.jobs.c.state.not_in(FINAL)).order_by(t.jobs.c.created_at)))
+        return list(
+            self.connection.scalars(
+                select(t.jobs.c.id)
+                .where(t.jobs.c.state.not_in(FINAL))
+                .order_by(t.jobs.c.created_at)
+            )
+        )
 
     def job_reads(self, job: str) -> dict[str, str]:
         """Digest of everything a job has read, and what for."""
         rows = self.connection.execute(
-            select(t.job_reads.c.digest, t.job_reads.c.purpose).where(t.job_reads.c.job == job).order_by(t.job_reads.c.digest)
+            select(t.job_reads.c.digest, t.job_reads.c.purpose)
+            .where(t.job_reads.c.job == job)
+            .order_by(t.job_reads.c.digest)
         )
         return {row.digest: row.purpose for row in rows}
 
     def outputs(self, job: str) -> list[OutputRecord]:
         """Files that a job left behind, by name."""
-        return self._all(OutputRecord, select(t.outputs).where(t.outputs.c.job == job).order_by(t.outputs.c.name))
+        return self._all(
+            OutputRecord, select(t.outputs).where(t.outputs.c.job == job).order_by(t.outputs.c.name)
+        )
 
     def output(self, job: str, name: str) -> OutputRecord | None:
-        return self._one(OutputRecord, select(t.outputs).where(t.outputs.c.job == job, t.outputs.c.name == name))
+        return self._one(
+            OutputRecord, select(t.outputs).where(t.outputs.c.job == job, t.outputs.c.name == name)
+        )
 
     def held_out(self, plant: str) -> int:
         """How many held-out episodes a plant has."""
-        query = select(func.count()).select_from(t.episodes).where(t.episodes.c.plant == plant, t.episodes.c.role.in_(HELD_OUT))
+        query = (
+            select(func.count())
+            .select_from(t.episodes)
+            .where(t.episodes.c.plant == plant, t.episodes.c.role.in_(HELD_OUT))
+        )
         return int(self.connection.scalar(query) or 0)
 
     def uses(self, digest: str, purpose: str) -> int:
-        """How many jobs have read what these bytes hold for this purpose, of whichever plant; those that came to nothing do not count."""
+        """How many jobs have read what these bytes hold for this purpose, of whichever plant; those
+        that came to nothing do not count."""
         query = (
             select(func.count())
             .select_from(t.job_reads.join(t.jobs, t.jobs.c.id == t.job_reads.c.job))
@@ -266,18 +341,26 @@ class Reader:
         return int(self.connection.scalar(query) or 0)
 
     def twins(self, digest: str, plant: str | None = None) -> set[str]:
-        """The digests of the episodes that hold the samples of this one, of any plant or of one; itself among them."""
+        """The digests of the episodes that hold the samples of this one, of any plant or of one;
+        itself among them."""
         query = _twins(digest)
         query = query if plant is None else query.where(t.episodes.c.plant == plant)
         return {digest, *self.connection.scalars(query)}
 
     def jobs_reading(self, digests: Sequence[str], purpose: str) -> list[JobRecord]:
-        """Every job that read any of these bytes for a purpose, in the order in which they were asked for."""
+        """Every job that read any of these bytes for a purpose, in the order in which they were
+        asked for."""
         reads = select(t.job_reads.c.job).where(
-            t.job_reads.c.purpose == purpose, t.job_reads.c.digest.in_(bindparam("digests", expanding=True))
+            t.job_reads.c.purpose == purpose,
+            t.job_reads.c.digest.in_(bindparam("digests", expanding=True)),
         )
-        query = select(t.jobs).where(t.jobs.c.id.in_(reads)).order_by(t.jobs.c.created_at, t.jobs.c.id)
-        found = {row.id: record_of(JobRecord, row._mapping) for row in self._in_parts(query, "digests", digests)}
+        query = (
+            select(t.jobs).where(t.jobs.c.id.in_(reads)).order_by(t.jobs.c.created_at, t.jobs.c.id)
+        )
+        found = {
+            row.id: record_of(JobRecord, row._mapping)
+            for row in self._in_parts(query, "digests", digests)
+        }
         return list(found.values())
 
     def decision(self, digest: str) -> DecisionRecord | None:
@@ -285,47 +368,81 @@ class Reader:
 
     def decisions(self, plant: str, before: str, limit: int) -> list[DecisionRecord]:
         """Decisions, the newest first, made before a time."""
-        query = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.created_at < before)
-        return self._all(DecisionRecord, query.order_by(t.decisions.c.created_at.desc(), t.decisions.c.digest).limit(limit))
+        query = select(t.decisions).where(
+            t.decisions.c.plant == plant, t.decisions.c.created_at < before
+        )
+        return self._all(
+            DecisionRecord,
+            query.order_by(t.decisions.c.created_at.desc(), t.decisions.c.digest).limit(limit),
+        )
 
-    def decisions_on(self, plant: str, candidate: str, episodes: Sequence[str]) -> list[DecisionRecord]:
-        """Decisions on a candidate, and those of the plant's whole project on any of these episodes, in the order of their making."""
+    def decisions_on(
+        self, plant: str, candidate: str, episodes: Sequence[str]
+    ) -> list[DecisionRecord]:
+        """Decisions on a candidate, and those of the plant's whole project on any of these
+        episodes, in the order of their making."""
         project = self.connection.scalar(select(t.plants.c.project).where(t.plants.c.name == plant))
-        near = select(t.plants.c.name).where(t.plants.c.project.is_(None) if project is None else t.plants.c.project == project)
+        near = select(t.plants.c.name).where(
+            t.plants.c.project.is_(None) if project is None else t.plants.c.project == project
+        )
         return self._decisions([candidate], plant, episodes, t.decisions.c.plant.in_(near))
 
-    def rejections_of(self, plant: str, candidates: Sequence[str], episodes: Sequence[str]) -> list[DecisionRecord]:
-        """Rejections of some candidates, and those of all plants, whichever their project, on any of these episodes, in order."""
+    def rejections_of(
+        self, plant: str, candidates: Sequence[str], episodes: Sequence[str]
+    ) -> list[DecisionRecord]:
+        """Rejections of some candidates, and those of all plants, whichever their project, on any
+        of these episodes, in order."""
         return self._decisions(candidates, plant, episodes, t.decisions.c.accepted.is_(False))
 
-    def _decisions(self, candidates: Sequence[str], plant: str, episodes: Sequence[str], *which: Any) -> list[DecisionRecord]:
+    def _decisions(
+        self, candidates: Sequence[str], plant: str, episodes: Sequence[str], *which: Any
+    ) -> list[DecisionRecord]:
         reads = select(t.job_reads.c.job).where(
-            t.job_reads.c.purpose == "gate", t.job_reads.c.digest.in_(bindparam("digests", expanding=True))
+            t.job_reads.c.purpose == "gate",
+            t.job_reads.c.digest.in_(bindparam("digests", expanding=True)),
         )
         on_them = select(t.decisions).where(t.decisions.c.job.in_(reads), *which)
-        own = select(t.decisions).where(t.decisions.c.plant == plant, t.decisions.c.candidate.in_(candidates), *which)
+        own = select(t.decisions).where(
+            t.decisions.c.plant == plant, t.decisions.c.candidate.in_(candidates), *which
+        )
         found = self._all(DecisionRecord, own)
-        found += [record_of(DecisionRecord, row._mapping) for row in self._in_parts(on_them, "digests", episodes)]
+        found += [
+            record_of(DecisionRecord, row._mapping)
+            for row in self._in_parts(on_them, "digests", episodes)
+        ]
         return sorted({d.digest: d for d in found}.values(), key=lambda d: (d.created_at, d.digest))
 
     def not_accepted(self, plant: str, besides: str, most: int) -> list[str]:
-        """Candidates of a plant, except for one, that wait for their verdict or were rejected: so many, those first and then the newest."""
+        """Candidates of a plant, except for one, that wait for their verdict or were rejected: so
+        many, those first and then the newest."""
         of, candidate = t.decisions.c, t.decisions.c.candidate
-        refused = select(candidate).where(of.plant == plant, of.accepted.is_(False)).group_by(candidate)
-        query = select(t.jobs).where(t.jobs.c.plant == plant, t.jobs.c.kind == "gate", t.jobs.c.state.not_in(FINAL))
-        waiting = [str(job.request["candidate"]) for job in self._all(JobRecord, query.order_by(t.jobs.c.created_at.desc(), t.jobs.c.id))]
-        newest = self.connection.scalars(refused.order_by(func.max(of.created_at).desc(), candidate).limit(most + 1))
+        refused = (
+            select(candidate).where(of.plant == plant, of.accepted.is_(False)).group_by(candidate)
+        )
+        query = select(t.jobs).where(
+            t.jobs.c.plant == plant, t.jobs.c.kind == "gate", t.jobs.c.state.not_in(FINAL)
+        )
+        waiting = [
+            str(job.request["candidate"])
+            for job in self._all(JobRecord, query.order_by(t.jobs.c.created_at.desc(), t.jobs.c.id))
+        ]
+        newest = self.connection.scalars(
+            refused.order_by(func.max(of.created_at).desc(), candidate).limit(most + 1)
+        )
         return [c for c in dict.fromkeys([*waiting, *newest]) if c != besides][:most]
 
     def is_judging(self, plant: str) -> bool:
         """Whether a trial of the plant is under way or came to something."""
-        query = select(t.jobs.c.id).where(t.jobs.c.plant == plant, t.jobs.c.kind == "gate", t.jobs.c.state.not_in(NOTHING_CAME))
+        query = select(t.jobs.c.id).where(
+            t.jobs.c.plant == plant, t.jobs.c.kind == "gate", t.jobs.c.state.not_in(NOTHING_CAME)
+        )
         return self.connection.scalar(query.limit(1)) is not None
 
     def decisions_naming(self, plant: str, digest: str) -> list[str]:
         """Decisions that name an artifact as candidate or incumbent."""
         query = select(t.decisions.c.digest).where(
-            t.decisions.c.plant == plant, (t.decisions.c.candidate == digest) | (t.decisions.c.incumbent == digest)
+            t.decisions.c.plant == plant,
+            (t.decisions.c.candidate == digest) | (t.decisions.c.incumbent == digest),
         )
         return list(self.connection.scalars(query))
 
@@ -334,30 +451,54 @@ class Reader:
         return self._one(Move, _SERVING, plant=plant)
 
     def move(self, plant: str, generation: int) -> Move | None:
-        return self._one(Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation == generation))
+        return self._one(
+            Move,
+            select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation == generation),
+        )
 
     def moves(self, plant: str, after: int, limit: int) -> list[Move]:
         return self._all(
-            Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.generation > after).order_by(t.moves.c.generation).limit(limit)
+            Move,
+            select(t.moves)
+            .where(t.moves.c.plant == plant, t.moves.c.generation > after)
+            .order_by(t.moves.c.generation)
+            .limit(limit),
         )
 
     def served_at(self, plant: str, at: str) -> Move | None:
         """What was serving at a time."""
         return self._one(
-            Move, select(t.moves).where(t.moves.c.plant == plant, t.moves.c.at <= at).order_by(t.moves.c.generation.desc()).limit(1)
+            Move,
+            select(t.moves)
+            .where(t.moves.c.plant == plant, t.moves.c.at <= at)
+            .order_by(t.moves.c.generation.desc())
+            .limit(1),
         )
 
     def monitor(self, plant: str, digest: str) -> MonitorRecord | None:
-        return self._one(MonitorRecord, select(t.monitors).where(t.monitors.c.plant == plant, t.monitors.c.digest == digest))
+        return self._one(
+            MonitorRecord,
+            select(t.monitors).where(t.monitors.c.plant == plant, t.monitors.c.digest == digest),
+        )
 
     def monitors(self, plant: str, before: str, limit: int) -> list[MonitorRecord]:
         """Monitors, the newest first, made before a time."""
-        query = select(t.monitors).where(t.monitors.c.plant == plant, t.monitors.c.created_at < before)
-        return self._all(MonitorRecord, query.order_by(t.monitors.c.created_at.desc(), t.monitors.c.digest).limit(limit))
+        query = select(t.monitors).where(
+            t.monitors.c.plant == plant, t.monitors.c.created_at < before
+        )
+        return self._all(
+            MonitorRecord,
+            query.order_by(t.monitors.c.created_at.desc(), t.monitors.c.digest).limit(limit),
+        )
 
     def policy(self, plant: str) -> PolicyRecord | None:
         """The policy that holds."""
-        query = select(t.policies).where(t.policies.c.plant == plant).order_by(t.policies.c.sequence.desc()).limit(1)
+        query = (
+            select(t.policies)
+            .where(t.policies.c.plant == plant)
+            .order_by(t.policies.c.sequence.desc())
+            .limit(1)
+        )
         return self._one(PolicyRecord, query)
 
     def policies(self, plant: str, after: int, limit: int) -> list[PolicyRecord]:
@@ -367,28 +508,49 @@ class Reader:
 
     def policies_that_hold(self) -> list[PolicyRecord]:
         """The policy of every plant that has one."""
-        last = select(t.policies.c.plant, func.max(t.policies.c.sequence).label("sequence")).group_by(t.policies.c.plant).subquery()
-        query = select(t.policies).join(last, (t.policies.c.plant == last.c.plant) & (t.policies.c.sequence == last.c.sequence))
+        last = (
+            select(t.policies.c.plant, func.max(t.policies.c.sequence).label("sequence"))
+            .group_by(t.policies.c.plant)
+            .subquery()
+        )
+        query = select(t.policies).join(
+            last, (t.policies.c.plant == last.c.plant) & (t.policies.c.sequence == last.c.sequence)
+        )
         return self._all(PolicyRecord, query.order_by(t.policies.c.plant))
 
     def evidence(self, plant: str, digest: str) -> EvidenceRecord | None:
-        return self._one(EvidenceRecord, select(t.evidence).where(t.evidence.c.plant == plant, t.evidence.c.digest == digest))
+        return self._one(
+            EvidenceRecord,
+            select(t.evidence).where(t.evidence.c.plant == plant, t.evidence.c.digest == digest),
+        )
 
     def last_evidence(self, plant: str, artifact: str) -> dict[str, tuple[str, bool]]:
-        """Of each stage that an artifact was at, the digest of what was found last, and whether it was passed."""
+        """Of each stage that an artifact was at, the digest of what was found last, and whether it
+        was passed."""
         e = t.evidence.c
-        query = select(e.stage, e.digest, e.passed).where(e.plant == plant, e.artifact == artifact).order_by(e.created_at, e.digest)
+        query = (
+            select(e.stage, e.digest, e.passed)
+            .where(e.plant == plant, e.artifact == artifact)
+            .order_by(e.created_at, e.digest)
+        )
         return {row.stage: (row.digest, row.passed) for row in self.connection.execute(query)}
 
     def evidence_of(
         self, plant: str, artifact: str, after: tuple[str, str], limit: int, limit_bytes: int
     ) -> tuple[list[EvidenceRecord], bool]:
-        """What was found of an artifact, in order of time and digest, from behind `after`, and whether there is more.
+        """What was found of an artifact, in order of time and digest, from behind `after`, and
+        whether there is more.
 
-        At most `limit` of them, and the first one and as many more as have `limit_bytes` of documents together.
+        At most `limit` of them, and the first one and as many more as have `limit_bytes` of
+        documents together.
         """
-        key, of = tuple_(t.evidence.c.created_at, t.evidence.c.digest), (t.evidence.c.plant == plant, t.evidence.c.artifact == artifact)
-        sizes = select(t.evidence.c.created_at, t.evidence.c.digest, func.length(t.evidence.c.document)).where(*of, key > after)
+        key, of = (
+            tuple_(t.evidence.c.created_at, t.evidence.c.digest),
+            (t.evidence.c.plant == plant, t.evidence.c.artifact == artifact),
+        )
+        sizes = select(
+            t.evidence.c.created_at, t.evidence.c.digest, func.length(t.evidence.c.document)
+        ).where(*of, key > after)
         found = self.connection.execute(sizes.order_by(*key.clauses).limit(limit + 1)).all()
         together = accumulate(size for *_, size in found)
         shown = found[: max(1, min(limit, sum(size <= limit_bytes for size in together)))]
@@ -399,7 +561,10 @@ class Reader:
         return self._all(EvidenceRecord, query), len(shown) < len(found)
 
     def channel(self, plant: str, name: str) -> ChannelRecord | None:
-        return self._one(ChannelRecord, select(t.channels).where(t.channels.c.plant == plant, t.channels.c.name == name))
+        return self._one(
+            ChannelRecord,
+            select(t.channels).where(t.channels.c.plant == plant, t.channels.c.name == name),
+        )
 
     def channels(self, plant: str, after: str, limit: int) -> list[ChannelRecord]:
         query = select(t.channels).where(t.channels.c.plant == plant, t.channels.c.name > after)
@@ -407,12 +572,16 @@ class Reader:
 
     def channel_move(self, plant: str, channel: str) -> ChannelMove | None:
         """Where a channel stands, None if it never served."""
-        query = select(t.channel_moves).where(t.channel_moves.c.plant == plant, t.channel_moves.c.channel == channel)
+        query = select(t.channel_moves).where(
+            t.channel_moves.c.plant == plant, t.channel_moves.c.channel == channel
+        )
         return self._one(ChannelMove, query.order_by(t.channel_moves.c.generation.desc()).limit(1))
 
     def has_served(self, plant: str, artifact: str) -> bool:
         """Whether the plant's own pointer ever stood at an artifact."""
-        query = select(t.moves.c.generation).where(t.moves.c.plant == plant, t.moves.c.artifact == artifact)
+        query = select(t.moves.c.generation).where(
+            t.moves.c.plant == plant, t.moves.c.artifact == artifact
+        )
         return self.connection.scalar(query.limit(1)) is not None
 
     def last_job(self, plant: str, kind: str) -> JobRecord | None:
@@ -426,26 +595,39 @@ class Reader:
 
     def watches(self, plant: str, monitor: str, after: int, limit: int) -> list[Watch]:
         """What a monitor saw, episode by episode, from behind a sequence number."""
-        query = select(t.watches).where(t.watches.c.plant == plant, t.watches.c.monitor == monitor, t.watches.c.sequence > after)
+        query = select(t.watches).where(
+            t.watches.c.plant == plant, t.watches.c.monitor == monitor, t.watches.c.sequence > after
+        )
         return self._all(Watch, query.order_by(t.watches.c.sequence).limit(limit))
 
     def last_watch(self, plant: str, monitor: str) -> int:
         """How many episodes a monitor has seen, also in an earlier time of watching."""
-        query = select(func.max(t.watches.c.sequence)).where(t.watches.c.plant == plant, t.watches.c.monitor == monitor)
+        query = select(func.max(t.watches.c.sequence)).where(
+            t.watches.c.plant == plant, t.watches.c.monitor == monitor
+        )
         return int(self.connection.scalar(query) or 0)
 
     def unwatched(self, of: Watching, roles: Iterable[str], limit: int) -> list[EpisodeRecord]:
-        """Episodes that came in since a monitor watches and that it has not seen, in the order of their start."""
+        """Episodes that came in since a monitor watches and that it has not seen, in the order of
+        their start."""
         seen = select(t.watches.c.episode).where(
-            t.watches.c.plant == of.plant, t.watches.c.monitor == of.monitor, t.watches.c.episode == t.episodes.c.digest
+            t.watches.c.plant == of.plant,
+            t.watches.c.monitor == of.monitor,
+            t.watches.c.episode == t.episodes.c.digest,
         )
-        query = select(t.episodes).where(t.episodes.c.plant == of.plant, t.episodes.c.role.in_(list(roles)))
+        query = select(t.episodes).where(
+            t.episodes.c.plant == of.plant, t.episodes.c.role.in_(list(roles))
+        )
         query = query.where(t.episodes.c.created_at >= of.since, ~seen.exists())
-        return self._all(EpisodeRecord, query.order_by(t.episodes.c.start_ns, t.episodes.c.digest).limit(limit))
+        return self._all(
+            EpisodeRecord, query.order_by(t.episodes.c.start_ns, t.episodes.c.digest).limit(limit)
+        )
 
     def waits(self, plant: str, kind: str) -> bool:
         """Whether a job of this kind has not begun yet."""
-        query = select(t.jobs.c.id).where(t.jobs.c.plant == plant, t.jobs.c.kind == kind, t.jobs.c.state == JobState.QUEUED)
+        query = select(t.jobs.c.id).where(
+            t.jobs.c.plant == plant, t.jobs.c.kind == kind, t.jobs.c.state == JobState.QUEUED
+        )
         return self.connection.scalar(query.limit(1)) is not None
 
     def alarm(self, alarm: str) -> AlarmRecord | None:
@@ -454,14 +636,18 @@ class Reader:
     def alarms(self, plant: str, before: str, limit: int) -> list[AlarmRecord]:
         """Alarms, the newest first, raised before a time."""
         query = select(t.alarms).where(t.alarms.c.plant == plant, t.alarms.c.raised_at < before)
-        return self._all(AlarmRecord, query.order_by(t.alarms.c.raised_at.desc(), t.alarms.c.id).limit(limit))
+        return self._all(
+            AlarmRecord, query.order_by(t.alarms.c.raised_at.desc(), t.alarms.c.id).limit(limit)
+        )
 
     def open_alarm(self, plant: str) -> AlarmRecord | None:
         """The alarm that nobody has closed yet."""
         query = select(t.alarms).where(t.alarms.c.plant == plant, t.alarms.c.closed_at.is_(None))
         return self._one(AlarmRecord, query.order_by(t.alarms.c.raised_at).limit(1))
 
-    def audit_entries(self, after: int, limit: int, plant: str | None = None, project: str | None = None) -> list[AuditEntry]:
+    def audit_entries(
+        self, after: int, limit: int, plant: str | None = None, project: str | None = None
+    ) -> list[AuditEntry]:
         """Entries in order, all of them, or those of a plant or of a project's plants."""
         query = select(t.audit).where(t.audit.c.sequence > after, t.audit.c.sequence <= _SIZE)
         of_project = select(t.plants.c.name).where(t.plants.c.project == project)
@@ -478,10 +664,16 @@ class Reader:
 
     def audit_beyond(self) -> int:
         """How many entries are kept behind the end of the log, where none can be."""
-        return int(self.connection.scalar(select(func.count()).select_from(t.audit).where(t.audit.c.sequence > _SIZE)) or 0)
+        return int(
+            self.connection.scalar(
+                select(func.count()).select_from(t.audit).where(t.audit.c.sequence > _SIZE)
+            )
+            or 0
+        )
 
     def audit_nodes(self, nodes: Iterable[Node]) -> dict[Node, bytes]:
-        """The hashes of these perfect subtrees of the log's tree; those that there are not yet are left out."""
+        """The hashes of these perfect subtrees of the log's tree; those that there are not yet are
+        left out."""
         found = self.connection.execute(_NODES, {"nodes": [number_of(node) for node in set(nodes)]})
         return {node_of(row.node): bytes(row.hash) for row in found}
 
@@ -496,18 +688,35 @@ class Reader:
         query = select(t.audit_key.c.verifier, t.audit_key.c.endorsement).order_by(t.audit_key.c.id)
         return [AuditKey(*row) for row in self.connection.execute(query)]
 
-    def rows(self, table: Table, after: Sequence[Any], limit: int, plant: str | None = None) -> list[dict[str, Any]]:
-        """Rows as they are stored, in the order of their keys, from behind one; of all plants or of one."""
+    def rows(
+        self, table: Table, after: Sequence[Any], limit: int, plant: str | None = None
+    ) -> list[dict[str, Any]]:
+        """Rows as they are stored, in the order of their keys, from behind one; of all plants or of
+        one."""
         key = tuple(table.primary_key.columns)
         query = select(table).order_by(*key).limit(limit)
-        query = query if plant is None else query.where((table.c.name if table is t.plants else table.c.plant) == plant)
-        query = query.where(tuple_(*key) > tuple_(*(literal(v, c.type) for v, c in zip(after, key, strict=True)))) if after else query
+        query = (
+            query
+            if plant is None
+            else query.where((table.c.name if table is t.plants else table.c.plant) == plant)
+        )
+        query = (
+            query.where(
+                tuple_(*key)
+                > tuple_(*(literal(v, c.type) for v, c in zip(after, key, strict=True)))
+            )
+            if after
+            else query
+        )
         return [plain(table, row) for row in self.connection.execute(query).mappings()]
 
     def names(self, digest: str) -> bool:
         """Whether a row names these bytes."""
         named = (t.episodes.c.digest, t.artifacts.c.arrays, t.imports.c.entries, t.outputs.c.digest)
-        return any(self.connection.scalar(select(column).where(column == digest).limit(1)) is not None for column in named)
+        return any(
+            self.connection.scalar(select(column).where(column == digest).limit(1)) is not None
+            for column in named
+        )
 
     def remembered(self, scope: str, key: str) -> tuple[str, dict[str, Json]] | None:
         """The request digest and the response kept under an idempotency key."""
@@ -519,7 +728,8 @@ class Reader:
         return (row.request_digest, json.loads(row.response)) if row else None
 
     def answers_beyond(self, before: str, kept: int) -> list[tuple[str, str, str]]:
-        """Answers under idempotency keys given before a time, and of each token all but the newest ones: scope, key and time."""
+        """Answers under idempotency keys given before a time, and of each token all but the newest
+        ones: scope, key and time."""
         c, counted, found = t.idempotency.c, Counter[str](), []
         answers = select(c.scope, c.key, c.at).order_by(c.at.desc(), c.scope, c.key)
         if (self.connection.scalar(select(func.count()).select_from(t.idempotency)) or 0) <= kept:
@@ -532,7 +742,8 @@ class Reader:
         return found
 
     def _in_parts(self, query: Select[Any], name: str, values: Sequence[str]) -> Iterator[Any]:
-        """The rows of a query whose parameter `name` takes a list, for as many values as there are."""
+        """The rows of a query whose parameter `name` takes a list, for as many values as there
+        are."""
         for begin in range(0, len(values), AT_ONCE):
             yield from self.connection.execute(query, {name: list(values[begin : begin + AT_ONCE])})
 
@@ -545,14 +756,17 @@ class Reader:
 
 
 class Writer(Reader):
-    """Additions, inside one transaction. `append_audit` comes last: it queues behind every other writer until the commit.
+    """Additions, inside one transaction. `append_audit` comes last: it queues behind every other
+    writer until the commit.
 
     Every row that is written is named in the next entry of the log, by digest.
     """
 
     def __init__(self, connection: Connection) -> None:
         super().__init__(connection)
-        self.written: dict[str, str] = {}  # since the last entry: what a row is called, and its digest
+        self.written: dict[
+            str, str
+        ] = {}  # since the last entry: what a row is called, and its digest
 
     def add_plant(self, record: PlantRecord) -> None:
         self._add(t.plants, asdict(record))
@@ -566,7 +780,9 @@ class Writer(Reader):
     def revoke_token(self, prefix: str, now: str, actor: str) -> bool:
         """Revoke a token; False if it is revoked already."""
         where = t.tokens.c.prefix == prefix, t.tokens.c.revoked_at.is_(None)
-        changed = self.connection.execute(update(t.tokens).where(*where).values(revoked_at=now, revoked_by=actor))
+        changed = self.connection.execute(
+            update(t.tokens).where(*where).values(revoked_at=now, revoked_by=actor)
+        )
         if changed.rowcount == 1:
             self._wrote(t.tokens, t.tokens.c.prefix == prefix)
         return changed.rowcount == 1
@@ -574,7 +790,10 @@ class Writer(Reader):
     def add_session(self, digest: str, token: str, now: str, expires_at: str) -> None:
         """Begin a session, and forget those that have ended."""
         self.connection.execute(delete(t.sessions).where(t.sessions.c.expires_at <= now))
-        self._add(t.sessions, {"digest": digest, "token": token, "created_at": now, "expires_at": expires_at})
+        self._add(
+            t.sessions,
+            {"digest": digest, "token": token, "created_at": now, "expires_at": expires_at},
+        )
 
     def end_session(self, digest: str) -> None:
         self.connection.execute(delete(t.sessions).where(t.sessions.c.digest == digest))
@@ -609,11 +828,14 @@ class Writer(Reader):
 
     def lock_plant(self, plant: str) -> None:
         """Hold every other writer of this plant until the commit."""
-        if self.connection.dialect.name != "sqlite":  # there every writer holds all others from its beginning
+        if (
+            self.connection.dialect.name != "sqlite"
+        ):  # there every writer holds all others from its beginning
             self.connection.execute(_LOCK_PLANT, {"plant": plant})
 
     def lock_name(self, name: str) -> None:
-        """Hold every other writer that locks this name until the commit, though there is no row of it yet."""
+        """Hold every other writer that locks this name until the commit, though there is no row of
+        it yet."""
         if self.connection.dialect.name != "sqlite":
             self.connection.execute(_LOCK_NAME, {"name": name})
 
@@ -628,11 +850,21 @@ class Writer(Reader):
         result: dict[str, Json] | None = None,
         only_from: str | None = None,
     ) -> bool:
-        """Move a job on; False if it is in a final state, which never changes, or not in the state that it is to leave."""
-        given = {"state": state and str(state), "progress": progress, "stage": stage, "result": None if result is None else _text(result)}
-        values = {key: value for key, value in given.items() if value is not None} | {"updated_at": now}
+        """Move a job on; False if it is in a final state, which never changes, or not in the state
+        that it is to leave."""
+        given = {
+            "state": state and str(state),
+            "progress": progress,
+            "stage": stage,
+            "result": None if result is None else _text(result),
+        }
+        values = {key: value for key, value in given.items() if value is not None} | {
+            "updated_at": now
+        }
         where = t.jobs.c.state.not_in(FINAL) if only_from is None else t.jobs.c.state == only_from
-        changed = self.connection.execute(update(t.jobs).where(t.jobs.c.id == job, where).values(values))
+        changed = self.connection.execute(
+            update(t.jobs).where(t.jobs.c.id == job, where).values(values)
+        )
         if state in FINAL and changed.rowcount == 1:
             self._wrote(t.jobs, t.jobs.c.id == job)
         return changed.rowcount == 1
@@ -643,10 +875,15 @@ class Writer(Reader):
         self._add(t.serving, {"plant": move.plant, "generation": move.generation})
 
     def move_serving(self, move: Move) -> None:
-        """Compare and swap: the pointer goes to `move` if it stands one generation before. Raises PointerMoved."""
-        swapped = self.connection.execute(_SWAP, {"of": move.plant, "before": move.generation - 1, "after": move.generation})
+        """Compare and swap: the pointer goes to `move` if it stands one generation before. Raises
+        PointerMoved."""
+        swapped = self.connection.execute(
+            _SWAP, {"of": move.plant, "before": move.generation - 1, "after": move.generation}
+        )
         if swapped.rowcount != 1:
-            raise PointerMoved(f"another move took generation {move.generation}", expected=move.generation - 1)
+            raise PointerMoved(
+                f"another move took generation {move.generation}", expected=move.generation - 1
+            )
         self._note(t.serving, {"plant": move.plant, "generation": move.generation})
         self._add(t.moves, asdict(move))
 
@@ -667,15 +904,27 @@ class Writer(Reader):
 
     def watch_with(self, watching: Watching) -> None:
         """From now on a monitor watches its plant, in the place of any before."""
-        values = {"monitor": watching.monitor, "since": watching.since, "sequence": watching.sequence, "kept": _text(watching.kept)}
-        changed = self.connection.execute(update(t.watching).where(t.watching.c.plant == watching.plant).values(values))
+        values = {
+            "monitor": watching.monitor,
+            "since": watching.since,
+            "sequence": watching.sequence,
+            "kept": _text(watching.kept),
+        }
+        changed = self.connection.execute(
+            update(t.watching).where(t.watching.c.plant == watching.plant).values(values)
+        )
         if changed.rowcount == 0:
             self._add(t.watching, asdict(watching))
         self._wrote(t.watching, t.watching.c.plant == watching.plant)
 
     def advance(self, before: Watching, kept: dict[str, Json], seen: Sequence[Watch]) -> bool:
-        """Move a monitor on over what it has seen; False, and nothing is done, if it does not stand where it stood."""
-        where = t.watching.c.plant == before.plant, t.watching.c.monitor == before.monitor, t.watching.c.sequence == before.sequence
+        """Move a monitor on over what it has seen; False, and nothing is done, if it does not stand
+        where it stood."""
+        where = (
+            t.watching.c.plant == before.plant,
+            t.watching.c.monitor == before.monitor,
+            t.watching.c.sequence == before.sequence,
+        )
         values = {"sequence": before.sequence + len(seen), "kept": _text(kept)}
         if self.connection.execute(update(t.watching).where(*where).values(values)).rowcount != 1:
             return False
@@ -695,20 +944,44 @@ class Writer(Reader):
             self._wrote(t.alarms, t.alarms.c.id == alarm)
         return changed.rowcount == 1
 
-    def remember(self, scope: str, key: str, request: str, response: dict[str, Json], now: str) -> None:
+    def remember(
+        self, scope: str, key: str, request: str, response: dict[str, Json], now: str
+    ) -> None:
         """Keep the response to a request under its idempotency key."""
-        self._add(t.idempotency, {"scope": scope, "key": key, "request_digest": request, "response": json.dumps(response), "at": now})
+        self._add(
+            t.idempotency,
+            {
+                "scope": scope,
+                "key": key,
+                "request_digest": request,
+                "response": json.dumps(response),
+                "at": now,
+            },
+        )
 
     def forget_answers(self, answers: Sequence[tuple[str, str, str]]) -> None:
         """Let go of answers under idempotency keys: scope, key and time of each."""
-        self.connection.execute(_FORGET_ANSWER, [{"of": scope, "under": key, "since": at} for scope, key, at in answers])
+        self.connection.execute(
+            _FORGET_ANSWER, [{"of": scope, "under": key, "since": at} for scope, key, at in answers]
+        )
 
-    def append_audit(self, *, at: str, kind: str, actor: str, plant: str | None, subject: str, facts: dict[str, Json]) -> AuditEntry:
+    def append_audit(
+        self,
+        *,
+        at: str,
+        kind: str,
+        actor: str,
+        plant: str | None,
+        subject: str,
+        facts: dict[str, Json],
+    ) -> AuditEntry:
         """Add the next entry of the log."""
         head = self.connection.execute(_LOCK_HEAD).one()
         entry = AuditEntry(head.size + 1, at, kind, actor, plant, subject, facts, self.written)
         tree = self._grow(Frontier.from_bytes(head.size, head.frontier), entry)
-        self.connection.execute(_MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()})
+        self.connection.execute(
+            _MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()}
+        )
         self.written = {}
         return entry
 
@@ -730,7 +1003,9 @@ class Writer(Reader):
         tree = Frontier(0, ())
         for entry in entries:
             tree = self._grow(tree, entry)
-        self.connection.execute(_MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()})
+        self.connection.execute(
+            _MOVE_HEAD, {"new_size": tree.size, "new_frontier": tree.to_bytes()}
+        )
         return tree
 
     def _grow(self, tree: Frontier, entry: AuditEntry) -> Frontier:
@@ -763,7 +1038,8 @@ class Writer(Reader):
 
 @contextmanager
 def writing(database: Database) -> Iterator[Writer]:
-    """A writer in a transaction that commits when it is left without an error, if the log tells of all that was written."""
+    """A writer in a transaction that commits when it is left without an error, if the log tells of
+    all that was written."""
     with database.write() as connection:
         writer = Writer(connection)
         yield writer

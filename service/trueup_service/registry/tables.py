@@ -1,6 +1,7 @@
 """The tables. `migrations/` adds up to exactly these.
 
-Times are UTC, ISO 8601 with microseconds, so that text order is time order; documents are canonical JSON text.
+Times are UTC, ISO 8601 with microseconds, so that text order is time order; documents are canonical
+JSON text.
 """
 
 from __future__ import annotations

@@ -14,7 +14,9 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import LinearMap, Nominal, Residual
 
 PLANT = Plant.from_document(plant_document())
-RESIDUAL = Residual(PLANT, LinearMap(("q", "v", "1"), np.random.default_rng(0).normal(scale=0.01, size=(3, 2))))
+RESIDUAL = Residual(
+    PLANT, LinearMap(("q", "v", "1"), np.random.default_rng(0).normal(scale=0.01, size=(3, 2)))
+)
 ARTIFACT = pack(RESIDUAL, {"origin": "test"})
 
 
@@ -81,7 +83,10 @@ def test_a_manifest_that_was_made_to_lie_is_refused_whatever_its_digest(change):
         unpack(remade(change))
 
 
-@pytest.mark.parametrize("manifest", [b"", b"{", b"[]", b'{"schema":"trueup.artifact/1"} ', b"\x80\x04K\x01.", b"[" * 100_000])
+@pytest.mark.parametrize(
+    "manifest",
+    [b"", b"{", b"[]", b'{"schema":"trueup.artifact/1"} ', b"\x80\x04K\x01.", b"[" * 100_000],
+)
 def test_what_is_no_manifest_is_refused(manifest):
     with pytest.raises(BadArtifact):
         unpack(Artifact(manifest, b""))
@@ -105,7 +110,9 @@ def test_a_nominal_model_needs_no_arrays():
     assert unpack(made).kind == "nominal"
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf"), 2**53 + 1, 10**22, {"a": -float("inf")}])
+@pytest.mark.parametrize(
+    "value", [float("nan"), float("inf"), 2**53 + 1, 10**22, {"a": -float("inf")}]
+)
 def test_what_has_no_canonical_form_is_refused(value):
     with pytest.raises(NotCanonical):
         digest_of(value)
@@ -118,7 +125,9 @@ def test_canonical_bytes_follow_rfc_8785():
     )
 
 
-@pytest.mark.parametrize("value", [1e17, 2.0**53, 123456789012345680000.0, -1e20, 1e21, 5e-324, {"a": [1e18, 1]}])
+@pytest.mark.parametrize(
+    "value", [1e17, 2.0**53, 123456789012345680000.0, -1e20, 1e21, 5e-324, {"a": [1e18, 1]}]
+)
 def test_canonical_bytes_are_read_back_as_themselves(value):
     written = canonical_bytes(value)
     assert canonical_bytes(json.loads(written)) == written

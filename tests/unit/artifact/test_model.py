@@ -41,16 +41,24 @@ def test_a_rollout_is_the_compiled_one_for_one_and_for_many(tmp_path):
     assert np.array_equal(many[0], path)
     assert not np.allclose(many[1], path, atol=1e-3)
     assert np.array_equal(model.rollout({names[0]: 0.3, names[1]: -0.2}, issued[:, 0]), path)
-    assert (model.digest, model.period_s, model.commands[0].name) == (digest, PLANT.timestep_s, PLANT.layout.commands[0].name)
+    assert (model.digest, model.period_s, model.commands[0].name) == (
+        digest,
+        PLANT.timestep_s,
+        PLANT.layout.commands[0].name,
+    )
 
 
 def test_what_it_predicts_of_a_recording_is_what_the_machine_did(tmp_path):
     kept(Identified(PLANT, TRUE), tmp_path / "m")
     episode = read_episode(episode_bytes(), PLANT.layout)
-    predicted = trueup.load(tmp_path / "m").predict(episode.t_s + 7.0, episode.commands, episode.observations, horizon_s=2.0)
+    predicted = trueup.load(tmp_path / "m").predict(
+        episode.t_s + 7.0, episode.commands, episode.observations, horizon_s=2.0
+    )
     assert np.abs(predicted - episode.observations).max() < 1e-11
     kept(Nominal(PLANT), tmp_path / "m")
-    off = trueup.load(tmp_path / "m").predict(episode.t_s, episode.commands[:, 0], episode.observations)
+    off = trueup.load(tmp_path / "m").predict(
+        episode.t_s, episode.commands[:, 0], episode.observations
+    )
     assert np.abs(off - episode.observations).max() > 1e-2
 
 
@@ -63,7 +71,11 @@ def test_a_robot_rolls_out(tmp_path):
     assert path[0] == pytest.approx(0.0)
     assert np.abs(path[-1]).max() > 0.1  # it falls
     states = np.zeros((1, 4))
-    assert np.allclose(path[1], plant.observe(Nominal(plant).predict_batch(states, np.zeros((1, 2))))[0], atol=1e-12)
+    assert np.allclose(
+        path[1],
+        plant.observe(Nominal(plant).predict_batch(states, np.zeros((1, 2))))[0],
+        atol=1e-12,
+    )
     with pytest.raises(ValueError, match=r"\(samples, 2\)"):
         model.rollout({}, np.zeros(50))
 
@@ -87,26 +99,40 @@ def test_one_joint_needs_numpy_alone(tmp_path):
     kept(corrected(TOGETHER, DECLARED), tmp_path / "m")
     said = (
         f"import sys, trueup; m = trueup.load({str(tmp_path / 'm')!r}); m.rollout({{}}, [0.1] * 9);"
-        "print(*sorted({n.partition('.')[0] for n in sys.modules} & {'numba', 'llvmlite', 'mujoco', 'fastapi', 'sqlalchemy'}))"
+        "print(*sorted({n.partition('.')[0] for n in sys.modules} & {'numba', "
+        "'llvmlite', 'mujoco', 'fastapi', 'sqlalchemy'}))"
     )
-    assert subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True).stdout == "\n"
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", said], capture_output=True, text=True, check=True
+        ).stdout
+        == "\n"
+    )
 
 
 def test_a_robot_of_one_joint_rolls_out(tmp_path):
     (tmp_path / "one.xml").write_text(
-        '<mujoco><worldbody><body><joint name="j" type="slide" axis="1 0 0" damping="0.5"/><geom size="0.1" mass="2"/></body></worldbody>'
+        '<mujoco><worldbody><body><joint name="j" type="slide" axis="1 0 0" '
+        'damping="0.5"/><geom size="0.1" mass="2"/></body></worldbody>'
         '<actuator><motor joint="j"/></actuator></mujoco>'
     )
     channels = {
         "commands": [{"name": "u", "joint": "j", "unit": "N", "limits": [-1, 1]}],
         "observations": [{"name": "q", "joint": "j", "field": "position", "unit": "m"}],
     }
-    document = {"name": "one", "nominal": {"mjcf": "one.xml", "timestep_s": 0.01}, "evaluation": {"horizon_s": 0.5}, **channels}
+    document = {
+        "name": "one",
+        "nominal": {"mjcf": "one.xml", "timestep_s": 0.01},
+        "evaluation": {"horizon_s": 0.5},
+        **channels,
+    }
     plant = Plant.from_document(resolved(document, tmp_path))
     kept(Nominal(plant), tmp_path / "m")
     path = trueup.load(tmp_path / "m").rollout({"q": 0.2}, np.full(50, 3.0))
     assert path[0, 0] == 0.2
-    assert np.allclose(path, plant.observe(Nominal(plant).run(np.array([0.2, 0.0]), np.full((50, 1), 3.0))))
+    assert np.allclose(
+        path, plant.observe(Nominal(plant).run(np.array([0.2, 0.0]), np.full((50, 1), 3.0)))
+    )
 
 
 @pytest.mark.parametrize(
@@ -121,7 +147,12 @@ def test_a_robot_of_one_joint_rolls_out(tmp_path):
 )
 def test_a_recording_that_does_not_fit_is_refused(tmp_path, wrong, complaint):
     kept(Nominal(Plant.from_document(plant_document())), tmp_path / "m")
-    given = {"t_s": [0.0, 0.05, 0.1], "commands": np.zeros(3), "observed": np.zeros((3, 2)), **wrong}
+    given = {
+        "t_s": [0.0, 0.05, 0.1],
+        "commands": np.zeros(3),
+        "observed": np.zeros((3, 2)),
+        **wrong,
+    }
     with pytest.raises(ValueError, match=complaint):
         trueup.load(tmp_path / "m").predict(**given)
     with pytest.raises(ValueError, match="commands are"):

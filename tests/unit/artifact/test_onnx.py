@@ -9,7 +9,15 @@ import pytest
 
 from tests.support.made import TRUE
 from tests.support.robots import arm_plant
-from tests.unit.model.test_stepper import ALL, PLANT, TOGETHER, commands, compiled, corrected, stepped
+from tests.unit.model.test_stepper import (
+    ALL,
+    PLANT,
+    TOGETHER,
+    commands,
+    compiled,
+    corrected,
+    stepped,
+)
 from trueup.artifact.onnx import SCHEMA, to_onnx
 from trueup.errors import NotExportable
 from trueup.model.features import FRICTION
@@ -36,10 +44,15 @@ def run(content, start, issued):
 
 
 @pytest.mark.parametrize("scheme", [DECLARED, Scheme(0.5, 2)], ids=["declared", "symmetric"])
-@pytest.mark.parametrize("names", [(), *((n,) for n in ALL), TOGETHER], ids=lambda n: "+".join(n) or "none")
+@pytest.mark.parametrize(
+    "names", [(), *((n,) for n in ALL), TOGETHER], ids=lambda n: "+".join(n) or "none"
+)
 def test_a_graph_is_the_compiled_rollout(names, scheme):
     model, start, issued = corrected(names, scheme), (0.3, -0.2), commands()
-    assert np.abs(run(to_onnx(model, "a" * 64), start, issued) - compiled(model, start, issued)).max() < 1e-9
+    assert (
+        np.abs(run(to_onnx(model, "a" * 64), start, issued) - compiled(model, start, issued)).max()
+        < 1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -47,14 +60,24 @@ def test_a_graph_is_the_compiled_rollout(names, scheme):
     [
         Nominal(PLANT),
         Identified(PLANT, TRUE),
-        Residual(PLANT, LinearMap((*FRICTION, "sin(q)"), np.random.default_rng(0).normal(size=(6, 2)) * 1e-2)),
-        Blind(PLANT, LinearMap(("q", "v", "u"), np.array([[0.99, -0.05], [0.05, 0.97], [0.0, 0.04]]))),
+        Residual(
+            PLANT,
+            LinearMap((*FRICTION, "sin(q)"), np.random.default_rng(0).normal(size=(6, 2)) * 1e-2),
+        ),
+        Blind(
+            PLANT, LinearMap(("q", "v", "u"), np.array([[0.99, -0.05], [0.05, 0.97], [0.0, 0.04]]))
+        ),
     ],
     ids=lambda m: m.kind,
 )
 def test_every_kind_of_predictor_has_a_graph(model):
     issued = commands()
-    assert np.abs(run(to_onnx(model, "a" * 64), (0.3, -0.2), issued) - stepped(model, (0.3, -0.2), issued)).max() < 1e-9
+    assert (
+        np.abs(
+            run(to_onnx(model, "a" * 64), (0.3, -0.2), issued) - stepped(model, (0.3, -0.2), issued)
+        ).max()
+        < 1e-9
+    )
 
 
 def test_a_graph_says_what_it_is_and_is_the_same_bytes_each_time():
@@ -65,7 +88,9 @@ def test_a_graph_says_what_it_is_and_is_the_same_bytes_each_time():
     told = {p.key: p.value for p in read.metadata_props}
     assert (told["schema"], told["artifact"], told["plant"]) == (SCHEMA, "a" * 64, PLANT.name)
     assert float(told["period_s"]) == PLANT.timestep_s
-    assert [x["name"] for x in json.loads(told["observation"])] == [c.name for c in PLANT.layout.observations]
+    assert [x["name"] for x in json.loads(told["observation"])] == [
+        c.name for c in PLANT.layout.observations
+    ]
     assert {n.domain for n in read.graph.node} == {""}
     used = {name for n in read.graph.node for name in n.input}
     assert all(t.name in used for t in read.graph.initializer)

@@ -1,4 +1,5 @@
-"""Blind trials: drawn after the user's log, committed before the diagnosis, and no label gets out unnoticed."""
+"""Blind trials: drawn after the user's log, committed before the diagnosis, and no label gets out
+unnoticed."""
 
 import json
 import os
@@ -14,8 +15,23 @@ from tests.support.robots import recorded as robot_recorded
 from tests.support.simulated import recorded_twice as recorded
 from trueup.blindtrial.bench import bench_of
 from trueup.blindtrial.lot import draw_lots, left_out
-from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted, commitment, require_as_committed, require_silent, salt_of
-from trueup.blindtrial.tally import Answer, _improbable, _where_apart, answer_words, bound, judge, lower
+from trueup.blindtrial.seal import (
+    LabelLeaked,
+    NotAsCommitted,
+    commitment,
+    require_as_committed,
+    require_silent,
+    salt_of,
+)
+from trueup.blindtrial.tally import (
+    Answer,
+    _improbable,
+    _where_apart,
+    answer_words,
+    bound,
+    judge,
+    lower,
+)
 from trueup.diagnose.case import read_case
 from trueup.errors import NotIdentifiable
 from trueup.model.effect import effects
@@ -28,13 +44,28 @@ from trueup_worker.blind_room import Room
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
 
 SECRET = bytes(range(32))
-LABEL = {"kind": "single", "effects": {"coulomb_friction": {"level": 0.2}}, "moved": True, "bait": None, "gap": 0.1}
+LABEL = {
+    "kind": "single",
+    "effects": {"coulomb_friction": {"level": 0.2}},
+    "moved": True,
+    "bait": None,
+    "gap": 0.1,
+}
 COUNT = 10
 
 
 def _answer(verdict, effects=(), others=(), excluded=()):
     named = [{"effect": e, "estimate": {}} for e in effects]
-    return Answer({"verdict": verdict, "effects": named, "indistinguishable": list(others), "excluded": list(excluded)}, None, 1.0)
+    return Answer(
+        {
+            "verdict": verdict,
+            "effects": named,
+            "indistinguishable": list(others),
+            "excluded": list(excluded),
+        },
+        None,
+        1.0,
+    )
 
 
 @cache
@@ -60,7 +91,9 @@ def conducted():
             committed.extend(labels)
             happened.append("committed")
 
-        document = blind_trial.conduct(plant, episodes, COUNT, SECRET, commit, lambda *_: None, [room])
+        document = blind_trial.conduct(
+            plant, episodes, COUNT, SECRET, commit, lambda *_: None, [room]
+        )
     return document, committed, happened
 
 
@@ -74,7 +107,9 @@ def test_labels_are_committed_before_anybody_is_asked(conducted):
 def test_a_label_changed_after_its_commitment_is_found(conducted):
     document, committed, _ = conducted
     forged = json.loads(json.dumps(document))
-    forged["rows"][3]["label"]["effects"] = {"cogging": {"amplitude": 1.0, "pitch": 0.2, "phase": 0.0}}
+    forged["rows"][3]["label"]["effects"] = {
+        "cogging": {"amplitude": 1.0, "pitch": 0.2, "phase": 0.0}
+    }
     with pytest.raises(NotAsCommitted, match="trial 3"):
         require_as_committed(forged, committed)
     with pytest.raises(NotAsCommitted, match="were opened"):
@@ -85,7 +120,11 @@ def test_the_secret_draws_the_same_trials_again(conducted, tmp_path):
     document, committed, _ = conducted
     plant, episodes = users()
     bench, conditions = bench_of(plant, episodes), blind_trial.conditions_of(episodes)
-    again = list(blind_trial._drawn(plant, bench, conditions, COUNT, bytes.fromhex(document["opening"]["secret"]), tmp_path))
+    again = list(
+        blind_trial._drawn(
+            plant, bench, conditions, COUNT, bytes.fromhex(document["opening"]["secret"]), tmp_path
+        )
+    )
     assert [s.commitment for s in again] == committed
     assert salt_of(SECRET, 0) != salt_of(SECRET, 1)
 
@@ -102,7 +141,11 @@ def test_single_effects_of_a_plain_oscillator_are_mostly_named(conducted):
 
 def test_a_planted_leak_is_caught_by_its_words(monkeypatch):
     plain = blind_trial.case_files
-    monkeypatch.setattr(blind_trial, "case_files", lambda p, t, c: plain(p, t, c | {"note": " ".join(t.machine.imperfections)}))
+    monkeypatch.setattr(
+        blind_trial,
+        "case_files",
+        lambda p, t, c: plain(p, t, c | {"note": " ".join(t.machine.imperfections)}),
+    )
     with pytest.raises(LabelLeaked, match="spells"):
         blind_trial.conduct(*users(), 5, SECRET, lambda _: None, lambda *_: None, [])
     require_silent({"a.mcap": b"no word of it"}, LABEL, "5a17", {})
@@ -110,13 +153,19 @@ def test_a_planted_leak_is_caught_by_its_words(monkeypatch):
         require_silent({"a.mcap": b"xx coulomb_friction xx"}, LABEL, "5a17", {})
     with pytest.raises(LabelLeaked, match=r"coulomb_friction\.mcap"):
         require_silent({"coulomb_friction.mcap": b""}, LABEL, "5a17", {})
-    require_silent({"plant.json": b"my coulomb_friction rig"}, LABEL, "5a17", {"name": "my coulomb_friction rig"})
+    require_silent(
+        {"plant.json": b"my coulomb_friction rig"},
+        LABEL,
+        "5a17",
+        {"name": "my coulomb_friction rig"},
+    )
     with pytest.raises(LabelLeaked):
         require_silent({"a.mcap": b"salt 5a17"}, LABEL, "5a17", {})
 
 
 def test_a_planted_leak_that_spells_no_word_takes_the_bait(monkeypatch):
-    """Labels are smuggled through in hexadecimal; the cheat that reads them knows even what no recording holds."""
+    """Labels are smuggled through in hexadecimal; the cheat that reads them knows even what no
+    recording holds."""
     told, plain = {}, blind_trial.case_files
 
     def smuggled(plant, trial, conditions):
@@ -141,7 +190,9 @@ def test_a_planted_leak_that_spells_no_word_takes_the_bait(monkeypatch):
         return {"report": report, "seconds": 0.1}
 
     plant, episodes = users()
-    document = blind_trial.conduct(plant, episodes, 20, SECRET, lambda _: None, lambda *_: None, [cheat])
+    document = blind_trial.conduct(
+        plant, episodes, 20, SECRET, lambda _: None, lambda *_: None, [cheat]
+    )
     assert document["leak"]["baits"] == 2
     assert document["leak"]["taken"] == 2
     assert document["leak"]["void"]
@@ -169,13 +220,23 @@ def test_a_room_that_dies_is_opened_once_more(tmp_path, monkeypatch):
 def test_rooms_that_never_answer_end_the_trial():
     with pytest.raises(blind_trial.NoRoom, match="code 1"):
         blind_trial.conduct(
-            *users(), 2, SECRET, lambda _: None, lambda *_: None, [lambda _: {"problem": "no-answer: ended with code 1", "seconds": 0.0}]
+            *users(),
+            2,
+            SECRET,
+            lambda _: None,
+            lambda *_: None,
+            [lambda _: {"problem": "no-answer: ended with code 1", "seconds": 0.0}],
         )
 
 
 def test_a_diagnosis_that_breaks_is_a_miss_of_its_machine_alone():
     document = blind_trial.conduct(
-        *users(), 3, SECRET, lambda _: None, lambda *_: None, [lambda _: {"problem": "failed: KeyError: 3", "seconds": 0.1}]
+        *users(),
+        3,
+        SECRET,
+        lambda _: None,
+        lambda *_: None,
+        [lambda _: {"problem": "failed: KeyError: 3", "seconds": 0.1}],
     )
     assert document["refused"] == 3
     assert not any(r["exact"] for r in document["rows"])
@@ -193,7 +254,13 @@ def test_a_bait_taken_once_in_many_may_be_chance():
 def test_lots_come_in_their_proportions_and_every_effect_in_turn():
     plant, _ = users()
     lots = draw_lots(plant, 100, np.random.default_rng(1))
-    assert Counter(lot.kind for lot in lots) == {"single": 60, "pair": 12, "outside": 10, "none": 10, "faint": 8}
+    assert Counter(lot.kind for lot in lots) == {
+        "single": 60,
+        "pair": 12,
+        "outside": 10,
+        "none": 10,
+        "faint": 8,
+    }
     singles = Counter(lot.effects for lot in lots if lot.kind == "single")
     assert len(singles) == len(effects())
     assert max(singles.values()) - min(singles.values()) <= 1
@@ -203,14 +270,20 @@ def test_lots_come_in_their_proportions_and_every_effect_in_turn():
 
 def test_what_a_plant_cannot_show_is_left_out():
     assert left_out(recorded("B2", [], 1, shifted=False)[0]) == ("sensor_bias",)
-    assert left_out(recorded("A1", [], 1, shifted=False, velocity=False)[0]) == ("velocity_lag", "sensor_scale", "clock_skew")
+    assert left_out(recorded("A1", [], 1, shifted=False, velocity=False)[0]) == (
+        "velocity_lag",
+        "sensor_scale",
+        "clock_skew",
+    )
     assert "sensor_drift" in left_out(recorded("B2", [], 1, shifted=False, velocity=False)[0])
 
 
 def test_the_bench_takes_after_the_log():
     plant, episodes = users()
     bench = bench_of(plant, episodes)
-    assert [p.role for p in bench.recorded] == [str(e.role) for e in sorted(episodes, key=lambda e: e.digest)]
+    assert [p.role for p in bench.recorded] == [
+        str(e.role) for e in sorted(episodes, key=lambda e: e.digest)
+    ]
     assert bench.timestep_s == pytest.approx(plant.timestep_s)
     assert bench.timestep_s / bench.parts <= 5e-4
     first = min(episodes, key=lambda e: e.digest)
@@ -228,13 +301,41 @@ def test_the_bench_takes_after_the_log():
         (LABEL, _answer("effect", ["deadband"], [["coulomb_friction"]]), (False, True, 0)),
         (LABEL, _answer("effect", ["coulomb_friction"], [["deadband"]]), (True, True, 1)),
         (LABEL, _answer("parameters_only"), (False, False, 0)),
-        (LABEL | {"effects": {"sensor_delay": {}}}, _answer("effect", ["actuator_delay"], [["sensor_delay"]]), (True, True, 0)),
-        (LABEL | {"effects": {"sensor_bias": {}}}, _answer("effect", ["constant_force"], [["sensor_bias"]]), (True, True, 0)),
-        (LABEL | {"effects": {"sensor_bias": {}}}, _answer("effect", ["constant_force"]), (False, False, 0)),
-        (LABEL | {"kind": "none", "effects": {}, "bait": "cogging"}, _answer("no_gap"), (False, False, 0)),
-        (LABEL | {"kind": "none", "effects": {}, "bait": "cogging", "moved": False}, _answer("no_gap"), (True, True, 0)),
-        (LABEL | {"kind": "outside", "effects": {"van_der_pol": {}}}, _answer("unknown_effect", ["cogging"]), (True, True, 0)),
-        (LABEL | {"kind": "outside", "effects": {"van_der_pol": {}}}, _answer("effect", ["cogging"]), (False, False, 0)),
+        (
+            LABEL | {"effects": {"sensor_delay": {}}},
+            _answer("effect", ["actuator_delay"], [["sensor_delay"]]),
+            (True, True, 0),
+        ),
+        (
+            LABEL | {"effects": {"sensor_bias": {}}},
+            _answer("effect", ["constant_force"], [["sensor_bias"]]),
+            (True, True, 0),
+        ),
+        (
+            LABEL | {"effects": {"sensor_bias": {}}},
+            _answer("effect", ["constant_force"]),
+            (False, False, 0),
+        ),
+        (
+            LABEL | {"kind": "none", "effects": {}, "bait": "cogging"},
+            _answer("no_gap"),
+            (False, False, 0),
+        ),
+        (
+            LABEL | {"kind": "none", "effects": {}, "bait": "cogging", "moved": False},
+            _answer("no_gap"),
+            (True, True, 0),
+        ),
+        (
+            LABEL | {"kind": "outside", "effects": {"van_der_pol": {}}},
+            _answer("unknown_effect", ["cogging"]),
+            (True, True, 0),
+        ),
+        (
+            LABEL | {"kind": "outside", "effects": {"van_der_pol": {}}},
+            _answer("effect", ["cogging"]),
+            (False, False, 0),
+        ),
         (LABEL, Answer(None, "bad-plant: no", 0.0), (False, False, 0)),
     ],
 )
@@ -263,7 +364,9 @@ def test_a_commitment_hides_behind_its_salt():
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
     plant = arm_plant(tmp_path_factory.mktemp("arm"))
-    return plant, robot_recorded(plant, lambda _spec: None, range(3), ("adaptation", "adaptation", "validation"), seconds=3.0)
+    return plant, robot_recorded(
+        plant, lambda _spec: None, range(3), ("adaptation", "adaptation", "validation"), seconds=3.0
+    )
 
 
 def test_a_robots_effects_act_at_joints_by_lot_and_a_pair_at_two(arm):
@@ -271,7 +374,10 @@ def test_a_robots_effects_act_at_joints_by_lot_and_a_pair_at_two(arm):
     lots = draw_lots(plant, 400, np.random.default_rng(0))
     singles = Counter(lot.effects[0] for lot in lots if lot.kind == "single")
     assert {t.partition("@")[2] for t in singles} == {"", "1"}
-    assert {t for t in singles if t.startswith(("clock_skew", "dropped_frames"))} == {"clock_skew", "dropped_frames"}
+    assert {t for t in singles if t.startswith(("clock_skew", "dropped_frames"))} == {
+        "clock_skew",
+        "dropped_frames",
+    }
     pairs = [lot.effects for lot in lots if lot.kind == "pair"]
     assert pairs
     assert all(first.partition("@")[2] != second.partition("@")[2] for first, second in pairs)
@@ -287,7 +393,11 @@ def test_a_joint_about_the_vertical_and_the_last_one_hide_a_bias(tmp_path):
 def test_at_a_servo_gears_rub_and_springs_give(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM.replace("motor", 'position kp="30"'))
     plant = Plant.from_document(resolved(arm_document(), tmp_path))
-    assert not [t for t in left_out(plant) if t.startswith(("load_dependent_friction", "elastic_transmission"))]
+    assert not [
+        t
+        for t in left_out(plant)
+        if t.startswith(("load_dependent_friction", "elastic_transmission"))
+    ]
 
 
 def test_a_blind_trial_of_a_robot_names_effect_and_joint(arm):
@@ -298,16 +408,29 @@ def test_a_blind_trial_of_a_robot_names_effect_and_joint(arm):
     assert [r["commitment"] for r in document["rows"]] == committed
     assert {r["label"]["kind"] for r in document["rows"]} == {"none", "single"}
     single = next(r for r in document["rows"] if r["label"]["kind"] == "single")
-    assert " at " in next(iter(single["label"]["effects"])) or set(single["label"]["effects"]) <= {"clock_skew", "dropped_frames"}
+    assert " at " in next(iter(single["label"]["effects"])) or set(single["label"]["effects"]) <= {
+        "clock_skew",
+        "dropped_frames",
+    }
     assert all(r["in_set"] for r in document["rows"])
     assert "the robot's links by MuJoCo" in page(document)
 
 
 def test_an_answer_at_another_joint_is_wrong_and_told_so():
-    label = {"kind": "single", "effects": {"cogging at elbow": {}}, "moved": True, "bait": None, "gap": 0.1}
+    label = {
+        "kind": "single",
+        "effects": {"cogging at elbow": {}},
+        "moved": True,
+        "bait": None,
+        "gap": 0.1,
+    }
 
     def answered(joint):
-        report = {"verdict": "effect", "effects": [{"effect": "cogging", "joint": joint, "estimate": {}}], "indistinguishable": []}
+        report = {
+            "verdict": "effect",
+            "effects": [{"effect": "cogging", "joint": joint, "estimate": {}}],
+            "indistinguishable": [],
+        }
         return Answer(report, None, 1.0)
 
     assert judge(label, answered("elbow"))["exact"]

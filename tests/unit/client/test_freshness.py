@@ -28,7 +28,9 @@ def test_each_ages_by_itself_and_is_stale_after_its_own_timeout():
     fresh.observed()
     fresh.confirmed()
     clock.now += 0.12
-    assert fresh.ages().fresh or fresh.ages().observation_s > 0.12  # at the timeout, but for rounding
+    assert (
+        fresh.ages().fresh or fresh.ages().observation_s > 0.12
+    )  # at the timeout, but for rounding
     clock.now += 0.01
     assert fresh.ages().stale == ("observation",)
     fresh.observed()
@@ -54,8 +56,10 @@ def test_a_timeout_that_is_none_is_refused(timeouts):
 
 
 def test_a_watch_confirms_the_model_at_every_answer(monkeypatch):
-    answers = itertools.cycle([(200, {"ETag": '"1"'}, b'{"plant": "p", "version": 1, "artifact": "a", "generation": 1, "since": "t",'
-                               b' "decision": null, "move": "registered", "actor": "x"}'), (304, {}, b"")])  # fmt: skip
+    answers = itertools.cycle([(200, {"ETag": '"1"'},
+    b'{"plant": "p", "version": 1, "artifact": "a", "generation": 1, "since": "t",'
+                               b' "decision": null, "move": "registered", "actor": "x"}'), (304,
+                               {}, b"")])  # fmt: skip
     client, times = Client("http://127.0.0.1:1"), []
     monkeypatch.setattr(client._to, "tagged", lambda *_: next(answers))
     watch = client.watch("p", 0.0, lambda: times.append(1))

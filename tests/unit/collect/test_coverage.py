@@ -17,7 +17,16 @@ RNG = np.random.default_rng(5)
 
 def made(q, v, u):
     t = np.arange(len(q)) * 0.05
-    return Episode(t, np.array(u)[:, None].copy(), np.column_stack([q, v]), PLANT.layout, Role.ADAPTATION, {}, 0, "made")
+    return Episode(
+        t,
+        np.array(u)[:, None].copy(),
+        np.column_stack([q, v]),
+        PLANT.layout,
+        Role.ADAPTATION,
+        {},
+        0,
+        "made",
+    )
 
 
 def ring(n, size=1.0, inner=0.0):
@@ -66,5 +75,10 @@ def test_it_comes_back_from_its_document(been):
 
 def test_a_real_run_of_the_same_kind_is_mostly_inside():
     episodes = [read_episode(episode_bytes(i, parameters=TRUE), PLANT.layout) for i in range(6)]
-    found = compared(PLANT, read_episode(episode_bytes(7, parameters=TRUE), PLANT.layout), coverage_of(PLANT, episodes), [])
+    found = compared(
+        PLANT,
+        read_episode(episode_bytes(7, parameters=TRUE), PLANT.layout),
+        coverage_of(PLANT, episodes),
+        [],
+    )
     assert found["joint"]["hull"] < 0.3

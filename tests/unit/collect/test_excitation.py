@@ -1,4 +1,5 @@
-"""Designed excitations: bounded, safe under every model still in play, ending at rest, and worth more than a random one."""
+"""Designed excitations: bounded, safe under every model still in play, ending at rest, and worth
+more than a random one."""
 
 import json
 from dataclasses import replace
@@ -25,7 +26,11 @@ pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
 
 DOCUMENT = {
     **plant_document(),
-    "nominal": {"family": "oscillator", "parameters": dict(zip("kcb", TRUE, strict=True)), "timestep_s": 0.05},
+    "nominal": {
+        "family": "oscillator",
+        "parameters": dict(zip("kcb", TRUE, strict=True)),
+        "timestep_s": 0.05,
+    },
 }
 PLANT = Plant.from_document(DOCUMENT)
 NOISE = np.array([0.01, 0.02])
@@ -33,7 +38,9 @@ NOISE = np.array([0.01, 0.02])
 
 def designed(plant=PLANT, spread=0.02, seed=0, duration_s=8.0, **bounds):
     ensemble = Ensemble.prior(plant, spread)
-    setting = Setting(InPlay((ensemble,)), Bounds.of(plant, duration_s, **bounds), NOISE, np.zeros(2), np.zeros(1))
+    setting = Setting(
+        InPlay((ensemble,)), Bounds.of(plant, duration_s, **bounds), NOISE, np.zeros(2), np.zeros(1)
+    )
     return identification(setting, np.random.default_rng(seed), effort=0.2)
 
 
@@ -78,11 +85,15 @@ def test_a_slower_drive_and_a_narrower_envelope_are_kept():
 
 
 def test_two_sensors_of_one_motion_are_kept_within_both_their_ranges():
-    channels = [{"name": name, "unit": "rad", "field": "position"} for name in ("q_motor", "q_link")]
+    channels = [
+        {"name": name, "unit": "rad", "field": "position"} for name in ("q_motor", "q_link")
+    ]
     envelope = {"q_motor": [-0.2, 0.9], "q_link": [-0.9, 0.3]}
     plant = Plant.from_document({**DOCUMENT, "observations": channels, "envelope": envelope})
     assert Bounds.of(plant, 6.0, margin=0.0).envelope[0] == pytest.approx([-0.2, 0.3])
-    apart = Plant.from_document({**plant.document, "envelope": {"q_motor": [-0.9, -0.5], "q_link": [0.5, 0.9]}})
+    apart = Plant.from_document(
+        {**plant.document, "envelope": {"q_motor": [-0.9, -0.5], "q_link": [0.5, 0.9]}}
+    )
     with pytest.raises(NotIdentifiable, match="nothing in common"):
         Bounds.of(apart, 6.0)
 
@@ -103,7 +114,8 @@ FREE = Plant.from_document({k: v for k, v in DOCUMENT.items() if k != "envelope"
 
 
 def recording(low=-0.2, high=0.3, fastest=0.5, role=Role.ADAPTATION):
-    """A recording of which the ranges are known: a slow sine between two positions, and commands that change by 0.1 in a sample."""
+    """A recording of which the ranges are known: a slow sine between two positions, and commands
+    that change by 0.1 in a sample."""
     t = np.asarray(np.arange(200) * 0.05)
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     rate = fastest / half
@@ -111,7 +123,15 @@ def recording(low=-0.2, high=0.3, fastest=0.5, role=Role.ADAPTATION):
     commands = np.where(np.arange(200) % 2, 0.05, -0.05)[:, None]
     stream = BytesIO()
     stamps = np.rint(t * 1e9).astype(np.int64)
-    write_episode(stream, stamps_ns=stamps, observations=states, commands=commands, layout=FREE.layout, role=role, conditions={})
+    write_episode(
+        stream,
+        stamps_ns=stamps,
+        observations=states,
+        commands=commands,
+        layout=FREE.layout,
+        role=role,
+        conditions={},
+    )
     return stream.getvalue()
 
 
@@ -147,7 +167,9 @@ def test_it_begins_where_there_is_most_room_and_not_outside():
     been = Recorded.of(FREE, [read_episode(recording(), FREE.layout)])
     bounds, ensemble = Bounds.of(FREE, 6.0, recorded=been), Ensemble.prior(FREE, 0.1)
     edge = FREE.parameters[0] * 0.25 / FREE.parameters[2]
-    hold, rest = resting(ensemble, bounds, [(np.array([edge]), np.zeros(2)), (np.zeros(1), np.zeros(2))])
+    hold, rest = resting(
+        ensemble, bounds, [(np.array([edge]), np.zeros(2)), (np.zeros(1), np.zeros(2))]
+    )
     assert (hold.tolist(), rest == pytest.approx([0.0, 0.0], abs=1e-6)) == ([0.0], True)
     with pytest.raises(NotIdentifiable, match="outside of the envelope"):
         resting(ensemble, bounds, [(np.array([2.0 * edge]), np.zeros(2))])
@@ -167,7 +189,14 @@ def test_what_to_check_says_where_each_bound_comes_from(found):
 
 
 def test_a_machine_that_never_rests_is_refused_and_told_what_to_do():
-    document = {**plant_document(), "nominal": {"family": "oscillator", "parameters": {"k": 1.0, "c": -0.1, "b": 1.0}, "timestep_s": 0.05}}
+    document = {
+        **plant_document(),
+        "nominal": {
+            "family": "oscillator",
+            "parameters": {"k": 1.0, "c": -0.1, "b": 1.0},
+            "timestep_s": 0.05,
+        },
+    }
     plant = Plant.from_document(document)
     with pytest.raises(NotIdentifiable, match="does not come to rest") as refused:
         at_rest(Ensemble.prior(plant, 0.1), np.array([0.1, 0.0]), np.zeros(1))
@@ -176,7 +205,14 @@ def test_a_machine_that_never_rests_is_refused_and_told_what_to_do():
 
 def test_rest_is_where_the_machine_hangs():
     pendulum = Plant.from_document(
-        {**plant_document(), "nominal": {"family": "pendulum", "parameters": {"k": 4.0, "c": 1.0, "b": 1.0}, "timestep_s": 0.05}}
+        {
+            **plant_document(),
+            "nominal": {
+                "family": "pendulum",
+                "parameters": {"k": 4.0, "c": 1.0, "b": 1.0},
+                "timestep_s": 0.05,
+            },
+        }
     )
     rest = at_rest(Ensemble.prior(pendulum, 0.1), np.zeros(2), np.array([2.0]))
     assert rest == pytest.approx([np.arcsin(0.5), 0.0], abs=1e-6)
@@ -192,7 +228,9 @@ def test_the_ensemble_of_a_diagnosis_is_as_uncertain_as_its_report():
     low, high = diagnosis.document["parameters"]["k"]["ci95"]
     drawn = ensemble.drawn(2000, np.random.default_rng(0))[ensemble.rows[ensemble.names.index("k")]]
     assert np.quantile(drawn, [0.025, 0.975]) == pytest.approx([low, high], rel=0.02)
-    level = ensemble.drawn(200, np.random.default_rng(1))[ensemble.rows[ensemble.names.index("coulomb_friction level")]]
+    level = ensemble.drawn(200, np.random.default_rng(1))[
+        ensemble.rows[ensemble.names.index("coulomb_friction level")]
+    ]
     assert (level > 0.0).all()
 
 
@@ -205,7 +243,9 @@ def test_the_command_writes_what_a_robot_plays_and_no_episode(tmp_path, capsys):
     assert said == document["check_first"]
     assert rows[len(said)] == "t,u"
     assert len(rows) == len(said) + 1 + document["samples"]
-    assert np.loadtxt(tmp_path / "out" / "excitation.csv", delimiter=",", skiprows=len(said) + 1).shape == (document["samples"], 2)
+    assert np.loadtxt(
+        tmp_path / "out" / "excitation.csv", delimiter=",", skiprows=len(said) + 1
+    ).shape == (document["samples"], 2)
     assert next(iter(document)) == "check_first"
     assert (document["breaches"], document["information"]["rank"]) == (0, 3)
     assert (tmp_path / "out" / "excitation.svg").read_text().startswith("<svg")
@@ -217,7 +257,8 @@ def test_the_command_writes_what_a_robot_plays_and_no_episode(tmp_path, capsys):
 
 
 def test_the_command_keeps_what_was_recorded_of_an_axis_that_nothing_holds(tmp_path):
-    """An axis with neither spring nor envelope, 10 V and a quarter of a metre: what it may do is what it has done."""
+    """An axis with neither spring nor envelope, 10 V and a quarter of a metre: what it may do is
+    what it has done."""
     axis = {
         **{k: v for k, v in plant_document().items() if k != "envelope"},
         "nominal": {"family": "inertia", "parameters": {"c": 2.1, "b": 0.37}, "timestep_s": 0.05},
@@ -229,10 +270,16 @@ def test_the_command_keeps_what_was_recorded_of_an_axis_that_nothing_holds(tmp_p
     (tmp_path / "0.mcap").write_bytes(recording(0.0, 0.25, 0.13))
     excite(tmp_path, out=tmp_path / "out", duration_s=4.0)
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
-    t, u = np.loadtxt(tmp_path / "out" / "excitation.csv", delimiter=",", skiprows=len(document["check_first"]) + 1).T
+    t, u = np.loadtxt(
+        tmp_path / "out" / "excitation.csv",
+        delimiter=",",
+        skiprows=len(document["check_first"]) + 1,
+    ).T
     plant = Plant.from_document(axis)
     ensemble = Ensemble.prior(plant, 0.3)
-    paths = ensemble.responses(ensemble.drawn(200, np.random.default_rng(9)), t, u[:, None], np.array([0.125, 0.0]))
+    paths = ensemble.responses(
+        ensemble.drawn(200, np.random.default_rng(9)), t, u[:, None], np.array([0.125, 0.0])
+    )
     assert 0.0 < paths[:, :, 0].min() < paths[:, :, 0].max() < 0.25
     assert np.abs(paths[:, :, 1]).max() < 0.13
     assert np.abs(paths[:, -1, 1]).max() < 0.01 * np.abs(paths[:, :, 1]).max()

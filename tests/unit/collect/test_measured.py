@@ -12,7 +12,13 @@ from trueup.episode.role import Role
 from trueup.model.plant import Plant
 
 PLANT = Plant.from_document(plant_document())
-WHOLE = {"stage": "physical", "safeguards": "torque limit", "supervisor": "ada", "stop_criterion": "|q| > 0.8", "excitation": "chirp"}
+WHOLE = {
+    "stage": "physical",
+    "safeguards": "torque limit",
+    "supervisor": "ada",
+    "stop_criterion": "|q| > 0.8",
+    "excitation": "chirp",
+}
 
 
 def episode(**conditions):
@@ -49,13 +55,25 @@ def test_breaches_of_the_envelope_are_counted_and_told():
     seen = one.observations.copy()
     seen[50:53, 0] = [0.95, 1.4, 0.91]
     found = measured(PLANT, replace(one, observations=seen))
-    assert found["envelope"]["breaches"]["q"] == {"samples": 3, "share": 3 / 200, "first_s": pytest.approx(2.5), "worst": 1.4}
-    assert "q left its envelope [-0.9, 0.9] m in 3 samples, first at 2.5 s, as far as 1.4" in found["warnings"]
+    assert found["envelope"]["breaches"]["q"] == {
+        "samples": 3,
+        "share": 3 / 200,
+        "first_s": pytest.approx(2.5),
+        "worst": 1.4,
+    }
+    assert (
+        "q left its envelope [-0.9, 0.9] m in 3 samples, first at 2.5 s, as far as 1.4"
+        in found["warnings"]
+    )
 
 
 def test_a_joint_that_hardly_moves_tells_little_and_the_warning_says_so():
     one = episode(**WHOLE)
-    still = replace(one, commands=np.full_like(one.commands, 0.01), observations=np.full_like(one.observations, 0.3))
+    still = replace(
+        one,
+        commands=np.full_like(one.commands, 0.01),
+        observations=np.full_like(one.observations, 0.3),
+    )
     found = measured(PLANT, still)
     assert found["excitation"]["rank"] < 3
     assert any("hardly moves" in w for w in found["warnings"])

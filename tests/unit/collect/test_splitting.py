@@ -1,4 +1,5 @@
-"""Experiments that split what a diagnosis left: the alternatives stand in its report, and the machine's answer parts them."""
+"""Experiments that split what a diagnosis left: the alternatives stand in its report, and the
+machine's answer parts them."""
 
 import json
 from dataclasses import replace
@@ -41,9 +42,18 @@ def undecided():
 @pytest.fixture(scope="module")
 def designed(undecided):
     plant, _, trial, _, found = undecided
-    play = InPlay((Ensemble.posterior(found.predictor, found.document), *Ensemble.alternatives(plant, found.document)))
+    play = InPlay(
+        (
+            Ensemble.posterior(found.predictor, found.document),
+            *Ensemble.alternatives(plant, found.document),
+        )
+    )
     bounds = Bounds.of(plant, 6.0)
-    return splitting(Setting(play, bounds, trial.sigma, np.zeros(2), np.zeros(1)), np.random.default_rng(0), effort=0.1)
+    return splitting(
+        Setting(play, bounds, trial.sigma, np.zeros(2), np.zeros(1)),
+        np.random.default_rng(0),
+        effort=0.1,
+    )
 
 
 def test_the_report_holds_every_alternative_as_it_was_fitted(undecided):
@@ -56,7 +66,9 @@ def test_the_report_holds_every_alternative_as_it_was_fitted(undecided):
     assert {"k", "c", "b", "thermal_derating loss"} <= set(left.names)
 
 
-def test_it_parts_the_alternatives_better_than_a_random_one_and_is_safe_under_both(undecided, designed):
+def test_it_parts_the_alternatives_better_than_a_random_one_and_is_safe_under_both(
+    undecided, designed
+):
     plant = undecided[0]
     assert designed.information.alternatives == (("thermal_derating",),)
     assert designed.information.least > 1.2 * designed.random.least
@@ -70,7 +82,19 @@ def test_what_the_machine_answers_leaves_one_explanation(undecided, designed):
     plant, bench, trial, episodes, _ = undecided
     rng = np.random.default_rng(1)
     more = [
-        episode_of(plant, run(trial.machine, designed.command[:, 0], bench.timestep_s, bench.parts, tuple(trial.sigma), rng), role, role)
+        episode_of(
+            plant,
+            run(
+                trial.machine,
+                designed.command[:, 0],
+                bench.timestep_s,
+                bench.parts,
+                tuple(trial.sigma),
+                rng,
+            ),
+            role,
+            role,
+        )
         for role in (Role.ADAPTATION, Role.VALIDATION)
     ]
     found = diagnose(plant, [*episodes, *more])
@@ -103,7 +127,9 @@ def test_the_command_writes_the_experiment(undecided, tmp_path, capsys, monkeypa
     excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True, duration_s=10.0)
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
     assert document["goal"] == "split"
-    assert 4.0 < document["information"]["separation"][0]["standard_errors"] < 200.0  # of the noise that the diagnosis found
+    assert (
+        4.0 < document["information"]["separation"][0]["standard_errors"] < 200.0
+    )  # of the noise that the diagnosis found
     assert "thermal_derating" in capsys.readouterr().out
 
 
@@ -120,7 +146,16 @@ def ensemble(plant, parameters, wide=(0.02, 0.02, 0.02), **effects):
             sizes.append(0.05 * abs(value))
     names = tuple(str(row) for row in rows)
     spread = np.array(sizes)
-    return Ensemble(plant, hypothesis, refined(plant), values, names, tuple(rows), spread, 1e-6 * np.abs(values[rows]))
+    return Ensemble(
+        plant,
+        hypothesis,
+        refined(plant),
+        values,
+        names,
+        tuple(rows),
+        spread,
+        1e-6 * np.abs(values[rows]),
+    )
 
 
 PLANT = Plant.from_document(plant_document())
@@ -141,12 +176,16 @@ def test_a_number_that_was_fitted_to_zero_can_still_give_way():
 
 def test_what_a_sensor_rounds_parts_nothing():
     found = Corrected.restore(PLANT, {
-        "parameters": dict(zip("kcb", TRUE, strict=True)), "scheme": {"alpha": 0.5, "parts": 1}, "gain": [], "nearest": None,
-        "effects": [{"effect": "sensor_quantization", "parameters": {"step": 0.02, "velocity_step": 0.0}}],
+        "parameters": dict(zip("kcb", TRUE, strict=True)), "scheme": {"alpha": 0.5, "parts": 1},
+        "gain": [], "nearest": None,
+        "effects": [{"effect": "sensor_quantization", "parameters": {"step": 0.02,
+        "velocity_step": 0.0}}],
     }, {})  # fmt: skip
     numbers = {n: {"ci95": [0.98 * v, 1.02 * v]} for n, v in zip("kcb", TRUE, strict=True)}
     rounded = Ensemble.posterior(found, {"parameters": numbers, "effects": []})
-    plain = Ensemble.posterior(replace(found, hypothesis=Hypothesis()), {"parameters": numbers, "effects": []})
+    plain = Ensemble.posterior(
+        replace(found, hypothesis=Hypothesis()), {"parameters": numbers, "effects": []}
+    )
     assert apart(rounded, plain) < 1e-3
 
 
@@ -159,7 +198,9 @@ def test_a_machine_that_sticks_under_all_but_the_largest_command_gets_one_under_
     """Nothing of the room is used then, and the next size to try cannot be told from that."""
     stuck = ensemble(PLANT, TRUE, coulomb_friction={"level": 0.9 * TRUE[2]})
     narrow = Plant.from_document({**plant_document(), "envelope": {"q": [-1e-5, 1e-5]}})
-    maker = Setting(InPlay((stuck,)), Bounds.of(narrow, 6.0), NOISE, REST, np.zeros(1)).maker(np.random.default_rng(0))
+    maker = Setting(InPlay((stuck,)), Bounds.of(narrow, 6.0), NOISE, REST, np.zeros(1)).maker(
+        np.random.default_rng(0)
+    )
     made = maker.made(maker.draw(np.random.default_rng(1)))
     assert made is not None
     assert made[2] < 1.0
@@ -171,7 +212,11 @@ def test_an_alternative_that_no_command_parts_does_not_spoil_the_others():
     twin = ensemble(PLANT, TRUE, sensor_bias={"bias": 0.1 / TRUE[0]})
     other = ensemble(PLANT, TRUE, quadratic_drag={"coefficient": 0.4})
     rest = np.array([0.1 / TRUE[0], 0.0])
-    found = splitting(Setting(InPlay((answer, twin, other)), BOUNDS, NOISE, rest, np.zeros(1)), np.random.default_rng(0), effort=0.1)
+    found = splitting(
+        Setting(InPlay((answer, twin, other)), BOUNDS, NOISE, rest, np.zeros(1)),
+        np.random.default_rng(0),
+        effort=0.1,
+    )
     alike, parted = found.information.standard_errors
     assert alike < 4.0 < parted
     assert found.information.alternatives == (("sensor_bias",), ("quadratic_drag",))
@@ -180,18 +225,24 @@ def test_an_alternative_that_no_command_parts_does_not_spoil_the_others():
 def test_the_next_experiment_of_a_report_keeps_the_declared_envelope(undecided):
     plant, _, _, _, found = undecided
     said, also, head, *_ = found.experiment.csv(plant).split("\r\n")
-    assert said.startswith("# Before you play this: it begins at q = 0 rad, and keeps the declared envelope")
+    assert said.startswith(
+        "# Before you play this: it begins at q = 0 rad, and keeps the declared envelope"
+    )
     assert "does not end at rest" in also
     assert head.startswith("t,")
     answer = Ensemble.posterior(found.predictor, found.document)
-    path = answer.responses(answer.centre[:, None], found.experiment.t_s, found.experiment.command, np.zeros(2))[0]
+    path = answer.responses(
+        answer.centre[:, None], found.experiment.t_s, found.experiment.command, np.zeros(2)
+    )[0]
     low, high = plant.envelope["q"]
     assert low < path[:, 0].min() < path[:, 0].max() < high
 
 
 def test_without_an_envelope_it_keeps_what_was_recorded_and_says_what_that_costs(undecided):
     plant, _, _, episodes, _ = undecided
-    found = diagnose(Plant.from_document({k: v for k, v in plant.document.items() if k != "envelope"}), episodes)
+    found = diagnose(
+        Plant.from_document({k: v for k, v in plant.document.items() if k != "envelope"}), episodes
+    )
     assert found.experiment.command is None
     assert "inside its recorded range" in found.document["next_experiment"]["why"]
     assert "wider envelope" in found.document["next_experiment"]["why"]

@@ -1,4 +1,5 @@
-"""Closed loop: paired runs of two models on one machine, and a gate that can ask for no regression in tracking."""
+"""Closed loop: paired runs of two models on one machine, and a gate that can ask for no regression
+in tracking."""
 
 from dataclasses import replace
 
@@ -54,7 +55,11 @@ def test_the_same_model_twice_tracks_the_same_to_the_last_digit():
     assert np.array_equal(found.candidate, found.incumbent)
     assert len(found.candidate) == SEEDS * len(TURNS)
     document = found.document()
-    assert (document["change"], document["change_ci95"], document["stage"]) == (0.0, [0.0, 0.0], "MIL")
+    assert (document["change"], document["change_ci95"], document["stage"]) == (
+        0.0,
+        [0.0, 0.0],
+        "MIL",
+    )
     assert document["cannot_show"] == CANNOT
 
 
@@ -67,14 +72,19 @@ def test_a_model_that_is_wrong_about_its_drive_tracks_worse():
 
 def test_the_envelope_says_how_far_the_reference_goes_and_breaches_are_counted():
     assert compare(MACHINE, MACHINE, MACHINE, went(99.0)).amplitude == (pytest.approx(0.6 * 0.9),)
-    tight = Plant.from_document({**plant_document(), "envelope": {"q": [-0.9, 0.9], "v": [-0.01, 0.01]}})
+    tight = Plant.from_document(
+        {**plant_document(), "envelope": {"q": [-0.9, 0.9], "v": [-0.01, 0.01]}}
+    )
     machine = corrected(TRUE, tight)
     assert compare(machine, machine, machine, went(0.5)).breaches[0] > 0.5
 
 
 def test_what_the_machine_remembers_is_remembered_from_tick_to_tick():
     lazy = corrected(TRUE, actuator_lag={"time_constant": 0.4})
-    alone, behind = compare(MACHINE, MACHINE, MACHINE, went(0.5)), compare(lazy, MACHINE, MACHINE, went(0.5))
+    alone, behind = (
+        compare(MACHINE, MACHINE, MACHINE, went(0.5)),
+        compare(lazy, MACHINE, MACHINE, went(0.5)),
+    )
     assert behind.candidate.mean() > 1.2 * alone.candidate.mean()
 
 
@@ -85,10 +95,27 @@ def test_a_gate_can_refuse_a_better_prediction_that_tracks_worse():
     found = run_trial(gate, MACHINE, Nominal(PLANT), [episode], seen.append).trial
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(1.0)
-    worse = replace(found, tracking=Tracking(found.tracking.incumbent * 1.2, found.tracking.incumbent, (0.0, 0.0), (0.5,)))
-    breaching = replace(found, tracking=replace(found.tracking, candidate=found.tracking.incumbent, breaches=(0.1, 0.0)))
-    for trial, passed in ((worse, False), (breaching, False), (replace(found, tracking=None), False)):
-        verdicts = {v.rule: v for v in judge(gate, trial, plant="p", candidate="c", incumbent="i", generation=1).verdicts}
+    worse = replace(
+        found,
+        tracking=Tracking(
+            found.tracking.incumbent * 1.2, found.tracking.incumbent, (0.0, 0.0), (0.5,)
+        ),
+    )
+    breaching = replace(
+        found,
+        tracking=replace(found.tracking, candidate=found.tracking.incumbent, breaches=(0.1, 0.0)),
+    )
+    for trial, passed in (
+        (worse, False),
+        (breaching, False),
+        (replace(found, tracking=None), False),
+    ):
+        verdicts = {
+            v.rule: v
+            for v in judge(
+                gate, trial, plant="p", candidate="c", incumbent="i", generation=1
+            ).verdicts
+        }
         assert verdicts["rollout_improves"].passed
         assert verdicts["tracking_no_worse"].passed is passed
     document = judge(gate, found, plant="p", candidate="c", incumbent="i", generation=1).document()
@@ -117,7 +144,9 @@ def of_arm(plant, *effects):
     return Corrected(plant, hypothesis, tuple(map(float, values)), DECLARED)
 
 
-REACHED = Travelled(np.array([-0.6, -0.5]), np.array([0.6, 0.7]), np.array([2.0, 2.5]), np.ones(2, bool))
+REACHED = Travelled(
+    np.array([-0.6, -0.5]), np.array([0.6, 0.7]), np.array([2.0, 2.5]), np.ones(2, bool)
+)
 
 
 def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm):
@@ -142,12 +171,16 @@ def test_an_arms_references_are_no_faster_and_no_further_than_it_was_recorded(ar
     compare(machine, machine, machine, replace(REACHED, speed=np.array([0.2, 2.5])))
     assert np.max(asked, axis=0)[0] == pytest.approx(0.2, rel=0.01)
     tight = Plant.from_document({**arm.document, "envelope": {"q_elbow": [0.0, 0.2]}})
-    assert compare(of_arm(tight), of_arm(tight), of_arm(tight), REACHED).amplitude == pytest.approx((0.36, 0.06))
+    assert compare(of_arm(tight), of_arm(tight), of_arm(tight), REACHED).amplitude == pytest.approx(
+        (0.36, 0.06)
+    )
 
 
 def test_a_joint_that_never_moved_is_held_still_and_counts_for_nothing(arm):
     machine = of_arm(arm)
-    still = replace(REACHED, low=np.array([-0.6, 0.1]), high=np.array([0.6, 0.1]), moved=np.array([True, False]))
+    still = replace(
+        REACHED, low=np.array([-0.6, 0.1]), high=np.array([0.6, 0.1]), moved=np.array([True, False])
+    )
     found = compare(machine, machine, machine, still)
     assert found.amplitude == pytest.approx((0.36, 0.0))
     assert found.candidate.max() < 0.005
@@ -160,14 +193,25 @@ def test_what_moved_is_told_from_what_noise_moves(arm):
     q = np.stack([0.5 * np.sin(3.0 * t_s), 0.1 + 4e-4 * rng.standard_normal(500)], axis=1)
     v = np.stack([1.5 * np.cos(3.0 * t_s), np.zeros(500)], axis=1)
     v[77, 0] = 40.0  # one glitch
-    went = Travelled.of(arm, [Episode(t_s, np.zeros((500, 2)), np.hstack([q, v]), arm.layout, Role.VALIDATION, {}, 0, "d")])
+    went = Travelled.of(
+        arm,
+        [
+            Episode(
+                t_s, np.zeros((500, 2)), np.hstack([q, v]), arm.layout, Role.VALIDATION, {}, 0, "d"
+            )
+        ],
+    )
     assert went.moved.tolist() == [True, False]
     assert went.speed[0] == pytest.approx(1.5, rel=0.01)
 
 
 @pytest.mark.parametrize(
     ("state", "reference"),
-    [([0.0, 0.0, 0.0, 0.0], [-0.6, 0.3]), ([-0.2, 0.35, -0.2, -0.05], [-0.79, 0.19]), ([0.0, 0.0, 0.0, 0.0], [0.1, 0.0])],
+    [
+        ([0.0, 0.0, 0.0, 0.0], [-0.6, 0.3]),
+        ([-0.2, 0.35, -0.2, -0.05], [-0.79, 0.19]),
+        ([0.0, 0.0, 0.0, 0.0], [0.1, 0.0]),
+    ],
 )
 def test_the_plan_is_as_good_as_the_best_of_a_grid_between_the_limits(arm, state, reference):
     planner = Linearised(Nominal(arm), (0.1, 0.1), hold=3)
@@ -177,7 +221,9 @@ def test_the_plan_is_as_good_as_the_best_of_a_grid_between_the_limits(arm, state
         off = planner._off(np.array(state), commands, wanted / planner.scale)
         return (off**2).sum(axis=1) + planner.effort * ((commands / 50.0) ** 2).sum(axis=1)
 
-    grid = np.stack(np.meshgrid(np.linspace(-25, 25, 41), np.linspace(-25, 25, 41)), axis=-1).reshape(-1, 2)
+    grid = np.stack(
+        np.meshgrid(np.linspace(-25, 25, 41), np.linspace(-25, 25, 41)), axis=-1
+    ).reshape(-1, 2)
     found = planner.plan(np.array(state), wanted, np.random.default_rng(0))
     assert cost(found[None, :])[0] <= 1.02 * cost(grid).min() + 1e-3
 
@@ -191,11 +237,16 @@ def test_a_delay_that_all_joints_share_is_planned_over(arm):
 
 
 def test_a_course_is_the_steps_one_by_one(arm):
-    states, commands = np.array([[0.1, -0.2, 0.3, 0.0], [0.0, 0.0, 0.0, 0.1]]), np.array([[1.0, 0.5], [-2.0, 0.0]])
+    states, commands = (
+        np.array([[0.1, -0.2, 0.3, 0.0], [0.0, 0.0, 0.0, 0.1]]),
+        np.array([[1.0, 0.5], [-2.0, 0.0]]),
+    )
     for predictor in (Nominal(arm), of_arm(arm, ("quadratic_drag", 0, "coefficient", 0.2))):
         one = predictor.predict_batch(states, commands)
         two = predictor.predict_batch(one, commands)
-        assert predictor.course(states, commands, 2) == pytest.approx(np.stack([one, two], axis=1), abs=1e-9)
+        assert predictor.course(states, commands, 2) == pytest.approx(
+            np.stack([one, two], axis=1), abs=1e-9
+        )
 
 
 def test_a_joint_that_nobody_commands_is_refused(arm):

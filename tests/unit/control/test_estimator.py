@@ -60,7 +60,9 @@ def test_stamps_between_samples_take_shorter_steps():
     late.commanded(0.3 * DT, np.array([-0.5]))
     late.observed(0.0, STATES[0])
     one = MODEL.predict_batch(STATES[0][None, :], np.array([[0.5]]), 0.3 * DT)
-    assert late.state(DT) == pytest.approx(MODEL.predict_batch(one, np.array([[-0.5]]), 0.7 * DT)[0], abs=1e-12)
+    assert late.state(DT) == pytest.approx(
+        MODEL.predict_batch(one, np.array([[-0.5]]), 0.7 * DT)[0], abs=1e-12
+    )
 
 
 def test_before_anything_was_seen_it_refuses():
@@ -78,7 +80,14 @@ def test_with_a_right_model_late_sensors_cost_nothing(delays):
     reference = 0.3 * np.sin(0.05 * np.arange(120))[:, None]
 
     def error(delays, estimator):
-        run = run_loop(Deployed(PLANT, TRUE, 1.0), RandomShooting(MODEL, 1.0), reference, np.random.default_rng(0), delays, estimator)
+        run = run_loop(
+            Deployed(PLANT, TRUE, 1.0),
+            RandomShooting(MODEL, 1.0),
+            reference,
+            np.random.default_rng(0),
+            delays,
+            estimator,
+        )
         return run.tracking_error(reference)
 
     prompt = error((0,), None)

@@ -14,7 +14,8 @@ WINDOWS, SAMPLES = 40, 4000  # on adaptation as on validation episodes
 
 
 def fit(effects, misfit, numbers=3, *, helps_in=WINDOWS, without=None):
-    """A fit whose windows all have this misfit; with `helps_in`, the others have the misfit that is left `without` it."""
+    """A fit whose windows all have this misfit; with `helps_in`, the others have the misfit that is
+    left `without` it."""
     per_window = np.full(WINDOWS, misfit)
     if without is not None:
         per_window[helps_in:] = without
@@ -23,7 +24,18 @@ def fit(effects, misfit, numbers=3, *, helps_in=WINDOWS, without=None):
     for effect in effects:
         hypothesis = hypothesis | effect
     free = SimpleNamespace(rows=np.arange(numbers))
-    return RolloutFit(hypothesis, none, free, {}, float(costs.sum()), costs, SAMPLES, np.zeros((0, 0)), True, np.zeros((0, 0)))
+    return RolloutFit(
+        hypothesis,
+        none,
+        free,
+        {},
+        float(costs.sum()),
+        costs,
+        SAMPLES,
+        np.zeros((0, 0)),
+        True,
+        np.zeros((0, 0)),
+    )
 
 
 def candidate(*effects, misfit, numbers=None, **more):
@@ -37,16 +49,26 @@ NOMINAL = fit((), 150.0)
 
 def test_an_effect_that_leaves_noise_alone_is_the_answer():
     choice = decide([BASE, candidate("coulomb_friction", misfit=1.0)], NOMINAL)
-    assert (choice.verdict, choice.winner.hypothesis.effects, choice.rivals) == (Verdict.EFFECT, ("coulomb_friction",), ())
+    assert (choice.verdict, choice.winner.hypothesis.effects, choice.rivals) == (
+        Verdict.EFFECT,
+        ("coulomb_friction",),
+        (),
+    )
 
 
 def test_a_second_effect_that_removes_nothing_is_not_named():
-    one, two = candidate("coulomb_friction", misfit=1.0), candidate("coulomb_friction", "backlash", misfit=0.99)
+    one, two = (
+        candidate("coulomb_friction", misfit=1.0),
+        candidate("coulomb_friction", "backlash", misfit=0.99),
+    )
     assert decide([BASE, one, two], NOMINAL).winner is one
 
 
 def test_what_fits_as_well_is_a_rival_and_what_fits_worse_is_not():
-    winner, alike, worse = (candidate(e, misfit=m) for e, m in (("coulomb_friction", 1.0), ("cogging", 1.0005), ("quadratic_drag", 1.5)))
+    winner, alike, worse = (
+        candidate(e, misfit=m)
+        for e, m in (("coulomb_friction", 1.0), ("cogging", 1.0005), ("quadratic_drag", 1.5))
+    )
     choice = decide([BASE, winner, alike, worse], NOMINAL)
     assert choice.winner is winner
     assert choice.rivals == (alike,)
@@ -57,10 +79,16 @@ def test_a_gain_that_one_window_alone_shows_is_not_certain():
     assert decide([BASE, lucky], NOMINAL).winner is BASE
 
 
-@pytest.mark.parametrize(("criteria", "verdict"), [(SIMULATED, Verdict.UNKNOWN), (PHYSICAL, Verdict.EFFECT)])
+@pytest.mark.parametrize(
+    ("criteria", "verdict"), [(SIMULATED, Verdict.UNKNOWN), (PHYSICAL, Verdict.EFFECT)]
+)
 def test_what_a_law_leaves_is_judged_by_where_it_was_recorded(criteria, verdict):
-    """A tenth of the gap is left: no textbook law holds better on a machine, and every one does on a simulator."""
-    assert decide([BASE, candidate("coulomb_friction", misfit=11.0)], NOMINAL, criteria).verdict is verdict
+    """A tenth of the gap is left: no textbook law holds better on a machine, and every one does on
+    a simulator."""
+    assert (
+        decide([BASE, candidate("coulomb_friction", misfit=11.0)], NOMINAL, criteria).verdict
+        is verdict
+    )
 
 
 def test_new_numbers_in_the_nominal_form_are_parameters_only_and_none_where_nothing_was_wrong():

@@ -43,7 +43,11 @@ def test_friction_is_named_with_its_level_and_the_gap_closes(friction):
     _, _, trial, found = friction
     assert (found.document["verdict"], named(found)) == ("effect", ["coulomb_friction"])
     assert found.document["indistinguishable"] == []
-    assert truth_in(found.document["effects"][0], "level", trial.machine.imperfections["coulomb_friction"]["level"])
+    assert truth_in(
+        found.document["effects"][0],
+        "level",
+        trial.machine.imperfections["coulomb_friction"]["level"],
+    )
     gap = found.document["gap"]
     assert gap["closed"] > 0.98
     assert gap["floor"] <= gap["after"] * 1.1 < gap["parameters_only"] < gap["before"] * 1.05
@@ -80,7 +84,9 @@ def test_validation_episodes_are_never_fitted(friction):
     plant, episodes, _, found = friction
     cut = [e if e.role is Role.ADAPTATION else episodes[-1] for e in episodes[:-1]]
     again = diagnose(plant, cut)
-    assert again.document["parameters"]["k"]["value"] == pytest.approx(found.document["parameters"]["k"]["value"], rel=1e-6)
+    assert again.document["parameters"]["k"]["value"] == pytest.approx(
+        found.document["parameters"]["k"]["value"], rel=1e-6
+    )
 
 
 def test_new_numbers_in_the_nominal_form_are_parameters_only():
@@ -109,7 +115,10 @@ def test_a_delay_of_the_sensor_has_the_law_of_the_actuators():
 def test_a_bias_and_a_constant_force_are_one_on_a_linear_spring():
     plant, episodes, _ = recorded_thrice("A1", ["sensor_bias"], 9)
     found = diagnose(plant, episodes)
-    named_or_rival = {*named(found), *(e for other in found.document["indistinguishable"] for e in other)}
+    named_or_rival = {
+        *named(found),
+        *(e for other in found.document["indistinguishable"] for e in other),
+    }
     assert named_or_rival == {"sensor_bias", "constant_force"}
 
 
@@ -137,15 +146,21 @@ def test_held_frames_are_counted():
     found = diagnose(plant, episodes)
     assert named(found) == ["dropped_frames"]
     fraction = found.document["effects"][0]["estimate"]["fraction"]["value"]
-    assert fraction == pytest.approx(trial.machine.imperfections["dropped_frames"]["fraction"], abs=0.02)
+    assert fraction == pytest.approx(
+        trial.machine.imperfections["dropped_frames"]["fraction"], abs=0.02
+    )
 
 
 def test_a_coarse_sensor_is_told_by_its_lattice():
     plant, episodes, trial = recorded("A1", ["sensor_quantization"], 16)
     found = diagnose(plant, episodes)
     assert "sensor_quantization" in named(found)
-    step = next(e for e in found.document["effects"] if e["effect"] == "sensor_quantization")["estimate"]["step"]["value"]
-    assert step == pytest.approx(trial.machine.imperfections["sensor_quantization"]["step"], rel=1e-3)
+    step = next(e for e in found.document["effects"] if e["effect"] == "sensor_quantization")[
+        "estimate"
+    ]["step"]["value"]
+    assert step == pytest.approx(
+        trial.machine.imperfections["sensor_quantization"]["step"], rel=1e-3
+    )
 
 
 def test_a_discrete_plant_is_fitted_by_its_own_step():
@@ -153,7 +168,9 @@ def test_a_discrete_plant_is_fitted_by_its_own_step():
     found = diagnose(plant, episodes)
     assert named(found) == ["quadratic_drag"]
     value = found.document["effects"][0]["estimate"]["coefficient"]["value"]
-    assert value == pytest.approx(trial.machine.imperfections["quadratic_drag"]["coefficient"], rel=1e-4)
+    assert value == pytest.approx(
+        trial.machine.imperfections["quadratic_drag"]["coefficient"], rel=1e-4
+    )
 
 
 def test_without_validation_it_says_what_to_do():
@@ -165,7 +182,19 @@ def test_without_validation_it_says_what_to_do():
 
 def test_a_joint_that_never_moves_is_no_case():
     plant, episodes, _ = recorded("A1", [], 5)
-    still = [type(e)(e.t_s, 0.0 * e.commands, 0.0 * e.observations, e.layout, e.role, e.conditions, 0, e.digest) for e in episodes]
+    still = [
+        type(e)(
+            e.t_s,
+            0.0 * e.commands,
+            0.0 * e.observations,
+            e.layout,
+            e.role,
+            e.conditions,
+            0,
+            e.digest,
+        )
+        for e in episodes
+    ]
     with pytest.raises(NotIdentifiable):
         diagnose(plant, still)
 
@@ -182,13 +211,20 @@ def test_progress_is_told_from_the_start():
 def test_the_noise_is_told_from_the_signal():
     plant, episodes, trial = recorded("B1", ["coulomb_friction"], 18)
     found = diagnose(plant, episodes)
-    assert np.allclose([found.document["evidence"]["noise"][n] for n in ("q", "v")], trial.sigma, rtol=0.1)
+    assert np.allclose(
+        [found.document["evidence"]["noise"][n] for n in ("q", "v")], trial.sigma, rtol=0.1
+    )
 
 
 def test_a_composition_that_fills_every_lane_has_no_bounds_beside_it():
     plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)
     admission = admit(plant, [e for e in episodes if e.role == "adaptation"])
-    fitter = Fitter(plant.form, Directions.of_family(plant.dynamics.parameter_names), admission.scales, admission.sigma)
+    fitter = Fitter(
+        plant.form,
+        Directions.of_family(plant.dynamics.parameter_names),
+        admission.scales,
+        admission.sigma,
+    )
     full = Hypothesis(("stribeck_friction", "hysteresis", "hard_stop"))
     assert not fitter.has_room(full)
     data = [series(plant, episodes[0], refined(plant), 2.0)]
@@ -203,7 +239,10 @@ def test_a_velocity_that_is_logged_late_is_told_and_costs_no_friction():
     found = diagnose(plant, episodes)
     assert sorted(named(found)) == ["coulomb_friction", "velocity_lag"]
     for entry in found.document["effects"]:
-        assert all(truth_in(entry, name, value) for name, value in trial.machine.imperfections[entry["effect"]].items())
+        assert all(
+            truth_in(entry, name, value)
+            for name, value in trial.machine.imperfections[entry["effect"]].items()
+        )
 
 
 def test_a_fall_of_the_drive_with_its_size_has_a_sign():
@@ -227,7 +266,11 @@ def test_a_coarse_command_is_found_between_its_corners():
     plant, episodes, trial = recorded("A1", ["command_quantization"], 7003)
     found = diagnose(plant, episodes)
     assert named(found) == ["command_quantization"]
-    assert truth_in(found.document["effects"][0], "step", trial.machine.imperfections["command_quantization"]["step"])
+    assert truth_in(
+        found.document["effects"][0],
+        "step",
+        trial.machine.imperfections["command_quantization"]["step"],
+    )
 
 
 @pytest.mark.parametrize("effect", ["constant_force", "gain_asymmetry"])
@@ -240,12 +283,19 @@ def test_either_sign_of_an_effect_is_named(effect, seed):
 def test_a_lag_below_one_sample_is_no_effect():
     plant, episodes, _ = recorded("A0", [], 5)
     admission = admit(plant, episodes)
-    fitter = Fitter(plant.form, Directions.of_family(plant.dynamics.parameter_names), admission.scales, admission.sigma)
+    fitter = Fitter(
+        plant.form,
+        Directions.of_family(plant.dynamics.parameter_names),
+        admission.scales,
+        admission.sigma,
+    )
     data = [series(plant, e, DECLARED, 2.0) for e in episodes]
     search = Search(Problem(fitter, data, data, data))
     values = fitter.begin(plant.parameters)
     for periods, resolved in ((0.5, False), (3.0, True)):
-        values[plant.block.rows_of("velocity_lag")["time_constant"]] = periods * episodes[0].period_s
+        values[plant.block.rows_of("velocity_lag")["time_constant"]] = (
+            periods * episodes[0].period_s
+        )
         fit = fitter.fit(data, Hypothesis(("velocity_lag",)), values, iterations=0)
         assert search.keep(fit).resolved is resolved
         assert any(c.hypothesis.effects for c in search) is resolved
@@ -257,7 +307,9 @@ def test_a_first_velocity_is_known_from_like_moments():
     moments, missed = known([loop[:2000], loop[2000:]])
     assert moments.nearest > 0
     assert missed < 0.1
-    assert moments.velocity(np.sin(1.0), np.cos(1.0) + 2.0 * np.cos(3.0)) == pytest.approx(np.cos(1.0), abs=0.02)
+    assert moments.velocity(np.sin(1.0), np.cos(1.0) + 2.0 * np.cos(3.0)) == pytest.approx(
+        np.cos(1.0), abs=0.02
+    )
     rng = np.random.default_rng(1)
     cloud = rng.normal(size=(2000, 3))
     cloud[:, 2] += 0.5 * cloud[:, 0] - 0.2 * cloud[:, 1]
@@ -267,7 +319,9 @@ def test_a_first_velocity_is_known_from_like_moments():
     assert line.velocity(2.0, 1.0) == pytest.approx(0.8, abs=0.1)
 
 
-@pytest.mark.parametrize("moments", [np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan), np.zeros(3)])
+@pytest.mark.parametrize(
+    "moments", [np.zeros((0, 3)), np.zeros((4, 2)), np.full((4, 3), np.nan), np.zeros(3)]
+)
 def test_moments_that_are_none_are_refused(moments):
     with pytest.raises(ValueError, match="position, command and velocity"):
         Known(moments, 1)

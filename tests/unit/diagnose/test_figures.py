@@ -1,4 +1,5 @@
-"""The numbers behind pictures say what they show: means of cells, errors of models, two versions side by side."""
+"""The numbers behind pictures say what they show: means of cells, errors of models, two versions
+side by side."""
 
 import numpy as np
 import pytest
@@ -19,7 +20,9 @@ PLANT = Plant.from_document(plant_document())
 
 @pytest.fixture(scope="module")
 def episodes():
-    return [read_episode(episode_bytes(seed, role=Role.VALIDATION), PLANT.layout) for seed in (1, 2)]
+    return [
+        read_episode(episode_bytes(seed, role=Role.VALIDATION), PLANT.layout) for seed in (1, 2)
+    ]
 
 
 def test_a_cell_is_the_mean_of_what_fell_into_it():
@@ -51,7 +54,9 @@ def test_traces_hold_what_was_measured_and_each_models_error(episodes):
     q = drawn["channels"][0]
     np.testing.assert_allclose(q["measured"], episodes[0].observations[:, 0], rtol=1e-4, atol=1e-9)
     assert q["rms"]["true"] < 1e-9
-    assert q["rms"]["nominal"] == pytest.approx(rollout_rms(models["nominal"], episodes[0], PLANT.horizon_s)[0], rel=0.05)
+    assert q["rms"]["nominal"] == pytest.approx(
+        rollout_rms(models["nominal"], episodes[0], PLANT.horizon_s)[0], rel=0.05
+    )
     assert q["envelope"] == [-0.9, 0.9]
     assert len(drawn["t_s"]) == len(q["nominal"]) == 200
 
@@ -64,7 +69,9 @@ def test_the_true_model_is_better_everywhere(episodes):
         cells = np.array(of["layers"]["worse"]["speed-command"], float)
         assert np.nanmax(cells) <= 1e-9
     assert [e["sha256"] for e in found["by_episode"]] == [e.digest for e in episodes]
-    assert all(e["channels"]["q"]["second"] < e["channels"]["q"]["first"] for e in found["by_episode"])
+    assert all(
+        e["channels"]["q"]["second"] < e["channels"]["q"]["first"] for e in found["by_episode"]
+    )
 
 
 def test_a_model_beside_itself_is_nowhere_better_or_worse(episodes):

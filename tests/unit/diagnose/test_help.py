@@ -30,7 +30,15 @@ def case():
 def posed(case):
     plant, episodes = case
     adaptation, validation = by_role(episodes)
-    return lay_out(plant, admit(plant, adaptation), adaptation, validation, selection_criteria(plant, adaptation), refined(plant), 1)
+    return lay_out(
+        plant,
+        admit(plant, adaptation),
+        adaptation,
+        validation,
+        selection_criteria(plant, adaptation),
+        refined(plant),
+        1,
+    )
 
 
 def test_a_diagnosis_that_others_did_is_the_same(case):
@@ -48,7 +56,10 @@ def test_a_diagnosis_that_others_did_is_the_same(case):
     ours, theirs = diagnose(plant, episodes), diagnose(plant, episodes, solve=by_others)
     assert steps == {Race, Settle, Refine}
     assert digest_of(dict(theirs.document)) == digest_of(dict(ours.document))
-    assert (theirs.predictor.values, theirs.predictor.gain) == (ours.predictor.values, ours.predictor.gain)
+    assert (theirs.predictor.values, theirs.predictor.gain) == (
+        ours.predictor.values,
+        ours.predictor.gain,
+    )
 
 
 def test_a_parcel_comes_out_as_it_went_in(posed):
@@ -59,7 +70,10 @@ def test_a_parcel_comes_out_as_it_went_in(posed):
         base.fit.hypothesis | "backlash",
         values,
         problem.fitter.free(base.fit.hypothesis | "backlash").none(),
-        {digest: Start(start.windows, {("backlash", "played"): 0.1}) for digest, start in base.fit.starts.items()},
+        {
+            digest: Start(start.windows, {("backlash", "played"): 0.1})
+            for digest, start in base.fit.starts.items()
+        },
         np.inf,
         base.fit.costs,
         3,
@@ -68,10 +82,18 @@ def test_a_parcel_comes_out_as_it_went_in(posed):
         np.zeros((len(base.fit.costs), 0)),
         np.inf,
     )
-    tasks = [Race(odd, "backlash", np.array([1.0, np.inf])), Settle(np.inf, "backlash", [odd, base.fit]), Refine(base)]
+    tasks = [
+        Race(odd, "backlash", np.array([1.0, np.inf])),
+        Settle(np.inf, "backlash", [odd, base.fit]),
+        Refine(base),
+    ]
     text = pack_tasks(problem, tasks)
     outline, again = unpack_tasks(text)
-    assert (outline.scheme, outline.length_s, outline.base.cost) == (problem.scheme, problem.length_s, base.fit.cost)
+    assert (outline.scheme, outline.length_s, outline.base.cost) == (
+        problem.scheme,
+        problem.length_s,
+        base.fit.cost,
+    )
     assert pack_tasks(replace(problem, base=outline.base), again) == text
     answers = pack_answers([base, [odd, base.fit]])
     assert pack_answers(unpack_answers(answers)) == answers
@@ -80,7 +102,11 @@ def test_a_parcel_comes_out_as_it_went_in(posed):
 def test_a_candidate_is_worth_the_same_on_the_other_side(posed):
     _, base = posed
     (again,) = unpack_answers(pack_answers([base]))
-    assert (again.misfit, again.fit.by_episode, again.fit.parameters()) == (base.misfit, base.fit.by_episode, base.fit.parameters())
+    assert (again.misfit, again.fit.by_episode, again.fit.parameters()) == (
+        base.misfit,
+        base.fit.by_episode,
+        base.fit.parameters(),
+    )
 
 
 @pytest.mark.parametrize("unpack", [unpack_tasks, unpack_answers])
@@ -91,7 +117,13 @@ def test_a_parcel_unfolds_to_so_much_and_no_more(unpack, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "no base64!", base64.b64encode(b"not compressed").decode(), base64.b64encode(zlib.compress(b"{")).decode()]
+    "text",
+    [
+        "",
+        "no base64!",
+        base64.b64encode(b"not compressed").decode(),
+        base64.b64encode(zlib.compress(b"{")).decode(),
+    ],
 )
 def test_what_is_no_parcel_is_refused(text):
     with pytest.raises((ValueError, KeyError, zlib.error)):

@@ -55,7 +55,9 @@ def test_a_motion_is_no_noise():
 def test_the_gain_is_that_of_the_differences(correlation, stride):
     x = Law(correlation).drawn(np.random.default_rng(3), 200_000, 1)[:, 0]
     n = len(x) - 4 * stride
-    fourth = sum(w * x[k * stride : k * stride + n] for k, w in enumerate((1.0, -4.0, 6.0, -4.0, 1.0)))
+    fourth = sum(
+        w * x[k * stride : k * stride + n] for k, w in enumerate((1.0, -4.0, 6.0, -4.0, 1.0))
+    )
     assert np.mean(fourth**2) == pytest.approx(gain(correlation, stride), rel=0.05)
 
 
@@ -91,7 +93,16 @@ def test_white_noise_stays_white_and_is_searched_once():
 def test_nothing_is_claimed_against_the_floor():
     plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)
     choice = replace(diagnose(plant, episodes).choice, verdict=Verdict.UNKNOWN)
-    gap = Gap(2.0, before=0.1, parameters_only=0.05, after=0.0101, floor=0.01, closed=1.0, ci95=(0.9, 1.0), by_channel={})
+    gap = Gap(
+        2.0,
+        before=0.1,
+        parameters_only=0.05,
+        after=0.0101,
+        floor=0.01,
+        closed=1.0,
+        ci95=(0.9, 1.0),
+        by_channel={},
+    )
     assert agreeing(choice, gap).verdict is Verdict.EFFECT
     assert agreeing(choice, replace(gap, after=0.02)).verdict is Verdict.UNKNOWN
     assert agreeing(choice, replace(gap, before=0.009)).verdict is Verdict.NO_GAP

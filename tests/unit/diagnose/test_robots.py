@@ -1,4 +1,5 @@
-"""A robot's gap is found at its joint: one effect, a payload, and what of it an experiment or another rollout can use."""
+"""A robot's gap is found at its joint: one effect, a payload, and what of it an experiment or
+another rollout can use."""
 
 import json
 from dataclasses import replace
@@ -42,7 +43,9 @@ def rubs(spec):
 
 
 def carries(spec):
-    spec.body("lower").add_geom(type=2, size=[0.03, 0, 0], pos=[0.3, 0, 0], mass=0.4, contype=0, conaffinity=0)
+    spec.body("lower").add_geom(
+        type=2, size=[0.03, 0, 0], pos=[0.3, 0, 0], mass=0.4, contype=0, conaffinity=0
+    )
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +87,9 @@ def test_the_corrected_model_is_an_artifact_that_predicts_the_same(rubbing):
     episodes, found = rubbing
     again = unpack(pack(found.predictor, {"origin": "diagnosis"}))
     windows = cut(found.plant, episodes[-1], starts_every(episodes[-1].t_s, 0.5))
-    np.testing.assert_array_equal(predict_observations(again, windows), predict_observations(found.predictor, windows))
+    np.testing.assert_array_equal(
+        predict_observations(again, windows), predict_observations(found.predictor, windows)
+    )
 
 
 def test_report_and_page_name_the_joint(rubbing):
@@ -104,7 +109,9 @@ def test_a_payload_is_parameters_only(plant):
 
 def test_what_the_motion_cannot_show_is_not_numbered(plant, rubbing):
     shown = directions(plant, [e for e in rubbing[0] if e.role == "adaptation"])
-    determined = {n for n, d in zip(plant.dynamics.parameter_names, shown.determined, strict=True) if d}
+    determined = {
+        n for n, d in zip(plant.dynamics.parameter_names, shown.determined, strict=True) if d
+    }
     assert "damping(elbow)" in determined
     assert not determined & {"mass(shoulder)", "Ixx(shoulder)", "Ixy(lower)", "gain(shoulder)"}
     assert set(rubbing[1].document["parameters"]) == determined
@@ -116,7 +123,16 @@ def test_identified_and_residual_predict_a_payload_better_than_the_nominal_model
     windows = cut(plant, test, starts_every(test.t_s, 0.5))
 
     def error(predictor):
-        return float(np.sqrt(np.mean((predict_observations(predictor, windows) - test.observations[windows.rows])[windows.inside] ** 2)))
+        return float(
+            np.sqrt(
+                np.mean(
+                    (predict_observations(predictor, windows) - test.observations[windows.rows])[
+                        windows.inside
+                    ]
+                    ** 2
+                )
+            )
+        )
 
     found, report = identify(plant, adaptation)
     assert report.health == ()
@@ -125,7 +141,8 @@ def test_identified_and_residual_predict_a_payload_better_than_the_nominal_model
 
 
 def leaned_on(plant, episodes, from_s, to_s):
-    """Strides of a tenth of a second in which the elbow is pushed for a while, and the shoulder jerks now to one side, now to the other."""
+    """Strides of a tenth of a second in which the elbow is pushed for a while, and the shoulder
+    jerks now to one side, now to the other."""
     rng, count = np.random.default_rng(0), 40
     t = (np.arange(count) + 0.5) * 0.1
     residual = np.concatenate([rng.normal(size=(count, 2)) for _ in episodes])
@@ -135,7 +152,9 @@ def leaned_on(plant, episodes, from_s, to_s):
     at = np.concatenate([t / e.t_s[-1] for e in episodes])
     which = np.repeat(np.arange(len(episodes)), count)
     missed = np.tile(many, 2)
-    return Strides(missed, residual, residual, many, many, many, many, at, many, many > 0.0, which, 0.1 * one)
+    return Strides(
+        missed, residual, residual, many, many, many, many, at, many, many > 0.0, which, 0.1 * one
+    )
 
 
 def test_something_that_leans_on_a_joint_is_told_with_its_time(plant):
@@ -161,7 +180,13 @@ def late_elbow(episode):
     seen = episode.observations[LATE:].copy()
     seen[:, [1, 3]] = episode.observations[:-LATE, [1, 3]]
     t = episode.t_s[LATE:] - episode.t_s[LATE]
-    return replace(episode, t_s=t, commands=episode.commands[LATE:].copy(), observations=seen, digest=f"{episode.digest}, late")
+    return replace(
+        episode,
+        t_s=t,
+        commands=episode.commands[LATE:].copy(),
+        observations=seen,
+        digest=f"{episode.digest}, late",
+    )
 
 
 def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(plant):
@@ -170,10 +195,17 @@ def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(plant):
 
     episodes = [late_elbow(e) for e in recorded(plant, sticks, range(4), ROLES)]
     found = diagnose(plant, episodes)
-    assert {(e["effect"], e["joint"]) for e in found.document["effects"]} == {("coulomb_friction", "shoulder"), ("sensor_delay", "elbow")}
-    delay = next(e for e in found.document["effects"] if e["effect"] == "sensor_delay")["estimate"]["delay"]["value"]
+    assert {(e["effect"], e["joint"]) for e in found.document["effects"]} == {
+        ("coulomb_friction", "shoulder"),
+        ("sensor_delay", "elbow"),
+    }
+    delay = next(e for e in found.document["effects"] if e["effect"] == "sensor_delay")["estimate"][
+        "delay"
+    ]["value"]
     assert delay == pytest.approx(LATE * PERIOD_S, rel=0.02)
-    assert found.document["gap"]["beginnings"] == "left out"  # what the drive was told before the log is in no log
+    assert (
+        found.document["gap"]["beginnings"] == "left out"
+    )  # what the drive was told before the log is in no log
     assert "left out" in report_page(found.document, figures(found, episodes))
 
 
@@ -194,9 +226,20 @@ def test_the_pitch_of_a_force_is_found_at_its_joint(plant):
     toothed = machine.having("cogging", {"amplitude": 0.4, "pitch": 0.17, "phase": 1.0}, 1)
     t = np.arange(1500) * PERIOD_S
     q = np.stack([0.5 * np.sin(4.0 * t), 0.6 * np.cos(5.0 * t)], axis=1)
-    plan = RobotPlan("adaptation", np.zeros((1500, 2)), np.concatenate([q, np.gradient(q, PERIOD_S, axis=0)], axis=1))
+    plan = RobotPlan(
+        "adaptation",
+        np.zeros((1500, 2)),
+        np.concatenate([q, np.gradient(q, PERIOD_S, axis=0)], axis=1),
+    )
     found = run(
-        toothed, plan, PERIOD_S, 16, np.full(4, 1e-4), np.random.default_rng(0), 50, Follow(np.array([60.0, 20.0]), np.array([6.0, 2.0]))
+        toothed,
+        plan,
+        PERIOD_S,
+        16,
+        np.full(4, 1e-4),
+        np.random.default_rng(0),
+        50,
+        Follow(np.array([60.0, 20.0]), np.array([6.0, 2.0])),
     )
     (like,) = recorded(plant, lambda _spec: None, (0,), ("adaptation",))
     episode = replace(like, t_s=found.t_s, commands=found.issued, observations=found.observed)
@@ -212,23 +255,35 @@ def test_a_joint_behind_a_spring_is_stepped_with_second_order(plant):
     share, size = rotor(machine.tree, 1), plant.form.sizes[1]
     part = share / size
     period, ratio, both = 0.15, 0.08, part * (1.0 - part)
-    stiffness, damping = both * size * (2.0 * np.pi / period) ** 2, 4.0 * np.pi / period * ratio * both * size
-    soft = machine.having("elastic_transmission", {"stiffness": stiffness, "damping": damping, "share": share}, 1)
+    stiffness, damping = (
+        both * size * (2.0 * np.pi / period) ** 2,
+        4.0 * np.pi / period * ratio * both * size,
+    )
+    soft = machine.having(
+        "elastic_transmission", {"stiffness": stiffness, "damping": damping, "share": share}, 1
+    )
     t = np.arange(250) * PERIOD_S
     u = np.stack([2.0 * np.sin(4.0 * t), 1.5 * np.cos(7.0 * t)], axis=1)
     plan = RobotPlan("adaptation", u, np.zeros((250, 4)))
     found = run(soft, plan, PERIOD_S, 64, np.zeros(4), np.random.default_rng(0))
     (like,) = recorded(plant, lambda _spec: None, (0,), ("adaptation",))
     episode = replace(like, t_s=found.t_s, commands=found.issued, observations=found.observed)
-    fitter = Fitter(plant.form, directions(plant, [episode]), admit(plant, [episode]).scales, np.ones(4))
+    fitter = Fitter(
+        plant.form, directions(plant, [episode]), admit(plant, [episode]).scales, np.ones(4)
+    )
     values, rows = fitter.begin(plant.parameters), fitter.block.rows_of("elastic_transmission@1")
     rigid = np.repeat(values[:, None], BLOCK, axis=1)
     values[[rows["period"], rows["ratio"], rows["share"]]] = period, ratio, part
-    p, on = np.repeat(values[:, None], BLOCK, axis=1), switches(Hypothesis() | "elastic_transmission@1", 2)
+    p, on = (
+        np.repeat(values[:, None], BLOCK, axis=1),
+        switches(Hypothesis() | "elastic_transmission@1", 2),
+    )
 
     def off(p, on, parts):
         s = series(plant, episode, Scheme(0.5, parts), 1.0)
-        return np.abs(roll(s, plant.form, p, on, np.zeros((len(s.begin), 4, BLOCK)))[:, :, 0] - found.observed).max()
+        return np.abs(
+            roll(s, plant.form, p, on, np.zeros((len(s.begin), 4, BLOCK)))[:, :, 0] - found.observed
+        ).max()
 
     coarse, fine = (off(p, on, parts) for parts in (1, 2))
     assert coarse < 0.02 * off(rigid, switches(Hypothesis(), 2), 1)
@@ -236,22 +291,37 @@ def test_a_joint_behind_a_spring_is_stepped_with_second_order(plant):
 
 
 @pytest.mark.parametrize(("times", "astray"), [(3.0, False), (5.0, True)])
-def test_a_robot_is_searched_in_shorter_windows_where_a_fit_ends_far_behind_none(plant, times, astray):
+def test_a_robot_is_searched_in_shorter_windows_where_a_fit_ends_far_behind_none(
+    plant, times, astray
+):
     (episode,) = recorded(plant, rubs, (0,), ("adaptation",))
     admission, windows = admit(plant, [episode]), [series(plant, episode, DECLARED, 0.5)]
     fitter = Fitter(plant.form, directions(plant, [episode]), admission.scales, admission.sigma)
-    problem = Problem(fitter, windows, windows, windows, pieces={episode.digest: series(plant, episode, DECLARED, 0.5, 4)})
+    problem = Problem(
+        fitter,
+        windows,
+        windows,
+        windows,
+        pieces={episode.digest: series(plant, episode, DECLARED, 0.5, 4)},
+    )
     base = problem.refitted([plant.parameters])
     search = Search(problem, found={base.hypothesis: base})
     far = replace(base.fit, hypothesis=Hypothesis() | "cogging", cost=times * base.fit.cost)
     search.found[far.hypothesis] = Candidate(far, base.check)
     assert _astray(search) is astray
-    assert not _astray(replace(search, problem=replace(problem, pieces={})))  # a joint's windows are as long as its motion is foretold
+    assert not _astray(
+        replace(search, problem=replace(problem, pieces={}))
+    )  # a joint's windows are as long as its motion is foretold
 
 
 @pytest.mark.parametrize("stage", ["SIL", "physical"])
 def test_a_recording_that_is_neither_fitted_nor_compared_on_changes_no_criterion(plant, stage):
-    used = [replace(e, conditions={"stage": stage}) for e in recorded(plant, rubs, (0, 1), ("adaptation", "validation"), seconds=1.0)]
-    reference = replace(used[0], role=Role.REFERENCE, conditions={"stage": "physical"}, digest="reference")
+    used = [
+        replace(e, conditions={"stage": stage})
+        for e in recorded(plant, rubs, (0, 1), ("adaptation", "validation"), seconds=1.0)
+    ]
+    reference = replace(
+        used[0], role=Role.REFERENCE, conditions={"stage": "physical"}, digest="reference"
+    )
     adaptation, validation = by_role([*used, reference])
     assert selection_criteria(plant, [*adaptation, *validation]).of_machine is (stage == "physical")

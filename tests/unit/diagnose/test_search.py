@@ -13,17 +13,23 @@ from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.hypothesis import Hypothesis
 
 SHARED = Hypothesis() | "coulomb_friction"
-CHEAP, DEAR = SHARED | "backlash", SHARED | "cogging"  # from where the shared part is fitted at a cost of 8, and of 9
+CHEAP, DEAR = (
+    SHARED | "backlash",
+    SHARED | "cogging",
+)  # from where the shared part is fitted at a cost of 8, and of 9
 
 
 def fit(hypothesis, cost):
     none = np.zeros(0)
-    return RolloutFit(hypothesis, none, none, {}, cost, none, 1, np.zeros((0, 0)), True, np.zeros((0, 0)))
+    return RolloutFit(
+        hypothesis, none, none, {}, cost, none, 1, np.zeros((0, 0)), True, np.zeros((0, 0))
+    )
 
 
 @dataclass
 class Fits:
-    """A problem whose fits cost what the test says; one of them is told of only once the other candidate is done."""
+    """A problem whose fits cost what the test says; one of them is told of only once the other
+    candidate is done."""
 
     slow: float
     done: Event
@@ -50,7 +56,10 @@ def test_the_cheaper_fit_of_a_part_is_kept_whichever_thread_is_faster(slow, monk
     monkeypatch.setattr(rollout_fit, "cores", lambda: 2)
     done = Event()
     search = Search(Fits(slow, done))
-    pair = [Candidate(replace(fit(h, 1.0), values=np.array([cost])), fit(h, 1.0)) for h, cost in ((CHEAP, 8.0), (DEAR, 9.0))]
+    pair = [
+        Candidate(replace(fit(h, 1.0), values=np.array([cost])), fit(h, 1.0))
+        for h, cost in ((CHEAP, 8.0), (DEAR, 9.0))
+    ]
 
     def work(known, candidate):
         known._smaller(candidate)

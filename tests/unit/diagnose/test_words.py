@@ -6,28 +6,55 @@ from trueup.diagnose.words import composition, plus_minus, sentence, short, warn
 from trueup.model.clock import off_step
 
 
-def report(effects=(), *, verdict="effect", before=0.21, numbers=0.12, after=0.013, floor=0.012, closed=0.99, rivals=()):
+def report(
+    effects=(),
+    *,
+    verdict="effect",
+    before=0.21,
+    numbers=0.12,
+    after=0.013,
+    floor=0.012,
+    closed=0.99,
+    rivals=(),
+):
     return {
         "verdict": verdict,
         "effects": list(effects),
         "indistinguishable": list(rivals),
-        "gap": {"before": before, "parameters_only": numbers, "after": after, "floor": floor, "closed": closed, "ci95": [0.98, 1.0]},
+        "gap": {
+            "before": before,
+            "parameters_only": numbers,
+            "after": after,
+            "floor": floor,
+            "closed": closed,
+            "ci95": [0.98, 1.0],
+        },
     }
 
 
 def recorded(*periods_s, step_s=0.005, **gap):
-    episodes = [{"sha256": f"{i}" * 64, "role": "adaptation", "period_s": period} for i, period in enumerate(periods_s)]
+    episodes = [
+        {"sha256": f"{i}" * 64, "role": "adaptation", "period_s": period}
+        for i, period in enumerate(periods_s)
+    ]
     return {**report(**gap), "where": {}, "evidence": {"timestep_s": step_s, "episodes": episodes}}
 
 
 def friction(share=0.6, **more):
     level = {"value": 0.2104, "unit": "m/s^2", "ci95": [0.1904, 0.2304]}
-    return {"effect": "coulomb_friction", "channel": "joint", "estimate": {"level": level}, "share": share, **more}
+    return {
+        "effect": "coulomb_friction",
+        "channel": "joint",
+        "estimate": {"level": level},
+        "share": share,
+        **more,
+    }
 
 
 def test_an_effect_is_told_with_its_level_its_part_and_the_errors():
     assert sentence(report([friction()], numbers=0.2)) == (
-        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², explains 90 % of the gap and new numbers 9.3 %; "
+        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², explains 90 % of the gap "
+        "and new numbers 9.3 %; "
         "held-out error falls from 0.21 to 0.013, the noise floor is 0.012."
     )
 
@@ -35,7 +62,8 @@ def test_an_effect_is_told_with_its_level_its_part_and_the_errors():
 def test_new_numbers_come_first_where_they_explain_most():
     told = sentence(report([friction()]))
     assert told.startswith(
-        "New numbers in the nominal form explain 67 % of the gap; what they leave is Coulomb friction at the joint, level"
+        "New numbers in the nominal form explain 67 % of the gap; what they leave is "
+        "Coulomb friction at the joint, level"
     )
 
 
@@ -47,7 +75,12 @@ def test_a_robots_joint_is_named_and_so_is_what_cannot_be_told():
 
 
 @pytest.mark.parametrize(
-    ("verdict", "said"), [("no_gap", "already predicts"), ("unknown_effect", "no composition"), ("parameters_only", "New")]
+    ("verdict", "said"),
+    [
+        ("no_gap", "already predicts"),
+        ("unknown_effect", "no composition"),
+        ("parameters_only", "New"),
+    ],
 )
 def test_other_verdicts_have_their_words(verdict, said):
     assert said in sentence(report(verdict=verdict, closed=None if verdict == "no_gap" else 0.9))
@@ -56,7 +89,13 @@ def test_other_verdicts_have_their_words(verdict, said):
 def test_the_waterfall_adds_up_to_the_whole():
     two = report([friction(0.3), {**friction(0.1), "effect": "backlash"}])
     parts = waterfall(two)
-    assert [p["what"] for p in parts] == ["new numbers", "Coulomb friction", "backlash", "not explained", "noise floor"]
+    assert [p["what"] for p in parts] == [
+        "new numbers",
+        "Coulomb friction",
+        "backlash",
+        "not explained",
+        "noise floor",
+    ]
     assert sum(p["share"] for p in parts) == pytest.approx(1.0)
     assert parts[1]["share"] == pytest.approx(3.0 * parts[2]["share"])
     assert parts[0]["share"] == pytest.approx(1.0 - (0.12 / 0.21) ** 2)
@@ -87,10 +126,14 @@ def test_a_clock_of_whole_steps_is_passed_over(period_s):
     assert warnings(recorded(period_s)) == []
 
 
-@pytest.mark.parametrize(("period_s", "told"), [(0.0053, "5.3 ms"), (0.0083, "8.3 ms"), (0.004, "4 ms")])
+@pytest.mark.parametrize(
+    ("period_s", "told"), [(0.0053, "5.3 ms"), (0.0083, "8.3 ms"), (0.004, "4 ms")]
+)
 def test_a_clock_off_the_declared_step_is_told(period_s, told):
     (warning,) = warnings(recorded(0.005, period_s))
-    assert warning.startswith(f"1 of 2 episodes are off the declared step, the first recorded every {told}, ")
+    assert warning.startswith(
+        f"1 of 2 episodes are off the declared step, the first recorded every {told}, "
+    )
     assert "declares steps of 5 ms" in warning
 
 

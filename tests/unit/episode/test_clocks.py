@@ -1,4 +1,5 @@
-"""A recording whose stamps and log times contradict each other is warned of; latency is no contradiction."""
+"""A recording whose stamps and log times contradict each other is warned of; latency is no
+contradiction."""
 
 import io
 
@@ -19,12 +20,17 @@ S = 1_000_000_000
 def logged(at, samples=400):
     """The warnings of 20 s of samples whose log times [ns] are made of their stamps."""
     return [
-        w for w in measured(PLANT, read_episode(relogged(episode_bytes(samples=samples), at), PLANT.layout))["warnings"] if "clock" in w
+        w
+        for w in measured(
+            PLANT, read_episode(relogged(episode_bytes(samples=samples), at), PLANT.layout)
+        )["warnings"]
+        if "clock" in w
     ]
 
 
 def relogged(data, at):
-    """The recording with other log times: `at` makes them of an array of the old ones, for each topic."""
+    """The recording with other log times: `at` makes them of an array of the old ones, for each
+    topic."""
     reader, out = make_reader(io.BytesIO(data)), io.BytesIO()
     found = list(reader.iter_messages(log_time_order=False))
     first = min(m.log_time for *_, m in found)
@@ -37,9 +43,18 @@ def relogged(data, at):
     schemas, channels = {}, {}
     for schema, channel, message in found:
         if channel.topic not in channels:
-            schemas[schema.id] = schemas.get(schema.id) or writer.register_schema(schema.name, schema.encoding, schema.data)
-            channels[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, schemas[schema.id])
-        writer.add_message(channels[channel.topic], int(next(times[channel.topic])), message.data, message.publish_time)
+            schemas[schema.id] = schemas.get(schema.id) or writer.register_schema(
+                schema.name, schema.encoding, schema.data
+            )
+            channels[channel.topic] = writer.register_channel(
+                channel.topic, channel.message_encoding, schemas[schema.id]
+            )
+        writer.add_message(
+            channels[channel.topic],
+            int(next(times[channel.topic])),
+            message.data,
+            message.publish_time,
+        )
     for metadata in make_reader(io.BytesIO(data)).iter_metadata():
         writer.add_metadata(metadata.name, metadata.metadata)
     writer.finish()
@@ -72,7 +87,9 @@ def test_latency_is_no_contradiction(name):
 def test_clocks_that_contradict_each_other_are_told_of_on_each_topic(name):
     at, words = AMISS[name]
     found = logged(at)
-    assert [topic in w for topic, w in zip(("/joint_states", "/joint_commands"), found, strict=True)] == [True, True]
+    assert [
+        topic in w for topic, w in zip(("/joint_states", "/joint_commands"), found, strict=True)
+    ] == [True, True]
     assert all(words in w for w in found)
 
 

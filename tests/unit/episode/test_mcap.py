@@ -1,4 +1,5 @@
-"""Episodes from MCAP: every encoding, irregular times, missing channels, several joints, and each rule broken."""
+"""Episodes from MCAP: every encoding, irregular times, missing channels, several joints, and each
+rule broken."""
 
 import hashlib
 import io
@@ -26,7 +27,12 @@ OBSERVED, ISSUED = RNG.normal(size=(50, 6)), RNG.normal(size=(50, 3))
 PLANT = Plant.from_document(plant_document())
 
 
-def raw(messages, metadata=({"role": "adaptation"},), encoding="json", schema="sensor_msgs/msg/JointState"):
+def raw(
+    messages,
+    metadata=({"role": "adaptation"},),
+    encoding="json",
+    schema="sensor_msgs/msg/JointState",
+):
     """A file of JSON messages (topic, log time, dict)."""
     stream = io.BytesIO()
     writer = Writer(stream)
@@ -51,7 +57,11 @@ def raw(messages, metadata=({"role": "adaptation"},), encoding="json", schema="s
 def stock(data, decoder):
     """What the stock reader decodes on the observation topic."""
     reader = make_reader(io.BytesIO(data), decoder_factories=[decoder])
-    return [message for _, channel, _, message in reader.iter_decoded_messages() if channel.topic == "/joint_states"]
+    return [
+        message
+        for _, channel, _, message in reader.iter_decoded_messages()
+        if channel.topic == "/joint_states"
+    ]
 
 
 def pair(i, q=0.0, u=0.0):
@@ -63,10 +73,17 @@ def pair(i, q=0.0, u=0.0):
 
 @pytest.mark.parametrize("encoding", list(Encoding))
 def test_several_joints_come_back_bit_for_bit(encoding):
-    found = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED, encoding=encoding, stage="MIL"), LAYOUT)
+    found = read_episode(
+        mcap_bytes(LAYOUT, OBSERVED, ISSUED, encoding=encoding, stage="MIL"), LAYOUT
+    )
     assert np.array_equal(found.observations, OBSERVED)
     assert np.array_equal(found.commands, ISSUED)
-    assert (found.role, dict(found.conditions), found.start_ns, found.missing) == (Role.ADAPTATION, {"stage": "MIL"}, T0_NS, ())
+    assert (found.role, dict(found.conditions), found.start_ns, found.missing) == (
+        Role.ADAPTATION,
+        {"stage": "MIL"},
+        T0_NS,
+        (),
+    )
     assert found.period_s == pytest.approx(0.05)
 
 
@@ -90,7 +107,9 @@ def test_the_stock_ros2_reader_reads_what_we_write():
 
 
 def test_the_stock_protobuf_reader_reads_what_we_write():
-    states = stock(mcap_bytes(LAYOUT, OBSERVED, ISSUED, encoding=Encoding.PROTOBUF), ProtobufDecoder())
+    states = stock(
+        mcap_bytes(LAYOUT, OBSERVED, ISSUED, encoding=Encoding.PROTOBUF), ProtobufDecoder()
+    )
     assert [list(m.position) + list(m.velocity) for m in states] == OBSERVED.tolist()
 
 
@@ -105,20 +124,38 @@ def test_what_the_stock_ros2_writer_writes_is_read():
         writer.write_message(
             "/joint_states",
             schema,
-            {"header": header, "name": ["a", "bcd"], "position": [float(i), -1.0], "velocity": [], "effort": []},
+            {
+                "header": header,
+                "name": ["a", "bcd"],
+                "position": [float(i), -1.0],
+                "velocity": [],
+                "effort": [],
+            },
             log_time=i,
         )
         writer.write_message(
             "/joint_commands",
             schema,
-            {"header": header, "name": ["a", "bcd"], "position": [], "velocity": [], "effort": [2.0, float(i)]},
+            {
+                "header": header,
+                "name": ["a", "bcd"],
+                "position": [],
+                "velocity": [],
+                "effort": [2.0, float(i)],
+            },
             log_time=i,
         )
     writer._writer.add_metadata("episode", {"role": "test"})
     writer.finish()
-    layout = Layout((Channel("q", "rad", Field.POSITION, "a"),), (Channel("u", "N·m", Field.EFFORT, "bcd"),))
+    layout = Layout(
+        (Channel("q", "rad", Field.POSITION, "a"),), (Channel("u", "N·m", Field.EFFORT, "bcd"),)
+    )
     found = read_episode(stream.getvalue(), layout)
-    assert found.observations[:, 0].tolist() == found.commands[:, 0].tolist() == [float(i) for i in range(30)]
+    assert (
+        found.observations[:, 0].tolist()
+        == found.commands[:, 0].tolist()
+        == [float(i) for i in range(30)]
+    )
     assert np.diff(found.t_s) == pytest.approx(1e-6)
 
 
@@ -131,7 +168,9 @@ def test_irregular_times_and_gaps_are_kept():
 
 
 def test_a_missing_channel_is_a_column_of_nan_and_is_named():
-    wider = Layout((*LAYOUT.observations, Channel("vx", "rad/s", Field.VELOCITY, "absent")), LAYOUT.commands)
+    wider = Layout(
+        (*LAYOUT.observations, Channel("vx", "rad/s", Field.VELOCITY, "absent")), LAYOUT.commands
+    )
     found = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED), wider)
     assert found.missing == ("vx",)
     assert np.isnan(found.observations[:, -1]).all()
@@ -144,7 +183,10 @@ def test_there_may_be_one_command_less_than_states():
 
 
 def test_a_command_acts_from_its_stamp_on_and_samples_before_the_first_are_dropped():
-    states = [("/joint_states", i * 10, {"name": ["j"], "position": [float(i)], "velocity": [0.0]}) for i in range(1, 8)]
+    states = [
+        ("/joint_states", i * 10, {"name": ["j"], "position": [float(i)], "velocity": [0.0]})
+        for i in range(1, 8)
+    ]
     orders = [("/joint_commands", t, {"name": ["j"], "effort": [float(t)]}) for t in (25, 40, 41)]
     found = read_episode(raw(sorted(states + orders, key=lambda m: m[1])), PLANT.layout)
     assert found.observations[:, 0].tolist() == [3.0, 4.0, 5.0, 6.0, 7.0]
@@ -152,23 +194,36 @@ def test_a_command_acts_from_its_stamp_on_and_samples_before_the_first_are_dropp
 
 
 def test_a_command_between_samples_acts_for_its_part_of_the_interval():
-    """Fast and offset commands: the identified drive gain stays true, which it does not if a sample's command is held."""
+    """Fast and offset commands: the identified drive gain stays true, which it does not if a
+    sample's command is held."""
     rng, dt, n = np.random.default_rng(0), 10_000_000, 4000
     fine = rng.uniform(-1, 1, n + 5)
     states = np.zeros((n, 2))
     for i in range(n - 1):
-        states[i + 1] = PLANT.update(states[i : i + 1], fine[i : i + 1, None], (1.25, 0.62, 0.82), dt / 1e9)[0]
+        states[i + 1] = PLANT.update(
+            states[i : i + 1], fine[i : i + 1, None], (1.25, 0.62, 0.82), dt / 1e9
+        )[0]
     for offset in (0, 2):
         every = [(i * dt, states[i]) for i in range(offset, n, 5)]
-        messages = [("/joint_states", 1 + t, {"name": ["j"], "position": [q], "velocity": [v]}) for t, (q, v) in every]
-        messages += [("/joint_commands", 1 + i * dt, {"name": ["j"], "effort": [fine[i]]}) for i in range(n)]
+        messages = [
+            ("/joint_states", 1 + t, {"name": ["j"], "position": [q], "velocity": [v]})
+            for t, (q, v) in every
+        ]
+        messages += [
+            ("/joint_commands", 1 + i * dt, {"name": ["j"], "effort": [fine[i]]}) for i in range(n)
+        ]
         found = read_episode(raw(sorted(messages, key=lambda m: m[1])), PLANT.layout)
         assert identify(PLANT, [found])[1].parameters["b"] == pytest.approx(0.82, rel=0.03)
 
 
-@pytest.mark.parametrize(("channel", "said"), [(Channel("q", "m", Field.POSITION, "other"), "q"), (Channel("u", "V", Field.VELOCITY), "u")])
+@pytest.mark.parametrize(
+    ("channel", "said"),
+    [(Channel("q", "m", Field.POSITION, "other"), "q"), (Channel("u", "V", Field.VELOCITY), "u")],
+)
 def test_a_position_or_a_command_that_the_log_lacks_is_refused_by_name(channel, said):
-    observations = (channel, PLANT.layout.observations[1]) if said == "q" else PLANT.layout.observations
+    observations = (
+        (channel, PLANT.layout.observations[1]) if said == "q" else PLANT.layout.observations
+    )
     commands = (channel,) if said == "u" else PLANT.layout.commands
     with pytest.raises(NotAnEpisode) as refused:
         read_episode(episode_bytes(), Layout(observations, commands))
@@ -179,9 +234,15 @@ def test_two_clocks_are_not_mixed():
     messages = []
     for i in range(1, 30):
         header = {"stamp": {"sec": 0, "nanosec": i}}
-        messages += [("/joint_states", i * 10**9, {"name": ["j"], "position": [0.1 * i], "velocity": [0.0]})]
-        messages += [("/joint_commands", i * 10**9, {"header": header, "name": ["j"], "effort": [float(i)]})]
-    assert read_episode(raw(messages), PLANT.layout).commands[:, 0].tolist() == [float(i) for i in range(1, 30)]
+        messages += [
+            ("/joint_states", i * 10**9, {"name": ["j"], "position": [0.1 * i], "velocity": [0.0]})
+        ]
+        messages += [
+            ("/joint_commands", i * 10**9, {"header": header, "name": ["j"], "effort": [float(i)]})
+        ]
+    assert read_episode(raw(messages), PLANT.layout).commands[:, 0].tolist() == [
+        float(i) for i in range(1, 30)
+    ]
 
 
 def test_log_time_counts_where_every_stamp_is_zero():
@@ -193,38 +254,116 @@ CDR_EMPTY = b"\0\1\0\0" + bytes(32)
 
 REFUSED = {
     "no role": (raw([m for i in range(3) for m in pair(i + 1)], metadata=()), "role"),
-    "two roles": (raw([m for i in range(3) for m in pair(i + 1)], metadata=({"role": "test"}, {"role": "adaptation"})), "role"),
-    "an unknown role": (raw([m for i in range(3) for m in pair(i + 1)], metadata=({"role": "anything"},)), "role"),
+    "two roles": (
+        raw(
+            [m for i in range(3) for m in pair(i + 1)],
+            metadata=({"role": "test"}, {"role": "adaptation"}),
+        ),
+        "role",
+    ),
+    "an unknown role": (
+        raw([m for i in range(3) for m in pair(i + 1)], metadata=({"role": "anything"},)),
+        "role",
+    ),
     "no observation topic": (raw([m for i in range(3) for m in pair(i + 1)][1::2]), "topic"),
     "no command topic": (raw([m for i in range(3) for m in pair(i + 1)][::2]), "topic"),
     "no message": (raw([]), "topic"),
     "a clock that runs back": (raw([m for i in (1, 2, 4, 3, 5) for m in pair(i)]), "clock"),
     "a stamp twice": (raw([m for i in (1, 2, 2, 3) for m in pair(i)]), "clock"),
     "one sample": (raw(pair(1)), "samples"),
-    "a hole in a channel": (raw([*pair(1), ("/joint_states", 2, {"name": ["j"], "position": [], "velocity": [0.0]}), *pair(3)]), "finite"),
-    "null as a number": (raw([*pair(1), ("/joint_states", 2, {"name": ["j"], "position": [None], "velocity": [0.0]}), *pair(3)]), "finite"),
-    "no declared observation": (raw([m for i in range(1, 4) for m in (("/joint_states", i, {"name": ["j"]}), pair(i)[1])]), "samples"),
-    "an unknown encoding": (raw([m for i in range(3) for m in pair(i + 1)], encoding="xml"), "encoding"),
-    "CDR that is none": (raw([("/joint_states", 1, b"\0\1\0\0\1"), ("/joint_commands", 1, b"")], encoding="cdr"), "message"),
-    "JSON that is none": (raw([("/joint_states", 1, b"{"), ("/joint_commands", 1, b"{}")]), "message"),
-    "JSON of another shape": (raw([("/joint_states", 1, b"[1]"), ("/joint_commands", 1, b"{}")]), "message"),
-    "a text as a number": (raw([*pair(1), ("/joint_states", 2, {"name": ["j"], "position": ["far"]})]), "message"),
+    "a hole in a channel": (
+        raw(
+            [
+                *pair(1),
+                ("/joint_states", 2, {"name": ["j"], "position": [], "velocity": [0.0]}),
+                *pair(3),
+            ]
+        ),
+        "finite",
+    ),
+    "null as a number": (
+        raw(
+            [
+                *pair(1),
+                ("/joint_states", 2, {"name": ["j"], "position": [None], "velocity": [0.0]}),
+                *pair(3),
+            ]
+        ),
+        "finite",
+    ),
+    "no declared observation": (
+        raw([m for i in range(1, 4) for m in (("/joint_states", i, {"name": ["j"]}), pair(i)[1])]),
+        "samples",
+    ),
+    "an unknown encoding": (
+        raw([m for i in range(3) for m in pair(i + 1)], encoding="xml"),
+        "encoding",
+    ),
+    "CDR that is none": (
+        raw([("/joint_states", 1, b"\0\1\0\0\1"), ("/joint_commands", 1, b"")], encoding="cdr"),
+        "message",
+    ),
+    "JSON that is none": (
+        raw([("/joint_states", 1, b"{"), ("/joint_commands", 1, b"{}")]),
+        "message",
+    ),
+    "JSON of another shape": (
+        raw([("/joint_states", 1, b"[1]"), ("/joint_commands", 1, b"{}")]),
+        "message",
+    ),
+    "a text as a number": (
+        raw([*pair(1), ("/joint_states", 2, {"name": ["j"], "position": ["far"]})]),
+        "message",
+    ),
     "no overlap in time": (
-        raw([pair(1)[0], pair(2)[0], *(("/joint_commands", i, {"name": ["j"], "effort": [0.0]}) for i in (7, 8))]),
+        raw(
+            [
+                pair(1)[0],
+                pair(2)[0],
+                *(("/joint_commands", i, {"name": ["j"], "effort": [0.0]}) for i in (7, 8)),
+            ]
+        ),
         "clock",
     ),
     "a clock that was set": (raw([*pair(1), *pair(2), *pair(10**17)]), "clock"),
     "infinity everywhere": (
-        raw([m for i in (1, 2) for m in (("/joint_states", i, {"name": ["j"], "position": [0.0], "velocity": [1e999]}), pair(i)[1])]),
+        raw(
+            [
+                m
+                for i in (1, 2)
+                for m in (
+                    ("/joint_states", i, {"name": ["j"], "position": [0.0], "velocity": [1e999]}),
+                    pair(i)[1],
+                )
+            ]
+        ),
         "message",
     ),
     "a log time beyond 64 bits": (
-        raw([(t, 2**63 + i, CDR_EMPTY) for i in range(2) for t in ("/joint_states", "/joint_commands")], encoding="cdr"),
+        raw(
+            [
+                (t, 2**63 + i, CDR_EMPTY)
+                for i in range(2)
+                for t in ("/joint_states", "/joint_commands")
+            ],
+            encoding="cdr",
+        ),
         "clock",
     ),
-    "CDR of another type": (raw([("/joint_states", 1, CDR_EMPTY)], encoding="cdr", schema="control_msgs/msg/JointJog"), "encoding"),
+    "CDR of another type": (
+        raw([("/joint_states", 1, CDR_EMPTY)], encoding="cdr", schema="control_msgs/msg/JointJog"),
+        "encoding",
+    ),
     "a stamp beyond 64 bits": (
-        raw([("/joint_states", 1, {"header": {"stamp": {"sec": 10**30}}, "name": ["j"], "position": [0.0]})]),
+        raw(
+            [
+                (
+                    "/joint_states",
+                    1,
+                    {"header": {"stamp": {"sec": 10**30}}, "name": ["j"], "position": [0.0]},
+                )
+            ]
+        ),
         "clock",
     ),
 }
@@ -245,7 +384,12 @@ def test_a_cdr_message_that_declares_too_much_is_refused():
     schema = writer.register_schema("sensor_msgs/msg/JointState", "ros2msg", b"")
     for topic in ("/joint_states", "/joint_commands"):
         channel = writer.register_channel(topic, "cdr", schema)
-        writer.add_message(channel, log_time=1, publish_time=1, data=b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + b"\xff\xff\xff\x7f")
+        writer.add_message(
+            channel,
+            log_time=1,
+            publish_time=1,
+            data=b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0" + b"\xff\xff\xff\x7f",
+        )
     writer.add_metadata("episode", {"role": "test"})
     writer.finish()
     with pytest.raises(NotAnEpisode) as refused:
@@ -255,7 +399,10 @@ def test_a_cdr_message_that_declares_too_much_is_refused():
 
 def test_conditions_are_a_page_of_text_at_most():
     messages = [m for i in range(1, 4) for m in pair(i)]
-    for metadata in ({"role": "test", "note": "x" * 5000}, {"role": "test", **{f"k{i}": "" for i in range(99)}}):
+    for metadata in (
+        {"role": "test", "note": "x" * 5000},
+        {"role": "test", **{f"k{i}": "" for i in range(99)}},
+    ):
         with pytest.raises(TooLarge) as refused:
             read_episode(raw(messages, metadata=(metadata,)), PLANT.layout)
         assert refused.value.facts["limit"] == "conditions"
@@ -266,15 +413,21 @@ def test_unchunked_messages_are_gathered(monkeypatch):
     writer = Writer(stream, use_chunking=False)
     writer.start()
     schema = writer.register_schema("s", "jsonschema", b"{}")
-    channels = [writer.register_channel(t, "json", schema) for t in ("/joint_states", "/joint_commands")]
+    channels = [
+        writer.register_channel(t, "json", schema) for t in ("/joint_states", "/joint_commands")
+    ]
     for i in range(1, 2000):
         for channel, (_, t, message) in zip(channels, pair(i, q=float(i)), strict=True):
-            writer.add_message(channel, log_time=t, publish_time=t, data=json.dumps(message).encode())
+            writer.add_message(
+                channel, log_time=t, publish_time=t, data=json.dumps(message).encode()
+            )
     writer.add_metadata("episode", {"role": "test"})
     writer.finish()
     for gather in (1, 5000, 1 << 20):
         monkeypatch.setattr("trueup.episode.walk.GATHER_BYTES", gather)
-        assert read_episode(stream.getvalue(), PLANT.layout).observations[:, 0].tolist() == [float(i) for i in range(1, 2000)]
+        assert read_episode(stream.getvalue(), PLANT.layout).observations[:, 0].tolist() == [
+            float(i) for i in range(1, 2000)
+        ]
 
 
 def test_a_role_is_required():

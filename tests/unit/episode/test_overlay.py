@@ -1,4 +1,5 @@
-"""A recording with what models say of it: what was recorded is there as it was, and what is added stands at its samples."""
+"""A recording with what models say of it: what was recorded is there as it was, and what is added
+stands at its samples."""
 
 from io import BytesIO
 from itertools import pairwise
@@ -28,7 +29,9 @@ def made(request):
 
 
 def messages(data, topic):
-    return [(m.log_time, m.data) for _, _, m in make_reader(BytesIO(data)).iter_messages(topics=[topic])]
+    return [
+        (m.log_time, m.data) for _, _, m in make_reader(BytesIO(data)).iter_messages(topics=[topic])
+    ]
 
 
 def test_what_was_recorded_is_copied_as_it_was(made):
@@ -47,7 +50,11 @@ def test_predictions_and_residuals_stand_at_their_samples(made):
     assert len(found) == len(episode.t_s)
     stamps = [d.header.stamp.sec * 10**9 + d.header.stamp.nanosec for d in found]
     np.testing.assert_allclose(np.array(stamps) - episode.start_ns, episode.t_s * 1e9, atol=1.0)
-    np.testing.assert_allclose([(d.position[0], d.velocity[0]) for d in found], np.tile([-0.5, 0.25], (len(found), 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        [(d.position[0], d.velocity[0]) for d in found],
+        np.tile([-0.5, 0.25], (len(found), 1)),
+        atol=1e-12,
+    )
 
 
 def test_regions_are_told_whenever_they_change(made):
@@ -58,4 +65,6 @@ def test_regions_are_told_whenever_they_change(made):
     assert all(a != b for a, b in pairwise(told))
     inside = regions_of_samples(plant, episode)
     assert told[0] == [name for name, of in inside.items() if of[0]]
-    assert {name for names in told for name in names} == {name for name, of in inside.items() if of.any()}
+    assert {name for names in told for name in names} == {
+        name for name, of in inside.items() if of.any()
+    }

@@ -50,7 +50,10 @@ def test_times_that_no_clock_shows_are_refused(start_ns, t_s):
     assert refused.value.facts["rule"] == "t_s"
 
 
-@given(st.integers(0, 2**62), st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=2, max_size=4))
+@given(
+    st.integers(0, 2**62),
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=2, max_size=4),
+)
 def test_whatever_the_times_are_it_is_an_episode_or_refused(start_ns, t_s):
     with suppress(NotAnEpisode):
         assert (told(start_ns, t_s).t_s >= 0.0).all()

@@ -1,4 +1,5 @@
-"""Convergence: a minimum is proven, the same from wherever a fit begins, and every minimum that the data allow is kept."""
+"""Convergence: a minimum is proven, the same from wherever a fit begins, and every minimum that the
+data allow is kept."""
 
 from dataclasses import replace
 
@@ -27,7 +28,13 @@ def _posed(of, correlation=None):
     plant, episodes, trial = of
     adaptation = [e for e in episodes if e.role == "adaptation"]
     admission = admit(plant, adaptation)
-    fitter = Fitter(plant.form, Directions.of_family(plant.dynamics.parameter_names), admission.scales, trial.sigma, correlation)
+    fitter = Fitter(
+        plant.form,
+        Directions.of_family(plant.dynamics.parameter_names),
+        admission.scales,
+        trial.sigma,
+        correlation,
+    )
     data = [series(plant, e, refined(plant), 2.0) for e in adaptation]
     values = fitter.with_effect(fitter.begin(plant.parameters), "coulomb_friction", (0.2,))
     return fitter, data, fitter.fit(data, FRICTION, values), trial
@@ -41,9 +48,13 @@ def test_a_minimum_is_proven_and_the_same_from_far_to_both_sides(posed):
     widths = np.array(list(half_widths(best, best).values()))
     for side in (-3.0, 3.0):
         values = best.free.moved(best.values, side * widths)
-        other = converge(fitter, data, fitter.fit(data, FRICTION, values, best.starts, iterations=4))
+        other = converge(
+            fitter, data, fitter.fit(data, FRICTION, values, best.starts, iterations=4)
+        )
         assert other.converged
-        assert np.abs(other.free.at(other.values) - best.free.at(best.values)) == pytest.approx(0.0, abs=0.02 * widths.max())
+        assert np.abs(other.free.at(other.values) - best.free.at(best.values)) == pytest.approx(
+            0.0, abs=0.02 * widths.max()
+        )
 
 
 def test_a_proven_minimum_costs_no_more_than_its_neighbours(posed):
@@ -61,12 +72,19 @@ def test_where_errors_grow_within_a_window_its_start_is_found_by_steps_as_short_
     fitter, data, _, _ = _posed((plant, episodes, trial))
     cogging, machine = Hypothesis(("cogging",)), trial.machine
     law = machine.imperfections["cogging"]
-    values = fitter.begin([{"k": machine.k, "c": machine.c, "b": machine.b}[n] for n in plant.dynamics.parameter_names])
+    values = fitter.begin(
+        [
+            {"k": machine.k, "c": machine.c, "b": machine.b}[n]
+            for n in plant.dynamics.parameter_names
+        ]
+    )
     rows = fitter.block.rows_of("cogging")
     values[rows["sine"]] = law["amplitude"] * np.cos(law["phase"])
     values[rows["cosine"]] = law["amplitude"] * np.sin(law["phase"])
     values[rows["pitch"]] = law["pitch"]
-    coarse, fine = (fitter.started(data, cogging, values, iterations=25, fine=fine) for fine in (False, True))
+    coarse, fine = (
+        fitter.started(data, cogging, values, iterations=25, fine=fine) for fine in (False, True)
+    )
     assert fine.misfit < coarse.misfit - 0.02
     assert fine.misfit < 1.05
 
@@ -79,7 +97,10 @@ def test_a_start_in_another_valley_is_found_around(posed):
         windows[0, 1] += 2.5 * fitter.sigma[1]
         astray[s.digest] = Start(windows, {})
     found = fitter.scattered(data, FRICTION, fit.values, astray)
-    costs = [fitter.started(data, FRICTION, fit.values, starts, iterations=0).cost for starts in (astray, found)]
+    costs = [
+        fitter.started(data, FRICTION, fit.values, starts, iterations=0).cost
+        for starts in (astray, found)
+    ]
     assert costs[1] < 0.9 * costs[0]
 
 
@@ -90,7 +111,9 @@ def test_intervals_hold_the_truth_and_span_every_minimum(posed):
     low, high = intervals(found, found[0])["coulomb_friction", "level"]
     truth = trial.machine.imperfections["coulomb_friction"]["level"]
     assert low < truth < high
-    elsewhere = replace(found[0], values=found[0].free.moved(found[0].values, np.array([0.0, 0.0, 0.0, high - low])))
+    elsewhere = replace(
+        found[0], values=found[0].free.moved(found[0].values, np.array([0.0, 0.0, 0.0, high - low]))
+    )
     lower, higher = intervals([found[0], elsewhere], found[0])["coulomb_friction", "level"]
     assert lower <= low
     assert higher > high

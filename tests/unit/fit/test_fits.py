@@ -45,7 +45,9 @@ def test_intervals_cover_the_truth_under_noise_in_the_velocity():
 
 
 def test_an_episode_that_excites_nothing_is_refused():
-    still = read_episode(mcap_bytes(PLANT.layout, np.zeros((60, 2)), np.zeros((60, 1))), PLANT.layout)
+    still = read_episode(
+        mcap_bytes(PLANT.layout, np.zeros((60, 2)), np.zeros((60, 1))), PLANT.layout
+    )
     with pytest.raises(NotIdentifiable) as refused:
         identify(PLANT, [still])
     assert refused.value.facts["rank"] == 0
@@ -66,7 +68,9 @@ def test_a_fit_reads_adaptation_episodes_alone(fit, role):
 def test_a_linear_gap_is_closed_by_the_residual():
     held_out = [episode(5, role=Role.VALIDATION)]
     residual, found = fit_residual(PLANT, [episode()])
-    before, after = (score(p, held_out, Scoring(2.0, EVERY)).rollout[0] for p in (Nominal(PLANT), residual))
+    before, after = (
+        score(p, held_out, Scoring(2.0, EVERY)).rollout[0] for p in (Nominal(PLANT), residual)
+    )
     assert after < 1e-5 * before
     assert found.after_rms[1] < 1e-6 * found.before_rms[1]
 
@@ -92,7 +96,10 @@ def test_the_score_is_the_error_norm_in_declared_scales(horizon):
 def test_an_episode_without_a_window_is_refused_by_name(windows):
     stamps = np.array([0, 3, 6]) * 10**9
     sparse = read_episode(
-        mcap_bytes(PLANT.layout, np.zeros((3, 2)), np.zeros((3, 1)), role=Role.VALIDATION, stamps_ns=stamps), PLANT.layout
+        mcap_bytes(
+            PLANT.layout, np.zeros((3, 2)), np.zeros((3, 1)), role=Role.VALIDATION, stamps_ns=stamps
+        ),
+        PLANT.layout,
     )
     with pytest.raises(NotAnEpisode) as refused:
         score(Nominal(PLANT), [sparse], Scoring(2.0, windows))
@@ -102,7 +109,14 @@ def test_an_episode_without_a_window_is_refused_by_name(windows):
 def test_the_first_window_is_the_first_that_can_be_scored():
     stamps = np.r_[0, 5_000_000_000 + np.arange(50) * 50_000_000]
     late = read_episode(
-        mcap_bytes(PLANT.layout, np.zeros((51, 2)), np.zeros((51, 1)), role=Role.VALIDATION, stamps_ns=stamps), PLANT.layout
+        mcap_bytes(
+            PLANT.layout,
+            np.zeros((51, 2)),
+            np.zeros((51, 1)),
+            role=Role.VALIDATION,
+            stamps_ns=stamps,
+        ),
+        PLANT.layout,
     )
     assert score(Nominal(PLANT), [late], Scoring(2.0)).rollout.tolist() == [0.0]
 
@@ -111,9 +125,17 @@ def test_friction_features_bring_a_real_axis_below_a_millimetre():
     """EMPS: figures on its validation part, from fits on its adaptation part alone."""
     plant = Plant.from_document(json.loads((EMPS / "plant.json").read_text()))
     episodes = [read_episode(p.read_bytes(), plant.layout) for p in sorted(EMPS.glob("*.mcap"))]
-    adaptation, validation = ([e for e in episodes if e.role is role] for role in (Role.ADAPTATION, Role.VALIDATION))
-    predictors = Nominal(plant), identify(plant, adaptation)[0], fit_residual(plant, adaptation, FRICTION)[0]
-    nominal, identified, friction = (max(float(rollout_rms(p, e, 1.0)[0]) for e in validation) for p in predictors)
+    adaptation, validation = (
+        [e for e in episodes if e.role is role] for role in (Role.ADAPTATION, Role.VALIDATION)
+    )
+    predictors = (
+        Nominal(plant),
+        identify(plant, adaptation)[0],
+        fit_residual(plant, adaptation, FRICTION)[0],
+    )
+    nominal, identified, friction = (
+        max(float(rollout_rms(p, e, 1.0)[0]) for e in validation) for p in predictors
+    )
     assert nominal > 0.025
     assert identified < 0.0075
     assert friction < 0.001

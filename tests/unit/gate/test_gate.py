@@ -27,7 +27,9 @@ NEAR = (1.2, 0.6, 0.8)
 
 def trial(candidate, incumbent=(1.0, 1.0)):
     return Trial(
-        Score(np.array([candidate[1]]), np.array([candidate[0]])), Score(np.array([incumbent[1]]), np.array([incumbent[0]])), ("e" * 64,)
+        Score(np.array([candidate[1]]), np.array([candidate[0]])),
+        Score(np.array([incumbent[1]]), np.array([incumbent[0]])),
+        ("e" * 64,),
     )
 
 
@@ -37,7 +39,14 @@ def decide(found, gate=GATE):
 
 @pytest.mark.parametrize(
     ("candidate", "accepted"),
-    [((1.0, 0.97), True), ((1.0, 0.98), False), ((1.1, 0.5), False), ((0.5, 1.0), False), ((np.nan, 0.5), False), ((0.5, np.nan), False)],
+    [
+        ((1.0, 0.97), True),
+        ((1.0, 0.98), False),
+        ((1.1, 0.5), False),
+        ((0.5, 1.0), False),
+        ((np.nan, 0.5), False),
+        ((0.5, np.nan), False),
+    ],
 )
 def test_the_default_gate_accepts_only_better_rollouts_with_one_step_no_worse(candidate, accepted):
     assert decide(trial(candidate)).accepted is accepted
@@ -57,7 +66,10 @@ def test_a_decision_names_the_generation_and_every_figure():
 
 def test_the_digest_freezes_rules_and_scoring():
     assert Gate.from_document(GATE.document()).digest == GATE.digest
-    assert Gate((rules()["rollout_improves"](0.9),), Scoring(2.0)).digest != Gate((rules()["rollout_improves"](0.98),), Scoring(2.0)).digest
+    assert (
+        Gate((rules()["rollout_improves"](0.9),), Scoring(2.0)).digest
+        != Gate((rules()["rollout_improves"](0.98),), Scoring(2.0)).digest
+    )
     assert default_gate(1.0).digest != default_gate(2.0).digest
 
 
@@ -66,18 +78,47 @@ def test_the_digest_freezes_rules_and_scoring():
     [
         {},
         {"schema": "trueup.gate/1", "rules": [], "scoring": {"horizon_s": 1.0, "windows": "first"}},
-        {"schema": "trueup.gate/1", "rules": [{"rule": "always"}], "scoring": {"horizon_s": 1.0, "windows": "first"}},
+        {
+            "schema": "trueup.gate/1",
+            "rules": [{"rule": "always"}],
+            "scoring": {"horizon_s": 1.0, "windows": "first"},
+        },
         {
             "schema": "trueup.gate/1",
             "rules": [{"rule": "rollout_improves", "ratio": -1}],
             "scoring": {"horizon_s": 1.0, "windows": "first"},
         },
-        {"schema": "trueup.gate/1", "rules": [{"rule": "rollout_improves", "slack": 1}], "scoring": {"horizon_s": 1.0, "windows": "first"}},
-        {"schema": "trueup.gate/1", "rules": [{"rule": "rollout_improves"}], "scoring": {"horizon_s": 0.0, "windows": "first"}},
-        {"schema": "trueup.gate/1", "rules": [{"rule": "rollout_improves"}], "scoring": {"horizon_s": float("nan"), "windows": "first"}},
-        {"schema": "trueup.gate/1", "rules": [{"rule": "rollout_improves"}], "scoring": {"horizon_s": 1.0, "windows": "some"}},
-        {"schema": "trueup.gate/1", "rules": [{"rule": "rollout_improves"}], "scoring": {"horizon_s": 1.0, "windows": "first"}, "extra": 1},
-        {"schema": "trueup.gate/1", "rules": ["rollout_improves"], "scoring": {"horizon_s": 1.0, "windows": "first"}},
+        {
+            "schema": "trueup.gate/1",
+            "rules": [{"rule": "rollout_improves", "slack": 1}],
+            "scoring": {"horizon_s": 1.0, "windows": "first"},
+        },
+        {
+            "schema": "trueup.gate/1",
+            "rules": [{"rule": "rollout_improves"}],
+            "scoring": {"horizon_s": 0.0, "windows": "first"},
+        },
+        {
+            "schema": "trueup.gate/1",
+            "rules": [{"rule": "rollout_improves"}],
+            "scoring": {"horizon_s": float("nan"), "windows": "first"},
+        },
+        {
+            "schema": "trueup.gate/1",
+            "rules": [{"rule": "rollout_improves"}],
+            "scoring": {"horizon_s": 1.0, "windows": "some"},
+        },
+        {
+            "schema": "trueup.gate/1",
+            "rules": [{"rule": "rollout_improves"}],
+            "scoring": {"horizon_s": 1.0, "windows": "first"},
+            "extra": 1,
+        },
+        {
+            "schema": "trueup.gate/1",
+            "rules": ["rollout_improves"],
+            "scoring": {"horizon_s": 1.0, "windows": "first"},
+        },
     ],
 )
 def test_a_gate_that_cannot_judge_is_refused(document):
@@ -101,7 +142,11 @@ def test_a_gate_that_cannot_judge_is_refused(document):
     ],
 )
 def test_a_gate_is_read_as_it_was_sent_and_nothing_is_made_of_another_kind(field):
-    document = {"schema": "trueup.gate/1", "rules": [{"rule": "rollout_improves"}], "scoring": {"horizon_s": 1.0, "windows": "first"}}
+    document = {
+        "schema": "trueup.gate/1",
+        "rules": [{"rule": "rollout_improves"}],
+        "scoring": {"horizon_s": 1.0, "windows": "first"},
+    }
     Gate.from_document(document)
     with pytest.raises(BadGate):
         Gate.from_document({**document, **field})
@@ -117,7 +162,12 @@ def test_a_trial_without_episodes_is_an_error():
 @pytest.mark.parametrize("role", [Role.ADAPTATION, Role.TEST, Role.TRAINING, Role.REFERENCE])
 def test_a_trial_reads_held_out_episodes_alone(role):
     with pytest.raises(RoleRefused):
-        run_trial(GATE, Nominal(PLANT), Nominal(PLANT), [read_episode(episode_bytes(role=role), PLANT.layout)])
+        run_trial(
+            GATE,
+            Nominal(PLANT),
+            Nominal(PLANT),
+            [read_episode(episode_bytes(role=role), PLANT.layout)],
+        )
 
 
 def test_a_model_is_no_better_than_itself():
@@ -127,18 +177,29 @@ def test_a_model_is_no_better_than_itself():
 
 def test_one_worse_episode_is_found():
     rule = rules()["no_worse_anywhere"]()
-    found = rule(Trial(Score(np.array([0.1, 1.2, 0.1]), np.ones(3)), Score(np.ones(3), np.ones(3)), ("a" * 64, "b" * 64, "c" * 64)))
+    found = rule(
+        Trial(
+            Score(np.array([0.1, 1.2, 0.1]), np.ones(3)),
+            Score(np.ones(3), np.ones(3)),
+            ("a" * 64, "b" * 64, "c" * 64),
+        )
+    )
     assert not found.passed
     assert "b" * 12 in found.because
 
 
 def test_a_true_model_is_accepted():
     held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
-    assert decide(run_trial(GATE, Identified(PLANT, (1.25, 0.62, 0.82)), Nominal(PLANT), held_out).trial).accepted
+    assert decide(
+        run_trial(GATE, Identified(PLANT, (1.25, 0.62, 0.82)), Nominal(PLANT), held_out).trial
+    ).accepted
 
 
 def test_a_gate_with_conditions_and_a_budget_is_another_gate_and_says_so():
-    plain, more = Gate(GATE.rules, GATE.scoring), Gate(GATE.rules, GATE.scoring, ("payload", "speed"), 5)
+    plain, more = (
+        Gate(GATE.rules, GATE.scoring),
+        Gate(GATE.rules, GATE.scoring, ("payload", "speed"), 5),
+    )
     assert "conditions" not in plain.document()
     assert Gate.from_document(more.document()) == more
     assert more.digest != plain.digest
@@ -154,7 +215,9 @@ def test_a_covered_condition_that_gets_worse_rejects_and_is_named():
     ones = Score(np.ones(3), np.ones(3))
     better = Trial(Score(np.array([0.1, 0.9, 1.25]), np.ones(3)), ones, names, cells, conditions)
     assert rule(better).passed  # 1.075 of the cell's mean
-    worse = rule(Trial(Score(np.array([0.1, 1.0, 1.3]), np.ones(3)), ones, names, cells, conditions))
+    worse = rule(
+        Trial(Score(np.array([0.1, 1.0, 1.3]), np.ones(3)), ones, names, cells, conditions)
+    )
     assert (worse.passed, worse.because) == (False, "worse in: payload 2 kg, speed slow")
     assert worse.value == pytest.approx(1.15)
 
@@ -162,7 +225,10 @@ def test_a_covered_condition_that_gets_worse_rejects_and_is_named():
 def test_cells_that_no_episode_covers_are_told_as_not_covered():
     cells = [("0", "slow"), ("2 kg", "fast")]
     found = matrix(cells, ("payload", "speed"), np.array([0.5, np.nan]), np.ones(2))
-    assert [(row["cell"]["payload"], row["cell"]["speed"], row["episodes"], row["candidate"]) for row in found] == [
+    assert [
+        (row["cell"]["payload"], row["cell"]["speed"], row["episodes"], row["candidate"])
+        for row in found
+    ] == [
         ("0", "fast", 0, None),
         ("0", "slow", 1, 0.5),
         ("2 kg", "fast", 1, None),
@@ -173,7 +239,9 @@ def test_cells_that_no_episode_covers_are_told_as_not_covered():
 
 def test_an_incumbent_that_runs_away_is_beaten_and_the_decision_can_be_written_down():
     away = trial((0.5, 0.5), (np.inf, np.inf))
-    found = decide(away, Gate((rules()["rollout_improves"](), rules()["retained_conditions"]()), GATE.scoring))
+    found = decide(
+        away, Gate((rules()["rollout_improves"](), rules()["retained_conditions"]()), GATE.scoring)
+    )
     assert found.accepted
     assert [v["threshold"] for v in found.document()["verdicts"]] == [None, None]
     assert len(found.digest) == 64
@@ -183,13 +251,19 @@ def windowed(rollout, one_step=None):
     """A score of one episode by its windows."""
     rollout = np.asarray(rollout, np.float64)
     one_step = rollout if one_step is None else np.asarray(one_step, np.float64)
-    return Score(rollout.mean(keepdims=True), one_step.mean(keepdims=True), (Windowed(rollout, one_step, np.ones(len(rollout))),))
+    return Score(
+        rollout.mean(keepdims=True),
+        one_step.mean(keepdims=True),
+        (Windowed(rollout, one_step, np.ones(len(rollout))),),
+    )
 
 
 def test_every_verdict_carries_the_interval_of_its_ratio():
     rng = np.random.default_rng(1)
     incumbent = rng.lognormal(sigma=0.3, size=60)
-    found = Trial(windowed(incumbent * rng.lognormal(-0.2, 0.1, 60)), windowed(incumbent), ("a" * 64,))
+    found = Trial(
+        windowed(incumbent * rng.lognormal(-0.2, 0.1, 60)), windowed(incumbent), ("a" * 64,)
+    )
     for kind in rules().values():
         if not kind.closed_loop:
             verdict = kind()(found)
@@ -198,14 +272,21 @@ def test_every_verdict_carries_the_interval_of_its_ratio():
 
 
 def test_a_rule_can_require_the_bound_instead_of_the_mean():
-    incumbent, swing = np.ones(40), np.tile([0.2, 1.6], 20)  # 0.9 of the error on average, and nobody knows whether it is less than 1
+    incumbent, swing = (
+        np.ones(40),
+        np.tile([0.2, 1.6], 20),
+    )  # 0.9 of the error on average, and nobody knows whether it is less than 1
     found = Trial(windowed(swing), windowed(incumbent), ("a" * 64,))
-    rng_swing = Trial(windowed(np.random.default_rng(0).permutation(swing)), windowed(incumbent), ("a" * 64,))
+    rng_swing = Trial(
+        windowed(np.random.default_rng(0).permutation(swing)), windowed(incumbent), ("a" * 64,)
+    )
     assert rules()["rollout_improves"](0.98)(found).passed
     verdict = rules()["rollout_improves"](0.98, "bound")(rng_swing)
     assert not verdict.passed
     assert verdict.ci95[1] > 0.98
-    assert rules()["rollout_improves"](0.98, "bound")(Trial(windowed(0.5 * swing), windowed(incumbent), ("a" * 64,))).passed
+    assert rules()["rollout_improves"](0.98, "bound")(
+        Trial(windowed(0.5 * swing), windowed(incumbent), ("a" * 64,))
+    ).passed
 
 
 def test_the_interval_of_windows_that_hang_together_is_wider_than_that_of_independent_ones():
@@ -224,7 +305,8 @@ def test_the_interval_of_windows_that_hang_together_is_wider_than_that_of_indepe
 
 
 def test_the_interval_covers_what_it_should():
-    """Windows of a moving average, whose ratio is known: 95 % of intervals hold it, less the little that a short log costs."""
+    """Windows of a moving average, whose ratio is known: 95 % of intervals hold it, less the little
+    that a short log costs."""
     rng, held, tries = np.random.default_rng(3), 0, 300
     for _ in range(tries):
         noise = rng.normal(size=(2, 121))
@@ -251,21 +333,38 @@ GATE_1 = {"schema": "trueup.gate/1", "scoring": {"horizon_s": 1.0, "windows": "e
         [{"rule": "rollout_improves", "ratio": 1e9}],
         [{"rule": "rollout_improves"}, {"rule": "one_step_no_worse", "slack": 1e9}],
         [{"rule": "one_step_no_worse"}],
-        [{"rule": "no_worse_anywhere"}, {"rule": "retained_conditions"}, {"rule": "tracking_no_worse"}],
+        [
+            {"rule": "no_worse_anywhere"},
+            {"rule": "retained_conditions"},
+            {"rule": "tracking_no_worse"},
+        ],
         [{"rule": "rollout_improves", "ratio": 1.01}],
     ],
 )
 def test_a_gate_that_cannot_reject_is_refused_unless_it_says_so(given):
     with pytest.raises(VacuousGate):
         require_can_reject(Gate.from_document({**GATE_1, "rules": given}))
-    require_can_reject(Gate.from_document({**GATE_1, "rules": given, "vacuous": True, "because": "the first model of this machine"}))
+    require_can_reject(
+        Gate.from_document(
+            {
+                **GATE_1,
+                "rules": given,
+                "vacuous": True,
+                "because": "the first model of this machine",
+            }
+        )
+    )
 
 
 @pytest.mark.parametrize(
     "given",
     [
         [{"rule": "rollout_improves"}, {"rule": "one_step_no_worse"}],
-        [{"rule": "rollout_improves", "ratio": 1.0}, {"rule": "tracking_no_worse"}, {"rule": "retained_conditions", "slack": 9.0}],
+        [
+            {"rule": "rollout_improves", "ratio": 1.0},
+            {"rule": "tracking_no_worse"},
+            {"rule": "retained_conditions", "slack": 9.0},
+        ],
         [{"rule": "rollout_improves", "require": "bound"}],
         [{"rule": "rollout_improves", "require": "bound", "ratio": 1.0}],
     ],
@@ -277,7 +376,11 @@ def test_a_gate_that_can_reject_is_not(given):
 def test_the_controls_are_judged_and_told():
     held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
     run = run_trial(default_gate(0.5), Identified(PLANT, NEAR), Nominal(PLANT), held_out)
-    assert {name: found["accepted"] for name, found in run.controls.items()} == {"incumbent": False, "copy": False, "noise": False}
+    assert {name: found["accepted"] for name, found in run.controls.items()} == {
+        "incumbent": False,
+        "copy": False,
+        "noise": False,
+    }
     assert run.controls["noise"]["failed"] == ["rollout_improves", "one_step_no_worse"]
     assert run.controls["copy"]["failed"] == ["rollout_improves"]
 
@@ -292,11 +395,16 @@ def test_a_channel_that_no_episode_observed_adds_no_noise_to_the_controls():
 
 def test_a_gate_that_accepts_a_control_judges_nobody():
     held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
-    lenient = Gate((rules()["one_step_no_worse"](),), Scoring(0.5, EVERY))  # as it may have been declared before this was asked
+    lenient = Gate(
+        (rules()["one_step_no_worse"](),), Scoring(0.5, EVERY)
+    )  # as it may have been declared before this was asked
     with pytest.raises(VacuousGate, match="the incumbent itself"):
         run_trial(lenient, Identified(PLANT, NEAR), Nominal(PLANT), held_out)
     meant = Gate(lenient.rules, lenient.scoring, vacuous=True, because="a first model")
-    assert run_trial(meant, Identified(PLANT, NEAR), Nominal(PLANT), held_out).controls["copy"] == {"accepted": True, "failed": []}
+    assert run_trial(meant, Identified(PLANT, NEAR), Nominal(PLANT), held_out).controls["copy"] == {
+        "accepted": True,
+        "failed": [],
+    }
 
 
 def test_how_the_verdict_hangs_on_the_reporting_scales():
@@ -304,9 +412,20 @@ def test_how_the_verdict_hangs_on_the_reporting_scales():
     gate = default_gate(0.5)
     run = run_trial(gate, Identified(PLANT, NEAR), Nominal(PLANT), held_out)
     found = sensitivity(gate, run, PLANT.scales, [c.name for c in PLANT.layout.observations])
-    assert [(row["channel"], row["factor"]) for row in found] == [("q", 0.5), ("q", 2.0), ("v", 0.5), ("v", 2.0)]
+    assert [(row["channel"], row["factor"]) for row in found] == [
+        ("q", 0.5),
+        ("q", 2.0),
+        ("v", 0.5),
+        ("v", 2.0),
+    ]
     finer = Plant.from_document(
-        {**plant_document(), "observations": [{"name": "q", "unit": "m", "scale": 0.5}, plant_document()["observations"][1]]}
+        {
+            **plant_document(),
+            "observations": [
+                {"name": "q", "unit": "m", "scale": 0.5},
+                plant_document()["observations"][1],
+            ],
+        }
     )
     anew = decide(run_trial(gate, Identified(finer, NEAR), Nominal(finer), held_out).trial, gate)
     assert found[0]["verdicts"][0]["value"] == pytest.approx(anew.verdicts[0].value)
@@ -319,7 +438,9 @@ def test_a_decision_of_before_intervals_is_recomputed_as_far_as_it_tells():
     names = {"candidate": "c" * 64, "incumbent": "i" * 64, "generation": 1}
     both = {"candidate": Identified(PLANT, NEAR), "incumbent": Nominal(PLANT)}
     meant = Gate(lenient.rules, lenient.scoring, vacuous=True, because="as then")
-    old = judge(lenient, run_trial(meant, *both.values(), held_out).trial, plant="p", **names).document()
+    old = judge(
+        lenient, run_trial(meant, *both.values(), held_out).trial, plant="p", **names
+    ).document()
     for key in ("known", "uses"):
         del old[key]
     del old["figures"]["controls"]

@@ -10,7 +10,8 @@ REJECTED, ACCEPTED = "c" * 64, "d" * 64
 
 
 class Log:
-    """Entries in order, each looked at as it comes; the promotion of a candidate that was rejected on the same episode is the last."""
+    """Entries in order, each looked at as it comes; the promotion of a candidate that was rejected
+    on the same episode is the last."""
 
     def __init__(self) -> None:
         self.lines, self.size = GateLines(), 0
@@ -29,16 +30,22 @@ class Log:
 
     def add(self, kind, subject, facts, actor="ana", plant=PLANT):
         self.size += 1
-        return self.lines(AuditEntry(self.size, "2026-01-01T00:00:00Z", kind, actor, plant, subject, facts, {}))
+        return self.lines(
+            AuditEntry(self.size, "2026-01-01T00:00:00Z", kind, actor, plant, subject, facts, {})
+        )
 
     def token(self, prefix, name):
         self.add("token:issued", prefix, {"name": name}, "admin", None)
 
     def approve(self, actor, token):
-        self.add("decision:approved", ACCEPTED, {"because": "seen on the bench", "token": token}, actor)
+        self.add(
+            "decision:approved", ACCEPTED, {"because": "seen on the bench", "token": token}, actor
+        )
 
     def promote(self, actor, **token):
-        return self.add("pointer:moved", CANDIDATE, {"move": "promoted", "decision": ACCEPTED, **token}, actor)
+        return self.add(
+            "pointer:moved", CANDIDATE, {"move": "promoted", "decision": ACCEPTED, **token}, actor
+        )
 
 
 @pytest.fixture
@@ -81,9 +88,14 @@ OTHER = "f" * 64
 
 
 def judged(log, candidate, *, beside=(), **told):
-    """A trial of a candidate on the log's only episode, asked for and decided; what is found in its decision."""
+    """A trial of a candidate on the log's only episode, asked for and decided; what is found in its
+    decision."""
     figures = {"rollout": [1.0], "one_step": [1.0]}
-    log.add("job:submitted", "job", {"kind": "gate", "request": {"gate": GATE, "candidate": candidate, "episodes": ["e" * 64]}})
+    log.add(
+        "job:submitted",
+        "job",
+        {"kind": "gate", "request": {"gate": GATE, "candidate": candidate, "episodes": ["e" * 64]}},
+    )
     document = {
         "gate": GATE, "candidate": candidate, "accepted": True, "episodes": ["e" * 64],
         "verdicts": [{"rule": "rollout_improves", "passed": True}],
@@ -91,7 +103,9 @@ def judged(log, candidate, *, beside=(), **told):
         "figures": {"candidate": figures, "beside": dict.fromkeys(beside, figures)},
         "selection": {"held_out": 1, "accepted": 1, "rejected": 1, "comparisons": 0, **told},
     }  # fmt: skip
-    return [f.what for f in log.add("decision:made", "9" * 64, {"decision": document, "job": "job"})]
+    return [
+        f.what for f in log.add("decision:made", "9" * 64, {"decision": document, "job": "job"})
+    ]
 
 
 def test_a_decision_that_tells_all_is_as_the_log_says(log):
@@ -99,18 +113,28 @@ def test_a_decision_that_tells_all_is_as_the_log_says(log):
     assert "Its errors are within 1 % of those of candidate bbbb" in log.lines.notes[-1]
 
 
-@pytest.mark.parametrize("told", [{"held_out": 2}, {"rejected": 0}, {"accepted": 0}, {"comparisons": 1}])
+@pytest.mark.parametrize(
+    "told", [{"held_out": 2}, {"rejected": 0}, {"accepted": 0}, {"comparisons": 1}]
+)
 def test_a_decision_that_tells_another_selection_is_found(log, told):
-    assert "the selection that decision 999999999999 tells is not what the log tells" in judged(log, OTHER, beside=[CANDIDATE], **told)[0]
+    assert (
+        "the selection that decision 999999999999 tells is not what the log tells"
+        in judged(log, OTHER, beside=[CANDIDATE], **told)[0]
+    )
 
 
 @pytest.mark.parametrize("beside", [(), (CANDIDATE, "0" * 64)])
 def test_a_decision_that_hides_who_was_rejected_before_or_makes_somebody_up_is_found(log, beside):
     (found,) = judged(log, OTHER, beside=beside)
-    assert found == "the candidates scored beside that of decision 999999999999 are not those that the log calls for"
+    assert found == (
+        "the candidates scored beside that of decision 999999999999 are not those that "
+        "the log calls for"
+    )
 
 
 def test_what_errs_as_a_rejected_candidate_does_is_held_to_its_rejection(log):
     judged(log, OTHER, beside=[CANDIDATE])
-    found = log.add("pointer:moved", OTHER, {"move": "promoted", "decision": "9" * 64, "token": "1"})
+    found = log.add(
+        "pointer:moved", OTHER, {"move": "promoted", "decision": "9" * 64, "token": "1"}
+    )
     assert "with nobody else's approval" in found[0].what

@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 
 from trueup.errors import BrokenChain, PointerMoved
 from trueup.ledger.audit import AuditEntry, rebuild
-from trueup.ledger.pointer import Judged, NotAccepted, NothingToRollBackTo, ServingPointer, promote, roll_back
+from trueup.ledger.pointer import (
+    Judged,
+    NotAccepted,
+    NothingToRollBackTo,
+    ServingPointer,
+    promote,
+    roll_back,
+)
 from trueup.ledger.rows import KEYS, row_digest
 from trueup_service.registry.tables import metadata
 
@@ -18,7 +25,9 @@ DECISION = Judged("d1", accepted=True, candidate="candidate", incumbent="incumbe
 
 
 def test_an_accepted_decision_moves_the_pointer_by_one():
-    assert promote(POINTER, DECISION, 4, "later") == ServingPointer("p", 5, "candidate", "d1", "later")
+    assert promote(POINTER, DECISION, 4, "later") == ServingPointer(
+        "p", 5, "candidate", "d1", "later"
+    )
 
 
 def test_a_decision_cannot_be_replayed_after_a_rollback():
@@ -53,11 +62,19 @@ def test_there_must_be_something_to_roll_back_to():
 
 
 def log(facts):
-    return [AuditEntry(i + 1, NOW, "thing:done", "a", None, str(i), {"fact": fact}, {}) for i, fact in enumerate(facts)]
+    return [
+        AuditEntry(i + 1, NOW, "thing:done", "a", None, str(i), {"fact": fact}, {})
+        for i, fact in enumerate(facts)
+    ]
 
 
 FACTS = st.lists(
-    st.one_of(st.text(), st.integers(-(2**53) + 1, 2**53 - 1), st.floats(allow_nan=False, allow_infinity=False), st.none()),
+    st.one_of(
+        st.text(),
+        st.integers(-(2**53) + 1, 2**53 - 1),
+        st.floats(allow_nan=False, allow_infinity=False),
+        st.none(),
+    ),
     min_size=1,
     max_size=8,
 )
@@ -68,8 +85,17 @@ def test_an_edit_a_removal_and_a_swap_change_the_root_or_break_the_order(facts, 
     entries = log(facts)
     root = rebuild(entries).root()
     at = data.draw(st.integers(0, len(entries) - 1))
-    for edit in ({"actor": "b"}, {"facts": {"fact": "other"}}, {"rows": {"plants/p": "0"}}, {"at": "2020"}, {"plant": "p"}):
-        assert rebuild([*entries[:at], replace(entries[at], **edit), *entries[at + 1 :]]).root() != root
+    for edit in (
+        {"actor": "b"},
+        {"facts": {"fact": "other"}},
+        {"rows": {"plants/p": "0"}},
+        {"at": "2020"},
+        {"plant": "p"},
+    ):
+        assert (
+            rebuild([*entries[:at], replace(entries[at], **edit), *entries[at + 1 :]]).root()
+            != root
+        )
     if at < len(entries) - 1:
         with pytest.raises(BrokenChain):
             rebuild([*entries[:at], *entries[at + 1 :]])
@@ -85,4 +111,12 @@ def test_the_rows_that_the_log_names_are_the_tables_of_the_registry_by_their_key
     for table, key in KEYS.items():
         assert tuple(metadata.tables[table].primary_key.columns.keys()) == key
     unnamed = set(metadata.tables) - set(KEYS)
-    assert unnamed == {"audit", "audit_tree", "audit_head", "audit_key", "job_reads", "idempotency", "sessions"}
+    assert unnamed == {
+        "audit",
+        "audit_tree",
+        "audit_head",
+        "audit_key",
+        "job_reads",
+        "idempotency",
+        "sessions",
+    }

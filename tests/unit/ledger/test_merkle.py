@@ -1,4 +1,5 @@
-"""The tree, its proofs and its notes, against what golang.org/x/mod makes of the same entries (tests/golden/tlog/main.go)."""
+"""The tree, its proofs and its notes, against what golang.org/x/mod makes of the same entries
+(tests/golden/tlog/main.go)."""
 
 import base64
 import hashlib
@@ -33,7 +34,9 @@ def grown(size):
 
 
 def test_roots_are_those_of_the_go_module():
-    assert [grown(n + 1)[0].root() for n in range(len(GOLDEN["roots"]))] == [b64(r) for r in GOLDEN["roots"]]
+    assert [grown(n + 1)[0].root() for n in range(len(GOLDEN["roots"]))] == [
+        b64(r) for r in GOLDEN["roots"]
+    ]
 
 
 def test_proofs_are_those_of_the_go_module_and_verify():
@@ -60,13 +63,23 @@ def test_a_tree_of_any_size_proves_every_leaf_and_no_other(size, data):
     position = data.draw(st.integers(0, size - 1))
     made = merkle.prove(merkle.inclusion(position, size), nodes)
     assert proof.includes(tree.root(), size, position, nodes[0, position], made)
-    other = data.draw(st.integers(0, size - 1).filter(lambda i: i != position)) if size > 1 else size
+    other = (
+        data.draw(st.integers(0, size - 1).filter(lambda i: i != position)) if size > 1 else size
+    )
     assert not proof.includes(tree.root(), size, other, nodes[0, position], made)
     assert not proof.includes(tree.root(), size, position, merkle.leaf_hash(b"forged"), made)
     if made:
         cut = data.draw(st.integers(0, len(made) - 1))
-        assert not proof.includes(tree.root(), size, position, nodes[0, position], [*made[:cut], *made[cut + 1 :]])
-        assert not proof.includes(tree.root(), size, position, nodes[0, position], [*made[:cut], bytes(32), *made[cut + 1 :]])
+        assert not proof.includes(
+            tree.root(), size, position, nodes[0, position], [*made[:cut], *made[cut + 1 :]]
+        )
+        assert not proof.includes(
+            tree.root(),
+            size,
+            position,
+            nodes[0, position],
+            [*made[:cut], bytes(32), *made[cut + 1 :]],
+        )
 
 
 @given(st.integers(1, 300), st.data())
@@ -78,7 +91,9 @@ def test_a_tree_that_was_rewritten_extends_nothing(size, data):
     assert proof.extends(old, before, size, tree.root(), made)
     rewritten = merkle.NOTHING
     for i in range(old):
-        rewritten, _ = rewritten.append(merkle.leaf_hash(b"entry %d" % i if i != old // 2 else b"another"))
+        rewritten, _ = rewritten.append(
+            merkle.leaf_hash(b"entry %d" % i if i != old // 2 else b"another")
+        )
     assert not proof.extends(old, rewritten.root(), size, tree.root(), made)
     assert not proof.extends(size + 1, before, size, tree.root(), made)
     if made:
@@ -99,7 +114,9 @@ def test_a_checkpoint_is_the_go_modules_note_byte_for_byte():
     assert (opened.size, opened.root) == (len(GOLDEN["roots"]), root)
 
 
-@pytest.mark.parametrize("change", [("\n17\n", "\n18\n"), ("— log", "— lag"), ("\n\n", "\n"), ("robots\n", "robot\n")])
+@pytest.mark.parametrize(
+    "change", [("\n17\n", "\n18\n"), ("— log", "— lag"), ("\n\n", "\n"), ("robots\n", "robot\n")]
+)
 def test_a_note_that_was_changed_is_not_signed(change):
     with pytest.raises(NotSigned):
         Checkpoint.of(GOLDEN["checkpoint"].replace(*change), KEY)
@@ -110,7 +127,16 @@ def test_a_note_of_another_key_is_not_signed():
         Checkpoint.of(Signer(SIGNER.name, bytes(32)).checkpoint(3, bytes(32)), KEY)
 
 
-@pytest.mark.parametrize("text", ["", "PRIVATE+KEY+a+b", GOLDEN["verifier"], GOLDEN["signer"].replace("robots", "robot"), "x" * 200])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "PRIVATE+KEY+a+b",
+        GOLDEN["verifier"],
+        GOLDEN["signer"].replace("robots", "robot"),
+        "x" * 200,
+    ],
+)
 def test_what_is_no_key_is_refused(text):
     with pytest.raises(BadKey):
         Signer.from_text(text)
@@ -132,7 +158,12 @@ def test_an_envelope_opens_with_its_key_as_its_type_alone():
         KEY.payload(envelope, "application/other")
 
 
-@given(st.binary(min_size=32, max_size=32), st.binary(max_size=200), st.integers(0, 63), st.integers(1, 255))
+@given(
+    st.binary(min_size=32, max_size=32),
+    st.binary(max_size=200),
+    st.integers(0, 63),
+    st.integers(1, 255),
+)
 def test_signatures_hold_exactly_where_the_library_made_them(seed, message, at, flip):
     key = Ed25519PrivateKey.from_private_bytes(seed)
     public, signature = key.public_key().public_bytes_raw(), key.sign(message)
@@ -153,8 +184,11 @@ def test_the_first_vector_of_the_standard_holds():
 
 
 def test_a_signature_with_a_number_beyond_the_order_is_refused():
-    """RFC 8032, section 5.1.7: s is below the group's order, or the same signature would have many forms."""
+    """RFC 8032, section 5.1.7: s is below the group's order, or the same signature would have many
+    forms."""
     key = Ed25519PrivateKey.from_private_bytes(bytes(32))
     signature = key.sign(b"m")
     s = int.from_bytes(signature[32:], "little") + ed25519.ORDER
-    assert not ed25519.holds(key.public_key().public_bytes_raw(), signature[:32] + s.to_bytes(32, "little"), b"m")
+    assert not ed25519.holds(
+        key.public_key().public_bytes_raw(), signature[:32] + s.to_bytes(32, "little"), b"m"
+    )

@@ -7,8 +7,10 @@ from trueup.model.kinds import KINDS
 from trueup_service.actions.submit_job import SUBMIT
 
 OPERATIONS = {
-    "fit": "model correction", "diagnose": "model correction", "gate": "model correction", "calibrate": "monitoring", "watch": "monitoring",
-    "validate": "monitoring", "blindtrial": "monitoring", "recompute": "monitoring", "compare": "monitoring",
+    "fit": "model correction", "diagnose": "model correction", "gate": "model correction",
+    "calibrate": "monitoring", "watch": "monitoring",
+    "validate": "monitoring", "blindtrial": "monitoring", "recompute": "monitoring",
+    "compare": "monitoring",
 }  # fmt: skip
 
 
@@ -27,6 +29,15 @@ def test_an_artifact_is_what_it_changes():
     found = {kind: of_artifact(kind, {"effects": [{"effect": "cogging"}]}) for kind in KINDS}
     assert found["nominal"] is None
     assert found["identified"] == "parameter identification"
-    assert found["residual"] == found["corrected"] == found["blind"] == found["conditioned"] == "model correction"
+    assert (
+        found["residual"]
+        == found["corrected"]
+        == found["blind"]
+        == found["conditioned"]
+        == "model correction"
+    )
     assert of_artifact("corrected", {"effects": []}) == "parameter identification"
-    assert of_artifact("corrected", {"effects": [{"effect": "sensor_quantization"}]}) == "parameter identification"
+    assert (
+        of_artifact("corrected", {"effects": [{"effect": "sensor_quantization"}]})
+        == "parameter identification"
+    )

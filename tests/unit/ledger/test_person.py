@@ -5,7 +5,9 @@ import pytest
 from trueup.ledger.person import actor_of, folded, name_of
 
 
-@pytest.mark.parametrize("written", ["Ana", "ana ", "AN\u200bA", "\uff21na", "\u2060ana\u00ad", "ana\u3164"])
+@pytest.mark.parametrize(
+    "written", ["Ana", "ana ", "AN\u200bA", "\uff21na", "\u2060ana\u00ad", "ana\u3164"]
+)
 def test_what_looks_the_same_is_the_same_person(written):
     assert folded(written) == "ana"
 

@@ -24,7 +24,8 @@ def plant(name, tmp_path):
 
 
 def rolled(of, on, values=0.02):
-    """A rollout under a sweep of commands, with some effects on at every joint, all their numbers `values`."""
+    """A rollout under a sweep of commands, with some effects on at every joint, all their numbers
+    `values`."""
     joints, form = len(of.joints), of.dynamics.form
     t = np.arange(SAMPLES) * of.timestep_s
     command = np.sin(np.outer(np.arange(SAMPLES), np.arange(1, joints + 1)))
@@ -41,7 +42,14 @@ def rolled(of, on, values=0.02):
 
 
 @pytest.mark.parametrize("name", ["one joint", "arm"])
-@pytest.mark.parametrize("on", [(), ("actuator_delay", "coulomb_friction", "sensor_quantization"), ("elastic_transmission", "backlash")])
+@pytest.mark.parametrize(
+    "on",
+    [
+        (),
+        ("actuator_delay", "coulomb_friction", "sensor_quantization"),
+        ("elastic_transmission", "backlash"),
+    ],
+)
 def test_compiling_changes_no_bit(name, on, tmp_path, monkeypatch):
     of = plant(name, tmp_path)
     compiled, as_text = rolled(of, on), kernel().py_func
@@ -52,15 +60,22 @@ def test_compiling_changes_no_bit(name, on, tmp_path, monkeypatch):
 @pytest.mark.parametrize("family", families())
 def test_both_kernels_give_the_same_bits(family):
     rng, form = np.random.default_rng(3), families()[family]
-    parameters, command = rng.uniform(0.5, 2.0, (BLOCK, len(form.params))), rng.normal(size=(1, SAMPLES))
+    parameters, command = (
+        rng.uniform(0.5, 2.0, (BLOCK, len(form.params))),
+        rng.normal(size=(1, SAMPLES)),
+    )
     h, steps = np.full((1, SAMPLES), 0.01), np.append(np.full((1, SAMPLES - 1), 1), [[0]], axis=1)
-    alone = CompiledFamily(form).rollout(parameters, np.array([[0.3, -0.2]]), command[:, :, None], h, steps)
+    alone = CompiledFamily(form).rollout(
+        parameters, np.array([[0.3, -0.2]]), command[:, :, None], h, steps
+    )
     dynamics = CompiledFamily(form)
     s = unobserved(Scheme(0.0, 1), np.arange(SAMPLES) * 0.01, command.T, np.ones(1), 0.01)
     p = np.repeat(dynamics.form.block.nulls[:, None], BLOCK, axis=1)
     p[: len(form.params)] = parameters.T
     off = np.zeros((len(effects()), 1), np.uint8)
-    general = roll(s, dynamics.form, p, off, np.repeat(np.array([[0.3, -0.2]])[:, :, None], BLOCK, axis=2))
+    general = roll(
+        s, dynamics.form, p, off, np.repeat(np.array([[0.3, -0.2]])[:, :, None], BLOCK, axis=2)
+    )
     assert np.array_equal(np.moveaxis(general, 2, 0), alone[:, 0])
 
 
@@ -70,7 +85,13 @@ def test_an_effect_that_is_off_is_not_called(effect, tmp_path):
     joints, form = 1, of.dynamics.form
     p = np.repeat(form.block.nulls[:, None], BLOCK, axis=1)
     p[list(form.block.rows(effect))] = np.nan  # would be seen wherever it is read
-    s = unobserved(SYMMETRIC, np.arange(SAMPLES) * of.timestep_s, np.ones((SAMPLES, 1)), of.command_scales, of.timestep_s)
+    s = unobserved(
+        SYMMETRIC,
+        np.arange(SAMPLES) * of.timestep_s,
+        np.ones((SAMPLES, 1)),
+        of.command_scales,
+        of.timestep_s,
+    )
     out = roll(s, form, p, np.zeros((len(effects()), joints), np.uint8), np.zeros((1, 2, BLOCK)))
     assert np.isfinite(out).all()
 

@@ -48,20 +48,27 @@ def test_mass_matrix_and_inverse_dynamics_are_mujocos(everything):
 
 
 def test_a_rollout_is_mujocos_own_but_for_rounding(everything):
-    """Branches, slides, springs, gears, servos, force limits, references and several joints of one body."""
+    """Branches, slides, springs, gears, servos, force limits, references and several joints of one
+    body."""
     tree, model, data = everything
     samples, driven = 300, [tree.joints.index(j) for j in "abc"]
     applied = np.zeros((1, samples, len(tree.joints)))
     applied[0, :, driven] = np.sin(0.02 * np.arange(samples)) * np.array([[3.0], [1.0], [1.0]])
     steps = np.ones((1, samples), np.int64)
     found = CompiledTree(tree).rollout(
-        np.array([tree.parameters]), np.zeros((1, 2 * len(tree.joints))), applied, np.full((1, samples), 0.002), steps
+        np.array([tree.parameters]),
+        np.zeros((1, 2 * len(tree.joints))),
+        applied,
+        np.full((1, samples), 0.002),
+        steps,
     )[0, 0]
     data.qpos[:] = 0.0
     for i in range(samples - 1):
         data.ctrl[:] = applied[0, i, driven]
         mujoco.mj_step(model, data)
-        np.testing.assert_allclose(found[i + 1], np.concatenate([data.qpos, data.qvel]), atol=ROUNDING)
+        np.testing.assert_allclose(
+            found[i + 1], np.concatenate([data.qpos, data.qvel]), atol=ROUNDING
+        )
 
 
 def test_a_urdf_is_read_as_mujoco_reads_it(tmp_path):
@@ -84,7 +91,10 @@ def test_dry_friction_stops_a_joint_and_never_turns_it(tmp_path):
     numbers = np.array(tree.parameters)
     numbers[LINK * 2 + FRICTION :: JOINT] = 0.4
     rubbing = replace(tree, parameters=tuple(numbers))
-    flat = replace(rubbing, constants=np.where(np.arange(rubbing.constants.shape[1]) >= 18, 0.0, rubbing.constants))  # no gravity
+    flat = replace(
+        rubbing,
+        constants=np.where(np.arange(rubbing.constants.shape[1]) >= 18, 0.0, rubbing.constants),
+    )  # no gravity
     samples = 800
     found = CompiledTree(flat).rollout(
         np.array([flat.parameters]), np.array([[0.0, 0.0, 1.0, -2.0]]), np.zeros((1, samples, 2)),
@@ -102,12 +112,26 @@ def test_what_is_left_out_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("<mujoco><worldbody><body><joint name='x' type='ball'/><geom size='1'/></body></worldbody></mujoco>", "free or a ball"),
-        ("<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>", "free or a ball"),
+        (
+            (
+                "<mujoco><worldbody><body><joint name='x' type='ball'/><geom "
+                "size='1'/></body></worldbody></mujoco>"
+            ),
+            "free or a ball",
+        ),
+        (
+            "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>",
+            "free or a ball",
+        ),
         ("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "no joint"),
         ("<mujoco", "cannot read"),
         (ARM.replace("</actuator>", "<motor joint='elbow'/></actuator>"), "2 actuators"),
-        (ARM.replace('<motor joint="elbow"/>', '<intvelocity joint="elbow" actrange="-1 1" kp="3"/>'), "neither a motor nor a servo"),
+        (
+            ARM.replace(
+                '<motor joint="elbow"/>', '<intvelocity joint="elbow" actrange="-1 1" kp="3"/>'
+            ),
+            "neither a motor nor a servo",
+        ),
     ],
 )
 def test_a_model_that_is_no_robot_of_joints_is_refused(tmp_path, text, says):

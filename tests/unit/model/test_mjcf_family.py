@@ -13,7 +13,11 @@ from trueup.model.plant import Plant
 from trueup.model.series import DECLARED, Scheme
 
 SAMPLES, PERIOD_S = 400, 0.01
-FORMS = {"inertia": {"c": 0.6, "b": 0.8}, "oscillator": {"k": 3.0, "c": 0.6, "b": 0.8}, "pendulum": {"k": 9.0, "c": 0.6, "b": -0.8}}
+FORMS = {
+    "inertia": {"c": 0.6, "b": 0.8},
+    "oscillator": {"k": 3.0, "c": 0.6, "b": 0.8},
+    "pendulum": {"k": 9.0, "c": 0.6, "b": -0.8},
+}
 EFFECTS = {
     "coulomb_friction": {"level": 0.15},
     "quadratic_drag": {"coefficient": 0.9},
@@ -57,7 +61,12 @@ def moved(text, issued, start):
 
 
 @pytest.mark.parametrize(
-    ("family", "effect"), [*((f, None) for f in FORMS), *(("oscillator", e) for e in EFFECTS), ("pendulum", "coulomb_friction")]
+    ("family", "effect"),
+    [
+        *((f, None) for f in FORMS),
+        *(("oscillator", e) for e in EFFECTS),
+        ("pendulum", "coulomb_friction"),
+    ],
 )
 def test_mujoco_moves_as_the_model_does(family, effect, tmp_path):
     chosen = {} if effect is None else {effect: EFFECTS[effect]}
@@ -77,7 +86,12 @@ def test_the_declared_step_is_mujocos_own(family, tmp_path):
     model, start = replace(model_of(family, {}), scheme=DECLARED), (0.2, 0.1)
     issued = 1.3 * np.sin(2.1 * np.arange(SAMPLES) * PERIOD_S)[:, None]
     ours = model.run(np.array(start), issued)[:, 0]
-    assert np.abs(moved(mjcf_of_joint(model, tmp_path, ["by hand"]).text, issued[:, 0], start) - ours).max() < 1e-12
+    assert (
+        np.abs(
+            moved(mjcf_of_joint(model, tmp_path, ["by hand"]).text, issued[:, 0], start) - ours
+        ).max()
+        < 1e-12
+    )
 
 
 def test_what_mujoco_has_no_element_for_is_said(tmp_path):

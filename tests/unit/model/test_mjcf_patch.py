@@ -1,4 +1,5 @@
-"""A corrected robot as MJCF: MuJoCo then moves as the corrected model does, and what it cannot express is said."""
+"""A corrected robot as MJCF: MuJoCo then moves as the corrected model does, and what it cannot
+express is said."""
 
 import subprocess
 from pathlib import Path
@@ -44,8 +45,14 @@ def plant_of(folder, text, driven, name="robot.xml", period_s=0.002):
     document = {
         "name": "robot",
         "nominal": {"mjcf": name, "timestep_s": period_s},
-        "commands": [{"name": f"u_{j}", "joint": j, "unit": "N·m", "limits": [-30.0, 30.0]} for j in driven],
-        "observations": [{"name": f"{s}_{j}", "joint": j, "field": f, "unit": u} for s, f, u in fields for j in joints],
+        "commands": [
+            {"name": f"u_{j}", "joint": j, "unit": "N·m", "limits": [-30.0, 30.0]} for j in driven
+        ],
+        "observations": [
+            {"name": f"{s}_{j}", "joint": j, "field": f, "unit": u}
+            for s, f, u in fields
+            for j in joints
+        ],
         "evaluation": {"horizon_s": 0.4},
     }
     return Plant.from_document(resolved(document, folder))
@@ -66,7 +73,9 @@ def corrected(plant, effects_at=(), numbers=None):
 def driven_episode(plant):
     t = np.arange(SAMPLES) * plant.timestep_s
     n = len(plant.joints)
-    issued = np.stack([2.0 * np.sin(2 * np.pi * (2.0 + i) * t) for i in range(len(plant.layout.commands))], axis=1)
+    issued = np.stack(
+        [2.0 * np.sin(2 * np.pi * (2.0 + i) * t) for i in range(len(plant.layout.commands))], axis=1
+    )
     seen = np.zeros((SAMPLES, 2 * n))
     return Episode(t, issued, seen, plant.layout, Role.TEST, {}, 0, "driven")
 
@@ -98,9 +107,14 @@ def simulated(folder, text, plant):
 
 
 def agreed(folder, plant, name, model):
-    """How far MuJoCo's motion under the written file is from the corrected model's, as a part of what the correction changes."""
+    """How far MuJoCo's motion under the written file is from the corrected model's, as a part of
+    what the correction changes."""
     written = write(folder / name, patch(model), ["a heading"])
-    found, wanted, nominal = simulated(folder, written.text, plant), rolled(model), rolled(corrected(plant))
+    found, wanted, nominal = (
+        simulated(folder, written.text, plant),
+        rolled(model),
+        rolled(corrected(plant)),
+    )
     return float(np.linalg.norm(found - wanted) / np.linalg.norm(nominal - wanted)), written
 
 
@@ -115,7 +129,11 @@ def test_mujoco_moves_as_the_corrected_model_does(tmp_path, effect):
 
 def test_a_servo_saturates_in_its_error_and_is_written_as_a_force_range(tmp_path):
     servos = ARM.replace('<motor joint="shoulder"/>', '<position joint="shoulder" kp="40"/>')
-    plant = plant_of(tmp_path, servos.replace('<motor joint="elbow"/>', '<position joint="elbow" kp="15"/>'), ["shoulder", "elbow"])
+    plant = plant_of(
+        tmp_path,
+        servos.replace('<motor joint="elbow"/>', '<position joint="elbow" kp="15"/>'),
+        ["shoulder", "elbow"],
+    )
     model = corrected(plant, [("saturation", 1, {"limit": 0.2})])
     off, written = agreed(tmp_path, plant, "robot.xml", model)
     assert off < EXPRESSED
@@ -125,31 +143,53 @@ def test_a_servo_saturates_in_its_error_and_is_written_as_a_force_range(tmp_path
 
 
 def test_what_a_servos_drive_does_depends_on_its_error_alone(tmp_path):
-    """Goal and position moved together: a deadband, a saturation, the friction of a gear or a spring behind it does not notice."""
-    text = ARM.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"').replace("motor", 'position kp="30"')
+    """Goal and position moved together: a deadband, a saturation, the friction of a gear or a
+    spring behind it does not notice."""
+    text = ARM.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"').replace(
+        "motor", 'position kp="30"'
+    )
     plant = plant_of(tmp_path, text, ["shoulder", "elbow"])
-    laws = {"saturation": {"limit": 0.3}, "deadband": {"width": 0.1}, "gain_asymmetry": {"asymmetry": 0.3}, "quadratic_gain": {"odd": 5.0}}
-    laws |= {"load_dependent_friction": {"coefficient": 0.8}, "elastic_transmission": {"period": 0.2, "ratio": 0.1, "share": 0.3}}
+    laws = {
+        "saturation": {"limit": 0.3},
+        "deadband": {"width": 0.1},
+        "gain_asymmetry": {"asymmetry": 0.3},
+        "quadratic_gain": {"odd": 5.0},
+    }
+    laws |= {
+        "load_dependent_friction": {"coefficient": 0.8},
+        "elastic_transmission": {"period": 0.2, "ratio": 0.1, "share": 0.3},
+    }
     at_rest = np.zeros((SAMPLES, 4))
     t = np.arange(SAMPLES) * plant.timestep_s
     waves = np.sin(2 * np.pi * np.stack([2.0 * t, 3.0 * t], axis=1))
     for name, numbers in laws.items():
         model, found = corrected(plant, [(name, 0, numbers)]), []
-        for turned in (0.0, 1.5):  # of the shoulder: without gravity, no pose of the first joint differs from another
-            goals, seen = waves + np.array([turned, 0.0]), at_rest + np.array([turned, 0.0, 0.0, 0.0])
+        for turned in (
+            0.0,
+            1.5,
+        ):  # of the shoulder: without gravity, no pose of the first joint differs from another
+            goals, seen = (
+                waves + np.array([turned, 0.0]),
+                at_rest + np.array([turned, 0.0, 0.0, 0.0]),
+            )
             episode = Episode(t, goals, seen, plant.layout, Role.TEST, {}, 0, f"turned by {turned}")
-            found.append(model.rollout(cut(plant, episode, np.array([0])))[0, :, :2] - [turned, 0.0])
+            found.append(
+                model.rollout(cut(plant, episode, np.array([0])))[0, :, :2] - [turned, 0.0]
+            )
         np.testing.assert_allclose(found[0], found[1], atol=1e-9)
         assert np.abs(found[0] - rolled_from_rest(corrected(plant), t, waves)).max() > 0.01, name
 
 
 def rolled_from_rest(model, t, goals):
-    episode = Episode(t, goals, np.zeros((len(t), 4)), model.plant.layout, Role.TEST, {}, 0, "from rest")
+    episode = Episode(
+        t, goals, np.zeros((len(t), 4)), model.plant.layout, Role.TEST, {}, 0, "from rest"
+    )
     return model.rollout(cut(model.plant, episode, np.array([0])))[0, :, :2]
 
 
 def test_every_number_of_every_kind_of_joint_goes_into_the_file(tmp_path):
-    """Branches, slides, welded bodies, servos, several joints of one body; masses, armatures, dampings, springs, gains."""
+    """Branches, slides, welded bodies, servos, several joints of one body; masses, armatures,
+    dampings, springs, gains."""
     plant = plant_of(tmp_path, EVERYTHING, ["a", "b", "c"])
     rng, joints = np.random.default_rng(3), len(plant.joints)
     numbers = np.array(plant.parameters)
@@ -168,12 +208,16 @@ def test_links_that_cannot_exist_become_the_nearest_that_move_alike(tmp_path):
     numbers[0] = -0.3  # the first link turns about a fixed axis: its mass moves nothing
     numbers[LINK + 4] = -0.1
     model = corrected(plant, numbers=numbers)
-    made, off = feasible(type(plant.dynamics.tree)(plant.joints, plant.dynamics.tree.constants, tuple(numbers)))
+    made, off = feasible(
+        type(plant.dynamics.tree)(plant.joints, plant.dynamics.tree.constants, tuple(numbers))
+    )
     assert off < 1e-6
     assert made.parameters[0] > 0.0
     q, v, a = np.random.default_rng(0).normal(size=(3, 20, 2))
     np.testing.assert_allclose(
-        inverse_dynamics(made, q, v, a), inverse_dynamics(type(made)(made.joints, made.constants, tuple(numbers)), q, v, a), atol=1e-5
+        inverse_dynamics(made, q, v, a),
+        inverse_dynamics(type(made)(made.joints, made.constants, tuple(numbers)), q, v, a),
+        atol=1e-5,
     )
     written = write(tmp_path / "robot.xml", patch(model), [])
     mujoco.MjModel.from_xml_string(written.text)
@@ -192,7 +236,11 @@ def test_masses_that_no_bodies_have_are_said(tmp_path):
 def test_what_mjcf_cannot_express_says_what_to_write_instead(tmp_path):
     plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
     for name, effect in effects().items():
-        made = patch(corrected(plant, [(name, 0, {n.name: n.low if n.low > 0 else 0.1 for n in effect.params})]))
+        made = patch(
+            corrected(
+                plant, [(name, 0, {n.name: n.low if n.low > 0 else 0.1 for n in effect.params})]
+            )
+        )
         whole = name in NATIVE or name == "sensor_delay"
         assert bool(made.left) != whole, name
         assert all(x.joint == "shoulder" and x.instead == INSTEAD[name] for x in made.left)
@@ -207,10 +255,18 @@ def test_an_undriven_joint_has_no_actuator_to_push_with(tmp_path):
 
 
 def test_the_difference_is_the_correction_and_nothing_else(tmp_path):
-    text = ARM.replace("<body name", "\n  <!-- kept -->\n  <body name").replace("<actuator>", "\n<actuator>\n")
+    text = ARM.replace("<body name", "\n  <!-- kept -->\n  <body name").replace(
+        "<actuator>", "\n<actuator>\n"
+    )
     plant = plant_of(tmp_path, text, ["shoulder", "elbow"])
-    written = write(tmp_path / "robot.xml", patch(corrected(plant, [("coulomb_friction", 0, {"level": 0.5})])), ["from here"])
-    lines = [x for x in written.difference.splitlines() if x[0] in "+-" and x[:3] not in ("+++", "---")]
+    written = write(
+        tmp_path / "robot.xml",
+        patch(corrected(plant, [("coulomb_friction", 0, {"level": 0.5})])),
+        ["from here"],
+    )
+    lines = [
+        x for x in written.difference.splitlines() if x[0] in "+-" and x[:3] not in ("+++", "---")
+    ]
     assert len(lines) == 2 + 3  # a joint's line before and after; a comment of three
     assert "kept" in written.text
     assert tags(written.text)[0].name == "mujoco"
@@ -222,7 +278,9 @@ def test_the_difference_is_the_correction_and_nothing_else(tmp_path):
 
 def test_a_late_sensor_is_a_sensor_with_a_delay(tmp_path):
     plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
-    written = write(tmp_path / "robot.xml", patch(corrected(plant, [("sensor_delay", 1, {"delay": 0.012})])), [])
+    written = write(
+        tmp_path / "robot.xml", patch(corrected(plant, [("sensor_delay", 1, {"delay": 0.012})])), []
+    )
     model = mujoco.MjModel.from_xml_string(written.text)
     data = mujoco.MjData(model)
     data.qvel[:] = 1.0
@@ -249,10 +307,16 @@ def test_a_model_of_several_files_is_written_whole(tmp_path, made):
         name, text, joints = "robot.urdf", URDF, ["first", "second"]
     else:
         name, joints = "robot.xml", ["shoulder", "elbow"]
-        (tmp_path / "bodies.xml").write_text(f"<mujoco>{ARM[ARM.index('<worldbody>') : ARM.index('<actuator>')]}</mujoco>")
+        (tmp_path / "bodies.xml").write_text(
+            f"<mujoco>{ARM[ARM.index('<worldbody>') : ARM.index('<actuator>')]}</mujoco>"
+        )
         text = f'<mujoco model="arm"><include file="bodies.xml"/>{ARM[ARM.index("<actuator>") :]}'
     plant = plant_of(tmp_path, text, joints, name=name)
-    written = write(Path(tmp_path / name), patch(corrected(plant, [("coulomb_friction", 0, {"level": 0.5})])), ["from here"])
+    written = write(
+        Path(tmp_path / name),
+        patch(corrected(plant, [("coulomb_friction", 0, {"level": 0.5})])),
+        ["from here"],
+    )
     assert written.difference == ""
     model = mujoco.MjModel.from_xml_string(written.text)
     assert isinstance(plant.dynamics, CompiledTree)
@@ -265,12 +329,15 @@ def test_ports_that_have_no_element_are_all_described():
 
 
 def test_masses_that_no_bodies_have_become_ones_that_some_have(tmp_path):
-    """Both links lighter than nothing: whatever is nearest, MuJoCo takes it, and how far off its forces are is said."""
+    """Both links lighter than nothing: whatever is nearest, MuJoCo takes it, and how far off its
+    forces are is said."""
     plant = plant_of(tmp_path, ARM, ["shoulder", "elbow"])
     numbers = np.array(plant.parameters)
     numbers[: 2 * LINK] *= -1.0
     written = write(tmp_path / "robot.xml", patch(corrected(plant, numbers=numbers)), ["a heading"])
     masses = mujoco.MjModel.from_xml_string(written.text).body_mass[1:]
     assert (masses > 0.0).all()
-    assert (masses < 100.0 * np.array(plant.parameters)[: 2 * LINK : LINK]).all()  # they are not driven away
+    assert (
+        masses < 100.0 * np.array(plant.parameters)[: 2 * LINK : LINK]
+    ).all()  # they are not driven away
     assert "no bodies have the masses" in written.left[0].instead

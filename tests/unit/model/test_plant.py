@@ -106,4 +106,6 @@ def test_stability_is_that_of_the_eigenvalues(parameters, stable):
 
 
 def test_the_applied_command_is_the_issued_one_within_its_limits():
-    assert Plant.from_document(plant_document()).applied(np.array([[-3.0], [0.5], [7.0]])).tolist() == [[-1.0], [0.5], [1.0]]
+    assert Plant.from_document(plant_document()).applied(
+        np.array([[-3.0], [0.5], [7.0]])
+    ).tolist() == [[-1.0], [0.5], [1.0]]

@@ -26,10 +26,21 @@ def position_only(samples=400, dt=0.001, irregular=False):
     document["nominal"]["timestep_s"] = dt
     plant = Plant.from_document(document)
     rng = np.random.default_rng(1)
-    t_ns = np.cumsum(rng.integers(500_000, 1_500_000, samples)) if irregular else np.arange(samples) * 1_000_000
+    t_ns = (
+        np.cumsum(rng.integers(500_000, 1_500_000, samples))
+        if irregular
+        else np.arange(samples) * 1_000_000
+    )
     t = (t_ns - t_ns[0]) / 1e9
     q = np.sin(3 * t)[:, None]
-    return plant, read_episode(mcap_bytes(plant.layout, q, np.zeros((samples, 1)), stamps_ns=T0_NS + t_ns), plant.layout), 3 * np.cos(3 * t)
+    return (
+        plant,
+        read_episode(
+            mcap_bytes(plant.layout, q, np.zeros((samples, 1)), stamps_ns=T0_NS + t_ns),
+            plant.layout,
+        ),
+        3 * np.cos(3 * t),
+    )
 
 
 @pytest.mark.parametrize("irregular", [False, True])
@@ -44,7 +55,14 @@ def test_a_velocity_that_nobody_observes_is_the_slope_of_the_positions(irregular
 def test_a_state_from_the_past_does_not_depend_on_the_future():
     plant, episode, _ = position_only()
     half = type(episode)(
-        episode.t_s[:200].copy(), episode.commands[:200].copy(), episode.observations[:200].copy(), episode.layout, episode.role, {}, 0, ""
+        episode.t_s[:200].copy(),
+        episode.commands[:200].copy(),
+        episode.observations[:200].copy(),
+        episode.layout,
+        episode.role,
+        {},
+        0,
+        "",
     )
     assert np.array_equal(past_states(plant, episode)[:200], past_states(plant, half))
 
@@ -61,7 +79,11 @@ def test_a_start_is_not_lost_to_rounding():
 
 def test_a_jump_of_the_clock_costs_no_memory_and_windows_go_on_behind_it():
     t = np.r_[0.0, 1.76e9 + np.arange(100) * 0.05]
-    assert starts_every(t, 2.0).tolist() == [0, 1, *(1 + np.flatnonzero(np.diff(np.floor((t[1:] + 1e-9) / 2.0)) > 0) + 1).tolist()]
+    assert starts_every(t, 2.0).tolist() == [
+        0,
+        1,
+        *(1 + np.flatnonzero(np.diff(np.floor((t[1:] + 1e-9) / 2.0)) > 0) + 1).tolist(),
+    ]
 
 
 def test_a_start_never_lies_behind_the_last_sample():
@@ -77,7 +99,13 @@ def test_bursts_of_stamps_and_gaps_do_not_spoil_the_slope():
     for t, known in ((bursts, slice(20, -20)), (gap, np.r_[10:490, 510:990])):
         q = np.sin(6 * t)[:, None]
         episode = read_episode(
-            mcap_bytes(plant.layout, q, np.zeros_like(q), stamps_ns=T0_NS + np.rint(t * 1e9).astype(np.int64)), plant.layout
+            mcap_bytes(
+                plant.layout,
+                q,
+                np.zeros_like(q),
+                stamps_ns=T0_NS + np.rint(t * 1e9).astype(np.int64),
+            ),
+            plant.layout,
         )
         assert np.abs(past_states(plant, episode)[known, 1] - 6 * np.cos(6 * t)[known]).max() < 0.15
 
@@ -88,7 +116,9 @@ def test_a_short_episode_has_a_slope(samples):
     document["observations"] = document["observations"][:1]
     plant = Plant.from_document(document)
     t = np.arange(samples) * 0.05
-    episode = read_episode(mcap_bytes(plant.layout, 3 * t[:, None], np.zeros((samples, 1))), plant.layout)
+    episode = read_episode(
+        mcap_bytes(plant.layout, 3 * t[:, None], np.zeros((samples, 1))), plant.layout
+    )
     assert past_states(plant, episode)[-1, 1] == pytest.approx(3.0, rel=1e-6)
 
 
@@ -115,10 +145,17 @@ def test_the_true_model_predicts_its_own_episode_to_rounding():
 def test_stepwise_and_compiled_rollouts_agree_on_irregular_times():
     rng = np.random.default_rng(2)
     stamps = T0_NS + np.cumsum(rng.integers(20_000_000, 180_000_000, 90))
-    episode = read_episode(mcap_bytes(PLANT.layout, rng.normal(size=(90, 2)), rng.uniform(-2, 2, (90, 1)), stamps_ns=stamps), PLANT.layout)
+    episode = read_episode(
+        mcap_bytes(
+            PLANT.layout, rng.normal(size=(90, 2)), rng.uniform(-2, 2, (90, 1)), stamps_ns=stamps
+        ),
+        PLANT.layout,
+    )
     windows = cut(PLANT, episode, starts_every(episode.t_s, 1.0))
     nothing = Residual(PLANT, LinearMap(("1",), np.zeros((1, 2))))
-    assert np.allclose(nothing.rollout(windows), Nominal(PLANT).rollout(windows), rtol=1e-12, atol=1e-12)
+    assert np.allclose(
+        nothing.rollout(windows), Nominal(PLANT).rollout(windows), rtol=1e-12, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("vectors", [1, 3, BLOCK // 4, BLOCK, BLOCK + 1, 100])
@@ -135,12 +172,19 @@ def test_any_number_of_lanes_gives_the_same_rollouts(vectors):
     found = rollout(families()["oscillator"], parameters, *arguments)
     assert found.shape == (vectors, windows, samples, 2)
     for i in (0, vectors - 1):
-        assert np.allclose(rollout(families()["oscillator"], parameters[i : i + 1], *arguments)[0], found[i], rtol=1e-13, atol=1e-13)
+        assert np.allclose(
+            rollout(families()["oscillator"], parameters[i : i + 1], *arguments)[0],
+            found[i],
+            rtol=1e-13,
+            atol=1e-13,
+        )
 
 
 def test_features_are_products_of_known_factors():
     states, issued = np.array([[0.5, -2.0]]), np.array([[3.0]])
-    assert design(("1", "q*v", "sign(v)", "abs(v)", "k*q"), states, issued, {"k": 4.0}).tolist() == [[1.0, -1.0, -1.0, 2.0, 2.0]]
+    assert design(
+        ("1", "q*v", "sign(v)", "abs(v)", "k*q"), states, issued, {"k": 4.0}
+    ).tolist() == [[1.0, -1.0, -1.0, 2.0, 2.0]]
     known_features(FRICTION)
 
 
@@ -158,9 +202,11 @@ def test_a_predictor_that_runs_away_says_so_in_its_numbers():
 
 def test_a_kernel_is_compiled_once_and_then_loaded_by_every_process():
     code = (
-        "import numpy as np; from trueup.model import family_kernel; from trueup.model.family import families\n"
+        "import numpy as np; from trueup.model import family_kernel; from "
+        "trueup.model.family import families\n"
         "for name, family in families().items():\n"
-        "    for width, vectors in ((family_kernel.ALONE, 1), (family_kernel.BLOCK, family_kernel.BLOCK)):\n"
+        "    for width, vectors in ((family_kernel.ALONE, 1), (family_kernel.BLOCK, "
+        "family_kernel.BLOCK)):\n"
         "        z = np.zeros((1, 2)); p = np.ones((vectors, len(family.params)))\n"
         "        family_kernel.rollout(family, p, z, z, z, np.zeros((1, 2), np.int64))\n"
         "        assert family_kernel.kernel(family, width).stats.cache_hits.total() == 1, name\n"

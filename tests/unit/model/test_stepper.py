@@ -20,12 +20,26 @@ from trueup.model.stepper import Stepper
 PLANT = Plant.from_document(plant_document())
 SAMPLES = 120
 ALL = tuple(effects())
-TOGETHER = ("actuator_delay", "actuator_lag", "saturation", "backlash", "stribeck_friction", "cogging", "sensor_drift", "velocity_lag")
+TOGETHER = (
+    "actuator_delay",
+    "actuator_lag",
+    "saturation",
+    "backlash",
+    "stribeck_friction",
+    "cogging",
+    "sensor_drift",
+    "velocity_lag",
+)
 
 
 def corrected(names, scheme):
     """A plant with effects whose numbers are those from which a fit begins."""
-    fitter = Fitter(PLANT.form, Directions.of_family(PLANT.dynamics.parameter_names), [Scales(0.6, 0.5, 0.7, 1.0)], np.ones(2))
+    fitter = Fitter(
+        PLANT.form,
+        Directions.of_family(PLANT.dynamics.parameter_names),
+        [Scales(0.6, 0.5, 0.7, 1.0)],
+        np.ones(2),
+    )
     values, hypothesis = fitter.begin((1.2, 0.6, 0.8)), Hypothesis()
     for name in names:
         values = fitter.with_effect(values, name, np.nan_to_num(effects()[name].starts[0], nan=0.1))
@@ -45,7 +59,9 @@ def compiled(model, start, issued):
     s = unobserved(model.scheme, t_s, PLANT.applied(issued), PLANT.command_scales, PLANT.timestep_s)
     init = np.repeat(np.array(start)[None, :, None], BLOCK, axis=2)
     values = np.repeat(np.array(model.values)[:, None], BLOCK, axis=1)
-    return roll(s, PLANT.form, values, switches(model.hypothesis, 1), init)[:, PLANT.state_columns, 0]
+    return roll(s, PLANT.form, values, switches(model.hypothesis, 1), init)[
+        :, PLANT.state_columns, 0
+    ]
 
 
 def stepped(model, start, issued):
@@ -58,7 +74,9 @@ def stepped(model, start, issued):
 
 
 @pytest.mark.parametrize("scheme", [DECLARED, Scheme(0.5, 3)], ids=["declared", "symmetric"])
-@pytest.mark.parametrize("names", [(), *((n,) for n in ALL), TOGETHER], ids=lambda n: "+".join(n) or "none")
+@pytest.mark.parametrize(
+    "names", [(), *((n,) for n in ALL), TOGETHER], ids=lambda n: "+".join(n) or "none"
+)
 def test_a_step_at_a_time_is_the_compiled_rollout(names, scheme):
     model, start, issued = corrected(names, scheme), (0.3, -0.2), commands()
     one, other = stepped(model, start, issued), compiled(model, start, issued)
@@ -72,7 +90,13 @@ def test_a_step_at_a_time_is_the_compiled_rollout(names, scheme):
         Nominal(PLANT),
         Identified(PLANT, TRUE),
         Residual(PLANT, LinearMap(FRICTION, np.random.default_rng(0).normal(size=(5, 2)) * 1e-2)),
-        Blind(PLANT, LinearMap(("q", "v", "u", "q*v"), np.array([[0.99, -0.05], [0.05, 0.97], [0.0, 0.04], [0.01, 0.0]]))),
+        Blind(
+            PLANT,
+            LinearMap(
+                ("q", "v", "u", "q*v"),
+                np.array([[0.99, -0.05], [0.05, 0.97], [0.0, 0.04], [0.01, 0.0]]),
+            ),
+        ),
     ],
     ids=lambda m: m.kind,
 )
@@ -81,7 +105,11 @@ def test_every_kind_of_predictor_steps_as_it_predicts(model):
     issued = np.linspace(-9.0, 9.0, 5)
     seen, after = stepper.step(stepper.begin(states[:, 0], states[:, 1], issued), issued)
     assert np.array_equal(np.stack(seen, axis=1), PLANT.observe(states))
-    assert np.allclose(np.stack([after["position"], after["velocity"]], axis=1), model.predict_batch(states, issued[:, None]), atol=1e-13)
+    assert np.allclose(
+        np.stack([after["position"], after["velocity"]], axis=1),
+        model.predict_batch(states, issued[:, None]),
+        atol=1e-13,
+    )
 
 
 def test_a_robot_of_several_joints_has_no_such_step(tmp_path):
@@ -93,4 +121,6 @@ def test_a_delay_takes_its_commands_from_the_state():
     stepper = Stepper.of(corrected(("actuator_delay",), DECLARED))
     assert len(stepper.shares[0]) > 1
     assert sum(stepper.shares[0]) == pytest.approx(1.0)
-    assert stepper.names[2:] == tuple(f"command {k} before" for k in range(1, len(stepper.shares[0])))
+    assert stepper.names[2:] == tuple(
+        f"command {k} before" for k in range(1, len(stepper.shares[0]))
+    )

@@ -1,4 +1,5 @@
-"""A monitor: calibrated on healthy episodes, silent while they stay so, and what it says when they do not."""
+"""A monitor: calibrated on healthy episodes, silent while they stay so, and what it says when they
+do not."""
 
 from dataclasses import replace
 
@@ -36,7 +37,9 @@ def machine(**imperfections):
 def recorded(of, seed, seconds=8.0, role=Role.REFERENCE):
     rng = np.random.default_rng(seed)
     series = planned(SHAPES[seed % 4], round(seconds / BENCH.timestep_s) + 1, BENCH.timestep_s, rng)
-    return episode_of(PLANT, run(of, series, BENCH.timestep_s, BENCH.parts, SIGMA, rng), role, f"{seed:04d}")
+    return episode_of(
+        PLANT, run(of, series, BENCH.timestep_s, BENCH.parts, SIGMA, rng), role, f"{seed:04d}"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -45,11 +48,16 @@ def reference():
 
 
 def test_halves_have_as_much_of_every_kind_and_take_no_pattern(reference):
-    rare = [replace(e, conditions={"payload": "2 kg" if i < 6 else "none", "run": str(i)}) for i, e in enumerate(reference)]
+    rare = [
+        replace(e, conditions={"payload": "2 kg" if i < 6 else "none", "run": str(i)})
+        for i, e in enumerate(reference)
+    ]
     for seed in range(20):
         first, second = _halves(rare, np.random.default_rng(seed))
         assert sorted([*first, *second]) == list(range(60))
-        assert [sum(rare[i].conditions["payload"] == "2 kg" for i in half) for half in (first, second)] == [3, 3]
+        assert [
+            sum(rare[i].conditions["payload"] == "2 kg" for i in half) for half in (first, second)
+        ] == [3, 3]
     assert len({tuple(_halves(rare, np.random.default_rng(seed))[0]) for seed in range(20)}) == 20
 
 
@@ -78,7 +86,9 @@ def test_friction_that_grows_is_found_and_what_it_is_like_is_said(monitor):
     assert 1 <= first <= 8
     leading = {d: words for s in seen for d, (_, words) in s.alarms.items()}
     assert leading["effect_cusum"].startswith("like more")
-    assert "friction" in next(words for s in seen for d, (_, words) in s.alarms.items() if d == "effect_cusum")
+    assert "friction" in next(
+        words for s in seen for d, (_, words) in s.alarms.items() if d == "effect_cusum"
+    )
 
 
 def test_a_monitor_comes_back_from_its_document_as_it_was(monitor):
@@ -86,7 +96,10 @@ def test_a_monitor_comes_back_from_its_document_as_it_was(monitor):
     assert again.digest == monitor.digest
     state = monitor.begin()
     episode = recorded(machine(), 7000)
-    assert again.follow(state, Nominal(PLANT), episode)[0] == monitor.follow(state, Nominal(PLANT), episode)[0]
+    assert (
+        again.follow(state, Nominal(PLANT), episode)[0]
+        == monitor.follow(state, Nominal(PLANT), episode)[0]
+    )
 
 
 def test_the_promise_is_shared_by_the_detectors_and_what_was_achieved_stands_beside_it(monitor):
@@ -98,11 +111,15 @@ def test_the_promise_is_shared_by_the_detectors_and_what_was_achieved_stands_bes
         assert all(delay["episodes"] == 20 for delay in figures["delays"].values())
     assert of["likelihood_ratio_cusum"]["delays"]["the spread of a channel doubles"]["found"] == 1.0
     assert of["effect_cusum"]["delays"]["an effect moves a channel by its spread"]["found"] > 0.5
-    assert of["quantile_run"]["delays"]["the mean of a channel moves by its spread"]["found"] < 0.5  # a cutoff does not add up
+    assert (
+        of["quantile_run"]["delays"]["the mean of a channel moves by its spread"]["found"] < 0.5
+    )  # a cutoff does not add up
     assert not monitor.figures["promise_shown"]  # eight minutes show no hour
 
 
-@pytest.mark.parametrize(("promise_h", "kinds"), [(0.0, ()), (float("nan"), ()), (1.0, ("crystal_ball",))])
+@pytest.mark.parametrize(
+    ("promise_h", "kinds"), [(0.0, ()), (float("nan"), ()), (1.0, ("crystal_ball",))]
+)
 def test_a_monitor_that_cannot_watch_is_refused(reference, promise_h, kinds):
     with pytest.raises(BadMonitor):
         calibrate(Nominal(PLANT), "served", reference, promise_h, kinds=kinds)
@@ -115,7 +132,15 @@ def test_too_short_a_reference_is_refused_and_says_how_much_is_needed(reference,
     assert "16 blocks" in refused.value.hint
 
 
-@pytest.mark.parametrize("spoil", [{"schema": "other"}, {"healthy": [[0.0]]}, {"detectors": [{"detector": "none"}]}, {"windows": None}])
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        {"schema": "other"},
+        {"healthy": [[0.0]]},
+        {"detectors": [{"detector": "none"}]},
+        {"windows": None},
+    ],
+)
 def test_a_spoiled_document_is_refused(monitor, spoil):
     with pytest.raises(BadMonitor):
         Monitor.from_document({**monitor.document(), **spoil})
@@ -138,7 +163,9 @@ def test_a_predictor_that_runs_away_is_far_off_and_no_number_is_lost(monitor):
 
 
 def test_blocks_are_whole_windows_of_one_episode(monitor):
-    residuals = monitor.healthy.residuals(missed(Nominal(PLANT), recorded(machine(), 3, seconds=11.0)))
+    residuals = monitor.healthy.residuals(
+        missed(Nominal(PLANT), recorded(machine(), 3, seconds=11.0))
+    )
     parts = blocks(replace(residuals, evidence=np.zeros((residuals.windows, 2, 2))), 2)
     assert [p.windows for p in parts] == [2] * (residuals.windows // 2)
     assert all(p.evidence.shape == (2, 2, 2) for p in parts)
@@ -157,19 +184,34 @@ def test_an_episode_too_short_for_a_rollout_is_refused_and_no_reference(referenc
     positions = plant_of(BENCH, velocity=False)
 
     def cut(e, n):
-        parts = {"observations": e.observations[:n, :1].copy(), "commands": e.commands[:n].copy(), "t_s": e.t_s[:n].copy()}
+        parts = {
+            "observations": e.observations[:n, :1].copy(),
+            "commands": e.commands[:n].copy(),
+            "t_s": e.t_s[:n].copy(),
+        }
         return replace(e, layout=positions.layout, **parts)
 
     with pytest.raises(NotIdentifiable, match="too few"):
         calibrate(Nominal(positions), "served", [cut(e, 5) for e in reference[:20]], 1.0)
-    made = calibrate(Nominal(positions), "served", [cut(e, None) for e in reference], 1.0, kinds=("quantile_run",))
+    made = calibrate(
+        Nominal(positions),
+        "served",
+        [cut(e, None) for e in reference],
+        1.0,
+        kinds=("quantile_run",),
+    )
     with pytest.raises(NotAnEpisode):
         made.follow(made.begin(), Nominal(positions), cut(reference[0], 5))
 
 
 def test_what_changed_tells_the_machine_from_its_task(reference):
     before = Before.of(reference)
-    now = replace(before, ranges={**before.ranges, "u": (-1.5, 1.5)}, conditions={"stage": ["SIL"], "payload": ["2 kg"]}, period_s=0.04)
+    now = replace(
+        before,
+        ranges={**before.ranges, "u": (-1.5, 1.5)},
+        conditions={"stage": ["SIL"], "payload": ["2 kg"]},
+        period_s=0.04,
+    )
     found = changed(before, {"q": np.array([2.0, 2.0]), "v": np.array([1.0, 1.0])}, now)
     assert found["channels"]["q"]["error"] == pytest.approx(2.0)
     assert set(found["outside"]) == {"u"}
@@ -177,13 +219,18 @@ def test_what_changed_tells_the_machine_from_its_task(reference):
     assert len(found["words"]) == 4
     quiet = changed(before, {"q": np.array([1.0])}, before)
     assert quiet["words"] == []
-    assert Before.from_document(before.document()) == replace(before, conditions={k: tuple(v) for k, v in before.conditions.items()})
+    assert Before.from_document(before.document()) == replace(
+        before, conditions={k: tuple(v) for k, v in before.conditions.items()}
+    )
 
 
 def test_the_interval_of_a_count_is_garwoods():
     assert poisson_interval(0) == (0.0, pytest.approx(3.689, abs=1e-3))
     assert poisson_interval(5) == (pytest.approx(1.623, abs=1e-3), pytest.approx(11.668, abs=1e-3))
-    assert poisson_interval(100) == (pytest.approx(81.36, abs=0.01), pytest.approx(121.63, abs=0.01))
+    assert poisson_interval(100) == (
+        pytest.approx(81.36, abs=0.01),
+        pytest.approx(121.63, abs=0.01),
+    )
 
 
 def test_every_detector_says_what_its_promise_rests_on_and_only_the_proven_one_claims_a_guarantee():

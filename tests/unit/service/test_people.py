@@ -13,8 +13,18 @@ def test_the_token_of_another_site_is_its_actors_and_not_the_admins(tmp_path):
     parts = build(Settings(data_dir=tmp_path))
     stamp = Stamp("admin", "2026-01-01T00:00:00.000000Z")
     with writing(parts.database) as writer:
-        issue_token(writer, TokenRecord("here", "0" * 64, "Shopper ", ["operator"], None, None, stamp.now, "admin", None), stamp)
-        assert person_of(writer, "elsewhere", "shopper for Ana") == person_of(writer, "here", "whoever") == "shopper"
+        issue_token(
+            writer,
+            TokenRecord(
+                "here", "0" * 64, "Shopper ", ["operator"], None, None, stamp.now, "admin", None
+            ),
+            stamp,
+        )
+        assert (
+            person_of(writer, "elsewhere", "shopper for Ana")
+            == person_of(writer, "here", "whoever")
+            == "shopper"
+        )
         assert person_of(writer, "of the settings", "admin") == "admin"
         revoke_token(writer, "here", stamp)
         assert person_of(writer, "here", "whoever") is None

@@ -1,4 +1,5 @@
-"""The second simulator's robots: MuJoCo's own links, laws that are those of one joint, and steps that converge."""
+"""The second simulator's robots: MuJoCo's own links, laws that are those of one joint, and steps
+that converge."""
 
 from dataclasses import replace
 
@@ -41,7 +42,9 @@ def seen(machine, plan, parts=16):
 def test_a_tree_written_as_mjcf_moves_as_the_file_it_came_from(text):
     given = mujoco.MjModel.from_xml_string(text)
     given.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    again = mujoco.MjModel.from_xml_string(mjcf(tree_of(engine(), given), float(given.opt.timestep)))
+    again = mujoco.MjModel.from_xml_string(
+        mjcf(tree_of(engine(), given), float(given.opt.timestep))
+    )
     one, other = mujoco.MjData(given), mujoco.MjData(again)
     order = [given.joint(int(a[0])).name for a in given.actuator_trnid]
     at = [[given.joint(j).name for j in range(given.njnt)].index(name) for name in order]
@@ -66,9 +69,13 @@ def test_fine_steps_converge_with_their_square(machine, plan, soft):
 
 def test_dry_friction_holds_a_joint_that_is_pushed_by_less(machine):
     still = RobotPlan("test", np.zeros((200, 2)), np.zeros((200, 4)))
-    flat = replace(machine, tree=replace(machine.tree, constants=machine.tree.constants * (np.arange(21) < 18)))  # no gravity
+    flat = replace(
+        machine, tree=replace(machine.tree, constants=machine.tree.constants * (np.arange(21) < 18))
+    )  # no gravity
     pushed = replace(still, commands=np.full((200, 2), 0.5))
-    held = flat.having("coulomb_friction", {"level": 0.6}, 0).having("coulomb_friction", {"level": 0.6}, 1)
+    held = flat.having("coulomb_friction", {"level": 0.6}, 0).having(
+        "coulomb_friction", {"level": 0.6}, 1
+    )
     moved = run(held, pushed, PERIOD_S, 8, np.zeros(4), np.random.default_rng(0)).observed
     free = run(flat, pushed, PERIOD_S, 8, np.zeros(4), np.random.default_rng(0)).observed
     assert np.abs(moved[:, :2]).max() < 1e-6
@@ -84,7 +91,9 @@ def test_what_acts_on_a_log_acts_at_every_joint_and_a_drive_at_its_own(machine, 
         run(m, plan, PERIOD_S, 8, np.zeros(4), np.random.default_rng(0)).observed
         for m in (machine, machine.having("sensor_bias", {"bias": 0.1}, 1))
     ]
-    np.testing.assert_allclose(alone[1] - alone[0], np.array([0.0, 0.1, 0.0, 0.0]) * np.ones((500, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        alone[1] - alone[0], np.array([0.0, 0.1, 0.0, 0.0]) * np.ones((500, 1)), atol=1e-12
+    )
     saturated = seen(machine.having("saturation", {"limit": 2.0}, 0), plan)
     assert np.abs(saturated.observed - plain).max() > 0.1
 
@@ -95,17 +104,30 @@ def test_a_rotor_behind_a_spring_is_part_of_the_armature(machine, plan):
     stiff = {"stiffness": 2e4, "damping": 2.0, "share": largest}
     soft = {"stiffness": 40.0, "damping": 0.2, "share": largest}
     plain = seen(machine, plan).observed
-    off = [np.abs(seen(machine.having("elastic_transmission", values, 0), plan).observed - plain).max() for values in (stiff, soft)]
+    off = [
+        np.abs(seen(machine.having("elastic_transmission", values, 0), plan).observed - plain).max()
+        for values in (stiff, soft)
+    ]
     assert off[0] < 0.1 * off[1]
 
 
 def test_a_rotor_gets_no_more_than_its_actuator_gives():
-    text = ARM.replace('<motor joint="shoulder"/>', '<position joint="shoulder" kp="40" kv="2" forcerange="-3 3"/>')
-    tree = tree_of(engine(), mujoco.MjModel.from_xml_string(text.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"')))
+    text = ARM.replace(
+        '<motor joint="shoulder"/>', '<position joint="shoulder" kp="40" kv="2" forcerange="-3 3"/>'
+    )
+    tree = tree_of(
+        engine(),
+        mujoco.MjModel.from_xml_string(text.replace('gravity="0 0 -9.81"', 'gravity="0 0 0"')),
+    )
     servo = RobotMachine(tree, np.full(2, -25.0), np.full(2, 25.0), np.full(2, 25.0))
     goal = RobotPlan("test", np.tile([1.0, 0.0], (60, 1)), np.zeros((60, 4)))
-    soft = servo.having("elastic_transmission", {"stiffness": 80.0, "damping": 0.3, "share": rotor(tree, 0)}, 0)
-    ways = [run(m, goal, PERIOD_S, 16, np.zeros(4), np.random.default_rng(0)).observed[-1, 0] for m in (servo, soft)]
+    soft = servo.having(
+        "elastic_transmission", {"stiffness": 80.0, "damping": 0.3, "share": rotor(tree, 0)}, 0
+    )
+    ways = [
+        run(m, goal, PERIOD_S, 16, np.zeros(4), np.random.default_rng(0)).observed[-1, 0]
+        for m in (servo, soft)
+    ]
     assert ways[0] > 0.05
     assert ways[1] == pytest.approx(ways[0], rel=0.3)
 
@@ -115,10 +137,14 @@ def test_an_imperfection_that_makes_the_machine_shake_is_too_large(machine):
 
     def observe(tried):
         level = tried.imperfections.get(("constant_force", 0), {"level": 0.0})["level"]
-        return still * (1.0 + np.array([0.1, 0.0, 3.0, 0.0]) * level)  # the velocity grows far more than the position
+        return still * (
+            1.0 + np.array([0.1, 0.0, 3.0, 0.0]) * level
+        )  # the velocity grows far more than the position
 
     def drawn(wanted):
-        return as_large_as(machine, "constant_force", {"level": (0.0, 1.0, False)}, wanted, observe, 0)
+        return as_large_as(
+            machine, "constant_force", {"level": (0.0, 1.0, False)}, wanted, observe, 0
+        )
 
     calm, reached = drawn(0.01)
     assert calm.imperfections["constant_force", 0]["level"] == pytest.approx(0.1, rel=0.15)

@@ -1,4 +1,5 @@
-"""A step of a search is done whoever helps, dies, declines or is not there, with the same answers."""
+"""A step of a search is done whoever helps, dies, declines or is not there, with the same
+answers."""
 
 import threading
 from dataclasses import replace
@@ -34,7 +35,9 @@ class Others:
         self.parcels |= {name: (job, parcel) for name, parcel in parcels.items()}
 
     def help(self, names):
-        found = {name: self.fares(*self.parcels[name]) for name in names if name not in self.withdrawn}
+        found = {
+            name: self.fares(*self.parcels[name]) for name in names if name not in self.withdrawn
+        }
         return {name: help_ for name, help_ in found.items() if help_ is not None}
 
     def withdraw(self, names):
@@ -49,10 +52,21 @@ def case():
     plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21)
     adaptation, validation = by_role(episodes)
     problem, base = lay_out(
-        plant, admit(plant, adaptation), adaptation, validation, selection_criteria(plant, adaptation), refined(plant), 1
+        plant,
+        admit(plant, adaptation),
+        adaptation,
+        validation,
+        selection_criteria(plant, adaptation),
+        refined(plant),
+        1,
     )
     tasks = [Race(base.fit, term, np.zeros(1)) for term in TERMS]
-    return Helper(plant, episodes), problem, tasks, pack_answers(in_threads(problem, tasks, lambda _: None))
+    return (
+        Helper(plant, episodes),
+        problem,
+        tasks,
+        pack_answers(in_threads(problem, tasks, lambda _: None)),
+    )
 
 
 @pytest.fixture(autouse=True)
@@ -92,7 +106,10 @@ def test_the_answers_are_the_same_where(case, fares):
     with FanOut(others, "job") as fan_out:
         assert pack_answers(fan_out(problem, tasks, shares.append)) == expected
         assert pack_answers(fan_out(problem, tasks, shares.append)) == expected
-    assert others.asked == [len(tasks) - 1, len(tasks) - 1 if fares in ("somebody helps", "somebody took it and died") else 1]
+    assert others.asked == [
+        len(tasks) - 1,
+        len(tasks) - 1 if fares in ("somebody helps", "somebody took it and died") else 1,
+    ]
     assert not others.parcels
     assert max(shares) == 1.0
 
@@ -100,12 +117,16 @@ def test_the_answers_are_the_same_where(case, fares):
 def test_one_parcel_is_offered_while_nobody_helps_and_all_once_somebody_does(case):
     helper, problem, tasks, _ = case
     there = threading.Event()
-    others = Others(lambda *p: helpful(helper)(*p) if there.is_set() else Help(Helped.WAITING, None))
+    others = Others(
+        lambda *p: helpful(helper)(*p) if there.is_set() else Help(Helped.WAITING, None)
+    )
     with FanOut(others, "job") as fan_out:
         for step in range(4):
             if step == 2:
                 there.set()
-            fan_out(problem, [replace(t, expected=t.expected + step) for t in tasks], lambda _: None)  # as parcels that are new
+            fan_out(
+                problem, [replace(t, expected=t.expected + step) for t in tasks], lambda _: None
+            )  # as parcels that are new
     assert others.asked == [7, 1, 1, 7]
 
 

@@ -17,4 +17,6 @@ class NoWorseAnywhere(Rule):
         each = [trial.compared(ROLLOUT, [i]) for i in range(len(trial.episodes))]
         at = self.nearest(each, self.slack)
         because = f"episode {trial.episodes[at][:12]} is the nearest to its bound or beyond"
-        return self.verdict(all(self.within(found, self.slack) for found in each), each[at], self.slack, because)
+        return self.verdict(
+            all(self.within(found, self.slack) for found in each), each[at], self.slack, because
+        )

@@ -8,9 +8,11 @@ from trueup.gate.rule import MEAN, Compared, Rule, Trial, Verdict
 
 @dataclass(frozen=True, slots=True)
 class TrackingNoWorse(Rule):
-    """In closed loop the mean squared tracking error stays within `slack` times the incumbent's, and the envelope is not breached more.
+    """In closed loop the mean squared tracking error stays within `slack` times the incumbent's,
+    and the envelope is not breached more.
 
-    A better prediction need not track better; what a robot feels is the tracking. The interval is over paired runs.
+    A better prediction need not track better; what a robot feels is the tracking. The interval is
+    over paired runs.
     """
 
     slack: float = 1.05
@@ -21,10 +23,23 @@ class TrackingNoWorse(Rule):
     def __call__(self, trial: Trial) -> Verdict:
         runs = trial.tracking
         if runs is None:
-            return Verdict(self.name, False, float("nan"), self.slack, "1", "there are no runs in closed loop", require=self.require)
-        found = Compared(float(runs.candidate.mean()), float(runs.incumbent.mean()), lambda: _ratios(runs))
+            return Verdict(
+                self.name,
+                False,
+                float("nan"),
+                self.slack,
+                "1",
+                "there are no runs in closed loop",
+                require=self.require,
+            )
+        found = Compared(
+            float(runs.candidate.mean()), float(runs.incumbent.mean()), lambda: _ratios(runs)
+        )
         calm = runs.breaches[0] <= runs.breaches[1]
-        because = f"breaches {runs.breaches[0]:.4f} of the time, the incumbent {runs.breaches[1]:.4f}; {len(runs.candidate)} paired runs"
+        because = (
+            f"breaches {runs.breaches[0]:.4f} of the time, the incumbent "
+            f"{runs.breaches[1]:.4f}; {len(runs.candidate)} paired runs"
+        )
         return self.verdict(calm and self.within(found, self.slack), found, self.slack, because)
 
 

@@ -4,7 +4,8 @@ from trueup.model.effect import Effect, Number, Port, Scale
 
 
 class ActuatorDelay(Effect):
-    """A pure transport delay between issue and action; a step that straddles a change takes the mean.
+    """A pure transport delay between issue and action; a step that straddles a change takes the
+    mean.
 
     Equation: u'(t) = u(t - delay)
     Source: O. J. M. Smith, Chemical Engineering Progress 53 (1957).

@@ -4,11 +4,12 @@ from trueup.model.effect import Effect, Number, Port, Scale
 
 
 class ActuatorLag(Effect):
-    """A first-order drive; a step uses the mean of what it gives, or its end where the scheme is the declared implicit one.
+    """A first-order drive; a step uses the mean of what it gives, or its end where the scheme is
+    the declared implicit one.
 
-    Equation: time_constant y' = u - y, with exp(-x) taken as 1 / (1 + x + x^2 / 2 + x^3 / 6 + x^4 / 24)
-    Source: G. F. Franklin, J. D. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, section 3.3.
-    Blind: commands that change slowly.
+    Equation: time_constant y' = u - y, with exp(-x) taken as 1 / (1 + x + x^2 / 2 + x^3 / 6 + x^4 /
+    24) Source: G. F. Franklin, J. D. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems,
+    section 3.3. Blind: commands that change slowly.
     """
 
     name = "actuator_lag"

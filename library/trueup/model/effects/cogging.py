@@ -22,17 +22,37 @@ class Cogging(Effect):
         Number("cosine", Scale.ACCELERATION, 0.0, -INFINITY, INFINITY),
         Number("pitch", Scale.POSITION, 1.0, 0.02, 1.0),
     )
-    starts = tuple(s for i in range(30) for s in ((0.02, 0.0, 0.05 * 1.1**i), (0.0, 0.02, 0.05 * 1.1**i)))
+    starts = tuple(
+        s for i in range(30) for s in ((0.02, 0.0, 0.05 * 1.1**i), (0.0, 0.02, 0.05 * 1.1**i))
+    )
 
     @staticmethod
     def apply(a, q, sine, cosine, pitch):  # type: ignore[no-untyped-def]
         turns = q / pitch
         turns = turns - np.rint(turns)
-        half = turns * turns  # sin and cos of 2 pi turns by polynomials of the double angle: no library call in the step
+        half = (
+            turns * turns
+            # sin and cos of 2 pi turns by polynomials of the double angle: no library call in the
+            # step
+        )
         x = 3.141592653589793 * turns
         square = 9.869604401089358 * half
-        s = x * (1.0 - square * (1 / 6 - square * (1 / 120 - square * (1 / 5040 - square * (1 / 362880 - square / 39916800)))))
+        s = x * (
+            1.0
+            - square
+            * (
+                1 / 6
+                - square
+                * (1 / 120 - square * (1 / 5040 - square * (1 / 362880 - square / 39916800)))
+            )
+        )
         c = 1.0 - square * (
-            1 / 2 - square * (1 / 24 - square * (1 / 720 - square * (1 / 40320 - square * (1 / 3628800 - square / 479001600))))
+            1 / 2
+            - square
+            * (
+                1 / 24
+                - square
+                * (1 / 720 - square * (1 / 40320 - square * (1 / 3628800 - square / 479001600)))
+            )
         )
         return a + sine * (2.0 * s * c) + cosine * (c * c - s * s)

@@ -4,11 +4,12 @@ from trueup.model.effect import Effect, Number, Port, Scale
 
 
 class DroppedFrames(Effect):
-    """A lost frame shows the last one again; on the mean the log is late by the time that frames are held.
+    """A lost frame shows the last one again; on the mean the log is late by the time that frames
+    are held.
 
-    Equation: y(t_i) = x(t_j), j the last frame that arrived; mean delay = period fraction / (1 - fraction)
-    Source: L. Schenato, IEEE Transactions on Automatic Control 53 (2008), the hold strategy.
-    Blind: a joint at rest, for there every frame repeats the last.
+    Equation: y(t_i) = x(t_j), j the last frame that arrived; mean delay = period fraction / (1 -
+    fraction) Source: L. Schenato, IEEE Transactions on Automatic Control 53 (2008), the hold
+    strategy. Blind: a joint at rest, for there every frame repeats the last.
     """
 
     name = "dropped_frames"

@@ -8,10 +8,10 @@ from trueup.model.effect import Effect, Number, Port, Scale
 class ElasticTransmission(Effect):
     """Two masses and a damped spring; the observed joint is the load's.
 
-    Equation: load (1 - share) a = passive + T, motor share m'' = drive - T, T = K w + D w', w = m - q,
-    K = (2 pi / period)^2 share (1 - share), D = 4 pi ratio / period share (1 - share)
-    Source: M. W. Spong, Journal of Dynamic Systems, Measurement, and Control 109 (1987).
-    Blind: an excitation far below the resonance.
+    Equation: load (1 - share) a = passive + T, motor share m'' = drive - T, T = K w + D w', w = m -
+    q, K = (2 pi / period)^2 share (1 - share), D = 4 pi ratio / period share (1 - share) Source: M.
+    W. Spong, Journal of Dynamic Systems, Measurement, and Control 109 (1987). Blind: an excitation
+    far below the resonance.
     """
 
     name = "elastic_transmission"
@@ -36,11 +36,21 @@ class ElasticTransmission(Effect):
         stiff, damp = both * w * w, 2.0 * both * w * ratio
         left = np.maximum(1.0 - share * mobility, 0.05)
         apart = 1.0 / share + mobility / left
-        angle = 2.0 * alpha * apart * stiff * h * h  # of a step, squared; a symmetric one swings too fast
+        angle = (
+            2.0 * alpha * apart * stiff * h * h
+        )  # of a step, squared; a symmetric one swings too fast
         stiff = stiff * (1.0 - angle / 12.0 * (1.0 - angle / 30.0))
         ahead = twist + alpha * h * rate
-        kick = drive / share - mobility * passive / left - apart * (stiff * ahead + (1.0 - alpha) * damp * rate)
+        kick = (
+            drive / share
+            - mobility * passive / left
+            - apart * (stiff * ahead + (1.0 - alpha) * damp * rate)
+        )
         after = (rate + h * kick) / (1.0 + alpha * h * apart * damp)
         load = (passive + stiff * ahead + damp * ((1.0 - alpha) * rate + alpha * after)) / left
         soft = period > 0.0
-        return a + (load - (passive + drive)) * soft, (ahead + (1.0 - alpha) * h * after) * soft, after * soft
+        return (
+            a + (load - (passive + drive)) * soft,
+            (ahead + (1.0 - alpha) * h * after) * soft,
+            after * soft,
+        )

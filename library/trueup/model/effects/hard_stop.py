@@ -8,10 +8,11 @@ from trueup.model.effect import Effect, Number, Port, Scale
 class HardStop(Effect):
     """A stiff, damped contact at the same distance to both sides of a centre.
 
-    Equation: a - stiffness d - damping v (where pressed), with d = q beyond centre +- limit; damping is rebound times as large on the way
-    back; the contact never pulls
-    Source: K. H. Hunt, F. R. E. Crossley, Journal of Applied Mechanics 42 (1975), the linear case.
-    Blind: travel within the limit. One not stiffer than eight times what the motion itself meets is a spring that differs by side, no stop.
+    Equation: a - stiffness d - damping v (where pressed), with d = q beyond centre +- limit;
+    damping is rebound times as large on the way back; the contact never pulls Source: K. H. Hunt,
+    F. R. E. Crossley, Journal of Applied Mechanics 42 (1975), the linear case. Blind: travel within
+    the limit. One not stiffer than eight times what the motion itself meets is a spring that
+    differs by side, no stop.
     """
 
     name = "hard_stop"
@@ -38,4 +39,8 @@ class HardStop(Effect):
         above = np.maximum(q - centre - limit, 0.0)
         below = np.maximum(centre - q - limit, 0.0)
         inward = damping * v * (rebound + (1.0 - rebound) * ((v > 0.0) == (above > 0.0)))
-        return a - np.maximum(stiffness * above + inward * (above > 0.0), 0.0) + np.maximum(stiffness * below - inward * (below > 0.0), 0.0)
+        return (
+            a
+            - np.maximum(stiffness * above + inward * (above > 0.0), 0.0)
+            + np.maximum(stiffness * below - inward * (below > 0.0), 0.0)
+        )

@@ -6,10 +6,11 @@ from trueup.model.effect import Effect, Number, Port, Scale
 class Hysteresis(Effect):
     """A force that builds up over a distance after each reversal.
 
-    Equation: a - level z, z' = (v - s(z) (shape |v| z + (1 - shape) v |z|)) / distance, s(z) = 1 - sharpness + sharpness |z|
-    Source: R. Bouc (1967), Y.-K. Wen, Journal of the Engineering Mechanics Division 102 (1976), exponents 1 to 2
-    (sharpness 0 to 1); shape 1 and sharpness 0 is P. Dahl's model (1968).
-    Blind: an episode without reversals; a distance far below the motion looks like Coulomb friction, one far above like a spring.
+    Equation: a - level z, z' = (v - s(z) (shape |v| z + (1 - shape) v |z|)) / distance, s(z) = 1 -
+    sharpness + sharpness |z| Source: R. Bouc (1967), Y.-K. Wen, Journal of the Engineering
+    Mechanics Division 102 (1976), exponents 1 to 2 (sharpness 0 to 1); shape 1 and sharpness 0 is
+    P. Dahl's model (1968). Blind: an episode without reversals; a distance far below the motion
+    looks like Coulomb friction, one far above like a spring.
     """
 
     name = "hysteresis"
@@ -30,5 +31,7 @@ class Hysteresis(Effect):
     def apply(a, v, h, z, level, distance, shape, sharpness):  # type: ignore[no-untyped-def]
         stroke = h * v / distance
         soft = 1.0 - sharpness + sharpness * abs(z)
-        z = (z + stroke * (1.0 - (1.0 - shape) * abs(z) * soft)) / (1.0 + shape * soft * abs(stroke))
+        z = (z + stroke * (1.0 - (1.0 - shape) * abs(z) * soft)) / (
+            1.0 + shape * soft * abs(stroke)
+        )
         return a - level * z, z

@@ -6,7 +6,8 @@ from trueup.model.effect import Effect, Number, Port, Scale
 
 
 class QuadraticGain(Effect):
-    """A static drive of second order: one part bends both signs of the command alike, as a supply that sags, one bends them apart.
+    """A static drive of second order: one part bends both signs of the command alike, as a supply
+    that sags, one bends them apart.
 
     Equation: u' = u + (odd u |u| + even u^2) / scale, the scale being the command's limit
     Source: L. Ljung, System Identification (1999), section 5.2, the Hammerstein model.

@@ -6,10 +6,11 @@ from trueup.model.effect import Effect, Number, Port, Scale
 class StribeckFriction(Effect):
     """Dry friction that falls from its breakaway level to a lower one as the joint gains speed.
 
-    Equation: |friction| <= level + extra / (1 + x^2 + sharpness (x^4 / 2! + ... + x^12 / 6!)), x = v / speed
-    Source: R. Stribeck, Zeitschrift des VDI 46 (1902); the algebraic curve: B. Armstrong-Helouvry, P. Dupont,
-    C. Canudas de Wit, Automatica 30 (1994), section 2; with sharpness 1 it is the Gaussian one but for its last thousandth.
-    Blind: an episode without slow motion, or without fast one.
+    Equation: |friction| <= level + extra / (1 + x^2 + sharpness (x^4 / 2! + ... + x^12 / 6!)), x =
+    v / speed Source: R. Stribeck, Zeitschrift des VDI 46 (1902); the algebraic curve: B.
+    Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994), section 2; with
+    sharpness 1 it is the Gaussian one but for its last thousandth. Blind: an episode without slow
+    motion, or without fast one.
     """
 
     name = "stribeck_friction"
@@ -28,4 +29,8 @@ class StribeckFriction(Effect):
     @staticmethod
     def apply(v, level, extra, speed, sharpness):  # type: ignore[no-untyped-def]
         x = (v / speed) * (v / speed)
-        return level + extra / (1.0 + x * (1.0 + sharpness * x * (1 / 2 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x / 720))))))
+        return level + extra / (
+            1.0
+            + x
+            * (1.0 + sharpness * x * (1 / 2 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x / 720)))))
+        )

@@ -1,9 +1,12 @@
-"""A sequential test whose false alarms are bounded by proof, whatever the noise: Shiryaev-Roberts sums of conformal bets.
+"""A sequential test whose false alarms are bounded by proof, whatever the noise: Shiryaev-Roberts
+sums of conformal bets.
 
-Each block's score is ranked among all healthy scores before it; while blocks are exchangeable the ranks are independent and uniform, and a
-bet on high ranks is worth 1 on the mean. The sum of all bets' products then reaches c in c blocks at the earliest, on the mean.
-Sources: V. Vovk, I. Nouretdinov, A. Gammerman, ICML 2003, for conformal martingales; J. Shin, A. Ramdas, A. Rinaldo,
-"E-detectors", New England Journal of Statistics in Data Science 2 (2024), for the sum and its mean time between alarms.
+Each block's score is ranked among all healthy scores before it; while blocks are exchangeable the
+ranks are independent and uniform, and a bet on high ranks is worth 1 on the mean. The sum of all
+bets' products then reaches c in c blocks at the earliest, on the mean. Sources: V. Vovk, I.
+Nouretdinov, A. Gammerman, ICML 2003, for conformal martingales; J. Shin, A. Ramdas, A. Rinaldo,
+"E-detectors", New England Journal of Statistics in Data Science 2 (2024), for the sum and its mean
+time between alarms.
 """
 
 from __future__ import annotations
@@ -27,7 +30,8 @@ CERTAIN = 1.0 - 1e-4  # nearer to 1 the formula loses its digits; its limit is 1
 
 @dataclass(frozen=True)
 class ConformalTest(Detector):
-    """An alarm when the sum of bets passes `level`, the number of blocks in the promised time; blocks have `windows` rollouts each.
+    """An alarm when the sum of bets passes `level`, the number of blocks in the promised time;
+    blocks have `windows` rollouts each.
 
     `scores` are those of the healthy blocks that it begins with.
     """
@@ -36,13 +40,18 @@ class ConformalTest(Detector):
     windows: int
     scores: tuple[float, ...]
     name = "conformal_test"
-    rests_on = "proven: healthy blocks are exchangeable with the reference's, in any order alike, whatever the dependence within one"
+    rests_on = (
+        "proven: healthy blocks are exchangeable with the reference's, in any order alike, "
+        "whatever the dependence within one"
+    )
     guarantee = True
     reads_fresh = True
 
     @staticmethod
     def calibrate(reference: Reference, rng: np.random.Generator) -> ConformalTest:
-        return ConformalTest(1.0 / reference.rate, reference.windows, tuple(_score(b) for b in reference.fresh))
+        return ConformalTest(
+            1.0 / reference.rate, reference.windows, tuple(_score(b) for b in reference.fresh)
+        )
 
     def begin(self) -> State:
         return (0.0, *self.scores)
@@ -63,7 +72,10 @@ class ConformalTest(Detector):
             if gathered > self.level:
                 alarm, gathered = end - 1 if alarm is None else alarm, 0.0
         return Followed(
-            statistic, alarm, None if alarm is None else int((residuals.weight @ residuals.values**2).argmax()), (gathered, *known.tolist())
+            statistic,
+            alarm,
+            None if alarm is None else int((residuals.weight @ residuals.values**2).argmax()),
+            (gathered, *known.tolist()),
         )
 
     def labels(self, channels: Sequence[str], signs: Sequence[str]) -> list[str]:
@@ -78,7 +90,11 @@ class ConformalTest(Detector):
 
     @staticmethod
     def restore(document: Mapping[str, Any]) -> ConformalTest:
-        return ConformalTest(float(document["level"]), int(document["windows"]), tuple(float(x) for x in document["scores"]))
+        return ConformalTest(
+            float(document["level"]),
+            int(document["windows"]),
+            tuple(float(x) for x in document["scores"]),
+        )
 
 
 def bet(rank: int, count: int) -> float:
@@ -92,7 +108,8 @@ def _mean(count: int) -> float:
 
 
 def _power(p: Array) -> Array:
-    """The mixture over all exponents of power bets, integral of e p^(e-1) over e from 0 to 1; at p = 1 it is 1/2."""
+    """The mixture over all exponents of power bets, integral of e p^(e-1) over e from 0 to 1; at p
+    = 1 it is 1/2."""
     p = np.minimum(p, CERTAIN)
     log = np.log(p)
     return np.asarray((1.0 - p + p * log) / (p * log**2))

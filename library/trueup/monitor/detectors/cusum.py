@@ -1,7 +1,8 @@
 """Cumulative sums: small residuals add up to an alarm.
 
-Source: E. S. Page, Biometrika 41 (1954); the likelihood ratio's optimality: G. Lorden, Annals of Mathematical Statistics 42 (1971).
-Both hold for independent residuals, which these are not: the level is set on resampled blocks of healthy ones.
+Source: E. S. Page, Biometrika 41 (1954); the likelihood ratio's optimality: G. Lorden, Annals of
+Mathematical Statistics 42 (1971). Both hold for independent residuals, which these are not: the
+level is set on resampled blocks of healthy ones.
 """
 
 from __future__ import annotations
@@ -23,10 +24,15 @@ Array = NDArray[np.float64]
 LARGEST = 8.0  # healthy spreads that one residual counts at most: a single wild sample is no change
 SHIFT = 1.0  # of the mean, in healthy spreads, for which the tabular sum is the best
 GROWTH = 1.5  # of the spread, for which the likelihood ratio is the best: less than twice
-NOTICED = 0.5  # of one channel's healthy power: the error has grown by a fifth where two are observed
+NOTICED = (
+    0.5  # of one channel's healthy power: the error has grown by a fifth where two are observed
+)
 LEAST_POWER = 1e-12  # of a signature: the data show nothing of it
-SURE = 3.0  # standard errors of what the reference tells of a signature: smaller effects are not looked for
-CALM = 4.0  # that any sum of signatures may rise in a healthy block: what few windows show must not set the level for all
+# standard errors of what the reference tells of a signature: smaller effects are not looked for
+SURE = 3.0
+# that any sum of signatures may rise in a healthy block: what few windows show must not set the
+# level for all
+CALM = 4.0
 MOST = 20.0  # that one window adds at most
 STREAMS, LENGTH = 256, 3000  # resampled futures, and blocks in each
 LEVELS = 16
@@ -39,11 +45,15 @@ class Cusum(Detector):
     """The largest of several sums, each at least 0, of what speaks for one change."""
 
     level: float
-    rests_on = "calibrated, no guarantee: blocks to come are drawn like the reference's, whatever the dependence within one"
+    rests_on = (
+        "calibrated, no guarantee: blocks to come are drawn like the reference's, whatever "
+        "the dependence within one"
+    )
 
     @abstractmethod
     def increments(self, residuals: Residuals) -> Array:
-        """What each step, a sample or a window, adds to each sum, `(steps, sums)`, negative on the mean while all is well."""
+        """What each step, a sample or a window, adds to each sum, `(steps, sums)`, negative on the
+        mean while all is well."""
 
     @abstractmethod
     def sums(self) -> int:
@@ -67,7 +77,9 @@ class Cusum(Detector):
         if len(beyond):
             at = int(beyond[0])
             return Followed(statistic, int(ends[at]), int(path[at].argmax()), self.begin())
-        return Followed(statistic, None, None, tuple(float(x) for x in path[-1]) if len(path) else state)
+        return Followed(
+            statistic, None, None, tuple(float(x) for x in path[-1]) if len(path) else state
+        )
 
     def exceedance(self, residuals: Residuals) -> float:
         return float(np.mean(self.follow(self.begin(), residuals).statistic > self.level))
@@ -75,7 +87,8 @@ class Cusum(Detector):
 
 @dataclass(frozen=True)
 class TabularCusum(Cusum):
-    """Two sums of each channel, for a mean that rises above what it was, and one that falls: S = max(0, S +- (z - centre) - SHIFT / 2)."""
+    """Two sums of each channel, for a mean that rises above what it was, and one that falls: S =
+    max(0, S +- (z - centre) - SHIFT / 2)."""
 
     centre: tuple[float, ...]
     name = "tabular_cusum"
@@ -93,7 +106,9 @@ class TabularCusum(Cusum):
     @staticmethod
     def calibrate(reference: Reference, rng: np.random.Generator) -> TabularCusum:
         means = [b.weight @ _clipped(b) / b.weight.sum() for b in reference.fitted]
-        return calibrated(TabularCusum(0.0, tuple(float(x) for x in np.mean(means, axis=0))), reference, rng)
+        return calibrated(
+            TabularCusum(0.0, tuple(float(x) for x in np.mean(means, axis=0))), reference, rng
+        )
 
     def document(self) -> dict[str, Json]:
         return {"level": self.level, "centre": list(self.centre)}
@@ -105,7 +120,8 @@ class TabularCusum(Cusum):
 
 @dataclass(frozen=True)
 class LikelihoodRatioCusum(Cusum):
-    """One sum of each channel, of the log likelihood ratio of a spread GROWTH times as large: z^2/2 (1 - 1/GROWTH^2) - ln GROWTH."""
+    """One sum of each channel, of the log likelihood ratio of a spread GROWTH times as large: z^2/2
+    (1 - 1/GROWTH^2) - ln GROWTH."""
 
     channels: int
     name = "likelihood_ratio_cusum"
@@ -122,7 +138,9 @@ class LikelihoodRatioCusum(Cusum):
 
     @staticmethod
     def calibrate(reference: Reference, rng: np.random.Generator) -> LikelihoodRatioCusum:
-        return calibrated(LikelihoodRatioCusum(0.0, reference.fitted[0].values.shape[1]), reference, rng)
+        return calibrated(
+            LikelihoodRatioCusum(0.0, reference.fitted[0].values.shape[1]), reference, rng
+        )
 
     def document(self) -> dict[str, Json]:
         return {"level": self.level, "channels": self.channels}
@@ -138,11 +156,13 @@ def _clipped(residuals: Residuals) -> Array:
 
 @dataclass(frozen=True)
 class EffectCusum(Cusum):
-    """Two sums of each signature, of the log likelihood ratio of residuals with that effect in them and without, one for each sign.
+    """Two sums of each signature, of the log likelihood ratio of residuals with that effect in them
+    and without, one for each sign.
 
-    The effect is as large as moves one channel by half of its healthy power, `amplitude` of its signature, beyond what a served model that
-    is not perfect has of it, `healthy`, and larger than what the reference leaves open of that; `inflation` is how much more a sum of
-    correlated residuals varies. All `(signatures,)`.
+    The effect is as large as moves one channel by half of its healthy power, `amplitude` of its
+    signature, beyond what a served model that is not perfect has of it, `healthy`, and larger than
+    what the reference leaves open of that; `inflation` is how much more a sum of correlated
+    residuals varies. All `(signatures,)`.
     """
 
     amplitude: tuple[float, ...]
@@ -156,7 +176,15 @@ class EffectCusum(Cusum):
         size, divisor = np.array(self.amplitude), np.array(self.inflation)
         expected = size**2 * power / 2.0
         common = common - np.array(self.healthy) * power
-        return np.asarray(np.clip(np.hstack([(size * common - expected) / divisor, (-size * common - expected) / divisor]), -MOST, MOST))
+        return np.asarray(
+            np.clip(
+                np.hstack(
+                    [(size * common - expected) / divisor, (-size * common - expected) / divisor]
+                ),
+                -MOST,
+                MOST,
+            )
+        )
 
     def sums(self) -> int:
         return 2 * len(self.amplitude)
@@ -170,24 +198,43 @@ class EffectCusum(Cusum):
 
     @staticmethod
     def calibrate(reference: Reference, rng: np.random.Generator) -> EffectCusum:
-        common, power = np.moveaxis(np.array([b.evidence.sum(axis=0) for b in reference.fitted]), 2, 0)  # of each block
+        common, power = np.moveaxis(
+            np.array([b.evidence.sum(axis=0) for b in reference.fitted]), 2, 0
+        )  # of each block
         mean = np.maximum(power.mean(axis=0), LEAST_POWER)
         healthy = common.mean(axis=0) / mean
         varies = ((common - healthy * power) ** 2).mean(axis=0)
         open_to = np.sqrt(varies / len(common)) / mean
         noticed = np.sqrt(NOTICED * reference.windows / mean)
-        amplitude = np.where(power.mean(axis=0) > LEAST_POWER, np.maximum(noticed, 2.0 * SURE * open_to), 0.0)
-        plain = EffectCusum(0.0, _floats(amplitude), _floats(np.maximum(varies / mean, LEAST_POWER)), _floats(healthy))
+        amplitude = np.where(
+            power.mean(axis=0) > LEAST_POWER, np.maximum(noticed, 2.0 * SURE * open_to), 0.0
+        )
+        plain = EffectCusum(
+            0.0,
+            _floats(amplitude),
+            _floats(np.maximum(varies / mean, LEAST_POWER)),
+            _floats(healthy),
+        )
         rise = _summary(plain, reference.fitted).rise.max(axis=0).reshape(2, -1).max(axis=0)
-        calm = replace(plain, inflation=_floats(np.array(plain.inflation) * np.maximum(rise / CALM, 1.0)))
+        calm = replace(
+            plain, inflation=_floats(np.array(plain.inflation) * np.maximum(rise / CALM, 1.0))
+        )
         return calibrated(calm, reference, rng)
 
     def document(self) -> dict[str, Json]:
-        return {"level": self.level, "amplitude": list(self.amplitude), "inflation": list(self.inflation), "healthy": list(self.healthy)}
+        return {
+            "level": self.level,
+            "amplitude": list(self.amplitude),
+            "inflation": list(self.inflation),
+            "healthy": list(self.healthy),
+        }
 
     @staticmethod
     def restore(document: Mapping[str, Any]) -> EffectCusum:
-        numbers = (tuple(float(x) for x in document[name]) for name in ("amplitude", "inflation", "healthy"))
+        numbers = (
+            tuple(float(x) for x in document[name])
+            for name in ("amplitude", "inflation", "healthy")
+        )
         return EffectCusum(float(document["level"]), *numbers)
 
 
@@ -197,7 +244,8 @@ def _floats(values: Array) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class _Summary:
-    """All that a sum needs of each block `(blocks, sums)`: total, highest and lowest partial sum, and the highest rise within it."""
+    """All that a sum needs of each block `(blocks, sums)`: total, highest and lowest partial sum,
+    and the highest rise within it."""
 
     total: Array
     high: Array
@@ -205,13 +253,19 @@ class _Summary:
     rise: Array
 
     def drawn(self, index: NDArray[np.int64], rng: np.random.Generator) -> _Summary:
-        """Blocks by their index `(n,)`; those with the highest rises are made as high as their tail is."""
+        """Blocks by their index `(n,)`; those with the highest rises are made as high as their tail
+        is."""
         tail = Tail.of(self.rise.max(axis=1))
         rise = self.rise[index].max(axis=1)
         behind = rise > tail.threshold
-        grown = np.where(behind, tail.draw(len(index), rng) / np.where(behind, rise, 1.0), 1.0)[:, None]
+        grown = np.where(behind, tail.draw(len(index), rng) / np.where(behind, rise, 1.0), 1.0)[
+            :, None
+        ]
         return _Summary(
-            *(np.where(part > 0.0, part * grown, part) for part in (a[index] for a in (self.total, self.high, self.low, self.rise)))
+            *(
+                np.where(part > 0.0, part * grown, part)
+                for part in (a[index] for a in (self.total, self.high, self.low, self.rise))
+            )
         )
 
 
@@ -227,9 +281,10 @@ def _summary(detector: Cusum, blocks: Sequence[Residuals]) -> _Summary:
 def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C:
     """The detector at the level that resampled futures pass as seldom as promised.
 
-    Each future draws its blocks from a resampled reference, so that what a short reference leaves open is in the rate, and its
-    largest blocks from a tail. Rates too small to be counted are read off the line through the logarithms of those that are: a sum that
-    falls on the mean has an exponential tail.
+    Each future draws its blocks from a resampled reference, so that what a short reference leaves
+    open is in the rate, and its largest blocks from a tail. Rates too small to be counted are read
+    off the line through the logarithms of those that are: a sum that falls on the mean has an
+    exponential tail.
     """
     of = _summary(detector, reference.fitted)
     levels = _passed_once(of, rng)
@@ -246,7 +301,11 @@ def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C
     rates = alarms / (STREAMS * LENGTH)
     counted = alarms >= LEAST_ALARMS
     if rates[counted].min() < reference.cautious_rate:
-        level = float(np.interp(np.log(reference.cautious_rate), np.log(rates[counted])[::-1], levels[counted][::-1]))
+        level = float(
+            np.interp(
+                np.log(reference.cautious_rate), np.log(rates[counted])[::-1], levels[counted][::-1]
+            )
+        )
         return replace(detector, level=level)
     kept = np.flatnonzero(counted)[-LEVELS // 2 :]
     slope, at = np.polyfit(levels[kept], np.log(rates[kept]), 1)
@@ -260,4 +319,6 @@ def _passed_once(of: _Summary, rng: np.random.Generator) -> Array:
         block = of.drawn(rng.integers(0, len(of.rise), STREAMS), rng)
         highest = np.maximum(highest, np.maximum(state + block.high, block.rise).max(axis=1))
         state = np.maximum(state + block.total, block.total - block.low)
-    return np.linspace(float(np.median(of.rise.max(axis=1))), float(np.quantile(highest, 0.9)), LEVELS)
+    return np.linspace(
+        float(np.median(of.rise.max(axis=1))), float(np.quantile(highest, 0.9)), LEVELS
+    )

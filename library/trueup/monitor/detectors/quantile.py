@@ -21,16 +21,20 @@ RUN = 3
 
 @dataclass(frozen=True)
 class QuantileRun(Detector):
-    """An alarm after `run` samples in a row whose largest residual of all channels is beyond `level`.
+    """An alarm after `run` samples in a row whose largest residual of all channels is beyond
+    `level`.
 
-    A quantile is a cutoff and not a guarantee: the level is the one that as few healthy blocks pass as promised, and behind the largest of
-    them a tail is assumed.
+    A quantile is a cutoff and not a guarantee: the level is the one that as few healthy blocks pass
+    as promised, and behind the largest of them a tail is assumed.
     """
 
     level: float
     run: int = RUN
     name = "quantile_run"
-    rests_on = "a cutoff, no guarantee: blocks to come are drawn like the reference's, and the tail behind its largest is as assumed"
+    rests_on = (
+        "a cutoff, no guarantee: blocks to come are drawn like the reference's, and the "
+        "tail behind its largest is as assumed"
+    )
 
     @staticmethod
     def calibrate(reference: Reference, rng: np.random.Generator) -> QuantileRun:
@@ -44,11 +48,15 @@ class QuantileRun(Detector):
         return ()
 
     def follow(self, state: State, residuals: Residuals) -> Followed:
-        statistic = np.concatenate([np.zeros(min(self.run - 1, len(residuals.values))), _in_a_row(residuals, self.run)])
+        statistic = np.concatenate(
+            [np.zeros(min(self.run - 1, len(residuals.values))), _in_a_row(residuals, self.run)]
+        )
         beyond = np.flatnonzero(statistic > self.level)
         if not len(beyond):
             return Followed(statistic, None, None, state)
-        return Followed(statistic, int(beyond[0]), int(np.abs(residuals.values[beyond[0]]).argmax()), state)
+        return Followed(
+            statistic, int(beyond[0]), int(np.abs(residuals.values[beyond[0]]).argmax()), state
+        )
 
     def labels(self, channels: Sequence[str], signs: Sequence[str]) -> list[str]:
         return [f"{c} is far off" for c in channels]
@@ -71,4 +79,8 @@ def _largest(residuals: Residuals) -> Array:
 def _in_a_row(residuals: Residuals, run: int) -> Array:
     """What the last `run` samples all reach, `(samples - run + 1,)`."""
     largest = _largest(residuals)
-    return np.asarray(sliding_window_view(largest, run).min(axis=1)) if len(largest) >= run else np.zeros(0)
+    return (
+        np.asarray(sliding_window_view(largest, run).min(axis=1))
+        if len(largest) >= run
+        else np.zeros(0)
+    )

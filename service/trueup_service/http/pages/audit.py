@@ -1,4 +1,5 @@
-"""The log: its entries, filtered, each held against the signed head; and whether it extends a head that somebody kept."""
+"""The log: its entries, filtered, each held against the signed head; and whether it extends a head
+that somebody kept."""
 
 from __future__ import annotations
 
@@ -36,7 +37,13 @@ def audit(
     before: Annotated[int, Query(ge=1, le=NO_END)] = NO_END,
 ) -> Response:
     """The newest entries, or those before one, of a plant, of a kind or of what it begins with."""
-    return show(request, "audit.html", **_listed(request, parts, who, plant, kind, before), compared=None, pasted="")
+    return show(
+        request,
+        "audit.html",
+        **_listed(request, parts, who, plant, kind, before),
+        compared=None,
+        pasted="",
+    )
 
 
 @router.post("/audit/compare")
@@ -48,7 +55,9 @@ async def compare(request: Request, parts: With, who: Asking) -> Response:
     return show(request, "audit.html", **listed, compared=found, pasted=pasted)
 
 
-def _listed(request: Request, parts: Parts, who: Who, plant: str, kind: str, before: int) -> dict[str, Any]:
+def _listed(
+    request: Request, parts: Parts, who: Who, plant: str, kind: str, before: int
+) -> dict[str, Any]:
     log: SignedLog = request.app.state.log
     with parts.database.read() as connection:
         reader = Reader(connection)
@@ -59,7 +68,15 @@ def _listed(request: Request, parts: Parts, who: Who, plant: str, kind: str, bef
         plans = [inclusion(entry.sequence - 1, tree.size) for entry in entries]
         hashes = reader.audit_nodes({node for plan in plans for part in plan for node in part})
         for entry, plan in zip(entries, plans, strict=True):
-            held.append(includes(root, tree.size, entry.sequence - 1, leaf_hash(entry_bytes(entry)), prove(plan, hashes)))
+            held.append(
+                includes(
+                    root,
+                    tree.size,
+                    entry.sequence - 1,
+                    leaf_hash(entry_bytes(entry)),
+                    prove(plan, hashes),
+                )
+            )
     return {
         "entries": list(zip(entries, held, strict=True)),
         "plant": plant,
@@ -77,13 +94,37 @@ def _compared(parts: Parts, pasted: str) -> tuple[bool, str]:
     try:
         size, root = head_of(pasted.strip().replace("\r\n", "\n") + "\n")
     except (TrueupError, ValueError, IndexError):
-        return False, "This is no checkpoint: its lines are the log's name, the number of entries, the root, and a signature."
+        return (
+            False,
+            (
+                "This is no checkpoint: its lines are the log's name, the number of "
+                "entries, the root, and a signature."
+            ),
+        )
     with parts.database.read() as connection:
         reader = Reader(connection)
         now = reader.audit_tree().size
         if size > now:
-            return False, f"The checkpoint is of {size} entries, and this log has {now}: it was cut, or this is another one."
+            return (
+                False,
+                (
+                    f"The checkpoint is of {size} entries, and this log has {now}: it was "
+                    "cut, or this is another one."
+                ),
+            )
         same = root_at(reader, size) == root
     if not same:
-        return False, f"The first {size} entries are not those of the checkpoint: the log was changed, or this is another one."
-    return True, f"The log extends the checkpoint: its first {size} entries are the same, and {now - size} came since."
+        return (
+            False,
+            (
+                f"The first {size} entries are not those of the checkpoint: the log was "
+                "changed, or this is another one."
+            ),
+        )
+    return (
+        True,
+        (
+            f"The log extends the checkpoint: its first {size} entries are the same, and "
+            f"{now - size} came since."
+        ),
+    )

@@ -30,13 +30,20 @@ LISTED = 200  # versions to choose from, the newest
 
 
 @router.get("/plants/{plant}/compare")
-def compare(request: Request, parts: With, plant: PlantName, first: Version, second: Version) -> Response:
+def compare(
+    request: Request, parts: With, plant: PlantName, first: Version, second: Version
+) -> Response:
     """What changed, and what a comparison found, if there was one."""
     with parts.database.read() as connection:
         reader = Reader(connection)
         both = [find.version(reader, plant, v) for v in (first, second)]
         asked = [a.digest for a in both]
-        job = newest_job(connection, plant, "compare", lambda r: [r["first"], r["second"]] == asked and len(r["episodes"]) > 1)
+        job = newest_job(
+            connection,
+            plant,
+            "compare",
+            lambda r: [r["first"], r["second"]] == asked and len(r["episodes"]) > 1,
+        )
         latest = reader.latest_version(plant)
     values = {
         "plant": plant,
@@ -53,20 +60,28 @@ def compare(request: Request, parts: With, plant: PlantName, first: Version, sec
 async def begin(request: Request, parts: With, stamp: By, plant: PlantName) -> Response:
     """Compare on what was held out."""
     given = await form(request)
-    first, second = await run_in_threadpool(_begin, parts, stamp, plant, given.get("first", ""), given.get("second", ""))
+    first, second = await run_in_threadpool(
+        _begin, parts, stamp, plant, given.get("first", ""), given.get("second", "")
+    )
     return go(f"/plants/{plant}/compare", first=str(first), second=str(second))
 
 
 def _begin(parts: Parts, stamp: Stamp, plant: str, first: str, second: str) -> tuple[int, int]:
     parts.queue.prepare()
     with writing(parts.database) as writer:
-        both = find.artifact(writer, plant, first).version, find.artifact(writer, plant, second).version
-        SUBMIT["compare"](writer, parts.queue, uuid.uuid4().hex, plant, {"first": first, "second": second}, stamp)
+        both = (
+            find.artifact(writer, plant, first).version,
+            find.artifact(writer, plant, second).version,
+        )
+        SUBMIT["compare"](
+            writer, parts.queue, uuid.uuid4().hex, plant, {"first": first, "second": second}, stamp
+        )
     return both
 
 
 def comparison(parts: Parts, job: JobRecord | None, both: list[ArtifactRecord]) -> dict[str, Any]:
-    """What a comparison of two versions found, or how far it is; the values of `recordings.html` among them."""
+    """What a comparison of two versions found, or how far it is; the values of `recordings.html`
+    among them."""
     waiting = job is not None and job.state not in FINAL
     drawn = None
     if job is not None and not waiting:
@@ -76,7 +91,13 @@ def comparison(parts: Parts, job: JobRecord | None, both: list[ArtifactRecord]) 
     kinds = zip(("first", "second"), both, ("nominal", "corrected"), strict=True)
     models = [{"key": key, "label": f"version {a.version}", "kind": kind} for key, a, kind in kinds]
     problem = (job.result or {}).get("problem") if job is not None else None
-    return {"job": job, "waiting": waiting, "problem": problem, "comparison": drawn, **recordings_of(drawn, models)}
+    return {
+        "job": job,
+        "waiting": waiting,
+        "problem": problem,
+        "comparison": drawn,
+        **recordings_of(drawn, models),
+    }
 
 
 def _changes(first: ArtifactRecord, second: ArtifactRecord) -> list[dict[str, Any]]:
@@ -85,7 +106,9 @@ def _changes(first: ArtifactRecord, second: ArtifactRecord) -> list[dict[str, An
     rows = []
     for what in dict.fromkeys([*told[0], *told[1]]):
         pair = [t.get(what, "–") for t in told]
-        rows.append({"what": what, "first": pair[0], "second": pair[1], "differs": pair[0] != pair[1]})
+        rows.append(
+            {"what": what, "first": pair[0], "second": pair[1], "differs": pair[0] != pair[1]}
+        )
     return rows
 
 
@@ -93,15 +116,29 @@ def _told(record: ArtifactRecord) -> dict[str, str]:
     manifest: dict[str, Any] = json.loads(record.manifest)
     predictor, provenance = manifest.get("predictor", {}), manifest.get("provenance", {})
     nominal = manifest["plant"]["document"]["nominal"].get("parameters", {})
-    told = {"kind": record.kind, "artifact": record.digest[:16], "made": record.created_at[:19].replace("T", " "), "by": record.created_by}
+    told = {
+        "kind": record.kind,
+        "artifact": record.digest[:16],
+        "made": record.created_at[:19].replace("T", " "),
+        "by": record.created_by,
+    }
     numbers = predictor.get("parameters") or nominal
     if isinstance(numbers, dict):
-        told |= {f"parameter {key}": short(value) for key, value in numbers.items() if isinstance(value, int | float)}
+        told |= {
+            f"parameter {key}": short(value)
+            for key, value in numbers.items()
+            if isinstance(value, int | float)
+        }
     for effect in predictor.get("effects", []):
-        told |= {f"{name(effect)}, {key}": short(value) for key, value in effect["parameters"].items()}
+        told |= {
+            f"{name(effect)}, {key}": short(value) for key, value in effect["parameters"].items()
+        }
     if predictor.get("features"):
         told["features"] = ", ".join(predictor["features"])
-    told["origin"] = str(provenance.get("origin") or provenance.get("configuration", {}).get("document", {}).get("method", "–"))
+    told["origin"] = str(
+        provenance.get("origin")
+        or provenance.get("configuration", {}).get("document", {}).get("method", "–")
+    )
     told["code"] = str(provenance.get("code", {}).get("sha256", "–"))[:16]
     read = provenance.get("configuration", {}).get("document", {}).get("episodes")
     told["episodes"] = str(len(read)) if read else "–"

@@ -1,4 +1,5 @@
-"""A decision: every figure against its threshold, on what it rests, its place in the log, and the same made anew."""
+"""A decision: every figure against its threshold, on what it rests, its place in the log, and the
+same made anew."""
 
 from __future__ import annotations
 
@@ -31,12 +32,17 @@ def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath
         reader = Reader(connection)
         made = find.decision(reader, plant, digest)
         gate = find.gate(reader, plant, made.gate)
-        both = {which: find.artifact(reader, plant, getattr(made, which)) for which in ("candidate", "incumbent")}
+        both = {
+            which: find.artifact(reader, plant, getattr(made, which))
+            for which in ("candidate", "incumbent")
+        }
         entry, proof = entry_on(connection, digest, "decision:made"), []
         tree = reader.audit_tree()
         if entry is not None:
             plan = inclusion(entry.sequence - 1, tree.size)
-            proof = [h.hex() for h in prove(plan, reader.audit_nodes([n for part in plan for n in part]))]
+            proof = [
+                h.hex() for h in prove(plan, reader.audit_nodes([n for part in plan for n in part]))
+            ]
         anew = newest_job(connection, plant, "recompute", lambda r: r["decision"] == digest)
         values: dict[str, Any] = {
             "plant": plant,
@@ -58,9 +64,12 @@ def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath
 
 
 def _known(reader: Reader, gate: GateRecord, made: DecisionRecord) -> dict[str, Any]:
-    """What was known when the gate was declared, told by the decision or worked out, and what is looser in the gate."""
+    """What was known when the gate was declared, told by the decision or worked out, and what is
+    looser in the gate."""
     document: dict[str, Any] = made.document
-    known = document.get("known") or known_at(reader, made.plant, gate, made.candidate, document["episodes"])
+    known = document.get("known") or known_at(
+        reader, made.plant, gate, made.candidate, document["episodes"]
+    )
     return {
         "known": known,
         "disclosure": " ".join([disclosure_of(made.candidate, known), *selected(document)]),
@@ -75,5 +84,7 @@ def recompute(parts: With, stamp: By, plant: PlantName, digest: DigestPath) -> R
     """Make it anew, from its bytes."""
     parts.queue.prepare()
     with writing(parts.database) as writer:
-        SUBMIT["recompute"](writer, parts.queue, uuid.uuid4().hex, plant, {"decision": digest}, stamp)
+        SUBMIT["recompute"](
+            writer, parts.queue, uuid.uuid4().hex, plant, {"decision": digest}, stamp
+        )
     return go(f"/plants/{plant}/decisions/{digest}")

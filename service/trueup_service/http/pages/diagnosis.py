@@ -32,7 +32,12 @@ def diagnosis(request: Request, parts: With, plant: PlantName, job: JobId) -> Re
     if found.state != JobState.SUCCEEDED:
         return show(request, "failed.html", job=found, problem=(found.result or {}).get("problem"))
     report, figures, command = _found(parts, found)
-    values = view(report, figures, command and f"/v1/jobs/{job}/outputs/{COMMAND}", lambda digest: f"/plants/{plant}/episodes/{digest}")
+    values = view(
+        report,
+        figures,
+        command and f"/v1/jobs/{job}/outputs/{COMMAND}",
+        lambda digest: f"/plants/{plant}/episodes/{digest}",
+    )
     return show(request, "diagnosis.html", job=found, **values)
 
 
@@ -41,7 +46,12 @@ def report(parts: With, plant: PlantName, job: JobId) -> Response:
     """The same as one file that needs nothing else."""
     found = _job(parts, plant, job)
     if found.state != JobState.SUCCEEDED:
-        raise NotFound(f"diagnosis {job} has found nothing", noun="report", name=job, hint="Wait for it to succeed.")
+        raise NotFound(
+            f"diagnosis {job} has found nothing",
+            noun="report",
+            name=job,
+            hint="Wait for it to succeed.",
+        )
     document, figures, command = _found(parts, found)
     headers = {"Content-Disposition": f'attachment; filename="{plant}-{job[:12]}.html"'}
     return HTMLResponse(report_page(document, figures, command), headers=headers)
@@ -55,8 +65,11 @@ def _job(parts: Parts, plant: str, job: str) -> JobRecord:
     return found
 
 
-def _found(parts: Parts, job: JobRecord) -> tuple[dict[str, Any], dict[str, Any] | None, str | None]:
-    """The report, the figures if they were kept, and the name of the command's file if there is one."""
+def _found(
+    parts: Parts, job: JobRecord
+) -> tuple[dict[str, Any], dict[str, Any] | None, str | None]:
+    """The report, the figures if they were kept, and the name of the command's file if there is
+    one."""
     with parts.database.read() as connection:
         outputs = {o.name: o.digest for o in Reader(connection).outputs(job.id)}
     result: dict[str, Any] = job.result or {}

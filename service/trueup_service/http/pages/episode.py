@@ -1,4 +1,5 @@
-"""An episode: what was recorded under which conditions, what served meanwhile, what it was used for, and what models say of it."""
+"""An episode: what was recorded under which conditions, what served meanwhile, what it was used
+for, and what models say of it."""
 
 from __future__ import annotations
 
@@ -31,12 +32,18 @@ def episode(request: Request, parts: With, plant: PlantName, digest: DigestPath)
         found = find.episode(reader, plant, digest)
         serving = find.serving(reader, plant)
         job = newest_job(connection, plant, "compare", lambda r: r["episodes"] == [digest])
-        asked: Any = job.request if job is not None else {"first": serving.artifact, "second": serving.artifact}
+        asked: Any = (
+            job.request
+            if job is not None
+            else {"first": serving.artifact, "second": serving.artifact}
+        )
         both = [find.artifact(reader, plant, asked[which]) for which in ("first", "second")]
         values: dict[str, Any] = {
             "plant": plant,
             "episode": found,
-            "uses": {purpose: count for purpose, count in find.uses(reader, digest).items() if count},
+            "uses": {
+                purpose: count for purpose, count in find.uses(reader, digest).items() if count
+            },
             "served": find.served_during(reader, found),
             "serving": serving,
             "beside": _beside(reader, plant),
@@ -60,7 +67,8 @@ def look(parts: With, stamp: By, plant: PlantName, digest: DigestPath) -> Respon
 
 
 def _beside(reader: Reader, plant: str) -> int:
-    """The version that is shown beside the declared one: what serves, or the newest while that is the declared one."""
+    """The version that is shown beside the declared one: what serves, or the newest while that is
+    the declared one."""
     serving = find.serving(reader, plant).version
     return serving if serving != DECLARED else reader.latest_version(plant)
 

@@ -1,4 +1,5 @@
-"""One plant: what serves and how it came to, what happened when, the way back, and a diagnosis to start."""
+"""One plant: what serves and how it came to, what happened when, the way back, and a diagnosis to
+start."""
 
 from __future__ import annotations
 
@@ -51,9 +52,14 @@ def plant_page(request: Request, parts: With, plant: PlantName) -> Response:
             "back": back,
             "alarm": reader.open_alarm(plant),
             "policy": policy,
-            "policy_gate": None if policy is None else place(reader, plant, str(policy.document["gate"])),
+            "policy_gate": None
+            if policy is None
+            else place(reader, plant, str(policy.document["gate"])),
             "gap": gaps_of(connection, [plant]).get(plant, ()),
-            "ladder": [(stage, stage in last and reader.evidence(plant, last[stage][0])) for stage in STAGES],
+            "ladder": [
+                (stage, stage in last and reader.evidence(plant, last[stage][0]))
+                for stage in STAGES
+            ],
             "decisions": reader.decisions(plant, END_OF_TIME, ROWS),
             "versions": list(reversed(reader.artifacts(plant, max(latest - ROWS, 0), ROWS))),
             "diagnoses": [j for j in jobs if j.kind == "diagnose"][:ROWS],
@@ -86,7 +92,9 @@ async def rollback(request: Request, parts: With, stamp: By, plant: PlantName) -
     text = given.get("generation", "").strip()
     generation = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else NOT_A_NUMBER  # noqa: PLR2004
     try:
-        await run_in_threadpool(roll_back_tested, parts, stamp, plant, generation, given.get("key") or None)
+        await run_in_threadpool(
+            roll_back_tested, parts, stamp, plant, generation, given.get("key") or None
+        )
     except TrueupError as error:
         if not wants_page(request):
             raise
@@ -111,5 +119,18 @@ def _offer(request: Request, parts: Parts, plant: str, refused: TrueupError | No
             pass  # it moved while we looked; the form's generation will say so
         except TrueupError as error:
             fails = error
-    values = {"name": plant, "serving": serving, "back": back, "tested": tested, "fails": fails, "refused": refused}
-    return show(request, "rollback.html", 200 if refused is None else status_of(refused), key=uuid.uuid4().hex, **values)
+    values = {
+        "name": plant,
+        "serving": serving,
+        "back": back,
+        "tested": tested,
+        "fails": fails,
+        "refused": refused,
+    }
+    return show(
+        request,
+        "rollback.html",
+        200 if refused is None else status_of(refused),
+        key=uuid.uuid4().hex,
+        **values,
+    )

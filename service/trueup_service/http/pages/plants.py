@@ -25,6 +25,8 @@ def plants(
 ) -> Response:
     """The plants that somebody sees, by name, whose name contains `q`."""
     with parts.database.read() as connection:
-        lines = plant_lines(connection, after, LINES + 1, of=who.plant, project=who.project, containing=q)
+        lines = plant_lines(
+            connection, after, LINES + 1, of=who.plant, project=who.project, containing=q
+        )
     more = lines[LINES - 1].name if len(lines) > LINES else None
     return show(request, "plants.html", lines=lines[:LINES], q=q, after=after, more=more)

@@ -31,7 +31,9 @@ async def sign_in(request: Request, parts: With) -> Response:
     to = given.get("next", "/")
     to = to if to.startswith("/") and not to.startswith(("//", "/\\")) else "/"  # nowhere but here
     try:
-        _, secret = await run_in_threadpool(begin_session, request.app.state.identities, parts, given.get("token", "").strip())
+        _, secret = await run_in_threadpool(
+            begin_session, request.app.state.identities, parts, given.get("token", "").strip()
+        )
     except Unauthenticated as error:
         return show(request, "sign_in.html", status_of(error), next=to, problem=error)
     answer = go(to)

@@ -12,7 +12,17 @@ from trueup_service.actions.tokens import create_project, issue_token, revoke_to
 from trueup_service.http.context import By, IdempotencyKey, Limit, PrefixPath, With, create
 from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Identity, IssuedToken, NewProject, NewToken, Page, Project, SignIn, Token, page
+from trueup_service.http.schemas import (
+    Identity,
+    IssuedToken,
+    NewProject,
+    NewToken,
+    Page,
+    Project,
+    SignIn,
+    Token,
+    page,
+)
 from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
 from trueup_service.identity import new_token
 from trueup_service.registry.records import Role, TokenRecord
@@ -23,7 +33,8 @@ router = guarded("/v1", ["access"])
 
 @router.post("/session", summary="Sign in with a token, for a browser")
 def sign_in(request: Request, response: Response, parts: With, given: SignIn) -> Identity:
-    """Sets a cookie that scripts cannot read and other sites cannot send. Programs send their token with every request instead."""
+    """Sets a cookie that scripts cannot read and other sites cannot send. Programs send their token
+    with every request instead."""
     who, secret = begin_session(request.app.state.identities, parts, given.token)
     give_cookie(request, response, parts, secret)
     return Identity.model_validate(who)
@@ -40,13 +51,31 @@ def sign_out(request: Request, response: Response, parts: With) -> None:
     forget_cookie(response)
 
 
-@router.post("/projects", status_code=201, response_model=Project, summary="Create a project", responses=there(Project))
-def add_project(parts: With, stamp: By, project: NewProject, key: IdempotencyKey = None) -> Response:
-    return create(parts, stamp, "projects", key, project.model_dump(), lambda w: create_project(w, project.name, stamp), Project)
+@router.post(
+    "/projects",
+    status_code=201,
+    response_model=Project,
+    summary="Create a project",
+    responses=there(Project),
+)
+def add_project(
+    parts: With, stamp: By, project: NewProject, key: IdempotencyKey = None
+) -> Response:
+    return create(
+        parts,
+        stamp,
+        "projects",
+        key,
+        project.model_dump(),
+        lambda w: create_project(w, project.name, stamp),
+        Project,
+    )
 
 
 @router.get("/projects", summary="List projects")
-def list_projects(parts: With, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100) -> Page[Project]:
+def list_projects(
+    parts: With, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
+) -> Page[Project]:
     with parts.database.read() as connection:
         found = Reader(connection).projects(after, limit)
     return page(Project, found, limit, "name")
@@ -54,20 +83,35 @@ def list_projects(parts: With, after: Annotated[str, Query(max_length=63)] = "",
 
 @router.post("/tokens", status_code=201, summary="Issue a token")
 def issue(parts: With, stamp: By, wanted: NewToken) -> IssuedToken:
-    """`token` is shown this once; its hash alone is kept. A robot's is of one plant. It takes no idempotency key: a repeated answer would
-    have to keep the secret. Revoke one that did not arrive.
+    """`token` is shown this once; its hash alone is kept. A robot's is of one plant. It takes no
+    idempotency key: a repeated answer would have to keep the secret. Revoke one that did not
+    arrive.
     """
     text, prefix, digest = new_token()
-    expires = None if wanted.days is None else time_text(datetime.now(UTC) + timedelta(days=wanted.days))
+    expires = (
+        None if wanted.days is None else time_text(datetime.now(UTC) + timedelta(days=wanted.days))
+    )
     roles = [role.value for role in Role if role in wanted.roles]
-    record = TokenRecord(prefix, digest, wanted.name, roles, wanted.project, wanted.plant, stamp.now, stamp.actor, expires)
+    record = TokenRecord(
+        prefix,
+        digest,
+        wanted.name,
+        roles,
+        wanted.project,
+        wanted.plant,
+        stamp.now,
+        stamp.actor,
+        expires,
+    )
     with writing(parts.database) as writer:
         issued = issue_token(writer, record, stamp)
     return IssuedToken(**Token.model_validate(issued).model_dump(), token=text)
 
 
 @router.get("/tokens", summary="List tokens")
-def list_tokens(parts: With, after: Annotated[str, Query(max_length=16)] = "", limit: Limit = 100) -> Page[Token]:
+def list_tokens(
+    parts: With, after: Annotated[str, Query(max_length=16)] = "", limit: Limit = 100
+) -> Page[Token]:
     with parts.database.read() as connection:
         found = Reader(connection).tokens(after, limit)
     return page(Token, found, limit, "prefix")

@@ -15,7 +15,15 @@ from trueup.ledger.provenance import PAYLOAD_TYPE, of_artifact
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp
 from trueup_service.errors import DigestMismatch, Kept, NotFound
-from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.context import (
+    By,
+    DigestPath,
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    With,
+    create,
+)
 from trueup_service.http.downloads import UNCHANGING, send_kept
 from trueup_service.http.guard import guarded
 from trueup_service.http.ingesting import inspector_of
@@ -27,11 +35,26 @@ from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
 router = guarded("/v1", ["artifacts"])
-MANIFEST = {"requestBody": {"required": True, "content": {"application/json": {"schema": {"type": "object"}}}}}
-ARRAYS = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+MANIFEST = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/json": {"schema": {"type": "object"}}},
+    }
+}
+ARRAYS = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
 
 
-@router.put("/blobs/{digest}", status_code=201, summary="Upload arrays under their digest", openapi_extra=ARRAYS)
+@router.put(
+    "/blobs/{digest}",
+    status_code=201,
+    summary="Upload arrays under their digest",
+    openapi_extra=ARRAYS,
+)
 async def put_blob(request: Request, parts: With, digest: DigestPath) -> dict[str, str | int]:
     """Durable once answered. The digest in the path is verified while the bytes stream."""
     limit = min(parts.settings.upload_limit_bytes, parts.settings.arrays_limit_bytes)
@@ -42,11 +65,17 @@ async def put_blob(request: Request, parts: With, digest: DigestPath) -> dict[st
 
 def _keep(blobs: Blobs, digest: str, file: Received) -> None:
     if file.digest != digest:
-        raise DigestMismatch("the body is not what the path names", expected=digest, found=file.digest)
+        raise DigestMismatch(
+            "the body is not what the path names", expected=digest, found=file.digest
+        )
     blobs.put(digest, file.path)
 
 
-@router.get("/blobs/{digest}", summary="Download bytes by their digest, for auditors", response_class=Response)
+@router.get(
+    "/blobs/{digest}",
+    summary="Download bytes by their digest, for auditors",
+    response_class=Response,
+)
 def get_blob(parts: With, digest: DigestPath) -> StreamingResponse:
     return _blob(parts.blobs, digest)
 
@@ -65,8 +94,11 @@ def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     responses=there(Artifact),
     openapi_extra=MANIFEST,
 )
-async def add(request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None) -> Response:
-    """The body is the manifest's exact bytes; arrays that it names were uploaded before. The predictor must load and answer its probe."""
+async def add(
+    request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None
+) -> Response:
+    """The body is the manifest's exact bytes; arrays that it names were uploaded before. The
+    predictor must load and answer its probe."""
     manifest = await request.body()
     arrays = await run_in_threadpool(_arrays, parts, manifest)
     if arrays is None:
@@ -81,7 +113,8 @@ async def add(request: Request, parts: With, stamp: By, plant: PlantName, key: I
 
 
 def _arrays(parts: Parts, manifest: bytes) -> str | None:
-    """The digest of the arrays that a manifest names, which must have been uploaded before. Raises BadArtifact, TooLargeUpload."""
+    """The digest of the arrays that a manifest names, which must have been uploaded before. Raises
+    BadArtifact, TooLargeUpload."""
     from trueup.artifact.artifact import read_manifest  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     named = read_manifest(manifest).get("arrays")
@@ -89,7 +122,11 @@ def _arrays(parts: Parts, manifest: bytes) -> str | None:
     if digest is None:
         return None
     if not isinstance(digest, str) or not is_digest(digest) or not parts.blobs.holds(digest):
-        raise BadArtifact("the arrays that the manifest names are not here", arrays=digest, hint="PUT them to /v1/blobs/{digest} first.")
+        raise BadArtifact(
+            "the arrays that the manifest names are not here",
+            arrays=digest,
+            hint="PUT them to /v1/blobs/{digest} first.",
+        )
     allow(parts.blobs.size(digest), parts.settings.arrays_limit_bytes, ARRAYS_HINT)
     return digest
 
@@ -100,12 +137,23 @@ def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | Non
 
     artifact = Bytes(manifest, b"")
     request = {"digest": artifact.digest}
-    return create(parts, stamp, f"artifacts/{plant}", key, request, lambda w: add_artifact(w, plant, artifact, None, stamp), Artifact)
+    return create(
+        parts,
+        stamp,
+        f"artifacts/{plant}",
+        key,
+        request,
+        lambda w: add_artifact(w, plant, artifact, None, stamp),
+        Artifact,
+    )
 
 
 @router.get("/plants/{plant}/artifacts", summary="List versions")
 def list_artifacts(
-    parts: With, plant: PlantName, after: Annotated[int, Query(ge=0, le=2**31 - 1, description="version")] = 0, limit: Limit = 100
+    parts: With,
+    plant: PlantName,
+    after: Annotated[int, Query(ge=0, le=2**31 - 1, description="version")] = 0,
+    limit: Limit = 100,
 ) -> Page[Artifact]:
     with parts.database.read() as connection:
         reader = Reader(connection)
@@ -120,16 +168,24 @@ def get_artifact(parts: With, plant: PlantName, digest: DigestPath) -> Artifact:
         return Artifact.model_validate(find.artifact(Reader(connection), plant, digest))
 
 
-@router.get("/plants/{plant}/versions/{version}", summary="Get an artifact's registration by version")
+@router.get(
+    "/plants/{plant}/versions/{version}", summary="Get an artifact's registration by version"
+)
 def get_version(parts: With, plant: PlantName, version: int) -> Artifact:
     with parts.database.read() as connection:
         found = Reader(connection).artifact_version(plant, version) if 0 < version < 2**31 else None
     if found is None:
-        raise NotFound(f"plant {plant!r} has no version {version}", noun="version", name=str(version))
+        raise NotFound(
+            f"plant {plant!r} has no version {version}", noun="version", name=str(version)
+        )
     return Artifact.model_validate(found)
 
 
-@router.get("/plants/{plant}/artifacts/{digest}/manifest", summary="Download the manifest's exact bytes", response_class=Response)
+@router.get(
+    "/plants/{plant}/artifacts/{digest}/manifest",
+    summary="Download the manifest's exact bytes",
+    response_class=Response,
+)
 def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
     """Their SHA-256 is the artifact's name."""
     with parts.database.read() as connection:
@@ -140,7 +196,11 @@ def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
     return Response(found.manifest, media_type="application/json", headers=headers)
 
 
-@router.get("/plants/{plant}/artifacts/{digest}/arrays", summary="Download an artifact's arrays", response_class=Response)
+@router.get(
+    "/plants/{plant}/artifacts/{digest}/arrays",
+    summary="Download an artifact's arrays",
+    response_class=Response,
+)
 def get_arrays(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
     """The bytes that its manifest names."""
     with parts.database.read() as connection:
@@ -150,9 +210,12 @@ def get_arrays(parts: With, plant: PlantName, digest: DigestPath) -> StreamingRe
     return _blob(parts.blobs, arrays)
 
 
-@router.get("/plants/{plant}/artifacts/{digest}/provenance", summary="Where an artifact comes from, signed")
+@router.get(
+    "/plants/{plant}/artifacts/{digest}/provenance", summary="Where an artifact comes from, signed"
+)
 def get_provenance(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Envelope:
-    """An in-toto statement (SLSA provenance) in a DSSE envelope: episodes, plant, parent, configuration and code by digest."""
+    """An in-toto statement (SLSA provenance) in a DSSE envelope: episodes, plant, parent,
+    configuration and code by digest."""
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     with parts.database.read() as connection:
@@ -160,14 +223,25 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
     kept = Bytes(found.manifest.encode(), b"")
     if kept.digest != digest:
         raise BrokenChain("the kept manifest is not the one that its digest names", artifact=digest)
-    facts: dict[str, Json] = {name: getattr(found, name) for name in ("plant", "version", "job", "created_at", "created_by")}
-    return Envelope(**request.app.state.log.envelope(PAYLOAD_TYPE, of_artifact(kept.document, digest, facts)))
+    facts: dict[str, Json] = {
+        name: getattr(found, name)
+        for name in ("plant", "version", "job", "created_at", "created_by")
+    }
+    return Envelope(
+        **request.app.state.log.envelope(PAYLOAD_TYPE, of_artifact(kept.document, digest, facts))
+    )
 
 
-@router.delete("/plants/{plant}/artifacts/{digest}", summary="Refused: artifacts are kept", status_code=204)
+@router.delete(
+    "/plants/{plant}/artifacts/{digest}", summary="Refused: artifacts are kept", status_code=204
+)
 def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.artifact(reader, plant, digest)
         serves = find.serving(reader, plant).artifact == digest
-        raise Kept(f"artifact {digest[:12]} is kept", serves=serves, decisions=reader.decisions_naming(plant, digest))
+        raise Kept(
+            f"artifact {digest[:12]} is kept",
+            serves=serves,
+            decisions=reader.decisions_naming(plant, digest),
+        )

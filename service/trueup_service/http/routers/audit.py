@@ -1,7 +1,8 @@
 """Audit: the append-only log of everything that was done, its tree and its signed head.
 
-`/v1/audit` is the prefix of a tiled log: `checkpoint`, `tile/<level>/<tile>` and `tile/entries/<tile>` are what any reader of C2SP
-tlog-tiles knows. Inclusion and consistency are also proven directly, for who does not want to read tiles.
+`/v1/audit` is the prefix of a tiled log: `checkpoint`, `tile/<level>/<tile>` and
+`tile/entries/<tile>` are what any reader of C2SP tlog-tiles knows. Inclusion and consistency are
+also proven directly, for who does not want to read tiles.
 """
 
 from __future__ import annotations
@@ -30,11 +31,23 @@ from trueup_service.signed_log import SignedLog
 router = guarded("/v1/audit", ["audit"])
 TILE = 256
 TABLES = {name: metadata.tables[name] for name in (*KEYS, "audit_tree", "audit_head", "audit_key")}
-TilePath = Annotated[str, Path(pattern=r"^(x[0-9]{3}/){0,5}[0-9]{3}(\.p/[0-9]{1,3})?$", description="tile as x001/x234/067, .p/<width>")]
-Size = Annotated[int, Query(ge=0, le=2**62, description="entries of the log; default: all there are")]
-TEXT: dict[int | str, dict[str, Any]] = {200: {"content": {"text/plain": {"schema": {"type": "string"}}}}}
+TilePath = Annotated[
+    str,
+    Path(
+        pattern=r"^(x[0-9]{3}/){0,5}[0-9]{3}(\.p/[0-9]{1,3})?$",
+        description="tile as x001/x234/067, .p/<width>",
+    ),
+]
+Size = Annotated[
+    int, Query(ge=0, le=2**62, description="entries of the log; default: all there are")
+]
+TEXT: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"text/plain": {"schema": {"type": "string"}}}}
+}
 OCTETS: dict[int | str, dict[str, Any]] = {
-    200: {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
+    200: {
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+    }
 }
 IMMUTABLE = {"Cache-Control": "private, max-age=31536000, immutable"}
 
@@ -47,34 +60,44 @@ def list_entries(
     after: Annotated[int, Query(ge=0, le=2**62, description="sequence")] = 0,
     limit: Limit = 100,
 ) -> Page[AuditEntry]:
-    """Entry n is leaf n - 1 of the tree; an entry's leaf holds the digests of `facts` and of `rows`. A token of a project sees its own."""
+    """Entry n is leaf n - 1 of the tree; an entry's leaf holds the digests of `facts` and of
+    `rows`. A token of a project sees its own."""
     with parts.database.read() as connection:
-        found = Reader(connection).audit_entries(after, limit, plant if who.plant is None else who.plant, who.project)
+        found = Reader(connection).audit_entries(
+            after, limit, plant if who.plant is None else who.plant, who.project
+        )
     return page(AuditEntry, found, limit, "sequence")
 
 
 @router.get("/key", summary="The public key of the log", response_class=Response, responses=TEXT)
 async def key(request: Request) -> Response:
-    """`<name>+<hash>+<key>`, as C2SP signed-note has it. Keep it: whoever asks again at each use believes whoever answers."""
+    """`<name>+<hash>+<key>`, as C2SP signed-note has it. Keep it: whoever asks again at each use
+    believes whoever answers."""
     return Response(_log(request).signer.verifier + "\n", media_type="text/plain")
 
 
 @router.get("/keys", summary="The keys under which the log was signed")
 def keys(parts: With) -> AuditKeys:
-    """In order, each but the first endorsed by the one before: whoever pinned an earlier one need not be told of the last by hand."""
+    """In order, each but the first endorsed by the one before: whoever pinned an earlier one need
+    not be told of the last by hand."""
     with parts.database.read() as connection:
         return AuditKeys(items=[AuditKey(**asdict(key)) for key in Reader(connection).audit_keys()])
 
 
-@router.get("/checkpoint", summary="The signed head of the log", response_class=Response, responses=TEXT)
+@router.get(
+    "/checkpoint", summary="The signed head of the log", response_class=Response, responses=TEXT
+)
 async def checkpoint(request: Request) -> Response:
-    """Origin, number of entries and root, signed. The file `checkpoint` in the data folder is the same, for mirrors."""
+    """Origin, number of entries and root, signed. The file `checkpoint` in the data folder is the
+    same, for mirrors."""
     note = await run_in_threadpool(_log(request).checkpoint)
     return Response(note, media_type="text/plain", headers={"Cache-Control": "no-cache"})
 
 
 @router.get("/inclusion", summary="Prove that an entry is in the log")
-def prove_inclusion(parts: With, sequence: Annotated[int, Query(ge=1, le=2**62)], size: Size | None = None) -> Proof:
+def prove_inclusion(
+    parts: With, sequence: Annotated[int, Query(ge=1, le=2**62)], size: Size | None = None
+) -> Proof:
     with parts.database.read() as connection:
         reader = Reader(connection)
         size = _reached(reader, size)
@@ -85,7 +108,9 @@ def prove_inclusion(parts: With, sequence: Annotated[int, Query(ge=1, le=2**62)]
 
 @router.get("/consistency", summary="Prove that the log extends an earlier one")
 def prove_consistency(
-    parts: With, old: Annotated[int, Query(ge=0, le=2**62, description="entries then")], size: Size | None = None
+    parts: With,
+    old: Annotated[int, Query(ge=0, le=2**62, description="entries then")],
+    size: Size | None = None,
 ) -> Proof:
     with parts.database.read() as connection:
         reader = Reader(connection)
@@ -107,17 +132,30 @@ def _proof(reader: Reader, plan: Plan, size: int) -> Proof:
     return Proof(size=size, hashes=[base64.b64encode(h).decode() for h in prove(plan, hashes)])
 
 
-@router.get("/tile/entries/{tile:path}", summary="256 entries as leaves", response_class=Response, responses=OCTETS)
+@router.get(
+    "/tile/entries/{tile:path}",
+    summary="256 entries as leaves",
+    response_class=Response,
+    responses=OCTETS,
+)
 def entries(parts: With, tile: TilePath) -> Response:
-    """Each leaf's bytes behind their length (16 bits, big-endian); the tree's leaf hashes are over these bytes."""
+    """Each leaf's bytes behind their length (16 bits, big-endian); the tree's leaf hashes are over
+    these bytes."""
     number, width = _tile(tile)
     with parts.database.read() as connection:
         found = Reader(connection).audit_entries(number * TILE, width)
     leaves = [entry_bytes(e) for e in found]
-    return _tile_answer(tile, len(leaves), width, b"".join(struct.pack(">H", len(leaf)) + leaf for leaf in leaves))
+    return _tile_answer(
+        tile, len(leaves), width, b"".join(struct.pack(">H", len(leaf)) + leaf for leaf in leaves)
+    )
 
 
-@router.get("/tile/{level}/{tile:path}", summary="256 hashes of the tree", response_class=Response, responses=OCTETS)
+@router.get(
+    "/tile/{level}/{tile:path}",
+    summary="256 hashes of the tree",
+    response_class=Response,
+    responses=OCTETS,
+)
 def hashes(parts: With, level: Annotated[int, Path(ge=0, le=7)], tile: TilePath) -> Response:
     """Neighbouring subtrees of 256^level leaves each, 32 bytes each."""
     number, width = _tile(tile)
@@ -127,7 +165,8 @@ def hashes(parts: With, level: Annotated[int, Path(ge=0, le=7)], tile: TilePath)
 
 
 def _tile(path: str) -> tuple[int, int]:
-    """Number and width of a tile. Raises NotFound for what no log reaches, BadRequest for a width beyond a tile."""
+    """Number and width of a tile. Raises NotFound for what no log reaches, BadRequest for a width
+    beyond a tile."""
     name, _, part = path.partition(".p/")
     number, width = int(re.sub(r"[x/]", "", name)), int(part) if part else TILE
     if not 0 < width <= TILE or (part and width == TILE):
@@ -140,32 +179,53 @@ def _tile(path: str) -> tuple[int, int]:
 def _tile_answer(tile: str, found: int, width: int, content: bytes) -> Response:
     if found < width:
         raise NotFound(
-            f"the log does not fill tile {tile!r} yet", noun="tile", name=tile, hint="/v1/audit/checkpoint says how far it goes."
+            f"the log does not fill tile {tile!r} yet",
+            noun="tile",
+            name=tile,
+            hint="/v1/audit/checkpoint says how far it goes.",
         )
     return Response(content, media_type="application/octet-stream", headers=IMMUTABLE)
 
 
 @router.get("/rows/{table}", summary="The registry's rows as they are stored")
 def rows(
-    parts: With, table: str, after: Annotated[str, Query(max_length=400, description="`next` of the page before")] = "", limit: Limit = 100
+    parts: With,
+    table: str,
+    after: Annotated[str, Query(max_length=400, description="`next` of the page before")] = "",
+    limit: Limit = 100,
 ) -> Rows:
-    """What the entries' `rows` name, to be held against their digests: SHA-256 of the canonical {"row": …, "table": …}; and what the log
-    keeps beside its entries: its hashes, its head and its keys.
+    """What the entries' `rows` name, to be held against their digests: SHA-256 of the canonical
+    {"row": …, "table": …}; and what the log keeps beside its entries: its hashes, its head and its
+    keys.
     """
     found = TABLES.get(table)
     if found is None:
-        raise NotFound(f"the log names no rows of {table!r}", noun="table", name=table, hint=f"It names those of {', '.join(TABLES)}.")
+        raise NotFound(
+            f"the log names no rows of {table!r}",
+            noun="table",
+            name=table,
+            hint=f"It names those of {', '.join(TABLES)}.",
+        )
     columns = list(found.primary_key.columns)
     try:
         key = orjson.loads(after) if after else []
-        key = [column.type.python_type(value) for column, value in zip(columns, key, strict=True)] if key else []
+        key = (
+            [column.type.python_type(value) for column, value in zip(columns, key, strict=True)]
+            if key
+            else []
+        )
         if any(isinstance(value, int) and not -(2**63) <= value < 2**63 for value in key):
             raise ValueError
     except (orjson.JSONDecodeError, ValueError, TypeError) as error:
         raise BadRequest("after is `next` of the page before") from error
     with parts.database.read() as connection:
         items = Reader(connection).rows(found, key, limit)
-    return Rows(items=items, next=orjson.dumps([items[-1][c.name] for c in columns]).decode() if len(items) == limit else None)
+    return Rows(
+        items=items,
+        next=orjson.dumps([items[-1][c.name] for c in columns]).decode()
+        if len(items) == limit
+        else None,
+    )
 
 
 def _log(request: Request) -> SignedLog:

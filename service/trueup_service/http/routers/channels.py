@@ -1,4 +1,5 @@
-"""Evidence of artifacts at the stages of the test ladder, and the channels of serving that require it."""
+"""Evidence of artifacts at the stages of the test ladder, and the channels of serving that require
+it."""
 
 from __future__ import annotations
 
@@ -11,46 +12,108 @@ from starlette.concurrency import run_in_threadpool
 from trueup_service.actions import find
 from trueup_service.actions.add_evidence import add_evidence
 from trueup_service.actions.channels import declare_channel, move_channel
-from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create, run_once
+from trueup_service.http.context import (
+    By,
+    DigestPath,
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    With,
+    create,
+    run_once,
+)
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
-from trueup_service.http.schemas import Channel, ChannelDeclaration, ChannelMove, ChannelPosition, Evidence, Page, page
+from trueup_service.http.schemas import (
+    Channel,
+    ChannelDeclaration,
+    ChannelMove,
+    ChannelPosition,
+    Evidence,
+    Page,
+    page,
+)
 from trueup_service.registry.store import Reader, Writer
 
 router = guarded("/v1/plants/{plant}", ["channels"])
-ChannelName = Annotated[str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A channel's name")]
+ChannelName = Annotated[
+    str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A channel's name")
+]
 PAGE_BYTES = 2 << 20  # of documents in a page, unless the first one alone has more
-CHANNEL = {"name": "channel", "in": "path", "required": True, "schema": {"type": "string"}, "description": "A channel's name"}
+CHANNEL = {
+    "name": "channel",
+    "in": "path",
+    "required": True,
+    "schema": {"type": "string"},
+    "description": "A channel's name",
+}
 
 
-@router.post("/evidence", status_code=201, response_model=Evidence, summary="Add evidence of an artifact", responses=there(Evidence))
+@router.post(
+    "/evidence",
+    status_code=201,
+    response_model=Evidence,
+    summary="Add evidence of an artifact",
+    responses=there(Evidence),
+)
 def add(
     parts: With,
     stamp: By,
     plant: PlantName,
-    document: Annotated[dict[str, Any], Body(description="Evidence: schema, artifact, stage, passed, shows, cannot_show, figures")],
+    document: Annotated[
+        dict[str, Any],
+        Body(description="Evidence: schema, artifact, stage, passed, shows, cannot_show, figures"),
+    ],
     key: IdempotencyKey = None,
 ) -> Response:
     """It is kept as it is said: by whom stands beside it, and what it cannot show is part of it."""
-    return create(parts, stamp, f"evidence/{plant}", key, document, lambda w: add_evidence(w, plant, document, None, stamp), Evidence)
+    return create(
+        parts,
+        stamp,
+        f"evidence/{plant}",
+        key,
+        document,
+        lambda w: add_evidence(w, plant, document, None, stamp),
+        Evidence,
+    )
 
 
 @router.get("/artifacts/{digest}/evidence", summary="List the evidence of an artifact")
 def list_evidence(
-    parts: With, plant: PlantName, digest: DigestPath, after: Annotated[str, Query(max_length=92)] = "", limit: Limit = 100
+    parts: With,
+    plant: PlantName,
+    digest: DigestPath,
+    after: Annotated[str, Query(max_length=92)] = "",
+    limit: Limit = 100,
 ) -> Page[Evidence]:
-    """In the order in which it came; `after` is `next` of the page before. A page ends early where its documents are long."""
+    """In the order in which it came; `after` is `next` of the page before. A page ends early where
+    its documents are long."""
     at, _, last = after.partition("_")
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.artifact(reader, plant, digest)
         found, more = reader.evidence_of(plant, digest, (at, last), limit, PAGE_BYTES)
-    return Page(items=[Evidence.model_validate(e) for e in found], next=f"{found[-1].created_at}_{found[-1].digest}" if more else None)
+    return Page(
+        items=[Evidence.model_validate(e) for e in found],
+        next=f"{found[-1].created_at}_{found[-1].digest}" if more else None,
+    )
 
 
-@router.post("/channels", status_code=201, response_model=Channel, summary="Declare a channel of serving", responses=there(Channel))
-def declare(parts: With, stamp: By, plant: PlantName, channel: ChannelDeclaration, key: IdempotencyKey = None) -> Response:
+@router.post(
+    "/channels",
+    status_code=201,
+    response_model=Channel,
+    summary="Declare a channel of serving",
+    responses=there(Channel),
+)
+def declare(
+    parts: With,
+    stamp: By,
+    plant: PlantName,
+    channel: ChannelDeclaration,
+    key: IdempotencyKey = None,
+) -> Response:
     """What it requires never changes."""
     request = channel.model_dump()
 
@@ -66,7 +129,12 @@ def declare(parts: With, stamp: By, plant: PlantName, channel: ChannelDeclaratio
 
 
 @router.get("/channels", summary="List channels")
-def list_channels(parts: With, plant: PlantName, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100) -> Page[Channel]:
+def list_channels(
+    parts: With,
+    plant: PlantName,
+    after: Annotated[str, Query(max_length=63)] = "",
+    limit: Limit = 100,
+) -> Page[Channel]:
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.plant_digest(reader, plant)
@@ -82,19 +150,31 @@ def list_channels(parts: With, plant: PlantName, after: Annotated[str, Query(max
     openapi_extra={"parameters": [PLANT, CHANNEL, *ASKED]},
 )
 async def serving(request: Request) -> Response:
-    """As of the plant's own pointer: with `If-None-Match` and `wait_s` it answers at the channel's next move, or 304."""
+    """As of the plant's own pointer: with `If-None-Match` and `wait_s` it answers at the channel's
+    next move, or 304."""
     return await polled(request, request.path_params["plant"], request.path_params["channel"])
 
 
 @router.post("/channels/{channel}/move", summary="Serve an artifact on a channel")
 async def move(
-    request: Request, parts: With, stamp: By, plant: PlantName, channel: ChannelName, wanted: ChannelMove, key: IdempotencyKey = None
+    request: Request,
+    parts: With,
+    stamp: By,
+    plant: PlantName,
+    channel: ChannelName,
+    wanted: ChannelMove,
+    key: IdempotencyKey = None,
 ) -> ChannelPosition:
-    """409 if the channel is elsewhere, the artifact never served the plant itself, or evidence of a required stage is missing or failed."""
+    """409 if the channel is elsewhere, the artifact never served the plant itself, or evidence of a
+    required stage is missing or failed."""
 
     def act(writer: Writer) -> dict[str, Any]:
-        return asdict(move_channel(writer, plant, channel, wanted.artifact, wanted.expected_generation, stamp))
+        return asdict(
+            move_channel(writer, plant, channel, wanted.artifact, wanted.expected_generation, stamp)
+        )
 
-    moved = await run_in_threadpool(run_once, parts, stamp, f"channels/{plant}/{channel}", key, wanted.model_dump(), act)
+    moved = await run_in_threadpool(
+        run_once, parts, stamp, f"channels/{plant}/{channel}", key, wanted.model_dump(), act
+    )
     request.app.state.answers.wake()
     return ChannelPosition(**moved)

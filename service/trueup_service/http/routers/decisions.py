@@ -10,7 +10,16 @@ from trueup.ledger.provenance import PAYLOAD_TYPE, of_decision
 from trueup_service.actions import find
 from trueup_service.actions.approve import approve
 from trueup_service.actions.stamp import END_OF_TIME
-from trueup_service.http.context import Before, By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.context import (
+    Before,
+    By,
+    DigestPath,
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    With,
+    create,
+)
 from trueup_service.http.guard import Asking, guarded, require_seen
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Approval, ApprovalRequest, Decision, Envelope, Page, page
@@ -20,7 +29,9 @@ router = guarded("/v1", ["decisions"])
 
 
 @router.get("/plants/{plant}/decisions", summary="List decisions, the newest first")
-def list_decisions(parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100) -> Page[Decision]:
+def list_decisions(
+    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+) -> Page[Decision]:
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.plant_digest(reader, plant)
@@ -34,15 +45,23 @@ def get_decision(parts: With, plant: PlantName, digest: DigestPath) -> Decision:
         return Decision.model_validate(find.decision(Reader(connection), plant, digest))
 
 
-@router.get("/plants/{plant}/decisions/{digest}/provenance", summary="What a gate said of a candidate, signed")
+@router.get(
+    "/plants/{plant}/decisions/{digest}/provenance",
+    summary="What a gate said of a candidate, signed",
+)
 def get_provenance(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Envelope:
-    """An in-toto statement (test-result) in a DSSE envelope: candidate, gate, incumbent and held-out episodes by digest."""
+    """An in-toto statement (test-result) in a DSSE envelope: candidate, gate, incumbent and
+    held-out episodes by digest."""
     with parts.database.read() as connection:
         found = find.decision(Reader(connection), plant, digest)
     if digest_of(found.document) != digest:
         raise BrokenChain("the kept decision is not the one that its digest names", decision=digest)
-    facts: dict[str, Json] = {name: getattr(found, name) for name in ("plant", "job", "created_at", "created_by")}
-    return Envelope(**request.app.state.log.envelope(PAYLOAD_TYPE, of_decision(found.document, digest, facts)))
+    facts: dict[str, Json] = {
+        name: getattr(found, name) for name in ("plant", "job", "created_at", "created_by")
+    }
+    return Envelope(
+        **request.app.state.log.envelope(PAYLOAD_TYPE, of_decision(found.document, digest, facts))
+    )
 
 
 @router.post(
@@ -53,14 +72,28 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
     responses=there(Approval),
 )
 def add_approval(
-    parts: With, stamp: By, plant: PlantName, digest: DigestPath, given: ApprovalRequest | None = None, key: IdempotencyKey = None
+    parts: With,
+    stamp: By,
+    plant: PlantName,
+    digest: DigestPath,
+    given: ApprovalRequest | None = None,
+    key: IdempotencyKey = None,
 ) -> Response:
-    """Once for each token. Where the plant's policy takes two people for a promotion, one approves and the other promotes: two names, for
-    tokens of one name are one person. Of a candidate that was rejected before, it takes a reason.
+    """Once for each token. Where the plant's policy takes two people for a promotion, one approves
+    and the other promotes: two names, for tokens of one name are one person. Of a candidate that
+    was rejected before, it takes a reason.
     """
     because = None if given is None else given.because
     request: dict[str, Json] = {"decision": digest, "because": because}
-    return create(parts, stamp, f"approvals/{plant}", key, request, lambda w: approve(w, plant, digest, because, stamp), Approval)
+    return create(
+        parts,
+        stamp,
+        f"approvals/{plant}",
+        key,
+        request,
+        lambda w: approve(w, plant, digest, because, stamp),
+        Approval,
+    )
 
 
 @router.get("/plants/{plant}/decisions/{digest}/approvals", summary="List who approved a decision")

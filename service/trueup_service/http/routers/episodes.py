@@ -24,14 +24,30 @@ from trueup_service.registry.store import Reader
 from trueup_service.wiring import Parts
 
 router = guarded("/v1/plants/{plant}/episodes", ["episodes"])
-MCAP = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+MCAP = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
 
 
-@router.post("", status_code=201, response_model=Episode, summary="Upload an episode", responses=there(Episode), openapi_extra=MCAP)
-async def upload(request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None) -> Response:
-    """The body is an MCAP file. It is hashed while it streams and held against `Content-Digest` (RFC 9530) if that is sent.
+@router.post(
+    "",
+    status_code=201,
+    response_model=Episode,
+    summary="Upload an episode",
+    responses=there(Episode),
+    openapi_extra=MCAP,
+)
+async def upload(
+    request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None
+) -> Response:
+    """The body is an MCAP file. It is hashed while it streams and held against `Content-Digest`
+    (RFC 9530) if that is sent.
 
-    All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again are the same episode.
+    All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again
+    are the same episode.
     """
     held = await run_in_threadpool(against, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
@@ -43,12 +59,22 @@ async def upload(request: Request, parts: With, stamp: By, plant: PlantName, key
 def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
     with parts.database.read() as connection:
         found = Reader(connection).episode(plant, digest)
-    return None if found is None else Inspected(digest, found.role, found.start_ns, found.end_ns, found.summary, found.samples_digest)
+    return (
+        None
+        if found is None
+        else Inspected(
+            digest, found.role, found.start_ns, found.end_ns, found.summary, found.samples_digest
+        )
+    )
 
 
 @router.get("", summary="List episodes")
 def list_episodes(
-    parts: With, plant: PlantName, role: Role | None = None, after: Annotated[str, Query(max_length=64)] = "", limit: Limit = 100
+    parts: With,
+    plant: PlantName,
+    role: Role | None = None,
+    after: Annotated[str, Query(max_length=64)] = "",
+    limit: Limit = 100,
 ) -> Page[Episode]:
     """In the order of their digests; `after` is the digest that the page before ended with."""
     with parts.database.read() as connection:
@@ -64,7 +90,11 @@ def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeCon
         reader = Reader(connection)
         found = find.episode(reader, plant, digest)
         uses, served = find.uses(reader, digest), find.served_during(reader, found)
-    return EpisodeContext(**Episode.model_validate(found).model_dump(), served=[Serving(**document(m)) for m in served], uses=uses)
+    return EpisodeContext(
+        **Episode.model_validate(found).model_dump(),
+        served=[Serving(**document(m)) for m in served],
+        uses=uses,
+    )
 
 
 @router.get("/{digest}/content", summary="Download an episode's bytes", response_class=Response)

@@ -9,7 +9,15 @@ from fastapi import Body, Query, Response
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import Place, place
 from trueup_service.errors import NotFound
-from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.context import (
+    By,
+    DigestPath,
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    With,
+    create,
+)
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Gate, GateInLine, LooserThan, Page, page
@@ -18,7 +26,9 @@ from trueup_service.registry.store import Reader
 router = guarded("/v1/plants/{plant}", ["gates"])
 
 
-@router.post("/gates", status_code=201, response_model=Gate, summary="Declare a gate", responses=there(Gate))
+@router.post(
+    "/gates", status_code=201, response_model=Gate, summary="Declare a gate", responses=there(Gate)
+)
 def declare(
     parts: With,
     stamp: By,
@@ -26,17 +36,31 @@ def declare(
     document: Annotated[dict[str, Any] | None, Body()] = None,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Without a body the gate in force, or where there is none the default: rollouts below 0.98 of the incumbent's error, one step no
-    worse, over every window of the horizon. Once a candidate was judged, another gate names the one in force in `follows` and says why in
-    `because`. A gate that cannot reject is refused, unless it says that it is `vacuous`, and why.
+    """Without a body the gate in force, or where there is none the default: rollouts below 0.98 of
+    the incumbent's error, one step no worse, over every window of the horizon. Once a candidate was
+    judged, another gate names the one in force in `follows` and says why in `because`. A gate that
+    cannot reject is refused, unless it says that it is `vacuous`, and why.
     """
     from trueup_service.actions.declare_gate import declare_gate  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    return create(parts, stamp, f"gates/{plant}", key, document, lambda w: declare_gate(w, plant, document, stamp), Gate)
+    return create(
+        parts,
+        stamp,
+        f"gates/{plant}",
+        key,
+        document,
+        lambda w: declare_gate(w, plant, document, stamp),
+        Gate,
+    )
 
 
 @router.get("/gates", summary="List gates")
-def list_gates(parts: With, plant: PlantName, after: Annotated[str, Query(max_length=64)] = "", limit: Limit = 100) -> Page[Gate]:
+def list_gates(
+    parts: With,
+    plant: PlantName,
+    after: Annotated[str, Query(max_length=64)] = "",
+    limit: Limit = 100,
+) -> Page[Gate]:
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.plant_digest(reader, plant)
@@ -58,7 +82,12 @@ def get_gate_in_force(parts: With, plant: PlantName) -> GateInLine:
         find.plant_digest(reader, plant)
         found = place(reader, plant)
     if found is None:
-        raise NotFound(f"plant {plant!r} has no gate", noun="gate", name=plant, hint="Declare one before anything is scored.")
+        raise NotFound(
+            f"plant {plant!r} has no gate",
+            noun="gate",
+            name=plant,
+            hint="Declare one before anything is scored.",
+        )
     return _in_line(found)
 
 

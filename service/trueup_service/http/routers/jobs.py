@@ -56,19 +56,32 @@ JobRequest = Annotated[
     summary="Submit a fit, a trial, a diagnosis or a calibration",
     responses=there(Job),
 )
-def submit(parts: With, stamp: By, plant: PlantName, request: JobRequest, key: IdempotencyKey = None) -> Response:
-    """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a trial held-out ones alone;
-    a diagnosis fits the former and compares on the latter. A calibration makes a monitor of what serves, on healthy episodes.
+def submit(
+    parts: With, stamp: By, plant: PlantName, request: JobRequest, key: IdempotencyKey = None
+) -> Response:
+    """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a
+    trial held-out ones alone; a diagnosis fits the former and compares on the latter. A calibration
+    makes a monitor of what serves, on healthy episodes.
     """
     chosen, job = request.model_dump(exclude={"kind"}, exclude_none=True), uuid.uuid4().hex
     act = SUBMIT[request.kind]
     parts.queue.prepare()
     frozen = {"kind": request.kind, **chosen}
-    return create(parts, stamp, f"jobs/{plant}", key, frozen, lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True), Job)
+    return create(
+        parts,
+        stamp,
+        f"jobs/{plant}",
+        key,
+        frozen,
+        lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True),
+        Job,
+    )
 
 
 @router.get("/plants/{plant}/jobs", summary="List jobs, the newest first")
-def list_jobs(parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100) -> Page[Job]:
+def list_jobs(
+    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+) -> Page[Job]:
     with parts.database.read() as connection:
         reader = Reader(connection)
         find.plant_digest(reader, plant)
@@ -83,24 +96,36 @@ def get_job(parts: With, who: Asking, job: JobId) -> JobWithReads:
         found = find.job(reader, job)
         require_seen(parts.database, who, found.plant, find.missing("job", job))
         outputs = [Output.model_validate(o) for o in reader.outputs(job)]
-        return JobWithReads(**Job.model_validate(found).model_dump(), reads=reader.job_reads(job), outputs=outputs)
+        return JobWithReads(
+            **Job.model_validate(found).model_dump(), reads=reader.job_reads(job), outputs=outputs
+        )
 
 
-@router.get("/jobs/{job}/outputs/{name}", summary="Download a file that a job left behind", response_class=Response)
+@router.get(
+    "/jobs/{job}/outputs/{name}",
+    summary="Download a file that a job left behind",
+    response_class=Response,
+)
 def get_output(parts: With, who: Asking, job: JobId, name: OutputName) -> StreamingResponse:
-    """A diagnosis leaves `figures.json`, the numbers behind its pictures, and `next_experiment.csv` where there is one."""
+    """A diagnosis leaves `figures.json`, the numbers behind its pictures, and `next_experiment.csv`
+    where there is one."""
     with parts.database.read() as connection:
         reader = Reader(connection)
         require_seen(parts.database, who, find.job(reader, job).plant, find.missing("job", job))
         found = find.output(reader, job, name)
     named = f'attachment; filename="{found.name}"'
-    return send_kept(parts.blobs, found.digest, found.size_bytes, found.media_type, Content_Disposition=named)
+    return send_kept(
+        parts.blobs, found.digest, found.size_bytes, found.media_type, Content_Disposition=named
+    )
 
 
 @router.post("/jobs/{job}/cancel", summary="Cancel a job")
 def cancel(parts: With, stamp: By, who: Asking, job: JobId) -> Job:
-    """A waiting job is cancelled at once, a running one at its next report of progress; a finished one stays as it is."""
+    """A waiting job is cancelled at once, a running one at its next report of progress; a finished
+    one stays as it is."""
     with parts.database.read() as connection:
-        require_seen(parts.database, who, find.job(Reader(connection), job).plant, find.missing("job", job))
+        require_seen(
+            parts.database, who, find.job(Reader(connection), job).plant, find.missing("job", job)
+        )
     with writing(parts.database) as writer:
         return Job.model_validate(cancel_job(writer, job, stamp))

@@ -29,7 +29,12 @@ async def health() -> Health:
 
 @router.get("/readyz", summary="The service can do its work", responses={503: {"model": Readiness}})
 def ready(request: Request, parts: With, response: Response) -> Readiness:
-    checks = {"database": _database(parts), "blobs": _blobs(parts), "spool": _spool(parts), "log": _log(request)}
+    checks = {
+        "database": _database(parts),
+        "blobs": _blobs(parts),
+        "spool": _spool(parts),
+        "log": _log(request),
+    }
     is_ready = all(found == "ok" for found in checks.values())
     response.status_code = 200 if is_ready else 503
     return Readiness(ready=is_ready, checks=checks)

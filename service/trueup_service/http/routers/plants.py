@@ -17,36 +17,59 @@ from trueup_service.registry.store import Reader
 router = guarded("/v1/plants", ["plants"])
 
 
-@router.post("", status_code=201, response_model=Plant, summary="Register a plant", responses=there(Plant))
+@router.post(
+    "", status_code=201, response_model=Plant, summary="Register a plant", responses=there(Plant)
+)
 def register(
     parts: With,
     stamp: By,
     who: Asking,
     document: Annotated[dict[str, Any], Body(description="plant.json")],
-    project: Annotated[str | None, Query(max_length=63, description="default: the token's own")] = None,
+    project: Annotated[
+        str | None, Query(max_length=63, description="default: the token's own")
+    ] = None,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Its declared model becomes version 1 and serves at generation 1. The same description again answers 200.
+    """Its declared model becomes version 1 and serves at generation 1. The same description again
+    answers 200.
 
-    Names are unique over all projects: one that another project has is refused, and nothing more is said of it.
+    Names are unique over all projects: one that another project has is refused, and nothing more is
+    said of it.
     """
     from trueup_service.actions.register_plant import register_plant  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     if who.plant is not None:
-        raise Forbidden(f"the token is of plant {who.plant!r} alone", hint="Ask an admin for a token of the project.")
+        raise Forbidden(
+            f"the token is of plant {who.plant!r} alone",
+            hint="Ask an admin for a token of the project.",
+        )
     if who.project is not None and project not in (None, who.project):
         raise find.missing("project", str(project))
     of = who.project or project
-    return create(parts, stamp, "plants", key, document, lambda w: register_plant(w, document, stamp, of), Plant)
+    return create(
+        parts,
+        stamp,
+        "plants",
+        key,
+        document,
+        lambda w: register_plant(w, document, stamp, of),
+        Plant,
+    )
 
 
 @router.get("", summary="List plants by name")
-def list_plants(parts: With, who: Asking, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100) -> Page[Plant]:
+def list_plants(
+    parts: With, who: Asking, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
+) -> Page[Plant]:
     """Those that the token sees."""
     with parts.database.read() as connection:
         reader = Reader(connection)
         if who.plant is not None:
-            return Page(items=[Plant.model_validate(find.plant(reader, who.plant))] if who.plant > after else [])
+            return Page(
+                items=[Plant.model_validate(find.plant(reader, who.plant))]
+                if who.plant > after
+                else []
+            )
         found = reader.plants(after, limit, who.project)
     return page(Plant, found, limit, "name")
 

@@ -19,16 +19,26 @@ from trueup_service.registry.store import Reader, Writer
 router = guarded("/v1/plants/{plant}", ["policies"])
 
 
-@router.post("/policies", status_code=201, response_model=Policy, summary="Declare an update policy", responses=there(Policy))
+@router.post(
+    "/policies",
+    status_code=201,
+    response_model=Policy,
+    summary="Declare an update policy",
+    responses=there(Policy),
+)
 def declare(
     parts: With,
     stamp: By,
     who: Asking,
     plant: PlantName,
-    document: Annotated[dict[str, Any], Body(description="A policy: schema, gate, on_alarm, on_diagnosis, on_acceptance, promise_h, …")],
+    document: Annotated[
+        dict[str, Any],
+        Body(description="A policy: schema, gate, on_alarm, on_diagnosis, on_acceptance, …"),
+    ],
     key: IdempotencyKey = None,
 ) -> Response:
-    """It holds from now on; the ones before it stay on record. That promotions take fewer people than before, an admin alone can say."""
+    """It holds from now on; the ones before it stay on record. That promotions take fewer people
+    than before, an admin alone can say."""
 
     def act(writer: Writer) -> tuple[PolicyRecord, bool]:
         return declare_policy(writer, plant, document, stamp, by_admin=Role.ADMIN in who.roles)
@@ -38,7 +48,10 @@ def declare(
 
 @router.get("/policies", summary="List the policies that held, in order")
 def list_policies(
-    parts: With, plant: PlantName, after: Annotated[int, Query(ge=0, le=2**31 - 1, description="sequence")] = 0, limit: Limit = 100
+    parts: With,
+    plant: PlantName,
+    after: Annotated[int, Query(ge=0, le=2**31 - 1, description="sequence")] = 0,
+    limit: Limit = 100,
 ) -> Page[Policy]:
     with parts.database.read() as connection:
         reader = Reader(connection)
@@ -55,6 +68,9 @@ def get_policy(parts: With, plant: PlantName) -> Policy:
         found = reader.policy(plant)
     if found is None:
         raise NotFound(
-            f"plant {plant!r} has no policy", noun="policy", name=plant, hint="Declare one; until then every step is a person's."
+            f"plant {plant!r} has no policy",
+            noun="policy",
+            name=plant,
+            hint="Declare one; until then every step is a person's.",
         )
     return Policy.model_validate(found)

@@ -23,20 +23,32 @@ from trueup_service.signed_log import SignedLog
 router = guarded("/v1/plants/{plant}/serving", ["serving"])
 ENVELOPE_TYPE, ENVELOPE_SCHEMA = "application/vnd.trueup.serving+json", "trueup.serving/1"
 AtTime = Annotated[
-    str | None, Query(pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z$", description="UTC, ISO 8601: only what was live then")
+    str | None,
+    Query(
+        pattern=r"^\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.\d{1,6})?Z$",
+        description="UTC, ISO 8601: only what was live then",
+    ),
 ]
 
 
-@router.get("", summary="What is serving now", response_model=Serving, responses=UNCHANGED, openapi_extra={"parameters": [PLANT, *ASKED]})
+@router.get(
+    "",
+    summary="What is serving now",
+    response_model=Serving,
+    responses=UNCHANGED,
+    openapi_extra={"parameters": [PLANT, *ASKED]},
+)
 async def now(request: Request) -> Response:
-    """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` it answers at the next move, or 304."""
+    """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` it answers at
+    the next move, or 304."""
     return await polled(request, request.path_params["plant"])
 
 
 @router.get("/envelope", summary="What is serving now, signed for a robot")
 def envelope(request: Request, parts: With, plant: PlantName) -> Envelope:
-    """A DSSE envelope: artifact, generation (which only grows), decision, expiry, the artifact that served before as the fallback, and the
-    log's checkpoint, so that every robot is a witness of the log.
+    """A DSSE envelope: artifact, generation (which only grows), decision, expiry, the artifact that
+    served before as the fallback, and the log's checkpoint, so that every robot is a witness of the
+    log.
     """
     with parts.database.read() as connection:
         reader = Reader(connection)
@@ -75,7 +87,10 @@ def history(
             live = reader.served_at(plant, _padded(at))
             return Page(items=[Serving(**document(live))] if live else [])
         found = reader.moves(plant, after, limit)
-    return Page(items=[Serving(**document(m)) for m in found], next=str(found[-1].generation) if len(found) == limit else None)
+    return Page(
+        items=[Serving(**document(m)) for m in found],
+        next=str(found[-1].generation) if len(found) == limit else None,
+    )
 
 
 def _padded(at: str) -> str:
@@ -84,16 +99,36 @@ def _padded(at: str) -> str:
 
 
 @router.post("/promote", summary="Serve an accepted candidate")
-async def promote(request: Request, parts: With, stamp: By, plant: PlantName, promotion: Promotion, key: IdempotencyKey = None) -> Serving:
-    """Compare and swap: 409 if the pointer is elsewhere, the decision was judged at another one, or others must approve."""
-    moved = await run_in_threadpool(promote_tested, parts, stamp, plant, promotion.decision, promotion.expected_generation, key)
+async def promote(
+    request: Request,
+    parts: With,
+    stamp: By,
+    plant: PlantName,
+    promotion: Promotion,
+    key: IdempotencyKey = None,
+) -> Serving:
+    """Compare and swap: 409 if the pointer is elsewhere, the decision was judged at another one, or
+    others must approve."""
+    moved = await run_in_threadpool(
+        promote_tested, parts, stamp, plant, promotion.decision, promotion.expected_generation, key
+    )
     request.app.state.answers.wake()
     return Serving(**moved)
 
 
 @router.post("/rollback", summary="Serve what served before")
-async def rollback(request: Request, parts: With, stamp: By, plant: PlantName, wanted: Rollback, key: IdempotencyKey = None) -> Serving:
-    """Only after the switchback test: the artifact loads, its digests hold, it answers its recorded probe, it fits the plant."""
-    moved = await run_in_threadpool(roll_back_tested, parts, stamp, plant, wanted.expected_generation, key)
+async def rollback(
+    request: Request,
+    parts: With,
+    stamp: By,
+    plant: PlantName,
+    wanted: Rollback,
+    key: IdempotencyKey = None,
+) -> Serving:
+    """Only after the switchback test: the artifact loads, its digests hold, it answers its recorded
+    probe, it fits the plant."""
+    moved = await run_in_threadpool(
+        roll_back_tested, parts, stamp, plant, wanted.expected_generation, key
+    )
     request.app.state.answers.wake()
     return Serving(**moved)

@@ -25,11 +25,18 @@ BATCH = {
                     "required": ["start_ns", "t_s", "observations", "commands"],
                     "additionalProperties": False,
                     "properties": {
-                        "start_ns": {"type": "string", "pattern": "^[0-9]{1,19}$", "description": "ns since 1970, as text"},
+                        "start_ns": {
+                            "type": "string",
+                            "pattern": "^[0-9]{1,19}$",
+                            "description": "ns since 1970, as text",
+                        },
                         "t_s": {**NUMBERS, "description": "seconds from start_ns, increasing"},
                         "observations": {"type": "object", "additionalProperties": NUMBERS},
                         "commands": {"type": "object", "additionalProperties": NUMBERS},
-                        "conditions": {"type": "object", "additionalProperties": {"type": "string"}},
+                        "conditions": {
+                            "type": "object",
+                            "additionalProperties": {"type": "string"},
+                        },
                         "role": {"enum": ["telemetry", "reference"], "default": "telemetry"},
                     },
                 }
@@ -39,11 +46,22 @@ BATCH = {
 }
 
 
-@router.post("", status_code=201, response_model=Episode, summary="Send a batch of samples", responses=there(Episode), openapi_extra=BATCH)
-async def send(request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None) -> Response:
-    """The batch becomes an episode of the role telemetry, or reference: durable once answered, and shown to the plant's monitor.
+@router.post(
+    "",
+    status_code=201,
+    response_model=Episode,
+    summary="Send a batch of samples",
+    responses=there(Episode),
+    openapi_extra=BATCH,
+)
+async def send(
+    request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None
+) -> Response:
+    """The batch becomes an episode of the role telemetry, or reference: durable once answered, and
+    shown to the plant's monitor.
 
-    Residuals begin anew with each batch, so a batch should be several horizons long. The same batch again is the same episode.
+    Residuals begin anew with each batch, so a batch should be several horizons long. The same batch
+    again is the same episode.
     """
     held = await run_in_threadpool(against, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:

@@ -1,4 +1,5 @@
-"""Uploads in parts, for long recordings over lines that break: ask how far it came, go on from there, finish."""
+"""Uploads in parts, for long recordings over lines that break: ask how far it came, go on from
+there, finish."""
 
 from __future__ import annotations
 
@@ -24,24 +25,43 @@ from trueup_service.partial_uploads import PartialUploads, Quota, digest_of_file
 from trueup_service.wiring import Parts
 
 router = guarded("/v1/plants/{plant}/uploads/{digest}", ["episodes"])
-PART = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+PART = {
+    "requestBody": {
+        "required": True,
+        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
 SILENCE_S = 60.0  # of a line that neither sends nor breaks
-Offset = Annotated[int, Header(alias="Upload-Offset", ge=0, description="Where this part begins: `offset_bytes` of the last answer")]
+Offset = Annotated[
+    int,
+    Header(
+        alias="Upload-Offset",
+        ge=0,
+        description="Where this part begins: `offset_bytes` of the last answer",
+    ),
+]
 
 
 @router.get("", summary="How far an upload came")
 def offset(parts: With, plant: PlantName, digest: DigestPath) -> Upload:
     """Zero where nothing came yet, at this server."""
-    return Upload(digest=digest, offset_bytes=PartialUploads(parts.settings.data_dir).offset(plant, digest))
+    return Upload(
+        digest=digest, offset_bytes=PartialUploads(parts.settings.data_dir).offset(plant, digest)
+    )
 
 
 @router.patch("", summary="Send a part of an upload", openapi_extra=PART)
-async def append(request: Request, parts: With, plant: PlantName, digest: DigestPath, at: Offset) -> Upload:
-    """What is answered is durable. Where the connection breaks, what came is kept; 409 says where to go on."""
+async def append(
+    request: Request, parts: With, plant: PlantName, digest: DigestPath, at: Offset
+) -> Upload:
+    """What is answered is durable. Where the connection breaks, what came is kept; 409 says where
+    to go on."""
     await run_in_threadpool(against, parts, plant)
     uploads = PartialUploads(parts.settings.data_dir)
     quota = Quota(parts.settings.uploads_under_way, parts.settings.uploads_under_way_bytes)
-    here = await uploads.append(plant, digest, at, _until_it_breaks(request), parts.settings.upload_limit_bytes, quota)
+    here = await uploads.append(
+        plant, digest, at, _until_it_breaks(request), parts.settings.upload_limit_bytes, quota
+    )
     return Upload(digest=digest, offset_bytes=here)
 
 
@@ -56,10 +76,24 @@ async def _until_it_breaks(request: Request) -> AsyncIterator[bytes]:
         yield part
 
 
-@router.post("/finish", status_code=201, response_model=Episode, summary="Make an upload an episode", responses=there(Episode))
-async def finish(request: Request, parts: With, stamp: By, plant: PlantName, digest: DigestPath, key: IdempotencyKey = None) -> Response:
-    """Its bytes must have the digest; then it is as if it had come at once. What is no episode, or other bytes, is dropped; where the
-    service itself fails, the upload stays, and can be finished again.
+@router.post(
+    "/finish",
+    status_code=201,
+    response_model=Episode,
+    summary="Make an upload an episode",
+    responses=there(Episode),
+)
+async def finish(
+    request: Request,
+    parts: With,
+    stamp: By,
+    plant: PlantName,
+    digest: DigestPath,
+    key: IdempotencyKey = None,
+) -> Response:
+    """Its bytes must have the digest; then it is as if it had come at once. What is no episode, or
+    other bytes, is dropped; where the service itself fails, the upload stays, and can be finished
+    again.
     """
     uploads = PartialUploads(parts.settings.data_dir)
     held = await run_in_threadpool(against, parts, plant)
@@ -72,19 +106,35 @@ async def finish(request: Request, parts: With, stamp: By, plant: PlantName, dig
         known = await run_in_threadpool(known_episode, parts, plant, digest)
         if known is None:
             hint = "Send its parts first, to this server."
-            raise NotFound("there is no such upload here", noun="upload", name=digest, hint=hint) from error
-        return Response(Episode.model_validate(known).model_dump_json(), 200, media_type="application/json")
+            raise NotFound(
+                "there is no such upload here", noun="upload", name=digest, hint=hint
+            ) from error
+        return Response(
+            Episode.model_validate(known).model_dump_json(), 200, media_type="application/json"
+        )
 
 
-async def _finished(request: Request, parts: Parts, stamp: Stamp, plant: str, digest: str, key: str | None, held: Against) -> Response:
+async def _finished(
+    request: Request,
+    parts: Parts,
+    stamp: Stamp,
+    plant: str,
+    digest: str,
+    key: str | None,
+    held: Against,
+) -> Response:
     uploads = PartialUploads(parts.settings.data_dir)
     path = uploads.path(plant, digest)
     try:
         found = await run_in_threadpool(digest_of_file, path)
         if found != digest:
-            raise DigestMismatch("the parts together are not what the path names", expected=digest, found=found)
+            raise DigestMismatch(
+                "the parts together are not what the path names", expected=digest, found=found
+            )
         inspected = await inspect(request, path, held)
     except (DigestMismatch, BadEpisode):
         uploads.drop(plant, digest)
         raise
-    return await run_in_threadpool(ingest, parts, stamp, plant, key, Received(path, digest, path.stat().st_size), inspected)
+    return await run_in_threadpool(
+        ingest, parts, stamp, plant, key, Received(path, digest, path.stat().st_size), inspected
+    )
