@@ -70,10 +70,10 @@ def _package(name: str, needed: bool, used_for: str, do: str) -> Finding:
 
 def _cache() -> Finding:
     """Whether compiled rollouts can be kept: else each process compiles them anew."""
-    folder = Path(
-        os.environ.get("NUMBA_CACHE_DIR")
-        or str(importlib.util.find_spec("trueup").submodule_search_locations[0])
-    )  # type: ignore[union-attr,index]
+    spec = importlib.util.find_spec("trueup")
+    assert spec is not None
+    assert spec.submodule_search_locations
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or spec.submodule_search_locations[0])
     writable = os.access(folder, os.W_OK)
     do = "" if writable else "Set NUMBA_CACHE_DIR to a folder that can be written."
     return Finding(

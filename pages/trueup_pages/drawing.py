@@ -49,9 +49,9 @@ def _runs(
                 pieces.append([])
             continue
         held = min(max(y, y0), y1)
-        across = left + (x - x0) / (x1 - x0) * width
-        down = top + (y1 - held) / (y1 - y0) * height
-        pieces[-1].append(f"{across:.1f},{down:.1f}")
+        distance = left + (x - x0) / (x1 - x0) * width
+        depth = top + (y1 - held) / (y1 - y0) * height
+        pieces[-1].append(f"{distance:.1f},{depth:.1f}")
     return [" ".join(p) for p in pieces if p]
 
 

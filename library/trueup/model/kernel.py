@@ -345,16 +345,9 @@ def show_late(i: Any, j: Any, t_s: Any, signals: Any, passed: Any, seen: Any) ->
 
 
 def correct_first(
-    i: Any,
-    gain: Any,
-    observed: Any,
-    push: Any,
-    signals: Any,
-    common: Any,
-    memory: Any,
-    on: Any,
-    own: Any,
-) -> None:
+    i: Any, gain: Any, observed: Any, push: Any, signals: Any, common: Any, memory: Any, on:
+    Any, own: Any,
+) -> None:  # fmt: skip
     """Lane 0, the filter, corrected by what was observed at a sample."""
     n, now = signals.shape[1], min(i, len(gain) - 1)
     for j in range(n):
@@ -384,16 +377,9 @@ def correct_first(
 
 
 def send_late(
-    j: Any,
-    begins: Any,
-    ends: Any,
-    h_s: Any,
-    t_s: Any,
-    issued: Any,
-    integral: Any,
-    signals: Any,
-    sent: Any,
-) -> None:
+    j: Any, begins: Any, ends: Any, h_s: Any, t_s: Any, issued: Any, integral: Any, signals:
+    Any, sent: Any,
+) -> None:  # fmt: skip
     """The mean of a delayed command over a step from `begins` to `ends` [s]."""
     last = len(t_s) - 1
     for lane in range(BLOCK):
@@ -458,18 +444,9 @@ def accelerate(
 
 
 def part_forces(
-    p: Any,
-    tree: Any,
-    sizes: Any,
-    signals: Any,
-    q_at: Any,
-    v_at: Any,
-    room: Any,
-    moves: Any,
-    forces: Any,
-    free: Any,
-    nothing: Any,
-) -> None:
+    p: Any, tree: Any, sizes: Any, signals: Any, q_at: Any, v_at: Any, room: Any, moves: Any,
+    forces: Any, free: Any, nothing: Any,
+) -> None:  # fmt: skip
     """What effects ask of a tree's acceleration at each joint: the drive's part, the spring's, the
     passive one, and the mobility."""
     n = len(tree)
@@ -522,16 +499,9 @@ def move_joint(alpha: Any, signals: Any, common: Any) -> None:
 
 
 def move_tree(
-    p: Any,
-    sizes: Any,
-    alpha: Any,
-    signals: Any,
-    common: Any,
-    moves: Any,
-    held: Any,
-    free: Any,
+    p: Any, sizes: Any, alpha: Any, signals: Any, common: Any, moves: Any, held: Any, free: Any,
     impulse: Any,
-) -> None:
+) -> None:  # fmt: skip
     """A tree's step: the same, with dry friction of all joints at once."""
     n = len(free)
     for j in range(n):

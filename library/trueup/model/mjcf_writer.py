@@ -292,9 +292,8 @@ def _general(engine: Any, model: Any, name: str, actuator: int, patch: Patch) ->
     velocity = _velocity_gain(model, actuator)
     if "damping" in passive:
         velocity = min(velocity, max(float(passive["damping"]), 0.0))  # type: ignore[arg-type]
-    gain, servo, offset = (
-        given.get(k, x) for k, x in (("gain", gain), ("servo", servo), ("offset", offset))
-    )  # type: ignore[assignment]
+    standing = (("gain", gain), ("servo", servo), ("offset", offset))
+    gain, servo, offset = (given.get(k, x) for k, x in standing)  # type: ignore[assignment]
     for what in ("ctrl", "force"):
         if f"{what}range" in given:
             limits |= {f"{what}limited": "true", f"{what}range": _text(*given[f"{what}range"])}  # type: ignore[misc]
@@ -438,8 +437,8 @@ def _lost(engine: Any, nominal: Any, model: Any, patch: Patch) -> list[Left]:
         lost += [
             f"{k} of {name}"
             for k, v in wanted.items()
-            if not np.allclose(has[k], v, rtol=HELD, atol=1e-9)
-        ]  # type: ignore[arg-type]
+            if not np.allclose(has[k], v, rtol=HELD, atol=1e-9)  # type: ignore[arg-type]
+        ]
         for link in patch.of(name, "link").values():
             bodies = [b for b in range(1, model.nbody) if link_of[b] == j]
             compiled = sum(

@@ -181,9 +181,9 @@ class Identified(Physical):
         plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
     ) -> Identified:
         given = description["parameters"]
-        return Identified(
-            plant, tuple(float(given[name]) for name in plant.dynamics.parameter_names)
-        )  # type: ignore[index,call-overload,arg-type]
+        assert isinstance(given, Mapping)
+        numbers = (given[name] for name in plant.dynamics.parameter_names)
+        return Identified(plant, tuple(float(x) for x in numbers))  # type: ignore[arg-type]
 
 
 class Stepwise(Predictor):

@@ -298,28 +298,10 @@ def observed_velocity(n, has, m, v, gained, h):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _run(
-    kind,
-    k,
-    c,
-    b,
-    low,
-    high,
-    limit,
-    n,
-    has,
-    planned,
-    dt,
-    parts,
-    noise,
-    lost,
-    q,
-    v,
-    warm_up,
-    closed,
-    kp,
-    kd,
-):  # type: ignore[no-untyped-def]
+def _run(  # type: ignore[no-untyped-def]
+    kind, k, c, b, low, high, limit, n, has, planned, dt, parts, noise, lost, q, v, warm_up,
+    closed, kp, kd,
+):  # fmt: skip
     total, fine = len(planned), parts > 1
     h = dt * (1.0 + n[S_SKEW]) / parts
     issued, observed = np.zeros(total), np.zeros((total, 2))

@@ -305,28 +305,10 @@ def _see(n, has, q, v, k, h, now, noise, luck, last, first, out):  # type: ignor
 
 
 @njit(cache=True)
-def _act(
-    n,
-    has,
-    of_drive,
-    of_goal,
-    own,
-    offset,
-    size,
-    h,
-    m,
-    fine_u,
-    k,
-    now,
-    issued,
-    q,
-    v,
-    gained,
-    bias,
-    ctrl,
-    applied,
-    friction,
-):  # type: ignore[no-untyped-def]
+def _act(  # type: ignore[no-untyped-def]
+    n, has, of_drive, of_goal, own, offset, size, h, m, fine_u, k, now, issued, q, v, gained,
+    bias, ctrl, applied, friction,
+):  # fmt: skip
     for j in range(len(n)):
         gain, servo, rubs, most = own[j, 0], own[j, 1], own[j, 2], own[j, 3]
         fine_u[j, k] = issued[j]

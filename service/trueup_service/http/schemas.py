@@ -369,12 +369,12 @@ class Decision(Answer):
     created_at: Time
     created_by: str
 
-    @computed_field(
+    @computed_field(  # type: ignore[prop-decorator]
         description=(
             "What was known when the gate was declared, in words; null of a decision that "
             "does not tell"
         )
-    )  # type: ignore[prop-decorator]
+    )
     @property
     def disclosure(self) -> str | None:
         """What was known when the gate was declared."""
