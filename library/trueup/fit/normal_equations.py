@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from trueup.model.rigid_body import invert
+from trueup.model.inverse import invert
 from trueup.model.rounding import rounded
 
 Array = NDArray[np.float64]
