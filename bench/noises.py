@@ -21,7 +21,7 @@ from bench.report import Figure, publish, show
 from tests.support.simulated import episodes_of, plant_of
 from trueup.blindtrial.tally import Answer, judge
 from trueup.diagnose.diagnosis import diagnose
-from trueup.fit.rollout_fit import warm
+from trueup.fit.fitter import warm
 from trueup.simulate.noise import Noise
 from trueup.simulate.trial import CATALOGUE, draw, draw_bench
 

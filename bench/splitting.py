@@ -18,7 +18,7 @@ from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.excitation import Excitation, Setting, splitting
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
-from trueup.diagnose.probe import DETECTABLE
+from trueup.diagnose.next_experiment import DETECTABLE
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable

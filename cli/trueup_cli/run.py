@@ -145,7 +145,7 @@ def migrate(*, as_json_: Json = False) -> None:
 def kernels(*, as_json_: Json = False) -> None:
     """Compile the rollout kernels into the cache, so that the first rollout is as quick as the
     others."""
-    from trueup.fit.rollout_fit import warm
+    from trueup.fit.fitter import warm
     from trueup.model.family_kernel import compile_all
 
     with progress("compiling"):

@@ -13,7 +13,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from trueup.diagnose.words import percent, short, unit
+from trueup.diagnose.summary_text import percent, short, unit
 
 LEVELS = 11  # colours of a map, odd: the middle one is nothing
 LEFT, BOTTOM, CELL_AREA = 66, 36, (300, 200)

@@ -21,9 +21,9 @@ from typing import Any
 
 from trueup.canonical import digest_of_bytes
 from trueup.cores import cores
-from trueup.diagnose.parcel import pack_tasks, unpack_answers
-from trueup.diagnose.problem import Problem
-from trueup.diagnose.task import Share, Task, get_ready
+from trueup.diagnose.search_problem import SearchProblem
+from trueup.diagnose.task_batch import pack_tasks, unpack_answers
+from trueup.diagnose.tasks import Share, Task, get_ready
 from trueup_service.jobs import Helped, JobQueue
 from trueup_worker.likeness import likeness
 
@@ -57,7 +57,7 @@ class FanOut:
     ) -> None:
         self._queue.forget(f"{PREFIX}{self._job}.")
 
-    def __call__(self, problem: Problem, tasks: Sequence[Task], told: Share) -> list[Any]:
+    def __call__(self, problem: SearchProblem, tasks: Sequence[Task], told: Share) -> list[Any]:
         """What each task answers, in order. Raises what `told` raises, and then does no more."""
         get_ready(problem, tasks)
         size = max(cores(), -(-len(tasks) // MOST_PARCELS))
@@ -91,7 +91,7 @@ class FanOut:
 class _Step:
     """The tasks of one step, some of them in the hands of our own threads."""
 
-    def __init__(self, problem: Problem, tasks: Sequence[Task], ours: Sequence[int]) -> None:
+    def __init__(self, problem: SearchProblem, tasks: Sequence[Task], ours: Sequence[int]) -> None:
         self._problem, self._tasks = problem, tasks
         self._ours, self._changed = deque(ours), threading.Condition()
         self._running, self._ends = 0, False

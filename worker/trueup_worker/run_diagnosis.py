@@ -11,7 +11,7 @@ from trueup.collect.coverage import coverage_of
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.figures import FIGURES_FILE, figures
 from trueup.diagnose.report import COMMAND_FILE
-from trueup.diagnose.words import sentence
+from trueup.diagnose.summary_text import sentence
 from trueup.episode.role import Role
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actions.stamp import Stamp

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 
-from trueup.diagnose.help import Helper
+from trueup.diagnose.task_worker import TaskWorker
 from trueup.episode.role import Role
 from trueup_service.actions import find
 from trueup_service.registry.records import FINAL
@@ -24,7 +24,7 @@ class Helping:
     def __init__(self, parts: Parts) -> None:
         self._parts = parts
         self._lock = threading.Lock()
-        self._known: tuple[str, Helper] | None = None
+        self._known: tuple[str, TaskWorker] | None = None
 
     def answer(self, job: str, parcel: str) -> str:
         """What the tasks of a parcel answer; DECLINED where whoever asked has to do them: it would,
@@ -45,7 +45,7 @@ class Helping:
             log.exception("could not help", extra={"job": job})
             return DECLINED
 
-    def _helper(self, job: str) -> Helper | None:
+    def _helper(self, job: str) -> TaskWorker | None:
         """None of a job that is over."""
         with self._parts.database.read() as connection:
             found = find.job(Reader(connection), job)
@@ -56,5 +56,5 @@ class Helping:
             episodes = read_episodes(
                 self._parts, found, plant, (Role.ADAPTATION, Role.VALIDATION), lambda _: None
             )
-            self._known = job, Helper(plant, episodes)
+            self._known = job, TaskWorker(plant, episodes)
         return self._known[1]

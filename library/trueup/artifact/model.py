@@ -28,7 +28,7 @@ from trueup.errors import BadArtifact
 from trueup.model.dynamics import CompiledFamily
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor, predict_episode
-from trueup.model.stepper import Stepper
+from trueup.model.step_function import StepFunction
 
 Array = NDArray[np.float64]
 TWO = 2
@@ -116,7 +116,7 @@ class Model:
 
     def _stepped(self, state: Array, u: Array) -> Array:
         """Observations of one joint from a state `(2,)` under many commands `(n, samples)`."""
-        stepper = Stepper.of(self.predictor)
+        stepper = StepFunction.of(self.predictor)
         now, found = (
             stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), u[:, 0]),
             [],

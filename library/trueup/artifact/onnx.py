@@ -24,7 +24,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from trueup.canonical import Json
 from trueup.errors import NotExportable, NotInstalled
 from trueup.model.predictor import Predictor
-from trueup.model.stepper import Stepper
+from trueup.model.step_function import StepFunction
 
 IR_VERSION, OPERATOR_SET = 8, 17
 SCHEMA = "trueup.onnx/1"
@@ -44,7 +44,7 @@ def to_onnx(predictor: Predictor, artifact: str) -> bytes:
     Raises NotExportable for a robot given as MJCF, NotInstalled without the package onnx.
     """
     onnx = _package()
-    stepper = Stepper.of(predictor)
+    stepper = StepFunction.of(predictor)
     graph = Graph(onnx)
     names = stepper.names
     state = {name: graph.column("state", i) for i, name in enumerate(names)}
@@ -84,7 +84,7 @@ def _package() -> ModuleType:
         ) from error
 
 
-def _told(stepper: Stepper, artifact: str) -> dict[str, str]:
+def _told(stepper: StepFunction, artifact: str) -> dict[str, str]:
     """What the columns are, as metadata. A state begins with the position, the velocity and the
     first command (limited), or at 0."""
     layout, (low, high) = stepper.plant.layout, (float(bound[0]) for bound in stepper.plant.limits)

@@ -14,12 +14,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.diagnose.admission import Admission, admit
-from trueup.diagnose.laying_out import WINDOW_S
+from trueup.diagnose.data_quality import DataQuality, assess
+from trueup.diagnose.tuning import SETUP
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
-from trueup.fit.rollout_fit import Directions, Fitter
+from trueup.fit.fitter import Fitter
+from trueup.fit.free_numbers import Directions
 from trueup.model.dynamics import CompiledTree
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
@@ -63,7 +64,7 @@ def bench_of(plant: Plant, episodes: Sequence[Episode]) -> Bench | RobotBench:
         )
     kept = _kept(episodes)
     adaptation = [e for e in kept if e.role is Role.ADAPTATION]
-    admission = admit(plant, adaptation)
+    admission = assess(plant, adaptation)
     numbers = _numbers(plant, admission, adaptation)
     period = float(np.median([e.period_s for e in kept]))
     feedback = _feedback(plant, admission, numbers, kept)
@@ -107,7 +108,7 @@ def _parts(period_s: float) -> int:
 def _robot_bench(plant: Plant, tree: Tree, kept: Sequence[Episode]) -> RobotBench:
     """The same of a robot: it is commanded what was recorded, with a weak feedback to the recorded
     motion at joints that no servo holds."""
-    admission = admit(plant, [e for e in kept if e.role is Role.ADAPTATION])
+    admission = assess(plant, [e for e in kept if e.role is Role.ADAPTATION])
     joints, period, at_joint = (
         len(plant.joints),
         float(np.median([e.period_s for e in kept])),
@@ -172,7 +173,7 @@ def nominal(plant: Plant, bench: Bench) -> Bench:
     return replace(bench, k=plant.nominal.get("k", 0.0), c=plant.nominal["c"], b=plant.nominal["b"])
 
 
-def _numbers(plant: Plant, admission: Admission, episodes: Sequence[Episode]) -> dict[str, float]:
+def _numbers(plant: Plant, admission: DataQuality, episodes: Sequence[Episode]) -> dict[str, float]:
     """The family's numbers that fit the episodes, or the nominal one where that is not
     plausible."""
     fitter = Fitter(
@@ -181,9 +182,11 @@ def _numbers(plant: Plant, admission: Admission, episodes: Sequence[Episode]) ->
         admission.scales,
         admission.sigma,
     )
-    data = [series(plant, e, refined(plant), min(WINDOW_S, float(e.t_s[-1]))) for e in episodes]
+    data = [
+        series(plant, e, refined(plant), min(SETUP.window_s, float(e.t_s[-1]))) for e in episodes
+    ]
     fitted = fitter.fit(
-        data, Hypothesis(), fitter.begin(plant.parameters), iterations=25
+        data, Hypothesis(), fitter.initial_values(plant.parameters), iterations=25
     ).parameters()
     near = {}
     for name, value in plant.nominal.items():
@@ -193,7 +196,7 @@ def _numbers(plant: Plant, admission: Admission, episodes: Sequence[Episode]) ->
 
 
 def _feedback(
-    plant: Plant, admission: Admission, numbers: dict[str, float], episodes: Sequence[Episode]
+    plant: Plant, admission: DataQuality, numbers: dict[str, float], episodes: Sequence[Episode]
 ) -> Feedback | None:
     closed = any(e.conditions.get("loop", "").startswith("closed") for e in episodes)
     if "k" in plant.dynamics.parameter_names and not closed:

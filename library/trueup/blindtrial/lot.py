@@ -9,7 +9,7 @@ import numpy as np
 
 from trueup.blindtrial.bench import nominal
 from trueup.canonical import Json
-from trueup.diagnose.twins import TWINS
+from trueup.diagnose.indistinguishable import ALIASES
 from trueup.model.block import AT, joint, term
 from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Port, effects
@@ -151,7 +151,7 @@ def _places(plant: Plant, name: str, none: Sequence[str]) -> list[int]:
 def _apart(one: str, other: str) -> bool:
     """Whether two effects are two: neither the same, nor of one law, nor twins."""
     laws = {effects()[n].same_as or n for n in (one, other)}
-    return len(laws) == 2 and frozenset((one, other)) not in TWINS  # noqa: PLR2004
+    return len(laws) == 2 and frozenset((one, other)) not in ALIASES  # noqa: PLR2004
 
 
 def _turns(names: Sequence[str], rng: np.random.Generator) -> Iterator[str]:

@@ -22,7 +22,7 @@ import numpy as np
 
 from trueup.blindtrial.lot import spelled
 from trueup.canonical import Json
-from trueup.diagnose.twins import TWINS
+from trueup.diagnose.indistinguishable import ALIASES
 from trueup.model.effect import effects
 
 BY_CHANCE = (
@@ -94,7 +94,7 @@ def _are_twins(differing: frozenset[str]) -> bool:
     parts = [name.partition(" at ") for name in differing]
     return (
         len({joint for _, _, joint in parts}) == 1
-        and frozenset(name for name, _, _ in parts) in TWINS
+        and frozenset(name for name, _, _ in parts) in ALIASES
     )
 
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from trueup.checks.law import require
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
-from trueup.fit.rollout_fit import Directions, Fitter
+from trueup.fit.fitter import Fitter
+from trueup.fit.free_numbers import Directions
 from trueup.model.block import BLOCK
 from trueup.model.corrected import Corrected
 from trueup.model.effect import Effect, Port
@@ -64,7 +65,9 @@ def _values(effect: type[Effect], start: int) -> Array:
     fitter = Fitter(
         PLANT.form, Directions.of_family(PLANT.dynamics.parameter_names), [SCALES], np.ones(2)
     )
-    return fitter.with_effect(fitter.begin(PLANT.parameters), effect.name, _strong(effect, start))
+    return fitter.with_effect(
+        fitter.initial_values(PLANT.parameters), effect.name, _strong(effect, start)
+    )
 
 
 def _usual(effect: type[Effect]) -> int:

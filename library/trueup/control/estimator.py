@@ -86,7 +86,7 @@ class Estimator:
         """The state `(1, states)` after a while under one command."""
         steps = int(seconds / self._step + WHOLE)
         if steps:
-            state = self.predictor.course(state, issued, steps)[:, -1]
+            state = self.predictor.hold(state, issued, steps)[:, -1]
         rest = seconds - steps * self._step
         return (
             self.predictor.predict_batch(state, issued, rest)

@@ -116,8 +116,8 @@ class Linearised(Planner):
     def _positions(self, states: Array, commands: Array) -> Array:
         """Scaled positions `(rows, steps, joints)` under commands `(rows, commands)` that are
         held."""
-        course = self.predictor.course(states, commands, self.steps * self.hold)
-        return np.asarray(course[:, self.hold - 1 :: self.hold, : len(self.scale)] / self.scale)
+        held = self.predictor.hold(states, commands, self.steps * self.hold)
+        return np.asarray(held[:, self.hold - 1 :: self.hold, : len(self.scale)] / self.scale)
 
 
 def _bounded(columns: Array, target: Array, low: Array, high: Array) -> Array:

@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.diagnose.locate import STRIDE_S, strides_of
+from trueup.diagnose.locate import strides_of
 from trueup.diagnose.maps import Places, maps
 from trueup.diagnose.traces import MOST, Told, named, number, numbers, rms, traces
+from trueup.diagnose.tuning import EVIDENCE
 from trueup.episode.episode import Episode
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.predictor import Nominal
@@ -43,7 +44,7 @@ def figures(found: Diagnosis, episodes: Sequence[Episode]) -> dict[str, Json]:
         "schema": SCHEMA,
         "plant": plant.name,
         "horizon_s": plant.horizon_s,
-        "stride_s": STRIDE_S,
+        "stride_s": EVIDENCE.stride_s,
         "episodes": traces(plant, furthest(found.validation, plant.scales), models, told),
         "maps": _maps(found, episodes, told),
         "experiment": _experiment(found),

@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.diagnose.problem import Candidate, trajectory
+from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.regions import regions, used
 from trueup.diagnose.search import Search
+from trueup.diagnose.tuning import EVIDENCE
+from trueup.diagnose.windowed_fits import trajectory
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, Start
 from trueup.model.block import kind
@@ -28,17 +30,7 @@ from trueup.model.series import whole
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
-STRIDE_S = 0.1
-LEAST = 3  # samples in a stride
-EDGES_HZ = (0.3, 1.0, 3.0)  # between bands
 NORMAL_MEDIAN = 0.6745  # of absolute standard normals
-PUSHED, PUSHED_S = (
-    8.0,
-    0.8,
-    # times what is usual there, and how long it lasts: what something outside does that leans on a
-    # robot
-)
-OF_MOTION = 0.2  # of the force of a joint's own motion: less is no push worth a word
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +111,10 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
     whole log.
     """
     usual = np.maximum(np.nanmedian(np.abs(s.residual), axis=0) / NORMAL_MEDIAN, 1e-12)
-    least = np.maximum(PUSHED * usual, OF_MOTION * np.sqrt(np.nanmean(s.motion**2, axis=0)))
+    least = np.maximum(
+        EVIDENCE.pushed * usual,
+        EVIDENCE.pushed_of_motion * np.sqrt(np.nanmean(s.motion**2, axis=0)),
+    )
     pushes: list[tuple[int, float, float, int, float]] = []
     for count, e in enumerate(episodes):
         rows = s.episode == count
@@ -130,7 +125,7 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
             for way in (1.0, -1.0):
                 at = np.flatnonzero(way * force > least[j])
                 for run in np.split(at, np.flatnonzero(np.diff(at) > 2) + 1):  # noqa: PLR2004  (one stride may be less)
-                    if len(run) * stride >= PUSHED_S:
+                    if len(run) * stride >= EVIDENCE.pushed_s:
                         begin, end = (
                             float(t[run[0]]) - stride / 2.0,
                             float(t[run[-1]]) + stride / 2.0,
@@ -199,7 +194,7 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
     for c in search:
         if len(c.hypothesis.effects) == 1:
             name = kind(c.hypothesis.effects[0]).name
-            part = 1.0 - (c.misfit - 1.0) / max(base.misfit - 1.0, 1e-9)
+            part = 1.0 - (c.reduced_chi_square - 1.0) / max(base.reduced_chi_square - 1.0, 1e-9)
             best[effects()[name].port.reported] = max(
                 best.get(effects()[name].port.reported, (0.0, "")),
                 (float(np.clip(part, 0.0, 1.0)), name),
@@ -213,10 +208,10 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
 def strides_of(
     plant: Plant, search: Search, of: RolloutFit, episodes: Sequence[Episode]
 ) -> Strides:
-    """What a fit misses over strides of STRIDE_S."""
+    """What a fit misses over strides of EVIDENCE.stride_s."""
     parts, joints = [], len(plant.joints)
     for count, e in enumerate(episodes):
-        every = max(LEAST, round(STRIDE_S / e.period_s))
+        every = max(EVIDENCE.stride_samples, round(EVIDENCE.stride_s / e.period_s))
         first = np.arange(0, len(e.t_s) - every, every)
         s = whole(plant, e, search.problem.scheme, first)
         states = smoothed_states(plant, e)
@@ -231,8 +226,8 @@ def strides_of(
         path = trajectory(search.problem.fitter, fit, s)
         end, middle = first + every - 1, first + every // 2
         span = (e.t_s[end] - e.t_s[first])[:, None]
-        missed_state = states[end] - path[end]
-        missed = missed_state[:, joints:] / span
+        state_error = states[end] - path[end]
+        missed = state_error[:, joints:] / span
         motion = (states[end, joints:] - states[first, joints:]) / span
         inertia = plant.dynamics.inertia(
             of.values[: len(plant.parameters)], states[middle, :joints]
@@ -240,7 +235,7 @@ def strides_of(
         u = plant.applied(e.commands)
         parts.append(
             (
-                missed_state,
+                state_error,
                 np.einsum("sij,sj->si", inertia, missed),
                 missed,
                 np.einsum("sij,sj->si", inertia, motion),
@@ -279,7 +274,7 @@ def _regions(s: Strides, j: int) -> list[Json]:
 def _bands(s: Strides, j: int) -> list[Json]:
     """The residual's energy in each band of frequency, beside the motion's own; what the strides
     cannot resolve is left out."""
-    edges = [0.0, *EDGES_HZ, np.inf]
+    edges = [0.0, *EVIDENCE.band_edges_hz, np.inf]
     energy = np.zeros((2, len(edges) - 1))
     for count in np.unique(s.episode):
         rows = s.episode == count

@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.diagnose.tuning import EVIDENCE
 from trueup.episode.episode import Episode
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
-SLOW, LARGE, LATE = (
-    0.1,
-    0.8,
-    2.0 / 3.0,
-)  # of the top speed; of the largest command or travel; of the episode
-AROUND_S = 0.1  # about a reversal
+SLOW = 0.1  # of the top speed
+LARGE = 0.8  # of the largest command or travel
+LATE = 2.0 / 3.0  # of the episode
 
 
 def regions(
@@ -56,7 +54,10 @@ def regions_of_samples(plant: Plant, episode: Episode) -> dict[str, NDArray[np.b
         plant.applied(episode.commands),
         len(plant.joints),
     )
-    use, around = used(applied, episode), max(1, round(AROUND_S / episode.period_s / 2.0))
+    use, around = (
+        used(applied, episode),
+        max(1, round(EVIDENCE.around_reversal_s / episode.period_s / 2.0)),
+    )
     found: dict[str, NDArray[np.bool_]] = {}
     for joint in range(count):
         q, v = states[:, joint], states[:, count + joint]

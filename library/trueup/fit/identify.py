@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import singledispatch
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from trueup.errors import NotIdentifiable
 from trueup.fit.base_parameters import directions, regression
 from trueup.fit.least_squares import solve
 from trueup.fit.transitions import Transitions, transitions
-from trueup.model.dynamics import CompiledFamily, CompiledTree
+from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
 from trueup.model.state import smoothed_states
@@ -70,11 +71,29 @@ def identify(
     estimated enters over spans. Raises RoleRefused, and NotIdentifiable where the regression's rank
     is below the number of parameters.
     """
-    if isinstance(plant.dynamics, CompiledTree):
-        return _identify_tree(plant, [e.require(Role.ADAPTATION) for e in episodes], progress)
+    return _identify(plant.dynamics, plant, episodes, progress)
+
+
+@singledispatch
+def _identify(
+    dynamics: Dynamics,
+    plant: Plant,
+    episodes: Sequence[Episode],
+    progress: Callable[[float], None],
+) -> tuple[Identified, Identification]:
+    raise TypeError(type(dynamics).__name__)
+
+
+@_identify.register
+def _identify_family(
+    dynamics: CompiledFamily,
+    plant: Plant,
+    episodes: Sequence[Episode],
+    progress: Callable[[float], None],
+) -> tuple[Identified, Identification]:
     data = transitions(plant, episodes)
     progress(0.5)
-    design, target = _regression(plant, data)
+    design, target = _regression(dynamics, plant, data)
     found = solve(design, target, data.span)
     names = plant.dynamics.parameter_names
     if found.rank < len(names) or found.condition > WORST_CONDITION:
@@ -102,10 +121,11 @@ def identify(
     )
 
 
-def _regression(plant: Plant, data: Transitions) -> tuple[np.ndarray, np.ndarray]:
-    assert isinstance(plant.dynamics, CompiledFamily)
-    joints = plant.dynamics.joints
-    regressors = plant.dynamics.family.regressors(
+def _regression(
+    dynamics: CompiledFamily, plant: Plant, data: Transitions
+) -> tuple[np.ndarray, np.ndarray]:
+    joints = dynamics.joints
+    regressors = dynamics.family.regressors(
         data.states[:, 0], data.states[:, joints], plant.applied(data.issued)[:, 0]
     )
     spans = data.sums(data.h_s)
@@ -113,18 +133,22 @@ def _regression(plant: Plant, data: Transitions) -> tuple[np.ndarray, np.ndarray
     return design, data.sums(data.after[:, joints] - data.states[:, joints]) / spans
 
 
+@_identify.register
 def _identify_tree(
-    plant: Plant, episodes: Sequence[Episode], progress: Callable[[float], None]
+    dynamics: CompiledTree,
+    plant: Plant,
+    episodes: Sequence[Episode],
+    progress: Callable[[float], None],
 ) -> tuple[Identified, Identification]:
-    """The same of a robot: what is missing at each joint, in units of the forces there, on the
+    """A robot's numbers: what is missing at each joint, in units of the forces there, on the
     combinations that the episodes show.
 
     Equation: sum of parameter x its column = the actuators' constant forces; source: P. K. Khosla,
     T. Kanade, CDC 1985.
     """
+    episodes = [e.require(Role.ADAPTATION) for e in episodes]
     if not episodes:
         raise NotIdentifiable("there is no adaptation episode to fit")
-    assert isinstance(plant.dynamics, CompiledTree)
     ways = directions(plant, episodes)
     progress(0.3)
     columns, force = regression(plant, episodes)
@@ -135,7 +159,7 @@ def _identify_tree(
         )
     scale = np.maximum(np.sqrt(np.mean(force**2, axis=0)), 1e-9)
     nominal = np.array(plant.parameters)
-    missing = plant.dynamics.tree.constants[:, OFFSET] - columns @ nominal
+    missing = dynamics.tree.constants[:, OFFSET] - columns @ nominal
     design = (columns @ ways.along.T / scale[:, None]).reshape(-1, len(ways.names))
     found = solve(design, (missing / scale).reshape(-1), len(plant.joints))
     values = nominal + found.values @ ways.along

@@ -30,7 +30,7 @@ NOTHING = 1e-200  # of a squared derivative: what does no more than that has no 
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class KeptDerivatives:
     """Weighted derivatives of one episode's rollout by `first` directions and by the starts,
     `(samples, 2 x joints, kept)`, and the sums of their outer products by window `(windows, kept,
     kept)`.
@@ -81,20 +81,20 @@ class Errors:
 
     def kept(
         self, out: Array, inverse: Array, lanes: Lanes, sums: Array, first: int, start: int
-    ) -> Kept:
+    ) -> KeptDerivatives:
         """What is kept of a rollout and its sums: derivatives by the `first` numbers and by the
         start, whose columns begin at `start`."""
         columns = np.array([*range(1, first + 1), *range(start, sums.shape[1])])
         from_ = lanes[columns - 1]
         with np.errstate(over="ignore", invalid="ignore"):
             rows = (out[:, :, from_] - out[:, :, :1]) * (inverse[from_] * self.weight[:, :, None])
-        return Kept(
+        return KeptDerivatives(
             np.where(self.weight[:, :, None] > 0.0, rows, 0.0),
             np.ascontiguousarray(sums[:, columns[:, None], columns]),
             first,
         )
 
-    def renewed(self, out: Array, inverse: Array, lanes: Lanes, old: Kept) -> Array:
+    def renewed(self, out: Array, inverse: Array, lanes: Lanes, old: KeptDerivatives) -> Array:
         """The same sums, with what was kept and the new derivatives of `lanes`."""
         (windows, many), fresh = old.products.shape[:2], len(lanes)
         found = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
@@ -123,7 +123,7 @@ class Errors:
 
 
 @dataclass(frozen=True, slots=True)
-class Gram:
+class NormalEquations:
     """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows,
     used, used)`.
 
@@ -155,7 +155,7 @@ class Gram:
         """Cost of an episode, infinite where a rollout ran away."""
         return float(self.costs(episode).sum() + np.sum((self.began[episode] / self.scales) ** 2))
 
-    def mixed(self, other: Gram, episodes: Iterable[str]) -> Gram:
+    def mixed(self, other: NormalEquations, episodes: Iterable[str]) -> NormalEquations:
         """The same with some episodes from another."""
         parts, began = (
             {**mine, **{e: its[e] for e in episodes}}

@@ -39,6 +39,7 @@ from trueup.model.tree import (
 )
 
 Array = NDArray[np.float64]
+TREE_FORM = -1  # the number of a tree, where a family has its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +56,16 @@ class Form:
     tree: Array
     sizes: Array
 
+    @property
+    def of_tree(self) -> bool:
+        """Whether it is a robot's tree, and not one joint of a family."""
+        return self.family == TREE_FORM
+
 
 class Dynamics(ABC):
     """One semi-implicit Euler step, and many of them at once."""
 
+    name: str  # a family's, or mjcf
     joints: int
     parameter_names: tuple[str, ...]
     form: Form
@@ -100,15 +107,26 @@ class Dynamics(ABC):
         joints, joints)`."""
 
     @abstractmethod
-    def slippery(self, parameters: Array) -> Array:
-        """The parameters without dry friction, which has no linear part."""
+    def without_dry_friction(self, parameters: Array) -> Array:
+        """The parameters with dry friction, which has no linear part, at 0."""
+
+    def hold(
+        self, parameters: Array, states: Array, applied: Array, h_s: float, steps: int
+    ) -> Array:
+        """States `(n, steps, 2 x joints)` after each of some steps of `h_s` [s] from `(n, 2 x
+        joints)`, commands `(n, joints)` held."""
+        after = []
+        for _ in range(steps):
+            states = self.step(states, applied, parameters, h_s)
+            after.append(states)
+        return np.stack(after, axis=1)
 
     def transition(self, parameters: Array, h_s: float) -> Array:
         """The unforced update linearised at rest at zero, `(2 x joints, 2 x joints)`."""
         slope = 1e-6  # [rad, m] small against every joint's travel, large against rounding
         basis, parameters = (
             slope * np.eye(2 * self.joints, 2 * self.joints),
-            self.slippery(parameters),
+            self.without_dry_friction(parameters),
         )
         nothing = np.zeros((2 * self.joints, self.joints))
         moved = self.step(basis, nothing, parameters, h_s) - self.step(
@@ -123,6 +141,10 @@ class CompiledFamily(Dynamics):
 
     family: type[Family]
     joints = 1
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        return self.family.name
 
     @property
     def parameter_names(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -155,7 +177,7 @@ class CompiledFamily(Dynamics):
     def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
         return np.zeros(len(q))
 
-    def slippery(self, parameters: Array) -> Array:
+    def without_dry_friction(self, parameters: Array) -> Array:
         return parameters
 
     def inertia(self, parameters: Array, q: Array) -> Array:
@@ -176,6 +198,7 @@ class CompiledTree(Dynamics):
     """
 
     tree: Tree
+    name = "mjcf"
 
     @property
     def joints(self) -> int:  # type: ignore[override]
@@ -190,7 +213,7 @@ class CompiledTree(Dynamics):
         masses = mass_matrix(self.tree, self.tree.constants[None, :, ZERO])[0]
         return Form(
             Block(len(self.tree.parameters), self.joints),
-            -1,
+            TREE_FORM,
             self.tree.constants,
             np.diag(masses).copy(),
         )
@@ -213,7 +236,7 @@ class CompiledTree(Dynamics):
             else np.zeros(len(q))
         )
 
-    def slippery(self, parameters: Array) -> Array:
+    def without_dry_friction(self, parameters: Array) -> Array:
         smooth = np.array(parameters, float)
         smooth[LINK * self.joints + FRICTION :: JOINT] = 0.0
         return smooth
@@ -246,9 +269,21 @@ class CompiledTree(Dynamics):
         limit = tree.constants[:, LIMIT]
         driven = np.clip(gain * applied - servo * q + tree.constants[:, OFFSET], -limit, limit)
         force = driven - stiffness * (q - tree.constants[:, REST]) - damping * v - bias
-        moves = np.linalg.inv(mass)
-        after = _rubbed(moves, h * friction, v + h * np.einsum("njk,nk->nj", moves, force))
+        inverse = np.linalg.inv(mass)
+        after = _after_dry_friction(
+            inverse, h * friction, v + h * np.einsum("njk,nk->nj", inverse, force)
+        )
         return np.concatenate([q + h * after, after], axis=1)
+
+    def hold(
+        self, parameters: Array, states: Array, applied: Array, h_s: float, steps: int
+    ) -> Array:
+        """States after each of some steps, compiled."""
+        held = np.repeat(applied[:, None, :], steps + 1, axis=1)
+        runs = np.ones(held.shape[:2], np.int64)
+        runs[:, -1] = 0
+        spans = np.full(held.shape[:2], h_s)
+        return np.asarray(self.rollout(np.array([parameters]), states, held, spans, runs)[0, :, 1:])
 
     def rollout(
         self,
@@ -276,12 +311,12 @@ class CompiledTree(Dynamics):
             p[: some.shape[1], : len(some)] = some.T
             out = np.empty((len(t), 2 * joints, BLOCK))
             kernel()(
-                p, off, self.form.block.nominal, -1, self.form.tree, self.form.sizes, 0.0,
+                p, off, self.form.block.nominal, TREE_FORM, self.form.tree, self.form.sizes, 0.0,
                 np.ones(joints), 0.0, t,
                 np.ascontiguousarray(h_s.reshape(-1)), np.ascontiguousarray(runs), issued,
                 np.zeros_like(issued), resets,
-                np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False, np.zeros((1, joints, 4,
-                2)), observed, out,
+                np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False,
+                np.zeros((1, joints, 4, 2)), observed, out,
             )  # fmt: skip
             found[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(
                 -1, windows, samples, 2 * joints
@@ -289,15 +324,17 @@ class CompiledTree(Dynamics):
         return found
 
 
-def _rubbed(moves: Array, held: Array, v: Array) -> Array:
+def _after_dry_friction(inverse_mass: Array, held: Array, v: Array) -> Array:
     """Velocities `(n, joints)` after dry friction whose impulses are no larger than `held`, each of
     which only ever stops its joint."""
     v, impulse = v.copy(), np.zeros_like(v)
     rubs = np.flatnonzero((held > 0.0).any(axis=0))
     for _ in range(SWEEPS if len(rubs) > 1 else 1):
         for j in rubs:
-            wanted = np.clip(impulse[:, j] - v[:, j] / moves[:, j, j], -held[:, j], held[:, j])
-            v += moves[:, :, j] * (wanted - impulse[:, j])[:, None]
+            wanted = np.clip(
+                impulse[:, j] - v[:, j] / inverse_mass[:, j, j], -held[:, j], held[:, j]
+            )
+            v += inverse_mass[:, :, j] * (wanted - impulse[:, j])[:, None]
             impulse[:, j] = wanted
     return v
 

@@ -32,6 +32,7 @@ from numba.extending import register_jitable
 
 from trueup.model import ports
 from trueup.model.block import BLOCK
+from trueup.model.dynamics import TREE_FORM
 from trueup.model.family import source_digest
 from trueup.model.inverse import invert_lanes
 from trueup.model.kernel_step import (
@@ -84,7 +85,6 @@ from trueup.model.tree import GAIN, JOINT, LINK, OFFSET, SERVO
 
 MEMORY = max(1, len(ports.memories()))
 AT_JOINT, OF_ALL = len(SIGNALS_AT_JOINT), len(SIGNALS_OF_ALL)
-TREE_FORM = -1  # the number of a tree, where a family has its own
 
 
 @cache

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import singledispatch
 
 import numpy as np
 
 from trueup.canonical import Json
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
-from trueup.model.dynamics import CompiledTree
+from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.feasible import feasible
 from trueup.model.tree import AT_JOINT, INERTIAL, JOINT, LINK, OFFSET, REST, Tree
 
@@ -136,9 +137,16 @@ class Patch:
 
 def patch(model: Corrected) -> Patch:
     """What a corrected robot differs in from its nominal MJCF. Of a plant that is none, nothing."""
-    dynamics = model.plant.dynamics
-    if not isinstance(dynamics, CompiledTree):
-        return Patch((), ())
+    return _patch(model.plant.dynamics, model)
+
+
+@singledispatch
+def _patch(_: Dynamics, model: Corrected) -> Patch:
+    return Patch((), ())
+
+
+@_patch.register
+def _patch_of_tree(dynamics: CompiledTree, model: Corrected) -> Patch:
     given, count = dynamics.tree, len(dynamics.tree.parameters)
     links = slice(0, LINK * len(given.joints))
     fitted = replace(given, parameters=model.values[:count])

@@ -244,7 +244,7 @@ def test_a_course_is_the_steps_one_by_one(arm):
     for predictor in (Nominal(arm), of_arm(arm, ("quadratic_drag", 0, "coefficient", 0.2))):
         one = predictor.predict_batch(states, commands)
         two = predictor.predict_batch(one, commands)
-        assert predictor.course(states, commands, 2) == pytest.approx(
+        assert predictor.hold(states, commands, 2) == pytest.approx(
             np.stack([one, two], axis=1), abs=1e-9
         )
 

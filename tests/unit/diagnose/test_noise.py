@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from tests.support.simulated import recorded_twice as recorded
-from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import Verdict, agreeing
+from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.measure import Gap
-from trueup.diagnose.noise import FAR_STRIDES, Noise, gain, noise_of
+from trueup.diagnose.model_selection import Verdict, agreeing
+from trueup.diagnose.noise import Noise, gain, noise_of
+from trueup.diagnose.tuning import DATA_QUALITY
 from trueup.simulate.noise import Noise as Law
 
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
@@ -32,7 +33,7 @@ def test_white_noise_is_white(seed):
 
 @pytest.mark.parametrize("correlation", [0.5, 0.7, 0.9])
 def test_noise_that_remembers_itself_is_told_with_its_size(correlation):
-    found = noise_of(tracks(Law(correlation)), strides=FAR_STRIDES)
+    found = noise_of(tracks(Law(correlation)), strides=DATA_QUALITY.residual_strides)
     assert found.correlation == pytest.approx(correlation, abs=0.08)
     assert found.sigma == pytest.approx(0.3, rel=0.2)
 
@@ -85,7 +86,7 @@ def test_a_friction_is_named_under_noise_that_is_not_white(law):
 
 def test_white_noise_stays_white_and_is_searched_once():
     plant, episodes, trial = recorded("B1", ["coulomb_friction"], 18)
-    admission = admit(plant, [e for e in episodes if e.role == "adaptation"])
+    admission = assess(plant, [e for e in episodes if e.role == "adaptation"])
     assert not admission.correlation.any()
     assert admission.noise == pytest.approx(trial.sigma, rel=0.1)
 

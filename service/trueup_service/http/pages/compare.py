@@ -10,7 +10,7 @@ import orjson
 from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from trueup.diagnose.words import name, short
+from trueup.diagnose.summary_text import name, short
 from trueup_pages.diagnosis import recordings_of
 from trueup_service.actions import find
 from trueup_service.actions.stamp import Stamp

@@ -1,5 +1,5 @@
-"""Parcel: tasks and what they answer as text, from one process to another; every number comes out
-as it went in, bit for bit.
+"""Task batch: tasks and what they answer as text, from one process to another; every number comes
+out as it went in, bit for bit.
 
 A line of JSON, then the bytes of the arrays that it refers to, each once however often it occurs;
 compressed, and as base64 for engines that keep text.
@@ -17,16 +17,18 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from trueup.diagnose.problem import Candidate, Problem
-from trueup.diagnose.task import Race, Refine, Settle, Task
-from trueup.fit.rollout_fit import Free, RolloutFit, Start
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.search_problem import SearchProblem
+from trueup.diagnose.tasks import Converge, Fit, Screen, Task
+from trueup.fit.free_numbers import Free
+from trueup.fit.rollout_fit import RolloutFit, Start
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.series import Scheme
 
 Array = NDArray[np.float64]
 KINDS = {"<f8": np.float64, "<i8": np.int64}  # of the numbers that fits hold
-LARGEST = 256 << 20  # bytes of what a parcel unfolds to
-FAST = 1  # the level: a parcel is read once
+LARGEST = 256 << 20  # bytes of what a batch unfolds to
+FAST = 1  # the level of compression: a batch is read once
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +44,13 @@ class Outline:
     base: RolloutFit
 
 
-def pack_tasks(problem: Problem, tasks: Sequence[Task]) -> str:
+def pack_tasks(problem: SearchProblem, tasks: Sequence[Task]) -> str:
     """A problem's outline and some tasks. Its text is the same whenever they are."""
-    assert problem.base is not None
     packing = _Packing()
     outline = {
         "alpha": problem.scheme.alpha,
         "parts": problem.scheme.parts,
-        "length_s": problem.length_s,
+        "length_s": problem.fits.length_s,
         "noise": [packing.array(problem.fitter.sigma), packing.array(problem.fitter.correlation)],
         "base": packing.fit(problem.base),
     }
@@ -57,19 +58,19 @@ def pack_tasks(problem: Problem, tasks: Sequence[Task]) -> str:
 
 
 def unpack_tasks(text: str) -> tuple[Outline, list[Task]]:
-    """The same again. Raises ValueError, KeyError, TypeError or zlib.error where the text is none
-    of ours."""
-    found, unpacking = _Unpacking.of(text)
-    given = found["outline"]
-    sigma, correlation = (unpacking.array(at) for at in given["noise"])
+    """Outline and tasks as they were packed. Raises ValueError, KeyError, TypeError or zlib.error
+    where the text is none of ours."""
+    message, unpacking = _Unpacking.of(text)
+    outlined = message["outline"]
+    sigma, correlation = (unpacking.array(at) for at in outlined["noise"])
     outline = Outline(
-        Scheme(given["alpha"], given["parts"]),
-        given["length_s"],
+        Scheme(outlined["alpha"], outlined["parts"]),
+        outlined["length_s"],
         sigma,
         correlation,
-        unpacking.fit(given["base"]),
+        unpacking.fit(outlined["base"]),
     )
-    return outline, [_task_of(unpacking, task) for task in found["tasks"]]
+    return outline, [_task_of(unpacking, task) for task in message["tasks"]]
 
 
 def pack_answers(answers: Sequence[Any]) -> str:
@@ -84,42 +85,44 @@ def pack_answers(answers: Sequence[Any]) -> str:
 
 
 def unpack_answers(text: str) -> list[Any]:
-    """The same again. Raises what `unpack_tasks` does."""
-    found, unpacking = _Unpacking.of(text)
+    """Answers as they were packed. Raises what `unpack_tasks` does."""
+    message, unpacking = _Unpacking.of(text)
     return [
         _candidate_of(unpacking, a) if isinstance(a, dict) else [unpacking.fit(fit) for fit in a]
-        for a in found
+        for a in message
     ]
 
 
 def _task(packing: _Packing, task: Task) -> dict[str, Any]:
-    if isinstance(task, Race):
+    if isinstance(task, Screen):
         return {
-            "race": task.term,
+            "screen": task.term,
             "parent": packing.fit(task.parent),
             "expected": packing.array(task.expected),
         }
-    if isinstance(task, Settle):
+    if isinstance(task, Fit):
         return {
-            "settle": task.term,
+            "fit": task.term,
             "parent_cost": _number(task.parent_cost),
-            "raced": [packing.fit(fit) for fit in task.raced],
+            "screened": [packing.fit(fit) for fit in task.screened],
         }
-    return {"refine": _candidate(packing, task.candidate)}
+    return {"converge": _candidate(packing, task.candidate)}
 
 
-def _task_of(unpacking: _Unpacking, given: Mapping[str, Any]) -> Task:
-    if "race" in given:
-        return Race(
-            unpacking.fit(given["parent"]), given["race"], unpacking.array(given["expected"])
+def _task_of(unpacking: _Unpacking, message: Mapping[str, Any]) -> Task:
+    if "screen" in message:
+        return Screen(
+            unpacking.fit(message["parent"]),
+            message["screen"],
+            unpacking.array(message["expected"]),
         )
-    if "settle" in given:
-        return Settle(
-            float.fromhex(given["parent_cost"]),
-            given["settle"],
-            [unpacking.fit(fit) for fit in given["raced"]],
+    if "fit" in message:
+        return Fit(
+            float.fromhex(message["parent_cost"]),
+            message["fit"],
+            [unpacking.fit(fit) for fit in message["screened"]],
         )
-    return Refine(_candidate_of(unpacking, given["refine"]))
+    return Converge(_candidate_of(unpacking, message["converge"]))
 
 
 def _candidate(packing: _Packing, candidate: Candidate) -> dict[str, Any]:
@@ -130,8 +133,10 @@ def _candidate(packing: _Packing, candidate: Candidate) -> dict[str, Any]:
     }
 
 
-def _candidate_of(unpacking: _Unpacking, given: Mapping[str, Any]) -> Candidate:
-    return Candidate(unpacking.fit(given["fit"]), unpacking.fit(given["check"]), given["resolved"])
+def _candidate_of(unpacking: _Unpacking, message: Mapping[str, Any]) -> Candidate:
+    return Candidate(
+        unpacking.fit(message["fit"]), unpacking.fit(message["check"]), message["resolved"]
+    )
 
 
 def _number(value: float) -> str:
@@ -183,7 +188,7 @@ class _Packing:
             "information": self.array(fit.information),
             "converged": bool(fit.converged),
             "scores": self.array(fit.scores),
-            "off": None if fit.off is None else _number(fit.off),
+            "distance": None if fit.distance is None else _number(fit.distance),
         }
 
     def text(self, given: Any) -> str:
@@ -196,7 +201,7 @@ class _Packing:
 
 @dataclass(frozen=True, slots=True)
 class _Unpacking:
-    """The same on the other side."""
+    """Arrays and fits of a text, by their places."""
 
     arrays: list[NDArray[Any]]
     fits: list[RolloutFit]
@@ -207,18 +212,18 @@ class _Unpacking:
         unfolding = zlib.decompressobj()
         whole = unfolding.decompress(base64.b64decode(text, validate=True), LARGEST)
         if not unfolding.eof:
-            raise ValueError(f"a parcel unfolds to more than {LARGEST} bytes, or is cut off")
+            raise ValueError(f"a batch unfolds to more than {LARGEST} bytes, or is cut off")
         line, _, data = whole.partition(b"\n")
-        found = orjson.loads(line)
-        counts = [int(np.prod(shape)) for _, shape in found["arrays"]]
+        message = orjson.loads(line)
+        counts = [int(np.prod(shape)) for _, shape in message["arrays"]]
         begins = [8 * sum(counts[:i]) for i in range(len(counts))]
         arrays = [
             np.frombuffer(data, KINDS[kind], count, begin).reshape(shape).copy()
-            for (kind, shape), count, begin in zip(found["arrays"], counts, begins, strict=True)
+            for (kind, shape), count, begin in zip(message["arrays"], counts, begins, strict=True)
         ]
         unpacking = _Unpacking(arrays, [])
-        unpacking.fits.extend(unpacking._fit(fit) for fit in found["fits"])
-        return found["given"], unpacking
+        unpacking.fits.extend(unpacking._fit(fit) for fit in message["fits"])
+        return message["given"], unpacking
 
     def array(self, at: int) -> NDArray[Any]:
         """The array at a place."""
@@ -228,25 +233,25 @@ class _Unpacking:
         """The fit at a place."""
         return self.fits[at]
 
-    def _fit(self, given: Mapping[str, Any]) -> RolloutFit:
-        names, *of_free = given["free"]
+    def _fit(self, message: Mapping[str, Any]) -> RolloutFit:
+        names, *of_free = message["free"]
         rows, step, low, high, along = (self.arrays[at] for at in of_free)
         return RolloutFit(
-            Hypothesis(tuple(given["effects"])),
-            self.arrays[given["values"]],
+            Hypothesis(tuple(message["effects"])),
+            self.arrays[message["values"]],
             Free(rows, tuple((owner, name) for owner, name in names), step, low, high, along),
             {
                 digest: Start(
                     self.arrays[windows],
                     {(term, state): float.fromhex(x) for term, state, x in memory},
                 )
-                for digest, windows, memory in given["starts"]
+                for digest, windows, memory in message["starts"]
             },
-            float.fromhex(given["cost"]),
-            self.arrays[given["costs"]],
-            given["samples"],
-            self.arrays[given["information"]],
-            given["converged"],
-            self.arrays[given["scores"]],
-            None if given["off"] is None else float.fromhex(given["off"]),
+            float.fromhex(message["cost"]),
+            self.arrays[message["costs"]],
+            message["samples"],
+            self.arrays[message["information"]],
+            message["converged"],
+            self.arrays[message["scores"]],
+            None if message["distance"] is None else float.fromhex(message["distance"]),
         )

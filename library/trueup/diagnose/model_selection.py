@@ -1,5 +1,5 @@
-"""Decide: which composition the evidence supports, what it cannot be told from, and whether any
-does.
+"""Model selection: which composition the evidence supports, from which others it cannot be
+distinguished, and whether any composition does.
 
 - Comparisons are of squared normalised errors, window by window, over the episodes that were fitted
   and those that were not; a larger composition must also earn its place on the latter alone.
@@ -20,9 +20,9 @@ from enum import StrEnum
 
 import numpy as np
 
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.indistinguishable import are_aliases
 from trueup.diagnose.measure import Gap
-from trueup.diagnose.problem import Candidate
-from trueup.diagnose.twins import are_twins
 from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
@@ -128,7 +128,7 @@ class Choice:
     left: float
 
 
-def decide(
+def select(
     candidates: Sequence[Candidate],
     nominal: RolloutFit,
     criteria: SelectionCriteria = SIMULATED,
@@ -140,20 +140,28 @@ def decide(
     `level` is the misfit that noise alone leaves a candidate on those: 1 but where they happen to
     hold outliers.
     """
-    sound = [c for c in candidates if np.isfinite(total(c))]
-    spread = max(min(map(total, sound)), FLOOR)
+    sound = [c for c in candidates if np.isfinite(c.total)]
+    spread = max(min(c.total for c in sound), FLOOR)
     by_size: dict[float, list[Candidate]] = {}
-    for c in sorted(sound, key=lambda c: c.misfit if criteria.alike else penalised(c, spread)):
+    for c in sorted(
+        sound, key=lambda c: c.reduced_chi_square if criteria.alike else penalised(c, spread)
+    ):
         by_size.setdefault(complexity(c), []).append(c)
     base = by_size[0][0]
-    gap = max(base.misfit - 1.0, nominal.misfit - 1.0 if np.isfinite(nominal.misfit) else 0.0, 0.0)
+    gap = max(
+        base.reduced_chi_square - 1.0,
+        nominal.reduced_chi_square - 1.0 if np.isfinite(nominal.reduced_chi_square) else 0.0,
+        0.0,
+    )
     winner = base
     found = {c.hypothesis: c for c in sound}
     for _, group in sorted(by_size.items())[1:]:
         if _earns(group[0], winner, found.get(_common(group[0], winner), base), gap, criteria):
             winner = group[0]
     size = complexity(winner)
-    left = max(winner.misfit - 1.0, 0.0) / max(base.misfit - 1.0 if size else gap, 1e-12)
+    left = max(winner.reduced_chi_square - 1.0, 0.0) / max(
+        base.reduced_chi_square - 1.0 if size else gap, 1e-12
+    )
     several = len(winner.hypothesis.effects) > 1
     numbers = len(winner.fit.free.rows) - len(base.fit.free.rows)
     bearable = (
@@ -161,10 +169,10 @@ def decide(
         if several
         else criteria.unexplained
     )
-    if winner.misfit > ADEQUATE and left > bearable:
+    if winner.reduced_chi_square > ADEQUATE and left > bearable:
         noise = level(winner)
-        left *= max(winner.misfit - noise, 0.0) / (winner.misfit - 1.0)
-        if winner.misfit > ADEQUATE * noise and left > bearable:
+        left *= max(winner.reduced_chi_square - noise, 0.0) / (winner.reduced_chi_square - 1.0)
+        if winner.reduced_chi_square > ADEQUATE * noise and left > bearable:
             return Choice(Verdict.UNKNOWN, winner, (), left)
     if size:
         rivals = tuple(
@@ -173,9 +181,11 @@ def decide(
             if c is not winner and not _told_apart(c, winner, base, criteria)
         )
         return Choice(Verdict.EFFECT, winner, rivals, left)
-    moved = nominal.misfit - base.misfit > NOISE_POWER * max(base.misfit, FLOOR)
+    moved = nominal.reduced_chi_square - base.reduced_chi_square > NOISE_POWER * max(
+        base.reduced_chi_square, FLOOR
+    )
     better = moved and _certain(
-        np.nan_to_num(nominal.costs - base.check.costs, nan=0.0), base.misfit
+        np.nan_to_num(nominal.costs - base.check.costs, nan=0.0), base.reduced_chi_square
     )
     return Choice(Verdict.PARAMETERS_ONLY if better else Verdict.NO_GAP, winner, (), left)
 
@@ -199,11 +209,6 @@ def complexity(c: Candidate) -> float:
     return sum(1.5 if kind(t).contains else 1.0 for t in c.hypothesis.effects)
 
 
-def total(c: Candidate) -> float:
-    """Misfit over adaptation and validation episodes together."""
-    return (c.fit.cost + c.check.cost) / (c.fit.samples + c.check.samples)
-
-
 def penalised(c: Candidate, spread: float) -> float:
     """Cost in units of what the best leaves, and a price for each free number.
 
@@ -215,10 +220,11 @@ def penalised(c: Candidate, spread: float) -> float:
     )
 
 
-def enough(candidate: Candidate, base: Candidate, criteria: SelectionCriteria) -> bool:
+def nothing_left(candidate: Candidate, base: Candidate, criteria: SelectionCriteria) -> bool:
     """Whether nothing material is left for a larger composition to explain."""
-    return candidate.misfit < ADEQUATE or candidate.misfit - 1.0 < criteria.finishing * (
-        base.misfit - 1.0
+    return (
+        candidate.reduced_chi_square < ADEQUATE
+        or candidate.reduced_chi_square - 1.0 < criteria.finishing * (base.reduced_chi_square - 1.0)
     )
 
 
@@ -234,16 +240,18 @@ def _earns(
 ) -> bool:
     """Whether a larger composition removes a material and certain part of the gap on validation
     episodes."""
-    removed = smaller.misfit - larger.misfit
-    rest = max(larger.misfit - 1.0, 0.0) / max(smaller.misfit - 1.0, 1e-12)
+    removed = smaller.reduced_chi_square - larger.reduced_chi_square
+    rest = max(larger.reduced_chi_square - 1.0, 0.0) / max(smaller.reduced_chi_square - 1.0, 1e-12)
     part = criteria.material if rest > FINISHED else criteria.finishing
-    material = NOISE_POWER * max(larger.misfit, FLOOR)
-    finishes = larger.misfit < ADEQUATE or rest < SCRAPS
+    material = NOISE_POWER * max(larger.reduced_chi_square, FLOOR)
+    finishes = larger.reduced_chi_square < ADEQUATE or rest < SCRAPS
     if (
-        criteria.alike or not finishes or removed < PLAIN * larger.misfit
+        criteria.alike or not finishes or removed < PLAIN * larger.reduced_chi_square
     ):  # else nothing is left of what plainly was
-        material = max(part * (base.misfit - 1.0), criteria.overall * gap, material)
-    return removed > material and _certain(smaller.check.costs - larger.check.costs, larger.misfit)
+        material = max(part * (base.reduced_chi_square - 1.0), criteria.overall * gap, material)
+    return removed > material and _certain(
+        smaller.check.costs - larger.check.costs, larger.reduced_chi_square
+    )
 
 
 def _told_apart(
@@ -252,17 +260,17 @@ def _told_apart(
     """Whether the windows of all episodes are certain that a rival of the same size is worse,
     numbers of parameters accounted for."""
     if criteria.alike:
-        return rival.misfit > (1.0 + criteria.alike) * winner.misfit
-    if are_twins(rival.hypothesis, winner.hypothesis) and total(rival) < NEXT_TO * total(winner):
+        return rival.reduced_chi_square > (1.0 + criteria.alike) * winner.reduced_chi_square
+    if are_aliases(rival.hypothesis, winner.hypothesis) and rival.total < NEXT_TO * winner.total:
         return False
-    if criteria.indifferent and total(rival) - total(winner) < criteria.indifferent * (
-        total(base) - total(winner)
+    if criteria.indifferent and rival.total - winner.total < criteria.indifferent * (
+        base.total - winner.total
     ):
         return False
     worse = np.concatenate(
         [rival.fit.costs - winner.fit.costs, rival.check.costs - winner.check.costs]
     )
-    spread = max(total(winner), FLOOR)
+    spread = max(winner.total, FLOOR)
     priced = penalised(rival, spread) - penalised(winner, spread)
     return priced > 2.0 * LOG_LIKELIHOOD and (
         _agree(worse) or priced > CERTAIN * LOG_LIKELIHOOD * 2.0

@@ -1,4 +1,4 @@
-"""Words: a report's answer in a sentence, and the names that people read."""
+"""Summary text: a report's answer in a sentence, and the names that people read."""
 
 from __future__ import annotations
 
@@ -6,14 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from trueup.diagnose.tuning import EVIDENCE
 from trueup.model.clock import off_step
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
-MISLEADS = 1.05  # times the nominal model's error: new numbers that do worse are no improvement
-PLAINLY = 2.0  # times the floor: an error above that is no noise
-WORTH_NAMING = 0.05  # of the gap: less of it is not named in the sentence
-MOST = 0.5  # of the gap: more than that is most of it
-STRAY = 0.1  # half-widths: a fit that ends so far from its minimum is worth a word
 DIGITS = 2  # of an uncertainty that are worth writing
 MOSTLY = (
     "New numbers in the nominal form explain most of the gap; no effect of the catalogue "
@@ -34,7 +30,8 @@ def sentence(document: Mapping[str, Any]) -> str:
     else:
         text = (
             MOSTLY
-            if verdict == "parameters_only" and gap["after"] > PLAINLY * gap["floor"]
+            if verdict == "parameters_only"
+            and gap["after"] > EVIDENCE.clearly_above_floor * gap["floor"]
             else WORDS[verdict]
         )
     if gap["closed"] is not None:
@@ -53,7 +50,7 @@ def _effects(document: Mapping[str, Any]) -> str:
     parts, effects = waterfall(document), document["effects"]
     named = [_with_estimate(e) for e in effects]
     joined = " and ".join(named)
-    if parts and parts[0]["share"] > MOST:
+    if parts and parts[0]["share"] > EVIDENCE.most_of_it:
         text = (
             f"New numbers in the nominal form explain {percent(parts[0]['share'])} of the "
             f"gap; what they leave is {joined.rstrip(',')}"
@@ -64,7 +61,7 @@ def _effects(document: Mapping[str, Any]) -> str:
             f"{joined} {'explains' if len(named) == 1 else 'explain'} {percent(explained)} "
             "of the gap"
         )
-        if parts[0]["share"] >= WORTH_NAMING:
+        if parts[0]["share"] >= EVIDENCE.worth_naming:
             text += f" and new numbers {percent(parts[0]['share'])}"
     else:
         text = joined.rstrip(",")
@@ -145,7 +142,10 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
             f"{len(late)} of {len(episodes)} episodes are off the declared step, the first "
             f"{late[0]}."
         )
-    if gap["before"] > PLAINLY * gap["floor"] and gap["parameters_only"] > MISLEADS * gap["before"]:
+    if (
+        gap["before"] > EVIDENCE.clearly_above_floor * gap["floor"]
+        and gap["parameters_only"] > EVIDENCE.misleading * gap["before"]
+    ):
         found.append(
             "New numbers alone are worse held out than the nominal model "
             f"({short(gap['parameters_only'])}, was {short(gap['before'])}): "
@@ -161,7 +161,7 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
             "intervals take that into account."
         )
     off = next((c["off"] for c in evidence.get("convergence", [])), None)
-    if off is not None and off > STRAY:
+    if off is not None and off > EVIDENCE.off_minimum:
         found.append(
             f"The fit of the answer ended {short(off)} half-widths from its minimum: its "
             "cost is too rough there for a proof."

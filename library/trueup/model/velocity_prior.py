@@ -1,4 +1,4 @@
-"""Known moments: the velocity that goes with a position and a command, where a log shows no
+"""VelocityPrior moments: the velocity that goes with a position and a command, where a log shows no
 velocity.
 
 A machine under a controller comes again and again through the same positions under the same
@@ -23,7 +23,7 @@ ASKED = 128  # of an episode's moments, to see how well the others' answer
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class VelocityPrior:
     """Moments `(moments, 3)` of position, command and velocity.
 
     A velocity is a line through all of them, and what that misses, on the mean, at the `nearest`
@@ -39,7 +39,7 @@ class Known:
             or not len(self.moments)
             or not np.isfinite(self.moments).all()
         ):
-            raise ValueError("known moments are rows of position, command and velocity")
+            raise ValueError("moments are rows of position, command and velocity")
 
     @cached_property
     def _sizes(self) -> Array:
@@ -68,7 +68,7 @@ class Known:
         )
 
 
-def known(episodes: Sequence[Array]) -> tuple[Known, float]:
+def velocity_prior(episodes: Sequence[Array]) -> tuple[VelocityPrior, float]:
     """Moments of episodes `(samples, 3)` each, as many asked as foretell an episode best from the
     others, and the rms of what they miss.
 
@@ -78,13 +78,13 @@ def known(episodes: Sequence[Array]) -> tuple[Known, float]:
     parts = parts if len(parts) > 1 else np.array_split(np.concatenate(episodes), 2)
     missed = {nearest: _missed(parts, nearest) for nearest in NEAREST}
     nearest = min(missed, key=lambda n: missed[n])
-    return Known(_thinned(np.concatenate(parts), MOST), nearest), missed[nearest]
+    return VelocityPrior(_thinned(np.concatenate(parts), MOST), nearest), missed[nearest]
 
 
 def _missed(parts: Sequence[Array], nearest: int) -> float:
     errors = []
     for i, part in enumerate(parts):
-        others = Known(
+        others = VelocityPrior(
             _thinned(np.concatenate([p for j, p in enumerate(parts) if j != i]), MOST), nearest
         )
         errors += [others.velocity(q, u) - v for q, u, v in _thinned(part, ASKED)]

@@ -2,7 +2,14 @@
 
 import pytest
 
-from trueup.diagnose.words import composition, plus_minus, sentence, short, warnings, waterfall
+from trueup.diagnose.summary_text import (
+    composition,
+    plus_minus,
+    sentence,
+    short,
+    warnings,
+    waterfall,
+)
 from trueup.model.clock import off_step
 
 

@@ -1,5 +1,5 @@
-"""Admission: what the episodes are like before anything is fitted: noise, lattices, held frames,
-sizes."""
+"""Data quality: what the episodes are like before anything is fitted: noise, quantization,
+repeated frames, sizes."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.diagnose.noise import noise_of
+from trueup.diagnose.tuning import DATA_QUALITY
 from trueup.episode.episode import Episode
 from trueup.errors import NotIdentifiable
 from trueup.model.hypothesis import Scales
@@ -20,19 +21,12 @@ from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 DIFFERENCE = 4  # order, of what tells the noise
-# of a channel's standard deviation: below this lies what integration, not the machine, does
-NUMERICAL = 3e-4
-LATTICE = 0.02  # of a step: how far a value may lie off it
-# of the samples: a lattice is coarse enough to count when no more values than that are distinct
-LATTICE_VALUES = 0.5
-COARSE = (
-    0.01  # of a channel's standard deviation: quantization below this makes no gap worth a name
-)
+# a quantizer's step over the standard deviation of its rounding
 ROUNDING = np.sqrt(12.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Admission:
+class DataQuality:
     """Sizes of one set of episodes.
 
     `noise`, `sigma` and `motion` `(2 x joints,)`: standard deviation of the noise, of what fits
@@ -58,7 +52,9 @@ class Admission:
     @property
     def coarse(self) -> NDArray[np.bool_]:
         """Which of them are quantized enough to make a gap."""
-        return np.asarray(self.lattice / ROUNDING > COARSE * np.nan_to_num(self.motion, nan=np.inf))
+        return np.asarray(
+            self.lattice / ROUNDING > DATA_QUALITY.coarse * np.nan_to_num(self.motion, nan=np.inf)
+        )
 
     def of_joint(self, joint: int) -> NDArray[np.int64]:
         """Where a joint's position and velocity stand."""
@@ -70,9 +66,9 @@ class Admission:
         return self.lattice[at], self.coarse[at]
 
 
-def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
-    """Look at adaptation episodes. Raises NotIdentifiable where nothing moves or no command was
-    given."""
+def assess(plant: Plant, episodes: Sequence[Episode]) -> DataQuality:
+    """The quality of adaptation episodes. Raises NotIdentifiable where nothing moves, or no command
+    was given."""
     if not episodes:
         raise NotIdentifiable(
             "there is no adaptation episode to fit",
@@ -95,17 +91,18 @@ def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
                 (e.observations[:, channel], r[:, column])
                 for e, r in zip(episodes, repeats, strict=True)
             ]
-            found = noise_of(whole)
-            noise[column] = max(found.sigma, lattice[column] / ROUNDING)
-            sigma[column] = max(noise[column], NUMERICAL * motion[column])
+            of_channel = noise_of(whole)
+            noise[column] = max(of_channel.sigma, lattice[column] / ROUNDING)
+            sigma[column] = max(noise[column], DATA_QUALITY.numerical_floor * motion[column])
             if (
-                not lattice[column] and noise[column] >= NUMERICAL * motion[column]
+                not lattice[column]
+                and noise[column] >= DATA_QUALITY.numerical_floor * motion[column]
             ):  # else it is the sensor's step, or the integration's
-                correlation[column] = found.correlation
+                correlation[column] = of_channel.correlation
     states = np.concatenate([smoothed_states(plant, e) for e in episodes])
     issued = np.concatenate([plant.applied(e.commands) for e in episodes])
     held = np.mean(np.concatenate(repeats)[:, :joints], axis=0)
-    return Admission(
+    return DataQuality(
         noise,
         sigma,
         correlation,
@@ -119,11 +116,11 @@ def admit(plant: Plant, episodes: Sequence[Episode]) -> Admission:
 def _lattice(values: Array) -> float:
     """The step of the lattice on which all values lie, 0 where there is none."""
     distinct = np.unique(values)
-    if len(distinct) < 3 or len(distinct) > LATTICE_VALUES * len(values):  # noqa: PLR2004  (three values make two steps)
+    if len(distinct) < 3 or len(distinct) > DATA_QUALITY.lattice_values * len(values):  # noqa: PLR2004  (three values make two steps)
         return 0.0
     gaps = np.diff(distinct)
     gaps = gaps[gaps > 1e-9 * (distinct[-1] - distinct[0])]
     step = float(gaps.min())
     counts = np.rint(gaps / step)
     step = float(gaps.sum() / counts.sum())
-    return step if float(np.abs(gaps / step - counts).max()) < LATTICE else 0.0
+    return step if float(np.abs(gaps / step - counts).max()) < DATA_QUALITY.lattice_fit else 0.0

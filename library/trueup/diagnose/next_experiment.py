@@ -1,4 +1,4 @@
-"""Probe: the bounded experiment that would split what the data could not.
+"""Next experiment: the bounded experiment that would split what the data could not.
 
 Among smooth, stepped and periodic commands inside the declared limits, under which both models stay
 inside the envelope, the one whose predicted observations differ most between the answer and its
@@ -22,11 +22,12 @@ from trueup.collect.bounds import DECLARED, Bounds, Recorded
 from trueup.collect.checklist import begins_at, command_table
 from trueup.collect.excitation import DETECTABLE
 from trueup.collect.wave import followed
-from trueup.diagnose.admission import Admission
-from trueup.diagnose.decide import Choice
-from trueup.diagnose.problem import Candidate
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.data_quality import DataQuality
+from trueup.diagnose.indistinguishable import ALIASES, how_to_part
+from trueup.diagnose.model_selection import Choice
 from trueup.diagnose.search import Search
-from trueup.diagnose.twins import TWINS, how_to_part
+from trueup.diagnose.tuning import EXPERIMENT
 from trueup.model.block import BLOCK, joint, kind
 from trueup.model.block import term as term_at
 from trueup.model.hypothesis import switches
@@ -34,11 +35,6 @@ from trueup.model.plant import Plant
 from trueup.model.series import Series, integral_of, roll, unobserved
 
 Array = NDArray[np.float64]
-DURATION_S = 6.0
-RATES_HZ = (0.15, 0.4, 1.0, 2.5)
-SIZES = (0.02, 0.07, 0.25, 0.5, 0.95)  # of the command's limit
-FREE = 0.01  # of its travel: a machine that moves no further by itself stays wherever it is
-PART = 0.3  # of the largest command that was recorded of a robot's joint
 SHAPES = ("sine", "square", "ramp and hold", "chirp")
 
 
@@ -73,7 +69,7 @@ class Experiment:
 
 
 def next_experiment(
-    plant: Plant, admission: Admission, search: Search, choice: Choice, recorded: Recorded
+    plant: Plant, quality: DataQuality, search: Search, choice: Choice, recorded: Recorded
 ) -> Experiment | None:
     """The experiment for an answer and its nearest rival, within what is declared or was
     `recorded`; None where there is none."""
@@ -81,11 +77,11 @@ def next_experiment(
         late = [
             term for term in choice.winner.hypothesis.effects if kind(term).name == "actuator_delay"
         ]
-        if late and len(plant.joints) == 1:
+        if late and not search.problem.strategy.robot:
             pair = (late[0],), (term_at("sensor_delay", joint(late[0])),)
             why = (
                 "No command parts them: "
-                + TWINS[frozenset({"actuator_delay", "sensor_delay"})]
+                + ALIASES[frozenset({"actuator_delay", "sensor_delay"})]
                 + "."
             )
             return Experiment(pair, why, np.zeros(0), None, 0.0)
@@ -96,15 +92,17 @@ def next_experiment(
     splits = choice.winner.hypothesis.effects, rival.hypothesis.effects
     at = joint(min(set(splits[0]) ^ set(splits[1])))
     best, separation, beyond = None, 0.0, 0.0
-    for shape, rate, size in product(SHAPES, RATES_HZ, SIZES):
+    for shape, rate, size in product(SHAPES, EXPERIMENT.rates_hz, EXPERIMENT.sizes):
         command = ground.issued.copy()
-        command[:, at] += _command(shape, rate, ground.t_s) * size * _reach(plant, admission, at)
+        command[:, at] += (
+            _command(shape, rate, ground.t_s) * size * _reach(search, plant, quality, at)
+        )
         command = np.clip(command, bounds.low, bounds.high)
         command = np.asarray(
             followed(np.ascontiguousarray(command), ground.issued[0], bounds.rate * ground.period_s)
         )
         found, inside = _separation(
-            admission, search, choice.winner, rival, replace(ground, issued=command), bounds
+            quality, search, choice.winner, rival, replace(ground, issued=command), bounds
         )
         beyond = beyond if inside else max(beyond, found)
         if inside and found > separation:
@@ -141,8 +139,8 @@ def _bounds(plant: Plant, recorded: Recorded) -> Bounds:
         if column < len(plant.joints)
     }
     if observed <= set(plant.envelope):
-        return Bounds.of(plant, DURATION_S, rate=np.inf, margin=0.0)
-    return Bounds.of(plant, DURATION_S, margin=0.0, recorded=recorded)
+        return Bounds.of(plant, EXPERIMENT.duration_s, rate=np.inf, margin=0.0)
+    return Bounds.of(plant, EXPERIMENT.duration_s, margin=0.0, recorded=recorded)
 
 
 def _declared(plant: Plant, bounds: Bounds) -> bool:
@@ -167,9 +165,10 @@ def _ground(plant: Plant, search: Search, winner: Candidate, bounds: Bounds) -> 
     it rests anywhere; of a robot, which would fall else, the commands of a recorded episode, drawn
     in about their mean to leave room for the wave where no envelope is declared.
     """
-    if len(plant.joints) == 1:
+    if not search.problem.strategy.robot:
         t = np.asarray(
-            np.arange(round(DURATION_S / plant.timestep_s) + 1) * plant.timestep_s, np.float64
+            np.arange(round(EXPERIMENT.duration_s / plant.timestep_s) + 1) * plant.timestep_s,
+            np.float64,
         )
         rest = unobserved(
             search.problem.scheme, t, np.zeros((len(t), 1)), plant.command_scales, plant.timestep_s
@@ -177,12 +176,15 @@ def _ground(plant: Plant, search: Search, winner: Candidate, bounds: Bounds) -> 
         low, high = bounds.envelope[0]
         middle = replace(rest, begin=np.array([[(low + high) / 2.0, 0.0]]))
         moved = np.ptp(_predicted(search, winner, middle, jacobian=False)[0, :, 0])
-        return middle if moved < FREE * (high - low) else rest
+        return middle if moved < EXPERIMENT.free * (high - low) else rest
     recorded = search.problem.adaptation[0]
-    kept = slice(0, int(np.searchsorted(recorded.t_s, DURATION_S, "right")))
+    kept = slice(0, int(np.searchsorted(recorded.t_s, EXPERIMENT.duration_s, "right")))
     steps = recorded.steps[kept].copy()
     steps[-1] = 0
-    mean, drawn_in = recorded.issued.mean(axis=0), 1.0 if _declared(plant, bounds) else 1.0 - PART
+    mean, drawn_in = (
+        recorded.issued.mean(axis=0),
+        1.0 if _declared(plant, bounds) else 1.0 - EXPERIMENT.part_of_recorded,
+    )
     issued = mean + drawn_in * (recorded.issued[kept] - mean)
     s = unobserved(recorded.scheme, recorded.t_s[kept], issued, recorded.u_scale, recorded.period_s)
     return replace(
@@ -194,13 +196,13 @@ def _ground(plant: Plant, search: Search, winner: Candidate, bounds: Bounds) -> 
     )
 
 
-def _reach(plant: Plant, admission: Admission, at: int) -> float:
+def _reach(search: Search, plant: Plant, quality: DataQuality, at: int) -> float:
     """How large a wave may be: within the limits of a single joint, a part of what was recorded of
     a robot's."""
     return (
         float(np.min(np.abs(plant.limits)))
-        if len(plant.joints) == 1
-        else PART * admission.scales[at].command
+        if not search.problem.strategy.robot
+        else EXPERIMENT.part_of_recorded * quality.scales[at].command
     )
 
 
@@ -214,7 +216,7 @@ def _command(shape: str, rate: float, t: Array) -> Array:
 
 
 def _separation(
-    admission: Admission,
+    quality: DataQuality,
     search: Search,
     winner: Candidate,
     rival: Candidate,
@@ -231,10 +233,10 @@ def _separation(
     )
     if not (np.isfinite(truth).all() and np.isfinite(columns).all()):
         return 0.0, False
-    seen = admission.observed
-    differ = ((truth - columns[0])[:, seen] / admission.sigma[seen]).ravel()
+    seen = quality.observed
+    differ = ((truth - columns[0])[:, seen] / quality.sigma[seen]).ravel()
     tangent = (
-        ((columns[1:] - columns[0])[:, :, seen] / admission.sigma[seen])
+        ((columns[1:] - columns[0])[:, :, seen] / quality.sigma[seen])
         .reshape(len(columns) - 1, -1)
         .T
     )

@@ -6,7 +6,8 @@ import pytest
 from tests.support.made import TRUE, plant_document
 from tests.support.robots import arm_plant
 from trueup.errors import NotExportable
-from trueup.fit.rollout_fit import Directions, Fitter
+from trueup.fit.fitter import Fitter
+from trueup.fit.free_numbers import Directions
 from trueup.model.block import BLOCK
 from trueup.model.corrected import Corrected
 from trueup.model.effect import effects
@@ -15,7 +16,7 @@ from trueup.model.hypothesis import Hypothesis, Scales, switches
 from trueup.model.plant import Plant
 from trueup.model.predictor import Blind, Identified, LinearMap, Nominal, Residual
 from trueup.model.series import DECLARED, Scheme, roll, unobserved
-from trueup.model.stepper import Stepper
+from trueup.model.step_function import StepFunction
 
 PLANT = Plant.from_document(plant_document())
 SAMPLES = 120
@@ -40,7 +41,7 @@ def corrected(names, scheme):
         [Scales(0.6, 0.5, 0.7, 1.0)],
         np.ones(2),
     )
-    values, hypothesis = fitter.begin((1.2, 0.6, 0.8)), Hypothesis()
+    values, hypothesis = fitter.initial_values((1.2, 0.6, 0.8)), Hypothesis()
     for name in names:
         values = fitter.with_effect(values, name, np.nan_to_num(effects()[name].starts[0], nan=0.1))
         hypothesis |= name
@@ -65,7 +66,7 @@ def compiled(model, start, issued):
 
 
 def stepped(model, start, issued):
-    stepper = Stepper.of(model)
+    stepper = StepFunction.of(model)
     state, found = stepper.begin(*(np.full(3, x) for x in start), np.full(3, issued[0, 0])), []
     for u in issued[:, 0]:
         seen, state = stepper.step(state, np.full(3, u))
@@ -101,7 +102,7 @@ def test_a_step_at_a_time_is_the_compiled_rollout(names, scheme):
     ids=lambda m: m.kind,
 )
 def test_every_kind_of_predictor_steps_as_it_predicts(model):
-    stepper, states = Stepper.of(model), np.random.default_rng(1).normal(size=(5, 2))
+    stepper, states = StepFunction.of(model), np.random.default_rng(1).normal(size=(5, 2))
     issued = np.linspace(-9.0, 9.0, 5)
     seen, after = stepper.step(stepper.begin(states[:, 0], states[:, 1], issued), issued)
     assert np.array_equal(np.stack(seen, axis=1), PLANT.observe(states))
@@ -114,11 +115,11 @@ def test_every_kind_of_predictor_steps_as_it_predicts(model):
 
 def test_a_robot_of_several_joints_has_no_such_step(tmp_path):
     with pytest.raises(NotExportable, match="given as MJCF"):
-        Stepper.of(Nominal(arm_plant(tmp_path)))
+        StepFunction.of(Nominal(arm_plant(tmp_path)))
 
 
 def test_a_delay_takes_its_commands_from_the_state():
-    stepper = Stepper.of(corrected(("actuator_delay",), DECLARED))
+    stepper = StepFunction.of(corrected(("actuator_delay",), DECLARED))
     assert len(stepper.shares[0]) > 1
     assert sum(stepper.shares[0]) == pytest.approx(1.0)
     assert stepper.names[2:] == tuple(

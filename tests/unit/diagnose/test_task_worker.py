@@ -9,13 +9,12 @@ import pytest
 
 from tests.support.simulated import recorded_twice as recorded
 from trueup.canonical import digest_of
-from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import selection_criteria
+from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
-from trueup.diagnose.help import Helper
-from trueup.diagnose.laying_out import by_role, lay_out
-from trueup.diagnose.parcel import pack_answers, pack_tasks, unpack_answers, unpack_tasks
-from trueup.diagnose.task import Race, Refine, Settle, in_threads
+from trueup.diagnose.problem_setup import Recordings, Setup
+from trueup.diagnose.task_batch import pack_answers, pack_tasks, unpack_answers, unpack_tasks
+from trueup.diagnose.task_worker import TaskWorker
+from trueup.diagnose.tasks import Converge, Fit, Screen, in_threads
 from trueup.fit.rollout_fit import Start
 from trueup.model.series import refined
 
@@ -29,21 +28,13 @@ def case():
 @pytest.fixture(scope="module")
 def posed(case):
     plant, episodes = case
-    adaptation, validation = by_role(episodes)
-    return lay_out(
-        plant,
-        admit(plant, adaptation),
-        adaptation,
-        validation,
-        selection_criteria(plant, adaptation),
-        refined(plant),
-        1,
-    )
+    recordings = Recordings.of(plant, episodes)
+    return Setup(recordings, assess(plant, recordings.adaptation), refined(plant)).problem(1)
 
 
 def test_a_diagnosis_that_others_did_is_the_same(case):
     plant, episodes = case
-    helper = Helper(plant, list(reversed(episodes)))
+    helper = TaskWorker(plant, list(reversed(episodes)))
     steps = set()
 
     def by_others(problem, tasks, told):
@@ -54,7 +45,7 @@ def test_a_diagnosis_that_others_did_is_the_same(case):
         return [*answers[0], *answers[1]]
 
     ours, theirs = diagnose(plant, episodes), diagnose(plant, episodes, solve=by_others)
-    assert steps == {Race, Settle, Refine}
+    assert steps == {Screen, Fit, Converge}
     assert digest_of(dict(theirs.document)) == digest_of(dict(ours.document))
     assert (theirs.predictor.values, theirs.predictor.gain) == (
         ours.predictor.values,
@@ -62,7 +53,7 @@ def test_a_diagnosis_that_others_did_is_the_same(case):
     )
 
 
-def test_a_parcel_comes_out_as_it_went_in(posed):
+def test_a_batch_comes_out_as_it_went_in(posed):
     problem, base = posed
     values = base.fit.values.copy()
     values[:2] = np.nan, -np.inf
@@ -83,15 +74,15 @@ def test_a_parcel_comes_out_as_it_went_in(posed):
         np.inf,
     )
     tasks = [
-        Race(odd, "backlash", np.array([1.0, np.inf])),
-        Settle(np.inf, "backlash", [odd, base.fit]),
-        Refine(base),
+        Screen(odd, "backlash", np.array([1.0, np.inf])),
+        Fit(np.inf, "backlash", [odd, base.fit]),
+        Converge(base),
     ]
     text = pack_tasks(problem, tasks)
     outline, again = unpack_tasks(text)
     assert (outline.scheme, outline.length_s, outline.base.cost) == (
         problem.scheme,
-        problem.length_s,
+        problem.fits.length_s,
         base.fit.cost,
     )
     assert pack_tasks(replace(problem, base=outline.base), again) == text
@@ -102,16 +93,16 @@ def test_a_parcel_comes_out_as_it_went_in(posed):
 def test_a_candidate_is_worth_the_same_on_the_other_side(posed):
     _, base = posed
     (again,) = unpack_answers(pack_answers([base]))
-    assert (again.misfit, again.fit.by_episode, again.fit.parameters()) == (
-        base.misfit,
+    assert (again.reduced_chi_square, again.fit.by_episode, again.fit.parameters()) == (
+        base.reduced_chi_square,
         base.fit.by_episode,
         base.fit.parameters(),
     )
 
 
 @pytest.mark.parametrize("unpack", [unpack_tasks, unpack_answers])
-def test_a_parcel_unfolds_to_so_much_and_no_more(unpack, monkeypatch):
-    monkeypatch.setattr("trueup.diagnose.parcel.LARGEST", 1 << 16)
+def test_a_batch_unfolds_to_so_much_and_no_more(unpack, monkeypatch):
+    monkeypatch.setattr("trueup.diagnose.task_batch.LARGEST", 1 << 16)
     with pytest.raises(ValueError, match="unfolds to more than 65536 bytes"):
         unpack(base64.b64encode(zlib.compress(bytes(1 << 20))).decode())
 
@@ -125,7 +116,7 @@ def test_a_parcel_unfolds_to_so_much_and_no_more(unpack, monkeypatch):
         base64.b64encode(zlib.compress(b"{")).decode(),
     ],
 )
-def test_what_is_no_parcel_is_refused(text):
+def test_what_is_no_batch_is_refused(text):
     with pytest.raises((ValueError, KeyError, zlib.error)):
         unpack_tasks(text)
 
@@ -133,6 +124,6 @@ def test_what_is_no_parcel_is_refused(text):
 def test_tasks_are_answered_in_their_order_while_the_share_is_told(posed):
     problem, base = posed
     shares = []
-    answers = in_threads(problem, [Refine(base), Refine(base), Refine(base)], shares.append)
+    answers = in_threads(problem, [Converge(base), Converge(base), Converge(base)], shares.append)
     assert shares == pytest.approx([1 / 3, 2 / 3, 1.0])
     assert len({a.fit.cost for a in answers}) == 1

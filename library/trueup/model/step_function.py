@@ -1,5 +1,5 @@
-"""Stepper: a predictor of one joint as a function from a state and a command to an observation and
-the next state.
+"""Step function: a predictor of one joint as a function from a state and a command to an
+observation and the next state.
 
 The state is everything that the next step depends on: position, velocity, what effects remember,
 and the commands that are still on their way. Samples are one declared period apart. It needs numpy
@@ -18,7 +18,6 @@ import numpy as np
 
 from trueup.errors import NotExportable
 from trueup.model.corrected import Corrected
-from trueup.model.dynamics import CompiledFamily
 from trueup.model.features import value
 from trueup.model.plant import Plant
 from trueup.model.predictor import (
@@ -37,7 +36,7 @@ TINY = 1e-9  # of a period: rounding, not a delay
 
 
 @dataclass(frozen=True)
-class Stepper:
+class StepFunction:
     """`physics` steps, then `map` adds what it was found to miss; a map alone is all there is where
     there is no physics."""
 
@@ -47,35 +46,28 @@ class Stepper:
     fed: Mapping[str, float] | None = None
 
     @staticmethod
-    def of(predictor: Predictor) -> Stepper:
+    def of(predictor: Predictor) -> StepFunction:
         """Of a predictor of a family. Raises NotExportable for a robot given as MJCF."""
         plant = predictor.plant
-        if not isinstance(plant.dynamics, CompiledFamily):
-            raise NotExportable(
-                f"{plant.name} is a robot given as MJCF: its step solves its joints together",
-                hint=(
-                    "Export its corrected MJCF instead: `trueup convert MODEL corrected.xml "
-                    "--mjcf FILE`."
-                ),
-            )
+        Corrected.of_numbers(plant, plant.parameters).joint  # noqa: B018  (raises)
         match predictor:
             case Corrected():
-                return Stepper(plant, predictor)
+                return StepFunction(plant, predictor)
             case Physical():
-                return Stepper(plant, Corrected.of_numbers(plant, predictor.parameters))
+                return StepFunction(plant, Corrected.of_numbers(plant, predictor.parameters))
             case Residual():
-                return Stepper(
+                return StepFunction(
                     plant, Corrected.of_numbers(plant, Nominal(plant).parameters), predictor.map
                 )
             case Conditioned():
-                return Stepper(
+                return StepFunction(
                     plant,
                     None,
                     predictor.map,
                     dict(zip(plant.dynamics.parameter_names, predictor.parameters, strict=True)),
                 )
             case Blind():
-                return Stepper(plant, None, predictor.map)
+                return StepFunction(plant, None, predictor.map)
         raise NotExportable(f"a predictor of the kind {predictor.kind!r} has no step of this form")
 
     @property
