@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from trueup.diagnose.model_selection import ADEQUATE
-from trueup.diagnose.tuning import SEARCH
+from trueup.diagnose.tuning import SEARCH, SELECTION
 from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import kind
 
@@ -80,7 +79,7 @@ def covariance(fit: RolloutFit) -> Array:
     inverse = np.zeros((len(rest), len(rest)))
     inverse[np.ix_(rest, rest)] = _inverse(fit.information[np.ix_(rest, rest)])
     found = inverse * max(fit.reduced_chi_square, 1.0)
-    if fit.reduced_chi_square <= ADEQUATE:
+    if fit.reduced_chi_square <= SELECTION.adequate:
         return found
     ends = np.cumsum([len(s.windows) for s in fit.starts.values()])[:-1]
     recordings = np.array([part.sum(axis=0) for part in np.split(fit.scores, ends)])

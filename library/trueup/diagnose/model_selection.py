@@ -3,8 +3,8 @@ distinguished, and whether any composition does.
 
 - Comparisons are of squared normalised errors, window by window, over the episodes that were fitted
   and those that were not; a larger composition must also earn its place on the latter alone.
-- Differences are scaled by the best candidate's own misfit, so that what no candidate explains does
-  not separate them, and every free number has its price.
+- Differences are scaled by the best candidate's reduced chi-square: errors that no candidate
+  explains count as noise. Every free number has its price.
 - A larger composition is taken where it removes a material part of the gap, beyond the accuracy of
   laws and integration, or leaves nothing but noise of what plainly was there.
 - Compositions of one size are told apart where a difference is certain over windows, and not where
@@ -17,59 +17,52 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import singledispatch
 
 import numpy as np
 
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.indistinguishable import are_aliases
 from trueup.diagnose.measure import Gap
+from trueup.diagnose.tuning import SELECTION, number, required
 from trueup.episode.episode import Episode, is_physical
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import kind
+from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
-
-LOG_LIKELIHOOD = 9.0  # units of log-likelihood that separate two candidates
-CERTAIN = 3.0  # times that, for windows that do not agree
-AGREEMENT = 3.0  # of the evidence in windows for a difference to that against it
-NEXT_TO = 1.02  # times the misfit: so near are twins, but for where their fits stopped
-FLOOR = 0.5  # the least misfit: the noise is known to a few per cent, so none is far below 1
-FINISHED = 0.2  # of what was left: a composition that leaves no more than that explains it
-NOISE_POWER = 0.06  # of the noise's power: the least that an effect must remove
-ADEQUATE = 1.25  # misfit up to which noise, known to a few per cent, is all that is left
-PLAIN = 0.5  # of that misfit: so much more is no noise
-SCRAPS = 0.1  # of what was left: an accident takes not so much of it
-# times the noise's power: what a robot's law leaves of that size may be another effect, however
-# large the gap was
-FAR = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class SelectionCriteria:
     """How exact a law may be expected to be.
 
-    `material` is the least part of the refitted gap that an effect must remove, `finishing` the
-    same where it leaves FINISHED of the rest; `overall` the least part of the nominal model's gap;
-    `unexplained` the part of the gap beyond which no law is the answer, and `unexplained_by_more`
-    the same of several, for each of their numbers: many numbers take up much; `most_effects` how
-    many are looked for; `alike` the part of the best misfit on validation episodes within which two
-    compositions of one size are alike; `indifferent` the part of the refitted gap by which
-    integration alone may make one of two better; `far` the misfit beyond which the search goes on
-    in any case. Where `alike` is not 0, what remains is no white noise, samples are no independent
-    witnesses, and only validation episodes rank. `of_machine` says whether the recordings are a
-    machine's.
+    Where `alike` is not 0, what remains is no white noise, samples are no independent witnesses,
+    and only validation episodes rank. `of_machine` says whether the recordings are a machine's.
     """
 
-    material: float
-    finishing: float
-    overall: float
-    unexplained: float
-    unexplained_by_more: float
-    most_effects: int
-    alike: float
-    indifferent: float
-    far: float = np.inf
-    of_machine: bool = False
+    material: float = required("of the refitted gap", "The least that an effect must remove.")
+    finishing: float = required(
+        "of the refitted gap", "The least where the effect leaves hardly anything of the rest."
+    )
+    overall: float = required(
+        "of the nominal model's gap", "The least that an effect must remove of it."
+    )
+    unexplained: float = required("of the gap", "Where more is left, no law is the answer.")
+    unexplained_by_more: float = required(
+        "of the gap, for each number",
+        "The limit of several effects: many numbers take up much.",
+    )
+    most_effects: int = required("effects", "How many are looked for.")
+    alike: float = required(
+        "of the best reduced chi-square",
+        "Compositions of one size that differ by less on validation episodes are alike.",
+    )
+    indifferent: float = required(
+        "of the refitted gap", "By so much integration alone may make one of two better."
+    )
+    far: float = number(np.inf, "reduced chi-square", "Beyond it the search goes on in any case.")
+    of_machine: bool = number(False, "", "Whether the recordings are a machine's.")
 
 
 SIMULATED = SelectionCriteria(  # the laws' forms and the integration differ by about a thousandth
@@ -83,7 +76,7 @@ SIMULATED = SelectionCriteria(  # the laws' forms and the integration differ by 
     indifferent=0.0,
 )
 # A step of several joints knows an effect's force only when it is over.
-ROBOT = replace(SIMULATED, finishing=3e-3, unexplained_by_more=0.03, indifferent=4e-4, far=FAR)
+ROBOT = replace(SIMULATED, finishing=3e-3, unexplained_by_more=0.03, indifferent=4e-4, far=10.0)
 PHYSICAL = SelectionCriteria(  # no textbook law holds on a machine to better than some per cent
     material=0.01,
     finishing=0.01,
@@ -103,9 +96,17 @@ def selection_criteria(plant: Plant, episodes: Sequence[Episode]) -> SelectionCr
 
     Asked once in a diagnosis, of the episodes that it fits and compares on.
     """
-    if is_physical(episodes):
-        return PHYSICAL
-    return ROBOT if len(plant.joints) > 1 else SIMULATED
+    return PHYSICAL if is_physical(episodes) else _simulated(plant.dynamics)
+
+
+@singledispatch
+def _simulated(_: Dynamics) -> SelectionCriteria:
+    return SIMULATED
+
+
+@_simulated.register
+def _simulated_robot(_: CompiledTree) -> SelectionCriteria:
+    return ROBOT
 
 
 class Verdict(StrEnum):
@@ -137,57 +138,67 @@ def select(
     """Choose among fitted candidates, the bare family among them. `nominal` is the nominal model on
     validation episodes.
 
-    `level` is the misfit that noise alone leaves a candidate on those: 1 but where they happen to
-    hold outliers.
+    `level` is the reduced chi-square that noise alone leaves a candidate on those: 1, and more
+    where they happen to hold outliers.
     """
-    sound = [c for c in candidates if np.isfinite(c.total)]
-    spread = max(min(c.total for c in sound), FLOOR)
-    by_size: dict[float, list[Candidate]] = {}
-    for c in sorted(
-        sound, key=lambda c: c.reduced_chi_square if criteria.alike else penalised(c, spread)
-    ):
-        by_size.setdefault(complexity(c), []).append(c)
-    base = by_size[0][0]
-    gap = max(
-        base.reduced_chi_square - 1.0,
-        nominal.reduced_chi_square - 1.0 if np.isfinite(nominal.reduced_chi_square) else 0.0,
-        0.0,
-    )
-    winner = base
-    found = {c.hypothesis: c for c in sound}
-    for _, group in sorted(by_size.items())[1:]:
-        if _earns(group[0], winner, found.get(_common(group[0], winner), base), gap, criteria):
+    ranked = _ranked(candidates, criteria)
+    base, winner = ranked[0][0], ranked[0][0]
+    gap = max(base.reduced_chi_square - 1.0, 0.0)
+    if np.isfinite(nominal.reduced_chi_square):
+        gap = max(gap, nominal.reduced_chi_square - 1.0)
+    known = {c.hypothesis: c for group in ranked.values() for c in group}
+    for _, group in sorted(ranked.items())[1:]:
+        changed = known.get(_common(group[0], winner), base)
+        if _earns(group[0], winner, changed, gap, criteria):
             winner = group[0]
     size = complexity(winner)
-    left = max(winner.reduced_chi_square - 1.0, 0.0) / max(
-        base.reduced_chi_square - 1.0 if size else gap, 1e-12
-    )
-    several = len(winner.hypothesis.effects) > 1
-    numbers = len(winner.fit.free.rows) - len(base.fit.free.rows)
-    bearable = (
-        min(criteria.unexplained, criteria.unexplained_by_more / numbers)
-        if several
-        else criteria.unexplained
-    )
-    if winner.reduced_chi_square > ADEQUATE and left > bearable:
+    whole = base.reduced_chi_square - 1.0 if size else gap
+    left = max(winner.reduced_chi_square - 1.0, 0.0) / max(whole, 1e-12)
+    bearable = _bearable(winner, base, criteria)
+    if winner.reduced_chi_square > SELECTION.adequate and left > bearable:
         noise = level(winner)
         left *= max(winner.reduced_chi_square - noise, 0.0) / (winner.reduced_chi_square - 1.0)
-        if winner.reduced_chi_square > ADEQUATE * noise and left > bearable:
+        if winner.reduced_chi_square > SELECTION.adequate * noise and left > bearable:
             return Choice(Verdict.UNKNOWN, winner, (), left)
-    if size:
-        rivals = tuple(
-            c
-            for c in by_size[size]
-            if c is not winner and not _told_apart(c, winner, base, criteria)
-        )
-        return Choice(Verdict.EFFECT, winner, rivals, left)
-    moved = nominal.reduced_chi_square - base.reduced_chi_square > NOISE_POWER * max(
-        base.reduced_chi_square, FLOOR
+    if not size:
+        better = _improves(base, nominal)
+        return Choice(Verdict.PARAMETERS_ONLY if better else Verdict.NO_GAP, winner, (), left)
+    rivals = tuple(
+        c for c in ranked[size] if c is not winner and not _told_apart(c, winner, base, criteria)
     )
-    better = moved and _certain(
-        np.nan_to_num(nominal.costs - base.check.costs, nan=0.0), base.reduced_chi_square
-    )
-    return Choice(Verdict.PARAMETERS_ONLY if better else Verdict.NO_GAP, winner, (), left)
+    return Choice(Verdict.EFFECT, winner, rivals, left)
+
+
+def _ranked(
+    candidates: Sequence[Candidate], criteria: SelectionCriteria
+) -> dict[float, list[Candidate]]:
+    """Candidates that did not run away by their complexity, the best of each first."""
+    sound = [c for c in candidates if np.isfinite(c.total)]
+    spread = max(min(c.total for c in sound), SELECTION.least_chi_square)
+
+    def rank(c: Candidate) -> float:
+        return c.reduced_chi_square if criteria.alike else penalised(c, spread)
+
+    ranked: dict[float, list[Candidate]] = {}
+    for c in sorted(sound, key=rank):
+        ranked.setdefault(complexity(c), []).append(c)
+    return ranked
+
+
+def _bearable(winner: Candidate, base: Candidate, criteria: SelectionCriteria) -> float:
+    """The part of the gap that an answer may leave."""
+    if len(winner.hypothesis.effects) <= 1:
+        return criteria.unexplained
+    numbers = len(winner.fit.free.rows) - len(base.fit.free.rows)
+    return min(criteria.unexplained, criteria.unexplained_by_more / numbers)
+
+
+def _improves(base: Candidate, nominal: RolloutFit) -> bool:
+    """Whether the nominal form with new numbers is certainly better than the nominal model."""
+    noise = max(base.reduced_chi_square, SELECTION.least_chi_square)
+    removed = nominal.reduced_chi_square - base.reduced_chi_square
+    worse = np.nan_to_num(nominal.costs - base.check.costs, nan=0.0)
+    return removed > SELECTION.noise_power * noise and _certain(worse, base.reduced_chi_square)
 
 
 def agreeing(choice: Choice, gap: Gap) -> Choice:
@@ -223,7 +234,7 @@ def penalised(c: Candidate, spread: float) -> float:
 def nothing_left(candidate: Candidate, base: Candidate, criteria: SelectionCriteria) -> bool:
     """Whether nothing material is left for a larger composition to explain."""
     return (
-        candidate.reduced_chi_square < ADEQUATE
+        candidate.reduced_chi_square < SELECTION.adequate
         or candidate.reduced_chi_square - 1.0 < criteria.finishing * (base.reduced_chi_square - 1.0)
     )
 
@@ -240,18 +251,16 @@ def _earns(
 ) -> bool:
     """Whether a larger composition removes a material and certain part of the gap on validation
     episodes."""
-    removed = smaller.reduced_chi_square - larger.reduced_chi_square
-    rest = max(larger.reduced_chi_square - 1.0, 0.0) / max(smaller.reduced_chi_square - 1.0, 1e-12)
-    part = criteria.material if rest > FINISHED else criteria.finishing
-    material = NOISE_POWER * max(larger.reduced_chi_square, FLOOR)
-    finishes = larger.reduced_chi_square < ADEQUATE or rest < SCRAPS
-    if (
-        criteria.alike or not finishes or removed < PLAIN * larger.reduced_chi_square
-    ):  # else nothing is left of what plainly was
+    after, before = larger.reduced_chi_square, smaller.reduced_chi_square
+    removed = before - after
+    rest = max(after - 1.0, 0.0) / max(before - 1.0, 1e-12)
+    part = criteria.material if rest > SELECTION.finished else criteria.finishing
+    material = SELECTION.noise_power * max(after, SELECTION.least_chi_square)
+    finishes = after < SELECTION.adequate or rest < SELECTION.scraps
+    all_is_explained = finishes and removed >= SELECTION.clearly_no_noise * after
+    if criteria.alike or not all_is_explained:
         material = max(part * (base.reduced_chi_square - 1.0), criteria.overall * gap, material)
-    return removed > material and _certain(
-        smaller.check.costs - larger.check.costs, larger.reduced_chi_square
-    )
+    return removed > material and _certain(smaller.check.costs - larger.check.costs, after)
 
 
 def _told_apart(
@@ -261,27 +270,28 @@ def _told_apart(
     numbers of parameters accounted for."""
     if criteria.alike:
         return rival.reduced_chi_square > (1.0 + criteria.alike) * winner.reduced_chi_square
-    if are_aliases(rival.hypothesis, winner.hypothesis) and rival.total < NEXT_TO * winner.total:
+    next_to = rival.total < SELECTION.next_to * winner.total
+    if next_to and are_aliases(rival.hypothesis, winner.hypothesis):
         return False
-    if criteria.indifferent and rival.total - winner.total < criteria.indifferent * (
-        base.total - winner.total
-    ):
+    by_integration = criteria.indifferent * (base.total - winner.total)
+    if criteria.indifferent and rival.total - winner.total < by_integration:
         return False
     worse = np.concatenate(
         [rival.fit.costs - winner.fit.costs, rival.check.costs - winner.check.costs]
     )
-    spread = max(winner.total, FLOOR)
-    priced = penalised(rival, spread) - penalised(winner, spread)
-    return priced > 2.0 * LOG_LIKELIHOOD and (
-        _agree(worse) or priced > CERTAIN * LOG_LIKELIHOOD * 2.0
-    )
+    spread = max(winner.total, SELECTION.least_chi_square)
+    priced = (penalised(rival, spread) - penalised(winner, spread)) / 2.0
+    separated = priced > SELECTION.log_likelihood
+    return separated and (_agree(worse) or priced > SELECTION.certain * SELECTION.log_likelihood)
 
 
-def _certain(worse: np.ndarray, misfit: float) -> bool:
+def _certain(worse: np.ndarray, reduced_chi_square: float) -> bool:
     """Whether windows agree that the first is worse, and by enough."""
-    return float(worse.sum()) / 2.0 / max(misfit, FLOOR) > LOG_LIKELIHOOD and _agree(worse)
+    log_likelihood = float(worse.sum()) / 2.0 / max(reduced_chi_square, SELECTION.least_chi_square)
+    return log_likelihood > SELECTION.log_likelihood and _agree(worse)
 
 
 def _agree(worse: np.ndarray) -> bool:
     """Whether what speaks for the difference outweighs what speaks against it."""
-    return float(worse[worse > 0.0].sum()) > AGREEMENT * float(-worse[worse < 0.0].sum())
+    against = float(-worse[worse < 0.0].sum())
+    return float(worse[worse > 0.0].sum()) > SELECTION.agreement * against

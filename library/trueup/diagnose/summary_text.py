@@ -28,12 +28,7 @@ def sentence(document: Mapping[str, Any]) -> str:
     if verdict == "effect":
         text = _effects(document)
     else:
-        text = (
-            MOSTLY
-            if verdict == "parameters_only"
-            and gap["after"] > EVIDENCE.clearly_above_floor * gap["floor"]
-            else WORDS[verdict]
-        )
+        text = MOSTLY if verdict == "parameters_only" and is_above_floor(gap) else WORDS[verdict]
     if gap["closed"] is not None:
         text += (
             f"; held-out error falls from {short(gap['before'])} to {short(gap['after'])}, "
@@ -66,6 +61,11 @@ def _effects(document: Mapping[str, Any]) -> str:
     else:
         text = joined.rstrip(",")
     return text[0].upper() + text[1:]
+
+
+def is_above_floor(gap: Mapping[str, Any]) -> bool:
+    """Whether a report's gap has an error left that is clearly no noise."""
+    return bool(gap["after"] > EVIDENCE.clearly_above_floor * gap["floor"])
 
 
 def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:

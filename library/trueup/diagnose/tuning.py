@@ -16,6 +16,11 @@ def number(value: Any, unit: str, why: str) -> Any:
     return field(default=value, metadata={"unit": unit, "why": why})
 
 
+def required(unit: str, why: str) -> Any:
+    """A field without a value of its own, with its unit and the reason for it."""
+    return field(metadata={"unit": unit, "why": why})
+
+
 @dataclass(frozen=True, slots=True)
 class DataQualityTuning:
     """What is noise, what is quantization, and what is missing, before anything is fitted."""
@@ -224,6 +229,42 @@ class SearchTuning:
 
 
 @dataclass(frozen=True, slots=True)
+class SelectionTuning:
+    """When one composition is better than another, whatever the recordings."""
+
+    log_likelihood: float = number(
+        9.0, "units of log-likelihood", "That separate two compositions whose windows agree."
+    )
+    certain: float = number(
+        3.0, "times that", "That separate two compositions whose windows do not agree."
+    )
+    agreement: float = number(
+        3.0, "of the evidence against a difference", "So much windows must have for it to agree."
+    )
+    next_to: float = number(
+        1.02,
+        "times the reduced chi-square",
+        "Aliases are no further apart, but for where their fits stopped.",
+    )
+    least_chi_square: float = number(
+        0.5, "reduced chi-square", "Noise is known to some per cent: none is far below 1."
+    )
+    finished: float = number(
+        0.2, "of what was left", "A composition that leaves no more explains it."
+    )
+    noise_power: float = number(
+        0.06, "of the noise's power", "The least that an effect must remove."
+    )
+    adequate: float = number(1.25, "reduced chi-square", "Up to it, noise is all that is left.")
+    clearly_no_noise: float = number(
+        0.5, "of the reduced chi-square", "What is removed beyond it was clearly no noise."
+    )
+    scraps: float = number(
+        0.1, "of what was left", "An accident does not take so much that so little is left."
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class FilterTuning:
     """The gain with which a corrected model follows an episode before it predicts."""
 
@@ -301,7 +342,8 @@ class ExperimentTuning:
 DATA_QUALITY = DataQualityTuning()
 SETUP = SetupTuning()
 SEARCH = SearchTuning()
+SELECTION = SelectionTuning()
 FILTER = FilterTuning()
 EVIDENCE = EvidenceTuning()
 EXPERIMENT = ExperimentTuning()
-GROUPS = (DATA_QUALITY, SETUP, SEARCH, FILTER, EVIDENCE, EXPERIMENT)
+GROUPS = (DATA_QUALITY, SETUP, SEARCH, SELECTION, FILTER, EVIDENCE, EXPERIMENT)

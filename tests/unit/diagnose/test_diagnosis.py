@@ -10,14 +10,15 @@ from tests.support.simulated import recorded_twice as recorded
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.figures import figures
+from trueup.diagnose.problem_setup import Recordings, Setup
 from trueup.diagnose.search import Search
-from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.summary_text import sentence
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.fit.fitter import Fitter
 from trueup.fit.free_numbers import Directions
 from trueup.fit.rollout_fit import PROVEN
+from trueup.fit.screening import screen
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.series import DECLARED, refined, series
 from trueup.model.velocity_prior import VelocityPrior, velocity_prior
@@ -231,7 +232,7 @@ def test_a_composition_that_fills_every_lane_has_no_bounds_beside_it():
     assert not fitter.has_room(full)
     data = [series(plant, episodes[0], refined(plant), 2.0)]
     parent = fitter.fit(data, Hypothesis(), fitter.initial_values(plant.parameters), iterations=1)
-    screened = fitter.screen(data, replace(parent, hypothesis=full), "cogging")
+    screened = screen(fitter, data, replace(parent, hypothesis=full), "cogging")
     assert np.isinf(screened.error).all()
     assert (screened.cost == parent.cost).all()
 
@@ -284,15 +285,9 @@ def test_either_sign_of_an_effect_is_named(effect, seed):
 
 def test_a_lag_below_one_sample_is_no_effect():
     plant, episodes, _ = recorded("A0", [], 5)
-    admission = assess(plant, episodes)
-    fitter = Fitter(
-        plant.form,
-        Directions.of_family(plant.dynamics.parameter_names),
-        admission.scales,
-        admission.sigma,
-    )
-    data = [series(plant, e, DECLARED, 2.0) for e in episodes]
-    search = Search(SearchProblem(fitter, data, data, data))
+    recordings = Recordings.of(plant, episodes)
+    problem, _ = Setup(recordings, assess(plant, episodes), DECLARED).problem(1)
+    search, fitter, data = Search(problem, found={}), problem.fitter, problem.adaptation
     values = fitter.initial_values(plant.parameters)
     for periods, resolved in ((0.5, False), (3.0, True)):
         values[plant.block.rows_of("velocity_lag")["time_constant"]] = (
