@@ -48,7 +48,7 @@ class Bound:
     why: str
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The bound as JSON, a field of the report."""
         named: dict[str, Json] = {
             "effect": self.effect,
             **({"joint": self.joint} if self.joint else {}),
@@ -121,7 +121,7 @@ def estimates(
     """Effects with estimates, units, intervals and shares, of the best of some minima; `other` is
     the same on other steps."""
     fit, spans = minima[0], intervals(minima, other)
-    found: list[Json] = []
+    entries: list[Json] = []
     for term in fit.hypothesis.effects:
         values: dict[str, Json] = {}
         for number in kind(term).params:
@@ -138,13 +138,13 @@ def estimates(
                 "unit": measure,
                 "ci95": [factor * low, factor * high],
             }
-        found.append(_entry(kind(term), values, share.get(term, 0.0), plant, joint(term)))
-    return found
+        entries.append(_entry(kind(term), values, share.get(term, 0.0), plant, joint(term)))
+    return entries
 
 
 def counted(quality: DataQuality, plant: Plant, samples: int) -> list[Json]:
     """Effects that are counted in the samples themselves: held frames and coarse lattices."""
-    found: list[Json] = []
+    entries: list[Json] = []
     for at in range(len(plant.joints)):
         part = float(quality.held[at])
         if part > DATA_QUALITY.held_frames:
@@ -154,7 +154,7 @@ def counted(quality: DataQuality, plant: Plant, samples: int) -> list[Json]:
                 "unit": "1",
                 "ci95": [max(part - error, 0.0), part + error],
             }
-            found.append(_entry(effects()["dropped_frames"], {"fraction": value}, 0.0, plant, at))
+            entries.append(_entry(effects()["dropped_frames"], {"fraction": value}, 0.0, plant, at))
         steps: dict[str, Json] = {}
         for n, step, coarse in zip(
             effects()["sensor_quantization"].params, *quality.lattices(at), strict=True
@@ -166,8 +166,8 @@ def counted(quality: DataQuality, plant: Plant, samples: int) -> list[Json]:
                     "ci95": [float(step), float(step)],
                 }
         if steps:
-            found.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant, at))
-    return found
+            entries.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant, at))
+    return entries
 
 
 def _entry(
@@ -269,20 +269,21 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 def alternative(plant: Plant, search: Search, rival: Candidate) -> Json:
     """A composition that cannot be told from the answer as it was fitted: its model, its estimates,
     and the nominal form's numbers."""
-    found = rival.minima
+    minima = rival.minima
     model = Corrected(
-        plant, rival.hypothesis, tuple(float(x) for x in found[0].values), search.problem.scheme
+        plant, rival.hypothesis, tuple(float(x) for x in minima[0].values), search.problem.scheme
     )
     described = model.description()
     return {
         "model": {name: described[name] for name in ("parameters", "effects", "scheme")},
-        "effects": estimates(found, rival.fit, search.problem.fitter, plant, {}),
-        "parameters": parameter_table(plant, search.problem.fitter.directions, found, rival.fit),
+        "effects": estimates(minima, rival.fit, search.problem.fitter, plant, {}),
+        "parameters": parameter_table(plant, search.problem.fitter.directions, minima, rival.fit),
     }
 
 
 def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
-    """Of each effect that the winner has not: a bound, or why there is none. Two lists."""
+    """What the data say of each effect that the answer does not have: the bounds, and those
+    without one, which say why."""
     terms = [t for t in search.terms if not has_already(winner.hypothesis, t)]
     problem, data, fit, derivatives = search.problem, search.problem.adaptation, winner.fit, None
     if problem.strategy.robot:  # where terms were screened is enough: every joint has its own

@@ -55,19 +55,19 @@ def corrected(
         for length in (plant.horizon_s, period)
     )
 
-    def tried(kind: tuple[float, bool]) -> tuple[Array, Corrected]:
+    def predicted(kind: tuple[float, bool]) -> tuple[Array, Corrected]:
         candidate = replace(
             model,
             gain=_gain(plant, quality, model, 10.0 ** kind[0], period, unknown, wanders=kind[1]),
         )
         return squared_errors(candidate, far, quality.motion), candidate
 
-    def tried_all(
+    def predicted_all(
         kinds: Sequence[tuple[float, bool]],
     ) -> dict[tuple[float, bool], tuple[Array, Corrected]]:
-        return dict(zip(kinds, in_parallel(tried, kinds), strict=True))
+        return dict(zip(kinds, in_parallel(predicted, kinds), strict=True))
 
-    found = tried_all(
+    tried = predicted_all(
         [
             (size, wanders)
             for wanders in (False, True)
@@ -78,11 +78,11 @@ def corrected(
     )
     width = FILTER.coarse_decades / 2.0
     while width > FILTER.fine_decades:
-        size, wanders = min(found, key=lambda k: found[k][0].mean())
-        found |= tried_all([(size - width, wanders), (size + width, wanders)])
+        size, wanders = min(tried, key=lambda k: tried[k][0].mean())
+        tried |= predicted_all([(size - width, wanders), (size + width, wanders)])
         width /= 2.0
-    least = min((errors for errors, _ in found.values()), key=lambda errors: errors.mean())
-    alike = [candidate for errors, candidate in found.values() if _as_well(errors - least)]
+    least = min((errors for errors, _ in tried.values()), key=lambda errors: errors.mean())
+    alike = [candidate for errors, candidate in tried.values() if _as_well(errors - least)]
     nearest = list(in_parallel(lambda c: squared_errors(c, near, quality.motion).mean(), alike))
     return alike[int(np.argmin(nearest))]
 
@@ -204,7 +204,8 @@ class _Hidden:
 
 
 def _hidden(model: Corrected, at: int, h: float) -> _Hidden:
-    """The same of a model's effects at a joint; none where the log shows the velocity."""
+    """How the effect of a model that hides a joint's velocity goes on over `h` [s]; nothing where the
+    log shows the velocity."""
     for acting in model.hypothesis.effects:
         if kind(acting).hides_velocity and joint_of(acting) == at:
             values = [model.values[row] for row in model.plant.block.rows(acting)]

@@ -78,9 +78,9 @@ def covariance(fit: RolloutFit) -> Array:
     rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
     inverse = np.zeros((len(rest), len(rest)))
     inverse[np.ix_(rest, rest)] = _inverse(fit.information[np.ix_(rest, rest)])
-    found = inverse * max(fit.reduced_chi_square, 1.0)
+    spread = inverse * max(fit.reduced_chi_square, 1.0)
     if fit.reduced_chi_square <= SELECTION.adequate:
-        return found
+        return spread
     ends = np.cumsum([len(s.windows) for s in fit.starts.values()])[:-1]
     recordings = np.array([part.sum(axis=0) for part in np.split(fit.scores, ends)])
     for scores, students in (
@@ -93,22 +93,23 @@ def covariance(fit: RolloutFit) -> Array:
                 moved.T @ moved * len(scores) / (len(scores) - 1) * (students / TWO_SIDED) ** 2
             )
             wider = np.sqrt(
-                np.maximum(np.diag(by_clusters) / np.maximum(np.diag(found), 1e-300), 1.0)
+                np.maximum(np.diag(by_clusters) / np.maximum(np.diag(spread), 1e-300), 1.0)
             )
-            found = found * wider[:, None] * wider
-    return found
+            spread = spread * wider[:, None] * wider
+    return spread
 
 
 def _inverse(information: Array) -> Array:
-    """Of a normal matrix; a number that nothing determines has the variance UNKNOWN."""
-    told = np.diag(information) > NOTHING
-    found = np.diag(np.where(told, 0.0, UNKNOWN))
-    if told.any():
-        part = information[np.ix_(told, told)]
+    """The inverse of a normal matrix `(free, free)`; a number that nothing determines has the
+    variance UNKNOWN."""
+    informed = np.diag(information) > NOTHING
+    inverse = np.diag(np.where(informed, 0.0, UNKNOWN))
+    if informed.any():
+        part = information[np.ix_(informed, informed)]
         size = np.sqrt(np.diag(part))
-        found[np.ix_(told, told)] = (
+        inverse[np.ix_(informed, informed)] = (
             np.linalg.inv(part / size[:, None] / size + RIDGE * np.eye(len(size)))
             / size[:, None]
             / size
         )
-    return np.asarray(found)
+    return np.asarray(inverse)

@@ -75,7 +75,7 @@ def locate(
     strides = strides_of(plant, search, base.fit, episodes)
     force, moved = _by_joint(strides)
     worst = int(np.argmax(force))
-    found: dict[str, Json] = {
+    where: dict[str, Json] = {
         "channels": _channels(plant, search, nominal),
         "ports": _ports(search, base),
         "regions": _regions(strides, worst),
@@ -90,17 +90,17 @@ def locate(
             np.sqrt(force),
             strict=True,
         )
-        found["joints"] = [
+        where["joints"] = [
             {"joint": n, "force": float(f), "acceleration": float(a), "of_motion": float(m)}
             for n, f, a, m in shares
         ]
-        found["regions_of"] = plant.joint_name(worst)
-        found["pushed"] = _pushed(
+        where["regions_of"] = plant.joint_name(worst)
+        where["pushed"] = _pushed(
             plant,
             strides if winner is base else strides_of(plant, search, winner.fit, episodes),
             episodes,
         )
-    return found
+    return where
 
 
 def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]:
@@ -131,7 +131,7 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
                             float(t[run[-1]]) + stride / 2.0,
                         )
                         pushes.append((count, begin, end, j, float(way * np.max(way * force[run]))))
-    found: list[Json] = []
+    entries: list[Json] = []
     for count, e in enumerate(episodes):
         spans: list[list[float]] = []
         mine = sorted(p for p in pushes if p[0] == count)
@@ -149,7 +149,7 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
             joints: list[Json] = [
                 {"joint": plant.joint_name(j), "force": force} for j, force in sorted(by.items())
             ]
-            found.append(
+            entries.append(
                 {
                     "episode": e.digest,
                     "from_s": round(begin, 2),
@@ -157,7 +157,7 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
                     "joints": joints,
                 }
             )
-    return found
+    return entries
 
 
 def _by_joint(s: Strides) -> tuple[Array, Array]:
@@ -258,17 +258,17 @@ def _regions(s: Strides, j: int) -> list[Json]:
     fine = np.isfinite(energy)
     parts = regions(s.q[:, j], s.v[:, j], s.u[:, j], s.t, s.use[:, j], s.turned[:, j])
     whole_ = max(float(energy[fine].sum()), 1e-300)
-    found: list[tuple[float, Json]] = []
+    lifts: list[tuple[float, Json]] = []
     for name, inside in parts.items():
         time, share = float((inside & fine).mean()), float(energy[inside & fine].sum() / whole_)
         if time > 0.0:
-            found.append(
+            lifts.append(
                 (
                     share / time,
                     {"region": name, "share": share, "of_time": time, "lift": share / time},
                 )
             )
-    return [entry for _, entry in sorted(found, key=lambda pair: -pair[0])]
+    return [entry for _, entry in sorted(lifts, key=lambda pair: -pair[0])]
 
 
 def _bands(s: Strides, j: int) -> list[Json]:
@@ -294,7 +294,7 @@ def _bands(s: Strides, j: int) -> list[Json]:
                 axis=1
             )
     share = energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
-    found: list[Json] = []
+    entries: list[Json] = []
     for low, high, residual, motion in zip(edges[:-1], edges[1:], *share, strict=True):
         name = (
             f"below {high:g} Hz"
@@ -303,5 +303,5 @@ def _bands(s: Strides, j: int) -> list[Json]:
             if high == np.inf
             else f"{low:g} to {high:g} Hz"
         )
-        found.append({"band": name, "share": float(residual), "of_motion": float(motion)})
-    return found
+        entries.append({"band": name, "share": float(residual), "of_motion": float(motion)})
+    return entries

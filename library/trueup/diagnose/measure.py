@@ -62,7 +62,7 @@ class Gap:
         return self.before <= self.floor
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The gap as JSON, a field of the report."""
         return {
             "metric": "normalised rollout RMS, held out",
             "horizon_s": self.horizon_s,
@@ -125,17 +125,17 @@ def windows_of(
     """Windows of each episode at each multiple of the horizon; without beginnings, or without an
     observed velocity, the first only if it is alone.
     """
-    found = []
+    every = []
     for e in episodes:
         first = starts_every(e.t_s[:-1], horizon_s)
-        found.append(
+        every.append(
             cut(
                 plant,
                 e,
                 first if (beginnings and is_observed(plant, e)) or len(first) == 1 else first[1:],
             )
         )
-    return found
+    return every
 
 
 def _by_channel(predictor: Predictor, windows: Sequence[Windows], motion: Array) -> Array:

@@ -50,10 +50,11 @@ class Experiment:
     separation: float
     check_first: tuple[str, ...] = ()
 
-    def document(self, path: str | None, told: Callable[[str], Json] = str) -> dict[str, Json]:
-        """The same as JSON, with the command file's path; `told` says how a term is written."""
+    def document(self, path: str | None, written: Callable[[str], Json] = str) -> dict[str, Json]:
+        """The experiment as JSON, with the command file's path; `written` says how a term is
+        written."""
         return {
-            "splits": [[told(t) for t in s] for s in self.splits],
+            "splits": [[written(t) for t in s] for s in self.splits],
             "why": self.why,
             "separation": self.separation,
             "command": path if self.command is not None else None,
@@ -101,12 +102,12 @@ def next_experiment(
         command = np.asarray(
             followed(np.ascontiguousarray(command), ground.issued[0], bounds.rate * ground.period_s)
         )
-        found, inside = _separation(
+        parted, inside = _separation(
             quality, search, choice.winner, rival, replace(ground, issued=command), bounds
         )
-        beyond = beyond if inside else max(beyond, found)
-        if inside and found > separation:
-            best, separation = command, found
+        beyond = beyond if inside else max(beyond, parted)
+        if inside and parted > separation:
+            best, separation = command, parted
     seconds = float(ground.t_s[-1])
     kept = "declared envelope" if _declared(plant, bounds) else "recorded range"
     if best is None or separation < DETECTABLE:

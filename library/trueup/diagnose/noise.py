@@ -128,20 +128,20 @@ def _fitted(correlation: float, strides: Sequence[int], powers: Array) -> tuple[
     """How far powers over the strides are from noise of a correlation and one kind of motion
     beside, and the noise's part of the first."""
     noise = np.array([gain(correlation, stride) for stride in strides]) / gain(correlation)
-    found = []
+    fits = []
     for growth in DATA_QUALITY.motion_growth:
         motion = np.array(strides, np.float64) ** growth
         design = np.stack([noise, motion], axis=1) / powers[:, None]
         sizes = np.maximum(_two(design), 0.0)
         if not sizes.all():  # one of them alone
             sizes = np.array([float(design[:, 0].sum() / (design[:, 0] ** 2).sum()), 0.0])
-        found.append(
+        fits.append(
             (
                 float(np.sum((design @ sizes - 1.0) ** 2)),
                 float(np.clip(sizes[0] / powers[0], 0.0, 1.0)),
             )
         )
-    return min(found)
+    return min(fits)
 
 
 def _two(design: Array) -> Array:

@@ -58,7 +58,7 @@ def regions_of_samples(plant: Plant, episode: Episode) -> dict[str, NDArray[np.b
         used(applied, episode),
         max(1, round(EVIDENCE.around_reversal_s / episode.period_s / 2.0)),
     )
-    found: dict[str, NDArray[np.bool_]] = {}
+    inside_of: dict[str, NDArray[np.bool_]] = {}
     for joint in range(count):
         q, v = states[:, joint], states[:, count + joint]
         crossed = np.concatenate([[0.0], (v[:-1] * v[1:] < 0.0).astype(float)])
@@ -66,7 +66,7 @@ def regions_of_samples(plant: Plant, episode: Episode) -> dict[str, NDArray[np.b
         of = regions(
             q, v, applied[:, joint], episode.t_s / episode.t_s[-1], use[:, joint], turned[: len(q)]
         )
-        found |= {
+        inside_of |= {
             f"{plant.joint_name(joint)}: {name}" if count > 1 else name: inside
             for name, inside in of.items()
         }
@@ -76,4 +76,4 @@ def regions_of_samples(plant: Plant, episode: Episode) -> dict[str, NDArray[np.b
         outside |= (episode.observations[:, column] < low) | (
             episode.observations[:, column] > high
         )
-    return found | {"outside the envelope": outside}
+    return inside_of | {"outside the envelope": outside}

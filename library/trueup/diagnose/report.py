@@ -67,7 +67,7 @@ def report(
         "verdict": str(verdict),
         "effects": list(named),
         "indistinguishable": [
-            [*(told(plant, t) for t in a), *extra]
+            [*(named_term(plant, t) for t in a), *extra]
             for a in indistinguishable(choice, len(plant.joints))
         ],
         "excluded": [b.document() for b in excluded],
@@ -76,7 +76,7 @@ def report(
         **({"mjcf": patch.document()} if plant.family == "mjcf" else {}),
         "where": dict(where),
         "gap": gap.document(),
-        "next_experiment": experiment.document(COMMAND_FILE, lambda t: told(plant, t))
+        "next_experiment": experiment.document(COMMAND_FILE, lambda t: named_term(plant, t))
         if experiment
         else None,
         "evidence": {
@@ -127,7 +127,7 @@ def _left_out(plant: Plant) -> Json:
     return nominal.get("left_out", []) if isinstance(nominal, Mapping) else []
 
 
-def told(plant: Plant, term: str) -> Json:
+def named_term(plant: Plant, term: str) -> Json:
     """A term as a report has it: the effect's name, with its joint where there are several."""
     return (
         {"effect": kind(term).name, "joint": plant.joint_name(joint(term))}
@@ -189,7 +189,7 @@ def _row(plant: Plant, c: Candidate, winner: Candidate, *, in_set: bool) -> Json
     worse = c.check.costs - winner.check.costs
     half = TWO_SIDED * float(np.sqrt(len(worse) * np.var(worse))) / c.check.samples
     return {
-        "effects": [told(plant, t) for t in c.hypothesis.effects],
+        "effects": [named_term(plant, t) for t in c.hypothesis.effects],
         "parameters": "fitted",
         "misfit": _finite(c.total),
         "validation": _finite(c.reduced_chi_square),

@@ -238,7 +238,7 @@ class Search:
             candidate = least
 
     def _smaller(self, candidate: Candidate) -> list[Candidate]:
-        """Those with one effect less that are better than what was found."""
+        """Candidates with one effect less, where they are better than what was found."""
         better = []
         for name in candidate.hypothesis.effects:
             smaller = candidate.hypothesis.without(name)

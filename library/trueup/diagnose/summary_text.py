@@ -131,14 +131,14 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
     push = (
         "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
     )
-    found = [push.format(when) for when in _pushed(document)]
+    sentences = [push.format(when) for when in _pushed(document)]
     evidence, gap = document["evidence"], document["gap"]
     episodes = (
         evidence["episodes"] if "timestep_s" in evidence else []
     )  # a report of before does not tell its clock
-    late = [told for e in episodes if (told := off_step(e["period_s"], evidence["timestep_s"]))]
+    late = [off for e in episodes if (off := off_step(e["period_s"], evidence["timestep_s"]))]
     if late:
-        found.append(
+        sentences.append(
             f"{len(late)} of {len(episodes)} episodes are off the declared step, the first "
             f"{late[0]}."
         )
@@ -146,7 +146,7 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
         gap["before"] > EVIDENCE.clearly_above_floor * gap["floor"]
         and gap["parameters_only"] > EVIDENCE.misleading * gap["before"]
     ):
-        found.append(
+        sentences.append(
             "New numbers alone are worse held out than the nominal model "
             f"({short(gap['parameters_only'])}, was {short(gap['before'])}): "
             "they bend to what the form lacks; do not use them without it."
@@ -155,31 +155,31 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
         channel: part for channel, part in evidence.get("noise_correlation", {}).items() if part
     }
     if coloured:
-        told = ", ".join(f"{part:.2g} of it in {channel}" for channel, part in coloured.items())
-        found.append(
-            f"Noise goes on from one sample to the next ({told}): weights, noise floor and "
+        parts = ", ".join(f"{part:.2g} of it in {channel}" for channel, part in coloured.items())
+        sentences.append(
+            f"Noise goes on from one sample to the next ({parts}): weights, noise floor and "
             "intervals take that into account."
         )
     off = next((c["off"] for c in evidence.get("convergence", [])), None)
     if off is not None and off > EVIDENCE.off_minimum:
-        found.append(
+        sentences.append(
             f"The fit of the answer ended {short(off)} half-widths from its minimum: its "
             "cost is too rough there for a proof."
         )
-    return found
+    return sentences
 
 
 def _pushed(document: Mapping[str, Any]) -> list[str]:
     """When something outside pushes a robot, in words."""
     roles = {e["sha256"]: e["role"] for e in document["evidence"]["episodes"]}
-    found = []
+    phrases = []
     for push in document["where"].get("pushed", []):
         joints = " and ".join(f"{j['joint']} by {j['force']:.2g}" for j in push["joints"])
-        found.append(
+        phrases.append(
             f"{roles[push['episode']]} episode {push['episode'][:12]}, {push['from_s']:g} to "
             f"{push['to_s']:g} s: {joints}"
         )
-    return found
+    return phrases
 
 
 def unit(text: str) -> str:

@@ -73,9 +73,14 @@ def _of_tree(dynamics: CompiledTree, plant: Plant, episodes: Sequence[Episode]) 
     felt = FELT_ON_MACHINE if is_physical(episodes) else FELT
     single, low = _single(dynamics.tree, plant, episodes)
     alone = np.flatnonzero((np.linalg.norm(design, axis=0) > felt) & single)
-    told, shown = design[:, alone], _shown(design, felt)
+    by_themselves, shown = design[:, alone], _shown(design, felt)
     combined = _shown(
-        np.where(single, 0.0, design - told @ np.linalg.lstsq(told, design, rcond=None)[0]), felt
+        np.where(
+            single,
+            0.0,
+            design - by_themselves @ np.linalg.lstsq(by_themselves, design, rcond=None)[0],
+        ),
+        felt,
     )
     names = [f"combination {i + 1}" for i in range(len(combined))] + [
         plant.dynamics.parameter_names[i] for i in alone
@@ -109,16 +114,16 @@ def _single(
     links weigh.
     """
     joints, first = len(plant.joints), LINK * len(plant.joints)
-    found, low = np.zeros(len(plant.parameters), np.bool_), np.zeros(len(plant.parameters))
+    single, low = np.zeros(len(plant.parameters), np.bool_), np.zeros(len(plant.parameters))
     for number in (ARMATURE, DAMPING, FRICTION):
-        found[first + number :: JOINT] = True
+        single[first + number :: JOINT] = True
     poses = np.concatenate(
         [smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), :joints] for e in episodes]
     )
     masses = np.einsum("njj->nj", mass_matrix(tree, poses[np.isfinite(poses).all(axis=1)]))
     given = np.array(plant.parameters)[first + ARMATURE :: JOINT]
     low[first + ARMATURE :: JOINT] = -LIGHTEST * (masses.min(axis=0) - given)
-    return found, low
+    return single, low
 
 
 def _all_gains(plant: Plant, size: Array) -> Array:
@@ -138,11 +143,11 @@ def sizes(tree: Tree, inertia: Array) -> Array:
     mass = float(np.mean(given[: LINK * joints].reshape(-1, LINK)[:, 0]))
     length = float(np.mean(np.linalg.norm(tree.constants[:, FRAME + 9 : ZERO], axis=1))) or 0.1
     link = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
-    found = np.concatenate([np.tile(link, joints), np.zeros(JOINT * joints)])
+    size = np.concatenate([np.tile(link, joints), np.zeros(JOINT * joints)])
     for j in range(joints):
         at = given[LINK * joints + JOINT * j :][:JOINT]
         own = inertia[j]
-        to = found[LINK * joints + JOINT * j :]
+        to = size[LINK * joints + JOINT * j :]
         to[ARMATURE] = max(at[ARMATURE], 0.1 * own)
         to[DAMPING] = max(at[DAMPING], own)  # a joint whose speed would halve in about a second
         to[GAIN], to[SERVO], to[STIFFNESS], to[FRICTION] = (
@@ -151,7 +156,7 @@ def sizes(tree: Tree, inertia: Array) -> Array:
             abs(at[STIFFNESS]),
             abs(at[FRICTION]),
         )
-    return found
+    return size
 
 
 def regression(plant: Plant, episodes: Sequence[Episode]) -> tuple[Array, Array]:

@@ -69,15 +69,21 @@ def minima(
     is looked for.
     """
     fixed = list(fixed)
-    found = [converge(fitter, data, fit, fixed)]
-    for values in _far_starts(found[0]) if found[0].proven else ():
+    converged = [converge(fitter, data, fit, fixed)]
+    for values in _far_starts(converged[0]) if converged[0].proven else ():
         descended = fitter.fit(
-            data, fit.hypothesis, values, found[0].starts, iterations=DESCENT, fixed=fixed
+            data, fit.hypothesis, values, converged[0].starts, iterations=DESCENT, fixed=fixed
         )
-        if descended.cost < found[0].cost + FURTHEST * DISTINCT * _residual_variance(found[0]):
-            found.append(converge(fitter, data, descended, fixed))
-    found.sort(key=lambda f: f.cost)
-    alike = [f for f in found if f.cost <= found[0].cost + DISTINCT * _residual_variance(found[0])]
+        if descended.cost < converged[0].cost + FURTHEST * DISTINCT * _residual_variance(
+            converged[0]
+        ):
+            converged.append(converge(fitter, data, descended, fixed))
+    converged.sort(key=lambda f: f.cost)
+    alike = [
+        f
+        for f in converged
+        if f.cost <= converged[0].cost + DISTINCT * _residual_variance(converged[0])
+    ]
     return [
         f for i, f in enumerate(alike) if not any(_same_minimum(f, other) for other in alike[:i])
     ]
@@ -255,8 +261,8 @@ def _starts_at_rest(
     cost: float,
     *beginnings: Mapping[str, Start],
 ) -> dict[str, Start]:
-    """Of each episode what its windows start from at rest: from the first of some beginnings, from
-    the next where that cost more than before, and from what lies around the best.
+    """What each episode's windows start from, at rest: from the first of some beginnings, from the
+    next where that cost more than before, and from what lies around the best.
     """
     at_rest = partial(
         estimate_starts,
@@ -278,7 +284,7 @@ def _starts_at_rest(
 
 
 def _cheaper_by_episode(one: RolloutFit, other: RolloutFit) -> RolloutFit:
-    """Of each episode the starts that cost less."""
+    """A fit with the starts of the one or the other, by episode those that cost less."""
     ours, its = one.by_episode, other.by_episode
     starts = {key: (one if ours[key] <= its[key] else other).starts[key] for key in one.starts}
     return replace(one, starts=starts, cost=sum(min(ours[key], its[key]) for key in starts))

@@ -43,7 +43,7 @@ class Identification:
     health: tuple[str, ...]
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The identification as JSON."""
         estimates: dict[str, Json] = {
             name: {
                 "value": value,
@@ -94,18 +94,18 @@ def _identify_family(
     data = transitions(plant, episodes)
     progress(0.5)
     design, target = _regression(dynamics, plant, data)
-    found = solve(design, target, data.span)
+    solution = solve(design, target, data.span)
     names = plant.dynamics.parameter_names
-    if found.rank < len(names) or found.condition > WORST_CONDITION:
+    if solution.rank < len(names) or solution.condition > WORST_CONDITION:
         raise NotIdentifiable(
             (
-                f"the regression has rank {found.rank} of {len(names)} and condition "
-                f"{found.condition:.3g}"
+                f"the regression has rank {solution.rank} of {len(names)} and condition "
+                f"{solution.condition:.3g}"
             ),
-            rank=found.rank,
-            condition=found.condition,
+            rank=solution.rank,
+            condition=solution.condition,
         )
-    values = tuple(float(x) for x in found.values)
+    values = tuple(float(x) for x in solution.values)
     health = (
         ()
         if plant.is_stable(values) or not plant.is_stable()
@@ -113,11 +113,11 @@ def _identify_family(
     )
     pairs = (
         dict(zip(names, values, strict=True)),
-        dict(zip(names, map(float, found.half_widths), strict=True)),
+        dict(zip(names, map(float, solution.half_widths), strict=True)),
     )
     progress(1.0)
     return Identified(plant, values), Identification(
-        *pairs, found.rank, found.condition, found.residual_rms, len(target), health
+        *pairs, solution.rank, solution.condition, solution.residual_rms, len(target), health
     )
 
 
@@ -161,20 +161,20 @@ def _identify_tree(
     nominal = np.array(plant.parameters)
     missing = dynamics.tree.constants[:, OFFSET] - columns @ nominal
     design = (columns @ ways.along.T / scale[:, None]).reshape(-1, len(ways.names))
-    found = solve(design, (missing / scale).reshape(-1), len(plant.joints))
-    values = nominal + found.values @ ways.along
+    solution = solve(design, (missing / scale).reshape(-1), len(plant.joints))
+    values = nominal + solution.values @ ways.along
     single = ways.alone >= 0
     values[ways.alone[single]] = np.maximum(values[ways.alone[single]], ways.low[single])
-    widths = np.sqrt((found.half_widths**2) @ ways.along**2)
+    widths = np.sqrt((solution.half_widths**2) @ ways.along**2)
     progress(1.0)
-    told = [i for i in range(len(nominal)) if ways.determined[i]]
+    determined = [i for i in range(len(nominal)) if ways.determined[i]]
     names = plant.dynamics.parameter_names
     document = Identification(
-        {names[i]: float(values[i]) for i in told},
-        {names[i]: float(widths[i]) for i in told},
-        found.rank,
-        found.condition,
-        found.residual_rms,
+        {names[i]: float(values[i]) for i in determined},
+        {names[i]: float(widths[i]) for i in determined},
+        solution.rank,
+        solution.condition,
+        solution.residual_rms,
         len(design),
         _sound(plant, values, episodes),
     )

@@ -100,8 +100,8 @@ def best_of_scattered(
     values: Array,
     starts: Mapping[str, Start],
 ) -> dict[str, Start]:
-    """Of each window of one joint the best of starts around its own, one in each lane: descent of a
-    start ends in the nearest valley.
+    """The best start of each window of one joint, among starts around its own, one in each lane:
+    descent of a start ends in the nearest valley.
 
     Those of a state go as far as SCATTERED standard deviations of its noise, of one that was not
     observed as its scale. Several joints have too many, and stay where they are.

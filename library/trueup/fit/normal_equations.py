@@ -95,11 +95,12 @@ class Errors:
         )
 
     def renewed(self, out: Array, inverse: Array, lanes: Lanes, old: KeptDerivatives) -> Array:
-        """The same sums, with what was kept and the new derivatives of `lanes`."""
+        """Sums of outer products by window as `summed` gives them, of derivatives that were kept and
+        the new ones of `lanes`."""
         (windows, many), fresh = old.products.shape[:2], len(lanes)
-        found = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
-        found[:, :many, :many] = old.products
-        _summed(out, *self._arguments(), inverse, lanes, np.zeros_like(lanes), old.rows, found)
+        ordered = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
+        ordered[:, :many, :many] = old.products
+        _summed(out, *self._arguments(), inverse, lanes, np.zeros_like(lanes), old.rows, ordered)
         behind = (
             1 + old.first + fresh
         )  # where the starts' begin; before them the new ones, and the error first of all
@@ -111,15 +112,15 @@ class Errors:
                 *range(1 + old.first, behind),
             ]
         )
-        into = np.empty_like(found)
-        into[:, at[:, None], at] = found
+        into = np.empty_like(ordered)
+        into[:, at[:, None], at] = ordered
         return into
 
     def costs(self, out: Array, windows: int) -> Array:
         """Sums of squared errors of each window and lane of a rollout, `(windows, lanes)`."""
-        found = np.zeros((windows, out.shape[2]))
-        _costs(out, *self._arguments(), found)
-        return found
+        costs = np.zeros((windows, out.shape[2]))
+        _costs(out, *self._arguments(), costs)
+        return costs
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +157,7 @@ class NormalEquations:
         return float(self.costs(episode).sum() + np.sum((self.began[episode] / self.scales) ** 2))
 
     def mixed(self, other: NormalEquations, episodes: Iterable[str]) -> NormalEquations:
-        """The same with some episodes from another."""
+        """These equations with some episodes' parts from another place."""
         parts, began = (
             {**mine, **{e: its[e] for e in episodes}}
             for mine, its in ((self.parts, other.parts), (self.began, other.began))

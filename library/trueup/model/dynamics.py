@@ -246,7 +246,7 @@ class CompiledTree(Dynamics):
         return np.asarray(mass_matrix(moved, q) / self.form.sizes[None, :, None])
 
     def step(self, state: Array, applied: Array, parameters: Array, h_s: Array | float) -> Array:
-        """The same in numpy: the compiled rollout's reference."""
+        """State after `h_s` [s], in numpy: the compiled rollout's reference."""
         joints, tree = self.joints, self.tree
         given = np.broadcast_to(parameters.T, (len(state), len(parameters)))
         q, v = state[:, :joints], state[:, joints:]
@@ -303,7 +303,7 @@ class CompiledTree(Dynamics):
         resets[::samples] = np.arange(windows)
         issued = np.ascontiguousarray(applied.reshape(-1, joints))
         off, observed = np.zeros((len(effects()), joints), np.uint8), np.zeros((len(t), 2 * joints))
-        found = np.empty((len(parameters), windows, samples, 2 * joints))
+        states = np.empty((len(parameters), windows, samples, 2 * joints))
         for first in range(0, len(parameters), BLOCK):
             some = parameters[first : first + BLOCK]
             p = np.repeat(self.form.block.nulls[:, None], BLOCK, axis=1)
@@ -318,10 +318,10 @@ class CompiledTree(Dynamics):
                 np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False,
                 np.zeros((1, joints, 4, 2)), observed, out,
             )  # fmt: skip
-            found[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(
+            states[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(
                 -1, windows, samples, 2 * joints
             )
-        return found
+        return states
 
 
 def _after_dry_friction(inverse_mass: Array, held: Array, v: Array) -> Array:
@@ -420,13 +420,13 @@ def regressors(tree: Tree, q: Array, v: Array, a: Array, *, gravity: bool = True
 def _wrench(w: Array, e: Array, a: Array) -> Array:
     """Force and moment on a link by each of its ten inertial numbers, `(n, 6, 10)`."""
     n = len(w)
-    found = np.zeros((n, 6, LINK))
-    found[:, :3, 0] = a
+    wrench = np.zeros((n, 6, LINK))
+    wrench[:, :3, 0] = a
     skew = _skew(e) + _skew(w) @ _skew(w)
-    found[:, :3, 1:4] = skew
-    found[:, 3:, 1:4] = -_skew(a)
-    found[:, 3:, 4:] = _dot(e) + _skew(w) @ _dot(w)
-    return found
+    wrench[:, :3, 1:4] = skew
+    wrench[:, 3:, 1:4] = -_skew(a)
+    wrench[:, 3:, 4:] = _dot(e) + _skew(w) @ _dot(w)
+    return wrench
 
 
 def _skew(x: Array) -> Array:

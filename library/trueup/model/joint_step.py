@@ -48,8 +48,8 @@ class Joint:
         for effect, values in self.effects:
             if effect.delays():
                 given = {"lag_s": lag_s, "past": 0.0, "period": self.period_s, **values}
-                found = effect.apply(*(given[name] for name in effect.arguments()))
-                lag_s = found[0] if effect.states else found
+                after = effect.apply(*(given[name] for name in effect.arguments()))
+                lag_s = after[0] if effect.states else after
         return float(lag_s)
 
     def begin(self, v: Any, u: Any) -> dict[str, Any]:
@@ -108,13 +108,13 @@ class Joint:
         and memory."""
         signals, kept = {"q": q, "v": v, "t": t, "since": self.period_s}, dict(memory)
         for effect, values in self._at(Port.OBSERVATION):
-            found = effect.apply(
+            after = effect.apply(
                 *(_value(effect, values, name, signals, kept) for name in effect.arguments())
             )
-            signals["q"], signals["v"] = found[:2]
+            signals["q"], signals["v"] = after[:2]
             kept |= {
                 f"{effect.name}.{state}": value
-                for state, value in zip(effect.states, found[2:], strict=True)
+                for state, value in zip(effect.states, after[2:], strict=True)
             }
         return signals["q"], signals["v"], kept
 
@@ -127,14 +127,14 @@ class Joint:
 
     def _act(self, port: Port, signals: dict[str, Any], memory: dict[str, Any]) -> None:
         for effect, values in self._at(port):
-            found = effect.apply(
+            after = effect.apply(
                 *(_value(effect, values, name, signals, memory) for name in effect.arguments())
             )
-            signals[SIGNAL[port]] = found[0] if effect.states else found
+            signals[SIGNAL[port]] = after[0] if effect.states else after
             if effect.states:
                 memory |= {
                     f"{effect.name}.{state}": value
-                    for state, value in zip(effect.states, found[1:], strict=True)
+                    for state, value in zip(effect.states, after[1:], strict=True)
                 }
 
 

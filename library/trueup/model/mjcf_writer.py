@@ -69,8 +69,10 @@ def write(path: Path, patch: Patch, heading: Sequence[str]) -> Written:
     again = engine.MjSpec.from_string(changed)
     again.modelfiledir = str(path.parent)
     left = [*patch.left, *_lost(engine, model, again.compile(), patch)]
-    told = [*heading, *(f"not expressed: {e}" for e in left)]
-    comment = "<!--\n" + "\n".join(f"  {line.replace('--', '- -')}" for line in told) + "\n-->\n"
+    comments = [*heading, *(f"not expressed: {e}" for e in left)]
+    comment = (
+        "<!--\n" + "\n".join(f"  {line.replace('--', '- -')}" for line in comments) + "\n-->\n"
+    )
     root = tags(changed)[0].first
     encoded = changed.encode()
     result = (encoded[:root] + comment.encode() + encoded[root:]).decode()
@@ -90,20 +92,20 @@ def write(path: Path, patch: Patch, heading: Sequence[str]) -> Written:
 
 def tags(text: str) -> list[Tag]:
     """Every start tag of a text, in its order."""
-    found: list[Tag] = []
+    every: list[Tag] = []
     open_: list[int] = [-1]
     data = text.encode()
     parser = expat.ParserCreate("utf-8")
 
     def began(name: str, attributes: dict[str, str]) -> None:
         first = parser.CurrentByteIndex
-        found.append(Tag(name, attributes, first, _end(data, first), open_[-1]))
-        open_.append(len(found) - 1)
+        every.append(Tag(name, attributes, first, _end(data, first), open_[-1]))
+        open_.append(len(every) - 1)
 
     parser.StartElementHandler = began
     parser.EndElementHandler = lambda _: open_.pop()
     parser.Parse(data, True)
-    return found
+    return every
 
 
 def _end(data: bytes, first: int) -> int:
@@ -122,21 +124,21 @@ def _end(data: bytes, first: int) -> int:
 def _stands(text: str, patch: Patch) -> bool:
     """Whether every element that changes is a tag of an MJCF's own text."""
     try:
-        found = tags(text)
+        every = tags(text)
     except expat.ExpatError:
         return False
     joints = {
-        t.attributes.get("name") for t in found if t.name == "joint" and "joint" not in t.attributes
+        t.attributes.get("name") for t in every if t.name == "joint" and "joint" not in t.attributes
     }
-    driven = {t.attributes.get("joint") for t in found if t.name in ACTUATORS}
+    driven = {t.attributes.get("joint") for t in every if t.name in ACTUATORS}
     wanted = {c.joint for c in patch.changes}
     acted = {c.joint for c in patch.changes if c.element == "actuator"}
-    return found[0].name == "mujoco" and wanted <= joints and acted <= driven
+    return every[0].name == "mujoco" and wanted <= joints and acted <= driven
 
 
 def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
     """The text with every change made."""
-    found = tags(text)
+    every = tags(text)
     edits: list[tuple[int, int, str]] = []
     sections: list[str] = []
     for j in range(model.njnt):
@@ -144,7 +146,7 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
         tag = next(
             (
                 t
-                for t in found
+                for t in every
                 if t.name == "joint"
                 and t.attributes.get("name") == name
                 and "joint" not in t.attributes
@@ -164,7 +166,7 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
         acts = patch.of(name, "actuator")
         if acts:
             at = next(
-                (t for t in found if t.name in ACTUATORS and t.attributes.get("joint") == name),
+                (t for t in every if t.name in ACTUATORS and t.attributes.get("joint") == name),
                 None,
             )
             given = {k: v for k, v in at.attributes.items() if k in KEPT} if at else {"name": name}
@@ -199,7 +201,7 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
             else:
                 sections.append(f"<actuator>{element}</actuator>")
         sections += _sections(model, name, patch)
-    edits += _inertials(engine, model, text, found, patch)
+    edits += _inertials(engine, model, text, every, patch)
     data = text.encode()
     for first, last, replaced in sorted(edits, reverse=True):
         data = data[:first] + replaced.encode() + data[last:]
@@ -351,7 +353,7 @@ def _sections(model: Any, name: str, patch: Patch) -> list[str]:
 
 
 def _inertials(
-    engine: Any, model: Any, text: str, found: list[Tag], patch: Patch
+    engine: Any, model: Any, text: str, every: list[Tag], patch: Patch
 ) -> list[tuple[int, int, str]]:
     """Edits that give each changed link's body what its link has more than the bodies welded on to
     it."""
@@ -365,7 +367,7 @@ def _inertials(
         at = next(
             (
                 i
-                for i, t in enumerate(found)
+                for i, t in enumerate(every)
                 if t.name == "joint" and t.attributes.get("name") == name
             ),
             -1,
@@ -376,8 +378,8 @@ def _inertials(
         for other in range(1, model.nbody):
             if link_of[other] == j and other != body:
                 own = own - seen_from(model, data, other, axes[j], data.xanchor[j])
-        holder = next(i for i in _above(found, at) if found[i].name == "body")
-        inertial = next((t for t in found if t.name == "inertial" and t.parent == holder), None)
+        holder = next(i for i in _above(every, at) if every[i].name == "body")
+        inertial = next((t for t in every if t.name == "inertial" and t.parent == holder), None)
         element = _inertial(
             own, data.xmat[body].reshape(3, 3), data.xpos[body], axes[j], data.xanchor[j]
         )
@@ -386,15 +388,15 @@ def _inertials(
                 (inertial.first, inertial.last, _tag("inertial", element, _closed(text, inertial)))
             )
         else:
-            here = found[holder].last
+            here = every[holder].last
             edits.append((here, here, _tag("inertial", element, True)))
     return edits
 
 
-def _above(found: Sequence[Tag], at: int) -> list[int]:
+def _above(every: Sequence[Tag], at: int) -> list[int]:
     """A tag's parents, the nearest first."""
     line = []
-    while (at := found[at].parent) >= 0:
+    while (at := every[at].parent) >= 0:
         line.append(at)
     return line
 

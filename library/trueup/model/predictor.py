@@ -63,13 +63,13 @@ class Predictor(ABC):
     def run(self, initial: Array, issued: Array) -> Array:
         """States `(samples, states)` from one `(states,)` on, under commands `(samples, commands)`
         each held for a declared step."""
-        found = [initial]
+        states = [initial]
         for u in issued[:-1]:
             with np.errstate(
                 over="ignore", invalid="ignore"
             ):  # running away is an answer: it ends as inf or nan
-                found.append(self.predict_batch(found[-1][None], u[None])[0])
-        return np.stack(found)
+                states.append(self.predict_batch(states[-1][None], u[None])[0])
+        return np.stack(states)
 
     @abstractmethod
     def rollout(self, windows: Windows) -> Array:

@@ -47,7 +47,8 @@ class StepFunction:
 
     @staticmethod
     def of(predictor: Predictor) -> StepFunction:
-        """Of a predictor of a family. Raises NotExportable for a robot given as MJCF."""
+        """The step function of a predictor of a family. Raises NotExportable for a robot given as
+        MJCF."""
         plant = predictor.plant
         Corrected.of_numbers(plant, plant.parameters).joint  # noqa: B018  (raises)
         match predictor:
@@ -72,7 +73,7 @@ class StepFunction:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the state's entries, in order."""
+        """Names of the state's entries, in order."""
         return tuple(self.begin(0.0, 0.0, 0.0))
 
     @cached_property
@@ -82,30 +83,30 @@ class StepFunction:
         parts = self.physics.scheme.parts if self.physics else 1
         period, late = self.plant.timestep_s, self.physics.joint.lag_s if self.physics else 0.0
         held = ceil(late / period - TINY)
-        found = []
+        by_part = []
         for part in range(parts):
             begin, end = (x * period / parts - late for x in (part, part + 1))
             overlaps = [
                 max(min(end, (1 - k) * period) - max(begin, -k * period), 0.0)
                 for k in range(held + 1)
             ]
-            found.append(tuple(x / (end - begin) for x in overlaps))
-        return tuple(found)
+            by_part.append(tuple(x / (end - begin) for x in overlaps))
+        return tuple(by_part)
 
     def begin(self, position: Any, velocity: Any, command: Any) -> dict[str, Any]:
         """The state at an episode's first sample; the command, within its limits, has been the
         first one for ever."""
-        found = {POSITION: position, VELOCITY: velocity}
+        state = {POSITION: position, VELOCITY: velocity}
         if self.physics is None:
-            return found
+            return state
         command = self._held(command)
-        found |= self.physics.joint.begin(velocity, command)
+        state |= self.physics.joint.begin(velocity, command)
         remembers = "actuator_delay" in self.physics.hypothesis.effects
-        found |= {
+        state |= {
             f"command {k} before": command if remembers else 0.0 * command
             for k in range(1, len(self.shares[0]))
         }
-        return found | ({TIME: 0.0 * command} if self._asks_time else {})
+        return state | ({TIME: 0.0 * command} if self._asks_time else {})
 
     def step(self, state: State, command: Any) -> tuple[tuple[Any, ...], dict[str, Any]]:
         """What is observed now, in the order of the plant's observations, and the next state, under
