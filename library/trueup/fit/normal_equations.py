@@ -95,8 +95,8 @@ class Errors:
         )
 
     def renewed(self, out: Array, inverse: Array, lanes: Lanes, old: KeptDerivatives) -> Array:
-        """Sums of outer products by window as `summed` gives them, of derivatives that were kept and
-        the new ones of `lanes`."""
+        """Sums of outer products by window as `summed` gives them, of derivatives that were kept
+        and the new ones of `lanes`."""
         (windows, many), fresh = old.products.shape[:2], len(lanes)
         ordered = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
         ordered[:, :many, :many] = old.products
