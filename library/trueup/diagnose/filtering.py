@@ -204,8 +204,7 @@ class _Hidden:
 
 
 def _hidden(model: Corrected, at: int, h: float) -> _Hidden:
-    """How the effect that hides a joint's velocity goes on over `h` [s]; nothing where the log shows
-    the velocity."""
+    """How what hides a joint's velocity goes on over `h` [s]; nothing where the log shows it."""
     for acting in model.hypothesis.effects:
         if kind(acting).hides_velocity and joint_of(acting) == at:
             values = [model.values[row] for row in model.plant.block.rows(acting)]

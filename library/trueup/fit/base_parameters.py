@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from trueup.episode.episode import Episode, is_physical
 from trueup.fit.free_numbers import STEP, Directions
-from trueup.model.dynamics import CompiledTree, Dynamics, mass_matrix, regressors
+from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.rounding import GUESS_BITS, rounded
 from trueup.model.state import smoothed_states
@@ -38,6 +38,7 @@ from trueup.model.tree import (
     ZERO,
     Tree,
 )
+from trueup.model.tree_regressors import mass_matrix, regressors
 
 Array = NDArray[np.float64]
 # over which an acceleration is a mean: short against the motion, long against the noise of a

@@ -16,9 +16,10 @@ from enum import Enum, auto
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.fit.lanes import Task
 from trueup.fit.normal_equations import NormalEquations
 from trueup.fit.rollout_fit import Start
-from trueup.fit.rollouts import Derivatives, Rollouts, Task
+from trueup.fit.rollouts import Derivatives, Rollouts
 
 Array = NDArray[np.float64]
 DAMPING = 1e-3  # of the normal equations' diagonal, at the beginning

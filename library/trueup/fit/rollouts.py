@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from trueup.cores import in_parallel
 from trueup.fit.free_numbers import CORNER_STEP, STEP, Directions, Free
+from trueup.fit.lanes import Lanes, Task
 from trueup.fit.normal_equations import Errors, KeptDerivatives, NormalEquations
 from trueup.fit.rollout_fit import Start
 from trueup.model.block import BLOCK, joint, kind
@@ -49,36 +50,6 @@ class CentralDifferences:
     gradient: Array
     curvature: Array
     diagonal: Array
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """What is fitted to what.
-
-    `states` are the hidden ones whose past is estimated. Derivatives by the first `keeps` free
-    numbers may be kept from one step to the next.
-    """
-
-    data: Sequence[Series]
-    hypothesis: Hypothesis
-    free: Free
-    states: tuple[tuple[str, str], ...]
-    keeps: int
-
-
-@dataclass(frozen=True, slots=True)
-class Lanes:
-    """Parameter vectors `p` `(rows, lanes)` and the `inverse` of each lane's step `(lanes,)`.
-
-    Lane 0 is unperturbed; `starts` lanes of windows' starts follow it, then the lanes `of` numbers,
-    memories and what is screened. `against` are the lanes that their differences are taken from.
-    """
-
-    p: Array
-    inverse: Array
-    of: NDArray[np.int64]
-    starts: int
-    against: NDArray[np.int64]
 
 
 class Rollouts:
@@ -135,42 +106,28 @@ class Rollouts:
 
     def free(self, hypothesis: Hypothesis, fixed: Iterable[tuple[str, str]] = ()) -> Free:
         """What a hypothesis leaves free, the nominal form's numbers first."""
-        kept = set(fixed)
-        rows: list[int] = []
-        names: list[tuple[str, str]] = []
-        steps: list[float] = []
-        bounds: list[tuple[float, float]] = []
-        along: list[Array] = []
-        nothing = np.zeros(self.directions.along.shape[1])
-        ways = self.directions
-        for name, row, way, step, low in zip(
+        fixed, rows = set(fixed), list[tuple[int, str, str, float, float, float, Array]]()
+        ways, nothing = self.directions, np.zeros(self.directions.along.shape[1])
+        for name, row, way, size, low in zip(
             ways.names, ways.alone, ways.along, ways.steps, ways.low, strict=True
         ):
-            if ("", name) not in kept:
-                rows.append(int(row))
-                names.append(("", name))
-                steps.append(float(step))
-                bounds.append((float(low), np.inf))
-                along.append(way)
+            rows.append((int(row), "", name, float(size), float(low), np.inf, way))
         for term in hypothesis.effects:
             effect = kind(term)
             for row, number in zip(self.block.rows(term), effect.params, strict=True):
-                if (term, number.name) in kept:
-                    continue
                 unit = self.unit(term, number.scale)
-                rows.append(row)
-                names.append((term, number.name))
-                steps.append(unit * (CORNER_STEP if number.name in effect.threshold else STEP))
-                bounds.append((number.low * unit, number.high * unit))
-                along.append(nothing)
-        limits, moved = np.array(bounds).reshape(-1, 2), np.array(along).reshape(len(rows), -1)
+                size = unit * (CORNER_STEP if number.name in effect.threshold else STEP)
+                low, high = number.low * unit, number.high * unit
+                rows.append((row, term, number.name, size, low, high, nothing))
+        rows = [row for row in rows if row[1:3] not in fixed]
+        steps, lows, highs = np.array([row[3:6] for row in rows]).reshape(-1, 3).T
         return Free(
-            np.array(rows, np.int64),
-            tuple(names),
-            np.array(steps),
-            limits[:, 0],
-            limits[:, 1],
-            moved,
+            np.array([row[0] for row in rows], np.int64),
+            tuple((row[1], row[2]) for row in rows),
+            steps.copy(),
+            lows.copy(),
+            highs.copy(),
+            np.array([row[6] for row in rows]).reshape(len(rows), -1),
         )
 
     def initial_values(self, parameters: Sequence[float]) -> Array:

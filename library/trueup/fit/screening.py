@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.fit.lanes import Task
 from trueup.fit.normal_equations import RAN_AWAY, NormalEquations
 from trueup.fit.rollout_fit import RolloutFit
-from trueup.fit.rollouts import Derivatives, Rollouts, Task
+from trueup.fit.rollouts import Derivatives, Rollouts
 from trueup.model.block import BLOCK, kind
 from trueup.model.rounding import rounded
 from trueup.model.series import Series

@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.dynamics import inverse_dynamics, regressors
 from trueup.model.tree import ARMATURE, FRAME, JOINT, LINK, ZERO, Tree
+from trueup.model.tree_regressors import inverse_dynamics, regressors
 
 Array = NDArray[np.float64]
 MOMENTS = 60  # of random motion for each joint: more combinations than that there are not

@@ -18,12 +18,12 @@ from trueup.model.dynamics import (
     CompiledTree,
     Dynamics,
     Form,
-    mass_matrix,
     strictly_stable,
 )
 from trueup.model.family import families
 from trueup.model.fields import Reader
 from trueup.model.tree import ZERO, Tree
+from trueup.model.tree_regressors import mass_matrix
 
 Array = NDArray[np.float64]
 INTEGRATOR = "semi_implicit_euler"
