@@ -54,7 +54,7 @@ def _parts() -> Iterator[Parts]:
 
 
 def _now() -> str:
-    from trueup_service.actions.stamp import time_text
+    from trueup_service.actor_context import time_text
 
     return time_text(datetime.now(UTC))
 
@@ -138,7 +138,7 @@ def import_(
     source
         what `trueup export` wrote
     """
-    from trueup_service.actions.stamp import Stamp
+    from trueup_service.actor_context import ActorContext
     from trueup_service.archives import import_plant
 
     with (
@@ -147,7 +147,9 @@ def import_(
         progress("importing") as bar,
     ):
         actor = os.environ.get("TRUEUP_ACTOR") or getpass.getuser()
-        plant = import_plant(parts, archive, project, Stamp(f"command for {actor}", _now()), bar)
+        plant = import_plant(
+            parts, archive, project, ActorContext(f"command for {actor}", _now()), bar
+        )
     log = archive.config["checkpoint"].splitlines()[0]
     as_json({"plant": plant, "from": log}) if as_json_ else say(
         "plant [bold]{}[/] is here, from {}", plant, log

@@ -38,12 +38,12 @@ from trueup.ledger.merkle import inclusion, prove
 from trueup.ledger.rows import KEPT_APART, KEYS, blobs, must_be_named
 from trueup.ledger.verification import verify, verify_part
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import Conflict, NotEmpty, NotWhole
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ImportRecord
-from trueup_service.registry.store import Reader, Writer, writing
+from trueup_service.registry.transaction import ReadTransaction, Transaction, reading, writing
 from trueup_service.signed_log import SignedLog
 from trueup_service.wiring import Parts
 
@@ -64,10 +64,10 @@ def export(
 ) -> str:
     """Write an archive of a registry, or of one plant; its digest. Raises NotFound."""
     with parts.database.snapshot() as connection, ArchiveWriter(path) as archive:
-        reader = Reader(connection)
-        tree = reader.audit_tree()
+        tx = ReadTransaction(connection)
+        tree = tx.log.tree()
         if plant is not None:
-            find.plant_digest(reader, plant)
+            find.plant_digest(tx, plant)
         named: dict[str, str] = {}
         for count, table in enumerate(KEYS):
             told(0.2 * count / len(KEYS), table)
@@ -75,16 +75,16 @@ def export(
                 continue
             rows = [
                 row
-                for row in _rows(reader, t.metadata.tables[table], plant)
+                for row in _rows(tx, t.metadata.tables[table], plant)
                 if plant is None or must_be_named(table, row)
             ]
             archive.add(f"rows/{table}.jsonl", ROWS, lines(rows))
             named |= {digest: KINDS[table] for row in rows for digest in blobs(table, row)}
         for table in BESIDE if plant is None else ():
             archive.add(
-                f"beside/{table}.jsonl", ROWS, lines(_rows(reader, t.metadata.tables[table], None))
+                f"beside/{table}.jsonl", ROWS, lines(_rows(tx, t.metadata.tables[table], None))
             )
-        archive.add("log/entries.jsonl", ENTRIES, lines(_entries(reader, plant, tree.size)))
+        archive.add("log/entries.jsonl", ENTRIES, lines(_entries(tx, plant, tree.size)))
         for count, (digest, kind) in enumerate(sorted(named.items()), 1):
             told(0.2 + 0.8 * count / len(named), f"blob {digest[:12]}")
             size = sum(map(len, parts.blobs.stream(digest)))
@@ -94,17 +94,17 @@ def export(
         config = {
             "plant": plant,
             "key": log.signer.verifier,
-            "endorsements": [key.endorsement for key in reader.audit_keys() if key.endorsement],
-            "checkpoint": log.checkpoint_of(reader, tree),
+            "endorsements": [key.endorsement for key in tx.log.signing_keys() if key.endorsement],
+            "checkpoint": log.checkpoint_of(tx, tree),
             "created_at": now,
         }
         return archive.close(config, log.signer.note)
 
 
-def _rows(reader: Reader, table: Table, plant: str | None) -> Iterator[dict[str, Json]]:
+def _rows(tx: ReadTransaction, table: Table, plant: str | None) -> Iterator[dict[str, Json]]:
     after: list[Any] = []
     while True:
-        found = reader.rows(table, after, AT_ONCE, plant)
+        found = tx.rows.page(table, after, AT_ONCE, plant)
         yield from found
         if len(found) < AT_ONCE:
             return
@@ -113,15 +113,15 @@ def _rows(reader: Reader, table: Table, plant: str | None) -> Iterator[dict[str,
         ]
 
 
-def _entries(reader: Reader, plant: str | None, size: int) -> Iterator[dict[str, Json]]:
+def _entries(tx: ReadTransaction, plant: str | None, size: int) -> Iterator[dict[str, Json]]:
     """All entries, or those of a plant, each with the proof that it is in the log of this size."""
     after = 0
-    while found := reader.audit_entries(after, AT_ONCE, plant):
+    while found := tx.log.entries(after, AT_ONCE, plant):
         for entry in found:
             plan = [] if plant is None else inclusion(entry.sequence - 1, size)
             yield entry_line(
                 entry,
-                prove(plan, reader.audit_nodes([n for part in plan for n in part])) if plan else (),
+                prove(plan, tx.log.nodes([n for part in plan for n in part])) if plan else (),
             )
         after = found[-1].sequence
 
@@ -164,28 +164,28 @@ def restore(parts: Parts, archive: Archive, told: Told) -> int:
     Raises NotEmpty, NotWhole."""
     if archive.plant is not None:
         raise NotWhole("this is an archive of one plant", hint="`trueup import` takes it.")
-    with parts.database.read() as connection:
-        if Reader(connection).audit_tree().size:
+    with reading(parts.database) as tx:
+        if tx.log.tree().size:
             raise NotEmpty
     _take_blobs(parts, archive, told)
     parts.queue.prepare()
-    with writing(parts.database) as writer:
+    with writing(parts.database) as tx:
         for table in t.metadata.sorted_tables:
             if table.name in (*KEYS, *BESIDE):
                 for row in archive.documents(
                     f"{'beside' if table.name in BESIDE else 'rows'}/{table.name}.jsonl"
                 ):
-                    writer.put_row(table, row)
-        writer.put_log(archive.entries(0, archive.head()[0]))
-        jobs = writer.jobs_under_way()
+                    tx.rows.restore_row(table, row)
+        tx.log.restore(archive.entries(0, archive.head()[0]))
+        jobs = tx.jobs.unfinished()
         for job in jobs:
-            found = find.job(writer, job)
-            parts.queue.enqueue(writer.connection, job, found.kind, found.plant)
+            found = find.job(tx, job)
+            parts.queue.enqueue(tx.connection, job, found.kind, found.plant)
     return len(jobs)
 
 
 def import_plant(
-    parts: Parts, archive: Archive, project: str | None, stamp: Stamp, told: Told
+    parts: Parts, archive: Archive, project: str | None, context: ActorContext, told: Told
 ) -> str:
     """Bring a plant in with its whole history; its name. Raises Conflict, NotFound, NotWhole."""
     plant = archive.plant
@@ -197,11 +197,11 @@ def import_plant(
     _take_blobs(parts, archive, told)
     _take(parts.blobs, parts.spool, entries, archive.part(entries))
     note = str(archive.config["checkpoint"])
-    with _taking_over(plant), writing(parts.database) as writer:
-        writer.lock_name(f"plant {plant}")
+    with _taking_over(plant), writing(parts.database) as tx:
+        tx.lock_name(f"plant {plant}")
         if project is not None:
-            find.project(writer, project)
-        if writer.plant(plant) is not None:
+            find.project(tx, project)
+        if tx.plants.get(plant) is not None:
             raise Conflict(
                 f"there is a plant {plant!r} already",
                 hint="A plant is imported once, where there is none of its name.",
@@ -211,11 +211,19 @@ def import_plant(
                 continue
             for row in archive.rows(table.name):
                 if must_be_named(table.name, row):
-                    writer.add_row(table, {**row, "project": project} if table is t.plants else row)
-                    _note_uses(writer, table, row)
-        writer.add_import(
+                    tx.rows.import_row(
+                        table, {**row, "project": project} if table is t.plants else row
+                    )
+                    _note_uses(tx, table, row)
+        tx.imports.add(
             ImportRecord(
-                plant, archive.digest, note.split("\n", 1)[0], note, entries, stamp.now, stamp.actor
+                plant=plant,
+                archive=archive.digest,
+                origin=note.split("\n", 1)[0],
+                checkpoint=note,
+                entries=entries,
+                at=context.now,
+                actor=context.actor,
             )
         )
         facts: dict[str, Json] = {
@@ -224,14 +232,7 @@ def import_plant(
             "key": str(archive.config["key"]),
             "entries": entries,
         }
-        writer.append_audit(
-            at=stamp.now,
-            kind="plant:imported",
-            actor=stamp.actor,
-            plant=plant,
-            subject=archive.digest,
-            facts=facts,
-        )
+        tx.log.append(context, "plant:imported", plant=plant, subject=archive.digest, facts=facts)
     return plant
 
 
@@ -248,10 +249,12 @@ def _taking_over(plant: str) -> Iterator[None]:
         ) from error
 
 
-def _note_uses(writer: Writer, table: Table, row: Mapping[str, Any]) -> None:
+def _note_uses(tx: Transaction, table: Table, row: Mapping[str, Any]) -> None:
     """What a gate has judged on elsewhere counts here, too."""
     if table is t.jobs and row["kind"] in ("gate", "compare"):
-        writer.add_reads(str(row["id"]), orjson.loads(row["request"])["episodes"], str(row["kind"]))
+        tx.jobs.add_reads(
+            str(row["id"]), orjson.loads(row["request"])["episodes"], str(row["kind"])
+        )
 
 
 def _take_blobs(parts: Parts, archive: Archive, told: Told) -> None:

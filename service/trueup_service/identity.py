@@ -16,12 +16,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.actions.tokens import issue_token
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.errors import Unauthenticated
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import Role, TokenRecord
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.settings import Settings
 
 PREFIX_BYTES, SECRET_BYTES = 6, 32
@@ -84,8 +84,8 @@ class Identities:
         if self._admin is not None and hmac.compare_digest(text.encode(), self._admin.encode()):
             return self._remember(text, self._from_settings())
         _, prefix, secret = ([*text.split("_", PARTS - 1), "", ""])[:PARTS]
-        with self._database.read() as connection:
-            found = Reader(connection).token(prefix)
+        with reading(self._database) as tx:
+            found = tx.tokens.get(prefix)
         held = (
             found.digest if found else digest_of_secret("")
         )  # compared also where there is none, so that time tells nothing
@@ -95,10 +95,9 @@ class Identities:
 
     def by_session(self, cookie: str) -> Who:
         """Who a browser's session is of. Raises Unauthenticated."""
-        with self._database.read() as connection:
-            reader = Reader(connection)
-            prefix = reader.session(digest_of_secret(cookie), _now())
-            found = None if prefix is None else reader.token(prefix)
+        with reading(self._database) as tx:
+            prefix = tx.sessions.token(digest_of_secret(cookie), _now())
+            found = None if prefix is None else tx.tokens.get(prefix)
         if prefix is not None and prefix == self._admin_prefix:
             return self._remember(cookie, self._from_settings())
         if found is None:
@@ -142,11 +141,11 @@ def first_admin(settings: Settings, database: Database) -> Path | None:
     needed."""
     if settings.admin_token is not None:
         return None
-    with writing(database) as writer:
-        writer.lock_name("first admin")
+    with writing(database) as tx:
+        tx.lock_name("first admin")
         if any(
             Role.ADMIN in token.roles and token.revoked_at is None
-            for token in writer.tokens("", 10**6)
+            for token in tx.tokens.page("", 10**6)
         ):
             return None
         text, prefix, digest = new_token()
@@ -156,7 +155,15 @@ def first_admin(settings: Settings, database: Database) -> Path | None:
             file.write(text + "\n")
             os.fsync(file.fileno())
         token = TokenRecord(
-            prefix, digest, "admin", [Role.ADMIN.value], None, None, _now(), "first start", None
+            prefix=prefix,
+            digest=digest,
+            name="admin",
+            roles=[Role.ADMIN.value],
+            project=None,
+            plant=None,
+            created_at=_now(),
+            created_by="first start",
+            expires_at=None,
         )
-        issue_token(writer, token, Stamp("first start", token.created_at))
+        issue_token(tx, token, ActorContext("first start", token.created_at))
     return path

@@ -18,7 +18,7 @@ from trueup.ledger.verification import Finding
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.database import Database
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import CHECKPOINT_FILE, own_key, root_at
 from trueup_service.wiring import Parts
 
@@ -37,16 +37,16 @@ class Kept:
 
     def head(self) -> tuple[int, bytes]:
         """The log as it stands, unsigned."""
-        with self._database.read() as connection:
-            tree = Reader(connection).audit_tree()
+        with reading(self._database) as tx:
+            tree = tx.log.tree()
         return tree.size, tree.root()
 
     def entries(self, after: int, until: int) -> Iterator[AuditEntry]:
         """Entries in order."""
         while after < until:
-            with self._database.read() as connection:
+            with reading(self._database) as tx:
                 try:
-                    found = Reader(connection).audit_entries(after, min(AT_ONCE, until - after))
+                    found = tx.log.entries(after, min(AT_ONCE, until - after))
                 except ValueError as error:
                     raise TrueupError(f"an entry after {after} cannot be read: {error}") from error
             if not found:
@@ -67,8 +67,8 @@ class Kept:
         columns = [c.name for c in found.primary_key.columns]
         while True:
             try:
-                with self._database.read() as connection:
-                    items = Reader(connection).rows(found, after, AT_ONCE)
+                with reading(self._database) as tx:
+                    items = tx.rows.page(found, after, AT_ONCE)
             except (SQLAlchemyError, ValueError) as error:
                 raise TrueupError(f"rows cannot be read: {type(error).__name__}") from error
             yield from items
@@ -87,8 +87,8 @@ def published(parts: Parts) -> list[Finding]:
     """Whether the log ends where it says, and extends the head that this installation has
     published."""
     path = parts.settings.data_dir / CHECKPOINT_FILE
-    with parts.database.read() as connection:
-        beyond = Reader(connection).audit_beyond()
+    with reading(parts.database) as tx:
+        beyond = tx.log.count_beyond_end()
     if beyond:
         return [Finding("log", f"{beyond} entries are kept behind its end")]
     if not path.exists():
@@ -96,10 +96,9 @@ def published(parts: Parts) -> list[Finding]:
     note = path.read_text()
     size, root = head_of(note)
     try:
-        with parts.database.read() as connection:
-            reader = Reader(connection)
-            now, keys = reader.audit_tree().size, [key.verifier for key in reader.audit_keys()]
-            same = now >= size and root_at(reader, size) == root
+        with reading(parts.database) as tx:
+            now, keys = tx.log.tree().size, [key.verifier for key in tx.log.signing_keys()]
+            same = now >= size and root_at(tx, size) == root
     except TrueupError as error:
         return [Finding("log", error.message)]
     found = (
@@ -128,8 +127,8 @@ def signing(parts: Parts) -> str | None:
 
 def lost_jobs(parts: Parts) -> list[Finding]:
     """Jobs that were accepted, have not ended, and that the engine does not know."""
-    with parts.database.read() as connection:
-        waiting = Reader(connection).jobs_under_way()
+    with reading(parts.database) as tx:
+        waiting = tx.jobs.unfinished()
     return [
         Finding(f"jobs/{job}", "it was accepted, and the job engine does not know it")
         for job in waiting

@@ -14,7 +14,7 @@ from trueup_service.errors import Conflict
 from trueup_service.kept import unnamed
 from trueup_service.locks import try_lock
 from trueup_service.partial_uploads import PartialUploads
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 Told = Callable[[float, str], None]
@@ -38,7 +38,7 @@ def _remove(parts: Parts, older_than_s: float, *, dry_run: bool, told: Told) -> 
     told(0.0, "reading what is named")
     for digest in [] if dry_run else list(parts.blobs.removed()):  # somebody was killed over these
         if _is_named(parts, digest) and not parts.blobs.holds(digest):
-            parts.blobs.bring_back(digest)
+            parts.blobs.restore(digest)
         else:
             parts.blobs.forget(digest)
     found = unnamed(parts)
@@ -48,7 +48,7 @@ def _remove(parts: Parts, older_than_s: float, *, dry_run: bool, told: Told) -> 
         gone = parts.blobs.remove(digest, older_than_s, dry_run=dry_run)
         if gone is not None and not dry_run:
             if _is_named(parts, digest):
-                parts.blobs.bring_back(digest)  # an upload of the same bytes came in between
+                parts.blobs.restore(digest)  # an upload of the same bytes came in between
                 gone = None
             else:
                 parts.blobs.forget(digest)
@@ -58,5 +58,5 @@ def _remove(parts: Parts, older_than_s: float, *, dry_run: bool, told: Told) -> 
 
 
 def _is_named(parts: Parts, digest: str) -> bool:
-    with parts.database.read() as connection:
-        return Reader(connection).names(digest)
+    with reading(parts.database) as tx:
+        return tx.rows.names_blob(digest)

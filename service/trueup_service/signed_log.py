@@ -17,11 +17,11 @@ from pathlib import Path
 from trueup.canonical import Json
 from trueup.ledger.merkle import EMPTY, Frontier, cover, fold
 from trueup.ledger.note import Signer, head_of
-from trueup_service.actions.stamp import time_text
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.errors import LogRewound, OtherKey
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import AuditKey
-from trueup_service.registry.store import Reader, Writer, writing
+from trueup_service.registry.transaction import ReadTransaction, Transaction, reading, writing
 from trueup_service.settings import Settings
 
 KEY_FILE, KEY_FILE_BEFORE, CHECKPOINT_FILE = "signing.key", "signing.key.before", "checkpoint"
@@ -39,16 +39,15 @@ class SignedLog:
     def checkpoint(self) -> str:
         """The log's head now. Raises LogRewound."""
         with self._lock:
-            with self._database.read() as connection:
-                reader = Reader(connection)
-                tree = reader.audit_tree()
-                self._require_extends(reader, tree)
+            with reading(self._database) as tx:
+                tree = tx.log.tree()
+                self._require_extends(tx, tree)
             self._last = tree.size, tree.root()
         return self.signer.checkpoint(*self._last)
 
-    def checkpoint_of(self, reader: Reader, tree: Frontier) -> str:
+    def checkpoint_of(self, tx: ReadTransaction, tree: Frontier) -> str:
         """The head of a state that somebody reads. Raises LogRewound."""
-        self._require_extends(reader, tree, or_before=True)
+        self._require_extends(tx, tree, or_before=True)
         return self.signer.checkpoint(tree.size, tree.root())
 
     def publish(self) -> None:
@@ -61,7 +60,9 @@ class SignedLog:
         """A document in an envelope signed by the log's key."""
         return self.signer.envelope(payload_type, document)
 
-    def _require_extends(self, reader: Reader, tree: Frontier, *, or_before: bool = False) -> None:
+    def _require_extends(
+        self, tx: ReadTransaction, tree: Frontier, *, or_before: bool = False
+    ) -> None:
         """Raises LogRewound. A state that was read before the last head was signed is shorter, and
         sound."""
         size, root = self._last
@@ -73,7 +74,7 @@ class SignedLog:
                 published=size,
                 found=tree.size,
             )
-        if root_at(reader, size) != root or root_at(reader, tree.size) != tree.root():
+        if root_at(tx, size) != root or root_at(tx, tree.size) != tree.root():
             raise LogRewound(
                 f"the first {size} entries are not those that were published",
                 published=size,
@@ -81,10 +82,10 @@ class SignedLog:
             )
 
 
-def root_at(reader: Reader, size: int) -> bytes:
+def root_at(tx: ReadTransaction, size: int) -> bytes:
     """The tree's hash when it had this size, which it has reached."""
     nodes = cover(0, size)
-    found = reader.audit_nodes(nodes)
+    found = tx.log.nodes(nodes)
     return fold([found.get(node, b"") for node in nodes]) if nodes else EMPTY
 
 
@@ -92,13 +93,13 @@ def open_log(settings: Settings, database: Database) -> SignedLog:
     """The log with its key, which is made at the first start, and takes over from the one before.
     Raises BadKey, OtherKey."""
     signer, before = _signers(settings)
-    with writing(database) as writer:
-        writer.lock_name("audit key")
-        keys = writer.audit_keys()
+    with writing(database) as tx:
+        tx.lock_name("audit key")
+        keys = tx.log.signing_keys()
         if not keys:
-            writer.add_audit_key(AuditKey(signer.verifier, None))
+            tx.log.add_key(AuditKey(verifier=signer.verifier, endorsement=None))
         elif keys[-1].verifier != signer.verifier:
-            _take_over(writer, keys, signer, before)
+            _take_over(tx, keys, signer, before)
     return SignedLog(database, signer, settings.data_dir / CHECKPOINT_FILE)
 
 
@@ -122,7 +123,7 @@ def _signers(settings: Settings) -> tuple[Signer, Signer | None]:
 
 
 def _take_over(
-    writer: Writer, keys: Sequence[AuditKey], signer: Signer, before: Signer | None
+    tx: Transaction, keys: Sequence[AuditKey], signer: Signer, before: Signer | None
 ) -> None:
     """The key before endorses this one, and the log says so. Raises OtherKey."""
     known = keys[-1].verifier
@@ -137,12 +138,11 @@ def _take_over(
     if signer.verifier in [key.verifier for key in keys]:
         raise OtherKey("the key that is to take over has been replaced before", **told)
     endorsement = before.endorsement(signer.verifier)
-    writer.add_audit_key(AuditKey(signer.verifier, endorsement))
+    tx.log.add_key(AuditKey(verifier=signer.verifier, endorsement=endorsement))
     facts: dict[str, Json] = {"before": known, "endorsement": endorsement}
-    writer.append_audit(
-        at=time_text(datetime.now(UTC)),
-        kind="key:replaced",
-        actor="server",
+    tx.log.append(
+        ActorContext("server", time_text(datetime.now(UTC))),
+        "key:replaced",
         plant=None,
         subject=signer.verifier,
         facts=facts,
@@ -171,7 +171,7 @@ def _key_text(path: Path, name: str | None) -> str:
 
 
 def _replace(path: Path, text: str) -> None:
-    """Write a file beside, then give it its name: a reader sees the old one or the new one,
+    """Write a file beside, then give it its name: a tx sees the old one or the new one,
     whole."""
     beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
     _write(beside, text)

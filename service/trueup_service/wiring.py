@@ -15,8 +15,9 @@ from trueup.canonical import digest_of_bytes
 from trueup_service.jobs import JobQueue
 from trueup_service.locks import own_folder
 from trueup_service.private import private_folder
-from trueup_service.registry.blobs import Blobs, FolderBlobs, S3Blobs
-from trueup_service.registry.database import Database, copied
+from trueup_service.registry.blobs import Blobs
+from trueup_service.registry.database import Database, copy_sqlite
+from trueup_service.registry.folder_blobs import FolderBlobs
 from trueup_service.registry.schema import migrate
 from trueup_service.settings import Settings
 
@@ -67,7 +68,7 @@ def reading(settings: Settings) -> Iterator[Parts]:
             url = (
                 settings.sqlalchemy_url
                 if settings.sqlite_file is None
-                else f"sqlite:///{copied(settings.sqlite_file, folder)}"
+                else f"sqlite:///{copy_sqlite(settings.sqlite_file, folder)}"
             )
             database = Database(url, settings.database_pool)
             migrate(database)
@@ -98,14 +99,16 @@ def _blobs(settings: Settings) -> Blobs:
         return FolderBlobs(settings.data_dir / "blobs")
     from obstore.store import S3Store  # noqa: PLC0415  (only a scaled installation has a store)
 
-    given = {
+    from trueup_service.registry.s3_blobs import S3Blobs  # noqa: PLC0415
+
+    options = {
         "endpoint": settings.s3_endpoint,
         "region": settings.s3_region,
         "access_key_id": settings.s3_access_key,
         "secret_access_key": settings.s3_secret_key and settings.s3_secret_key.get_secret_value(),
     }
     is_plain = bool(settings.s3_endpoint and settings.s3_endpoint.startswith("http:"))
-    config = {key: value for key, value in given.items() if value is not None}
+    config = {key: value for key, value in options.items() if value is not None}
     store = S3Store(
         settings.s3_bucket,
         prefix=settings.s3_prefix,

@@ -32,7 +32,7 @@ from trueup_client.proof import Checkpoint, Key, includes, leaf_hash
 from trueup_service.archives import export
 from trueup_service.errors import LogRewound, OtherKey
 from trueup_service.kept import Kept, lost_jobs, published, signing, unnamed
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import ReadTransaction
 from trueup_service.settings import Settings
 from trueup_service.signed_log import open_log
 from trueup_service.wiring import build
@@ -344,7 +344,7 @@ def test_a_key_takes_over_only_from_the_one_that_signs_and_for_the_same_log(tmp_
         opened(first, second)  # what was taken out of use stays out
     assert opened(third, second) == third.verifier
     with parts.database.read() as connection:
-        keys = Reader(connection).audit_keys()
+        keys = ReadTransaction(connection).log.signing_keys()
     parts.close()
     notes = [key.endorsement for key in keys if key.endorsement]
     pinned = Key.from_text(first.verifier)

@@ -254,12 +254,12 @@ def test_another_server_refuses_a_revoked_token_once_it_asks_again(tmp_path):
         *(Identities(parts.settings, parts.database, lambda: clock[0]) for _ in range(2)),
     )
     assert one.by_token(token) == other.by_token(token) == other.remembered(token)
-    from trueup_service.actions.stamp import Stamp
     from trueup_service.actions.tokens import revoke_token
-    from trueup_service.registry.store import writing
+    from trueup_service.actor_context import ActorContext
+    from trueup_service.registry.transaction import writing
 
-    with writing(parts.database) as writer:
-        revoke_token(writer, token.split("_")[1], Stamp("tester", "2026-01-01T00:00:00.000000Z"))
+    with writing(parts.database) as tx:
+        revoke_token(tx, token.split("_")[1], ActorContext("tester", "2026-01-01T00:00:00.000000Z"))
     one.forget()
     with pytest.raises(Unauthenticated):
         one.by_token(token)
@@ -497,10 +497,10 @@ def test_a_session_that_was_begun_with_an_old_admins_token_ends_with_it(tmp_path
         for c in "ab"
     )
     from trueup_service.identity import digest_of_secret
-    from trueup_service.registry.store import writing
+    from trueup_service.registry.transaction import writing
 
-    with writing(parts.database) as writer:
-        writer.add_session(digest_of_secret("cookie"), old.by_token("a" * 40).token, "2026", "9999")
+    with writing(parts.database) as tx:
+        tx.sessions.begin(digest_of_secret("cookie"), old.by_token("a" * 40).token, "2026", "9999")
     assert old.by_session("cookie").name == "admin"
     with pytest.raises(Unauthenticated):
         new.by_session("cookie")

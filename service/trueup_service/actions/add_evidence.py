@@ -8,16 +8,16 @@ from typing import Any
 from trueup.canonical import Json
 from trueup.gate.evidence import BadEvidence, Evidence
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.plain_text import obeyed_character
 from trueup_service.registry.records import EvidenceRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 LONGEST_TEXT = 10_000  # characters; what is read, not what is looked up
 
 
 def add_evidence(
-    writer: Writer, plant: str, document: Mapping[str, Any], job: str | None, stamp: Stamp
+    tx: Transaction, plant: str, document: Mapping[str, Any], job: str | None, context: ActorContext
 ) -> tuple[EvidenceRecord, bool]:
     """The evidence, and whether it is new: the same document is the same evidence. Raises
     BadEvidence, NotFound."""
@@ -39,35 +39,28 @@ def add_evidence(
                 ),
                 field=field,
             )
-    find.artifact(writer, plant, found.artifact)
-    writer.lock_plant(plant)
-    known = writer.evidence(plant, found.digest)
+    find.artifact(tx, plant, found.artifact)
+    tx.plants.lock(plant)
+    known = tx.evidence.get(plant, found.digest)
     if known is not None:
         return known, False
     record = EvidenceRecord(
-        plant,
-        found.digest,
-        found.artifact,
-        found.stage,
-        found.passed,
-        found.document(),
-        job,
-        stamp.now,
-        stamp.actor,
+        plant=plant,
+        digest=found.digest,
+        artifact=found.artifact,
+        stage=found.stage,
+        passed=found.passed,
+        document=found.document(),
+        job=job,
+        created_at=context.now,
+        created_by=context.actor,
     )
-    writer.add_evidence(record)
+    tx.evidence.add(record)
     facts: dict[str, Json] = {
         "artifact": found.artifact,
         "stage": found.stage,
         "passed": found.passed,
         "job": job,
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="evidence:added",
-        actor=stamp.actor,
-        plant=plant,
-        subject=found.digest,
-        facts=facts,
-    )
+    tx.log.append(context, "evidence:added", plant=plant, subject=found.digest, facts=facts)
     return record, True

@@ -4,34 +4,39 @@ from __future__ import annotations
 
 from trueup.canonical import Json
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.inspection import Inspected
 from trueup_service.registry.records import EpisodeRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 
 def ingest_episode(
-    writer: Writer, plant: str, digest: str, size_bytes: int, inspected: Inspected, stamp: Stamp
+    tx: Transaction,
+    plant: str,
+    digest: str,
+    size_bytes: int,
+    inspected: Inspected,
+    context: ActorContext,
 ) -> tuple[EpisodeRecord, bool]:
     """The episode, and whether it is new: the same bytes are the same episode."""
-    find.plant_digest(writer, plant)
-    writer.lock_plant(plant)
-    known = writer.episode(plant, digest)
+    find.plant_digest(tx, plant)
+    tx.plants.lock(plant)
+    known = tx.episodes.get(plant, digest)
     if known is not None:
         return known, False
     record = EpisodeRecord(
-        plant,
-        digest,
-        size_bytes,
-        inspected.role,
-        inspected.start_ns,
-        inspected.end_ns,
-        inspected.summary,
-        stamp.now,
-        stamp.actor,
-        inspected.samples_digest,
+        plant=plant,
+        digest=digest,
+        size_bytes=size_bytes,
+        role=inspected.role,
+        start_ns=inspected.start_ns,
+        end_ns=inspected.end_ns,
+        summary=inspected.summary,
+        created_at=context.now,
+        created_by=context.actor,
+        samples_digest=inspected.samples_digest,
     )
-    writer.add_episode(record)
+    tx.episodes.add(record)
     facts: dict[str, Json] = {
         "role": record.role,
         "size_bytes": size_bytes,
@@ -39,12 +44,5 @@ def ingest_episode(
     }
     if inspected.samples_digest is not None:
         facts["samples_digest"] = inspected.samples_digest
-    writer.append_audit(
-        at=stamp.now,
-        kind="episode:ingested",
-        actor=stamp.actor,
-        plant=plant,
-        subject=digest,
-        facts=facts,
-    )
+    tx.log.append(context, "episode:ingested", plant=plant, subject=digest, facts=facts)
     return record, True

@@ -19,18 +19,18 @@ from trueup.ledger.pointer import (
 )
 from trueup_service.actions import find
 from trueup_service.actions.approve import require_not_rejected
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import ArtifactRecord, DecisionRecord, Move, MoveKind
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import ReadTransaction, Transaction
 
 
 def promote_decision(
-    writer: Writer,
+    tx: Transaction,
     plant: str,
     decision: str,
     expected_generation: int,
     rehearsed: dict[str, Json],
-    stamp: Stamp,
+    context: ActorContext,
     approved: Mapping[str, Json] = MappingProxyType({}),
 ) -> Move:
     """The new position, at the decision's candidate; `rehearsed` is the record of the way back,
@@ -38,29 +38,29 @@ def promote_decision(
 
     Raises PointerMoved, NotAccepted, RejectedBefore, NotFound.
     """
-    writer.lock_plant(plant)
-    now = find.serving(writer, plant)
-    made = find.decision(writer, plant, decision)
+    tx.plants.lock(plant)
+    now = find.serving(tx, plant)
+    made = find.decision(tx, plant, decision)
     judged = _judged(made)
-    pointer = promote(_pointer(now), judged, expected_generation, _later(now, stamp))
-    rejected = require_not_rejected(writer, plant, made, stamp)
-    artifact = find.artifact(writer, plant, pointer.artifact)
+    pointer = promote(_pointer(now), judged, expected_generation, _later(now, context))
+    rejected = require_not_rejected(tx, plant, made, context)
+    artifact = find.artifact(tx, plant, pointer.artifact)
     move = Move(
-        plant,
-        pointer.generation,
-        MoveKind.PROMOTED,
-        artifact.digest,
-        artifact.version,
-        decision,
-        now.generation,
-        pointer.since,
-        stamp.actor,
+        plant=plant,
+        generation=pointer.generation,
+        kind=MoveKind.PROMOTED,
+        artifact=artifact.digest,
+        version=artifact.version,
+        decision=decision,
+        back_to=now.generation,
+        at=pointer.since,
+        actor=context.actor,
     )
     return _move(
-        writer,
+        tx,
         now,
         move,
-        stamp,
+        context,
         {"gate": made.gate, "rehearsed": rehearsed, **approved, **rejected},
     )
 
@@ -83,60 +83,59 @@ def _judged(made: DecisionRecord) -> Judged:
 
 
 def previous_artifact(
-    reader: Reader, plant: str, expected_generation: int
+    tx: ReadTransaction, plant: str, expected_generation: int
 ) -> tuple[Move, ArtifactRecord]:
     """The position that a rollback would return to, and its artifact. Raises PointerMoved,
     NothingToRollBackTo."""
-    now = find.serving(reader, plant)
+    now = find.serving(tx, plant)
     require_generation(_pointer(now), expected_generation)
-    back = None if now.back_to is None else reader.move(plant, now.back_to)
+    back = None if now.back_to is None else tx.serving.at_generation(plant, now.back_to)
     if back is None:
         raise NothingToRollBackTo(plant=plant)
-    return back, find.artifact(reader, plant, back.artifact)
+    return back, find.artifact(tx, plant, back.artifact)
 
 
 def roll_back_pointer(
-    writer: Writer, plant: str, expected_generation: int, tested: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    plant: str,
+    expected_generation: int,
+    tested: dict[str, Json],
+    context: ActorContext,
 ) -> Move:
     """The new position, at the artifact that served before; `tested` is the record of its
     switchback test."""
-    writer.lock_plant(plant)
-    now = find.serving(writer, plant)
-    back, artifact = previous_artifact(writer, plant, expected_generation)
-    pointer = roll_back(_pointer(now), artifact.digest, expected_generation, _later(now, stamp))
+    tx.plants.lock(plant)
+    now = find.serving(tx, plant)
+    back, artifact = previous_artifact(tx, plant, expected_generation)
+    pointer = roll_back(_pointer(now), artifact.digest, expected_generation, _later(now, context))
     move = Move(
-        plant,
-        pointer.generation,
-        MoveKind.ROLLED_BACK,
-        artifact.digest,
-        artifact.version,
-        back.decision,
-        back.back_to,
-        pointer.since,
-        stamp.actor,
+        plant=plant,
+        generation=pointer.generation,
+        kind=MoveKind.ROLLED_BACK,
+        artifact=artifact.digest,
+        version=artifact.version,
+        decision=back.decision,
+        back_to=back.back_to,
+        at=pointer.since,
+        actor=context.actor,
     )
-    return _move(writer, now, move, stamp, {"switchback": tested})
+    return _move(tx, now, move, context, {"switchback": tested})
 
 
-def _move(writer: Writer, before: Move, move: Move, stamp: Stamp, facts: dict[str, Json]) -> Move:
-    writer.move_serving(move)
+def _move(
+    tx: Transaction, before: Move, move: Move, context: ActorContext, facts: dict[str, Json]
+) -> Move:
+    tx.serving.move(move)
     moved: dict[str, Json] = {
         "operation": Operation.CORRECTION,
         "move": move.kind,
         "generation": move.generation,
         "from": before.artifact,
         "decision": move.decision,
-        "token": stamp.token,
+        "token": context.token,
         **facts,
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="pointer:moved",
-        actor=stamp.actor,
-        plant=move.plant,
-        subject=move.artifact,
-        facts=moved,
-    )
+    tx.log.append(context, "pointer:moved", plant=move.plant, subject=move.artifact, facts=moved)
     return move
 
 
@@ -144,6 +143,6 @@ def _pointer(move: Move) -> ServingPointer:
     return ServingPointer(move.plant, move.generation, move.artifact, move.decision, move.at)
 
 
-def _later(before: Move, stamp: Stamp) -> str:
+def _later(before: Move, context: ActorContext) -> str:
     """The time of a move is never before the one it follows, whatever the clock does."""
-    return max(before.at, stamp.now)
+    return max(before.at, context.now)

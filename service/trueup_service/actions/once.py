@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from trueup.canonical import Json
 from trueup_service.errors import KeyReused
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,14 +19,16 @@ class Key:
     request: str
 
 
-def once(writer: Writer, key: Key, now: str, act: Callable[[], dict[str, Json]]) -> dict[str, Json]:
+def once(
+    tx: Transaction, key: Key, now: str, act: Callable[[], dict[str, Json]]
+) -> dict[str, Json]:
     """The response of `act`, or the one given before under this key. Raises KeyReused if that was
     to another request."""
-    writer.lock_name(f"key {key.scope} {key.value}")
-    known = writer.remembered(key.scope, key.value)
+    tx.lock_name(f"key {key.scope} {key.value}")
+    known = tx.idempotency.response(key.scope, key.value)
     if known is None:
         response = act()
-        writer.remember(key.scope, key.value, key.request, response, now)
+        tx.idempotency.keep(key.scope, key.value, key.request, response, now)
         return response
     if known[0] != key.request:
         raise KeyReused(key=key.value)

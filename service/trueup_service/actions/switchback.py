@@ -103,7 +103,7 @@ def rehearse_decision(
 ) -> dict[str, Json]:
     """The same for a decision that is to be promoted, on its first episode. Raises
     SwitchbackFailed."""
-    with AT_ONCE, blobs.at_hand(decision["episodes"][0], spool) as path, path.open("rb") as file:
+    with AT_ONCE, blobs.local_copy(decision["episodes"][0], spool) as path, path.open("rb") as file:
         forward = unpack(load_artifact(blobs, candidate), candidate.digest)
         probe = read_episode_stream(file, path.stat().st_size, forward.plant.layout)
         return rehearse(

@@ -13,11 +13,11 @@ from pydantic import BaseModel
 from trueup.canonical import Json, digest_of
 from trueup.ledger.person import actor_of
 from trueup_service.actions.once import Key, once
-from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.errors import BadRequest
 from trueup_service.identity import Who
 from trueup_service.plain_text import obeyed_character
-from trueup_service.registry.store import Writer, writing
+from trueup_service.registry.transaction import Transaction, writing
 from trueup_service.wiring import Parts
 
 
@@ -36,7 +36,7 @@ async def _stamp(
             description="For whom; stands in the log behind the token's name",
         ),
     ] = None,
-) -> Stamp:
+) -> ActorContext:
     who: Who = request.scope["who"]
     if actor and (found := obeyed_character(actor)):
         raise BadRequest(
@@ -44,11 +44,11 @@ async def _stamp(
             hint="Name who asks in one line of text.",
             header="Trueup-Actor",
         )
-    return Stamp(actor_of(who.name, actor), time_text(datetime.now(UTC)), who.token)
+    return ActorContext(actor_of(who.name, actor), time_text(datetime.now(UTC)), who.token)
 
 
 With = Annotated[Parts, Depends(_parts)]
-By = Annotated[Stamp, Depends(_stamp)]
+By = Annotated[ActorContext, Depends(_stamp)]
 IdempotencyKey = Annotated[
     str | None,
     Header(
@@ -78,41 +78,41 @@ Before = Annotated[
 
 def run_once(
     parts: Parts,
-    stamp: Stamp,
+    context: ActorContext,
     scope: str,
     key: str | None,
     request: Json,
-    act: Callable[[Writer], dict[str, Any]],
+    act: Callable[[Transaction], dict[str, Any]],
 ) -> dict[str, Any]:
     """Run an action in a transaction of its own, once under its idempotency key."""
-    with writing(parts.database) as writer:
+    with writing(parts.database) as tx:
         if key is None:
-            return act(writer)
+            return act(tx)
         return once(
-            writer,
-            Key(f"{scope}@{stamp.token}", key, digest_of(request)),
-            stamp.now,
-            lambda: act(writer),
+            tx,
+            Key(f"{scope}@{context.token}", key, digest_of(request)),
+            context.now,
+            lambda: act(tx),
         )
 
 
 def create(
     parts: Parts,
-    stamp: Stamp,
+    context: ActorContext,
     scope: str,
     key: str | None,
     request: Json,
-    act: Callable[[Writer], tuple[Any, bool]],
+    act: Callable[[Transaction], tuple[Any, bool]],
     kind: type[BaseModel],
 ) -> Response:
     """Run an action that makes something; 201 if it is new, 200 if it was there, with the record as
     `kind`."""
 
-    def run(writer: Writer) -> dict[str, Any]:
-        record, new = act(writer)
+    def run(tx: Transaction) -> dict[str, Any]:
+        record, new = act(tx)
         return {"record": asdict(record), "new": new}
 
-    answer = run_once(parts, stamp, scope, key, request, run)
+    answer = run_once(parts, context, scope, key, request, run)
     shown = kind.model_construct(
         **{name: answer["record"][name] for name in kind.model_fields}
     )  # our own record: checked when it was made

@@ -14,7 +14,7 @@ from trueup_service.errors import Forbidden, NotFound, Unauthenticated
 from trueup_service.http.access import ACCESS, Rule
 from trueup_service.identity import Identities, Who
 from trueup_service.registry.database import Database
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 
 COOKIE = "trueup_session"
 SAFE = ("GET", "HEAD")
@@ -105,7 +105,7 @@ async def _require_plant(request: Request, who: Who) -> None:
     if plant is None or who.everywhere:
         return
     if not await run_in_threadpool(sees, request.app.state.parts.database, who, plant):
-        raise find.missing("plant", plant)
+        raise find.not_found("plant", plant)
 
 
 def sees(database: Database, who: Who, plant: str) -> bool:
@@ -114,8 +114,8 @@ def sees(database: Database, who: Who, plant: str) -> bool:
         return plant == who.plant
     if who.project is None:
         return True
-    with database.read() as connection:
-        return Reader(connection).belongs(plant, who.project)
+    with reading(database) as tx:
+        return tx.plants.is_in_project(plant, who.project)
 
 
 async def _who(request: Request) -> Who:

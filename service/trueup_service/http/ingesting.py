@@ -14,22 +14,21 @@ from trueup.episode.role import WATCHED
 from trueup_service.actions import find
 from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.ingest_episode import ingest_episode
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.http.context import create
 from trueup_service.http.schemas import Episode
 from trueup_service.http.uploads import Received
 from trueup_service.inspection import Against, Inspected, Inspector
 from trueup_service.registry.records import EpisodeRecord
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
 
 
 def against(parts: Parts, plant: str) -> Against:
     """What an upload to a plant is held against. Raises NotFound."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        document = find.plant(reader, plant).document
-        serving = find.artifact(reader, plant, find.serving(reader, plant).artifact)
+    with reading(parts.database) as tx:
+        document = find.plant(tx, plant).document
+        serving = find.artifact(tx, plant, find.serving(tx, plant).artifact)
     provenance: dict[str, Json] = orjson.loads(serving.manifest).get("provenance") or {}
     coverage = provenance.get("coverage")
     return Against(document, coverage if isinstance(coverage, list) else [])
@@ -50,7 +49,12 @@ def inspector_of(request: Request) -> Inspector:
 
 
 def ingest(
-    parts: Parts, stamp: Stamp, plant: str, key: str | None, file: Received, inspected: Inspected
+    parts: Parts,
+    context: ActorContext,
+    plant: str,
+    key: str | None,
+    file: Received,
+    inspected: Inspected,
 ) -> Response:
     """Bytes first, then the row, its audit entry and the look that the monitor takes at it, in one
     transaction."""
@@ -59,13 +63,13 @@ def ingest(
     if watched:
         parts.queue.prepare()
 
-    def act(writer: Writer) -> tuple[EpisodeRecord, bool]:
-        record, new = ingest_episode(writer, plant, file.digest, file.size_bytes, inspected, stamp)
+    def act(tx: Transaction) -> tuple[EpisodeRecord, bool]:
+        record, new = ingest_episode(tx, plant, file.digest, file.size_bytes, inspected, context)
         if new and watched:
-            Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).go_on(plant)
+            Cycle(tx, parts.queue, lambda: uuid.uuid4().hex, context).go_on(plant)
         return record, new
 
-    answer = create(parts, stamp, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)
+    answer = create(parts, context, f"episodes/{plant}", key, {"digest": file.digest}, act, Episode)
     if not parts.blobs.holds(file.digest):
         parts.blobs.put(
             file.digest, file.path
@@ -75,15 +79,15 @@ def ingest(
 
 def known_episode(parts: Parts, plant: str, digest: str) -> EpisodeRecord | None:
     """An episode that is here already."""
-    with parts.database.read() as connection:
-        return Reader(connection).episode(plant, digest)
+    with reading(parts.database) as tx:
+        return tx.episodes.get(plant, digest)
 
 
 def _is_waited_for(parts: Parts, plant: str) -> bool:
     """Whether anybody waits for episodes: a monitor, an alarm that wants a diagnosis, a policy that
     wants a monitor."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
+    with reading(parts.database) as tx:
         return any(
-            of(plant) is not None for of in (reader.watching, reader.open_alarm, reader.policy)
+            of(plant) is not None
+            for of in (tx.watches.current, tx.alarms.open, tx.policies.in_force)
         )

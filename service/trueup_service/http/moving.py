@@ -16,33 +16,36 @@ from trueup_service.actions.move_pointer import (
     promote_decision,
     roll_back_pointer,
 )
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.http.context import run_once
 from trueup_service.http.serving_answers import document
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
 
 
 def promote_tested(
-    parts: Parts, stamp: Stamp, plant: str, decision: str, expected_generation: int, key: str | None
+    parts: Parts,
+    context: ActorContext,
+    plant: str,
+    decision: str,
+    expected_generation: int,
+    key: str | None,
 ) -> dict[str, Any]:
     """The new position. The way back is tried outside any transaction, for that reads models; then
     it moves, if it is still there."""
-    rehearsed = _rehearsed(parts, stamp, plant, decision)
+    rehearsed = _rehearsed(parts, context, plant, decision)
 
-    def act(writer: Writer) -> dict[str, Any]:
-        approved: dict[str, Json] = {
-            "approved_by": require_approvals(writer, plant, decision, stamp)
-        }
+    def act(tx: Transaction) -> dict[str, Any]:
+        approved: dict[str, Json] = {"approved_by": require_approvals(tx, plant, decision, context)}
         move = promote_decision(
-            writer, plant, decision, expected_generation, rehearsed, stamp, approved
+            tx, plant, decision, expected_generation, rehearsed, context, approved
         )
-        Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).moved(move)
+        Cycle(tx, parts.queue, lambda: uuid.uuid4().hex, context).moved(move)
         return document(move)
 
     return run_once(
         parts,
-        stamp,
+        context,
         f"promote/{plant}",
         key,
         {"decision": decision, "expected_generation": expected_generation},
@@ -50,28 +53,27 @@ def promote_tested(
     )
 
 
-def _rehearsed(parts: Parts, stamp: Stamp, plant: str, decision: str) -> dict[str, Any]:
+def _rehearsed(parts: Parts, context: ActorContext, plant: str, decision: str) -> dict[str, Any]:
     """The record of the way back from a decision's candidate; none where it cannot be promoted
     anyway. Raises SwitchbackFailed."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        made, serving = find.decision(reader, plant, decision), find.serving(reader, plant)
+    with reading(parts.database) as tx:
+        made, serving = find.decision(tx, plant, decision), find.serving(tx, plant)
         if not made.accepted or made.generation != serving.generation:
             return {}
         artifacts = (
-            find.artifact(reader, plant, made.incumbent),
-            find.artifact(reader, plant, made.candidate),
+            find.artifact(tx, plant, made.incumbent),
+            find.artifact(tx, plant, made.candidate),
         )
-        registered, gate = find.plant_digest(reader, plant), find.gate(reader, plant, made.gate)
+        registered, gate = find.plant_digest(tx, plant), find.gate(tx, plant, made.gate)
     from trueup_service.actions.switchback import rehearse_decision  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     return rehearse_decision(
-        parts.blobs, parts.spool, *artifacts, registered, made.document, gate.document, stamp.now
+        parts.blobs, parts.spool, *artifacts, registered, made.document, gate.document, context.now
     )
 
 
 def roll_back_tested(
-    parts: Parts, stamp: Stamp, plant: str, expected_generation: int, key: str | None
+    parts: Parts, context: ActorContext, plant: str, expected_generation: int, key: str | None
 ) -> dict[str, Any]:
     """The new position. Test outside any transaction, for it reads a model; then move, if the
     pointer is still where the test found it."""
@@ -83,15 +85,15 @@ def roll_back_tested(
             raise
         refused = error  # unless the request is a repeated one, whose answer is known
 
-    def act(writer: Writer) -> dict[str, Any]:
+    def act(tx: Transaction) -> dict[str, Any]:
         if refused is not None:
             raise refused
-        move = roll_back_pointer(writer, plant, expected_generation, tested, stamp)
-        Cycle(writer, parts.queue, lambda: uuid.uuid4().hex, stamp).moved(move)
+        move = roll_back_pointer(tx, plant, expected_generation, tested, context)
+        Cycle(tx, parts.queue, lambda: uuid.uuid4().hex, context).moved(move)
         return document(move)
 
     return run_once(
-        parts, stamp, f"rollback/{plant}", key, {"expected_generation": expected_generation}, act
+        parts, context, f"rollback/{plant}", key, {"expected_generation": expected_generation}, act
     )
 
 
@@ -100,8 +102,7 @@ def tested_way_back(parts: Parts, plant: str, expected_generation: int) -> dict[
     SwitchbackFailed."""
     from trueup_service.actions.switchback import rehearse_rollback  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        registered = find.plant_digest(reader, plant)
-        _, artifact = previous_artifact(reader, plant, expected_generation)
+    with reading(parts.database) as tx:
+        registered = find.plant_digest(tx, plant)
+        _, artifact = previous_artifact(tx, plant, expected_generation)
     return rehearse_rollback(parts.blobs, artifact, registered)

@@ -19,7 +19,7 @@ from starlette.concurrency import run_in_threadpool
 from trueup_service.actions import find
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import Move
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import ReadTransaction
 
 Asked = tuple[str, str | None]  # a plant, and one of its channels or None for its own pointer
 
@@ -107,12 +107,12 @@ class ServingAnswers:
     def _read(self, asked: Asked) -> ServingAnswer:
         plant, channel = asked
         with self._database.glance() as connection:
-            reader = Reader(connection)
+            tx = ReadTransaction(connection)
             if channel is None:
-                move = find.serving(reader, plant)
+                move = find.serving(tx, plant)
                 told, generation = document(move), move.generation
             else:
-                at = find.channel_move(reader, plant, channel)
+                at = find.channel_move(tx, plant, channel)
                 told, generation = asdict(at), at.generation
         etag = f'"{generation}"'
         return ServingAnswer(etag, orjson.dumps(told), {"ETag": etag, "Cache-Control": "no-cache"})

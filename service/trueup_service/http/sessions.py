@@ -8,10 +8,10 @@ from datetime import UTC, datetime, timedelta
 
 from fastapi import Request, Response
 
-from trueup_service.actions.stamp import time_text
+from trueup_service.actor_context import time_text
 from trueup_service.http.guard import COOKIE, origin_of
 from trueup_service.identity import Identities, Who, digest_of_secret
-from trueup_service.registry.store import writing
+from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 
 
@@ -21,8 +21,8 @@ def begin_session(identities: Identities, parts: Parts, token: str) -> tuple[Who
     who = identities.by_token(token)
     now, secret = datetime.now(UTC), secrets.token_urlsafe(32)
     ends = now + timedelta(seconds=parts.settings.session_s)
-    with writing(parts.database) as writer:
-        writer.add_session(digest_of_secret(secret), who.token, time_text(now), time_text(ends))
+    with writing(parts.database) as tx:
+        tx.sessions.begin(digest_of_secret(secret), who.token, time_text(now), time_text(ends))
     return who, secret
 
 
@@ -43,8 +43,8 @@ def end_session(request: Request, parts: Parts) -> None:
     """End the session that a browser's cookie is of."""
     cookie = request.cookies.get(COOKIE)
     if cookie is not None:
-        with writing(parts.database) as writer:
-            writer.end_session(digest_of_secret(cookie))
+        with writing(parts.database) as tx:
+            tx.sessions.end(digest_of_secret(cookie))
     request.app.state.identities.forget()
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from trueup_service.actions.stamp import time_text
+from trueup_service.actor_context import time_text
 from trueup_service.partial_uploads import PartialUploads
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 
 INTERVAL_S = 60.0  # an age is hours: it matters little if something stays a minute longer
@@ -18,9 +18,9 @@ def tidy(parts: Parts, now: datetime | None = None) -> None:
     kept."""
     settings = parts.settings
     before = time_text((now or datetime.now(UTC)) - timedelta(seconds=settings.answers_kept_s))
-    with parts.database.read() as connection:
-        answers = Reader(connection).answers_beyond(before, settings.answers_kept)
+    with reading(parts.database) as tx:
+        answers = tx.idempotency.expired(before, settings.answers_kept)
     if answers:
-        with writing(parts.database) as writer:
-            writer.forget_answers(answers)
+        with writing(parts.database) as tx:
+            tx.idempotency.forget(answers)
     PartialUploads(settings.data_dir).remove_old(settings.uploads_kept_s, dry_run=False)

@@ -17,8 +17,7 @@ from trueup_service.http.context import With
 from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.pages.page import form, show
 from trueup_service.identity import Who
-from trueup_service.registry.overview import last_entries
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import SignedLog, root_at
 from trueup_service.wiring import Parts
 
@@ -59,14 +58,13 @@ def _listed(
     request: Request, parts: Parts, who: Who, plant: str, kind: str, before: int
 ) -> dict[str, Any]:
     log: SignedLog = request.app.state.log
-    with parts.database.read() as connection:
-        reader = Reader(connection)
+    with reading(parts.database) as tx:
         of = who.plant if who.plant is not None else plant or None
-        entries = last_entries(connection, before, LINES, plant=of, project=who.project, kind=kind)
-        tree = reader.audit_tree()
+        entries = tx.log.newest_entries(before, LINES, plant=of, project=who.project, kind=kind)
+        tree = tx.log.tree()
         root, held = tree.root(), []
         plans = [inclusion(entry.sequence - 1, tree.size) for entry in entries]
-        hashes = reader.audit_nodes({node for plan in plans for part in plan for node in part})
+        hashes = tx.log.nodes({node for plan in plans for part in plan for node in part})
         for entry, plan in zip(entries, plans, strict=True):
             held.append(
                 includes(
@@ -101,9 +99,8 @@ def _compared(parts: Parts, pasted: str) -> tuple[bool, str]:
                 "entries, the root, and a signature."
             ),
         )
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        now = reader.audit_tree().size
+    with reading(parts.database) as tx:
+        now = tx.log.tree().size
         if size > now:
             return (
                 False,
@@ -112,7 +109,7 @@ def _compared(parts: Parts, pasted: str) -> tuple[bool, str]:
                     "cut, or this is another one."
                 ),
             )
-        same = root_at(reader, size) == root
+        same = root_at(tx, size) == root
     if not same:
         return (
             False,

@@ -13,14 +13,13 @@ from starlette.concurrency import run_in_threadpool
 from trueup.diagnose.words import name, short
 from trueup_pages.diagnosis import recordings_of
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
 from trueup_service.actions.submit_job import SUBMIT
+from trueup_service.actor_context import ActorContext
 from trueup_service.http.context import By, PlantName, With
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import form, go, show
-from trueup_service.registry.overview import newest_job
 from trueup_service.registry.records import FINAL, ArtifactRecord, JobRecord
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 
 router = guarded("", ["pages"])
@@ -34,17 +33,15 @@ def compare(
     request: Request, parts: With, plant: PlantName, first: Version, second: Version
 ) -> Response:
     """What changed, and what a comparison found, if there was one."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        both = [find.version(reader, plant, v) for v in (first, second)]
+    with reading(parts.database) as tx:
+        both = [find.version(tx, plant, v) for v in (first, second)]
         asked = [a.digest for a in both]
-        job = newest_job(
-            connection,
+        job = tx.jobs.last_matching(
             plant,
             "compare",
             lambda r: [r["first"], r["second"]] == asked and len(r["episodes"]) > 1,
         )
-        latest = reader.latest_version(plant)
+        latest = tx.artifacts.latest_version(plant)
     values = {
         "plant": plant,
         "first": both[0],
@@ -57,24 +54,26 @@ def compare(
 
 
 @router.post("/plants/{plant}/compare")
-async def begin(request: Request, parts: With, stamp: By, plant: PlantName) -> Response:
+async def begin(request: Request, parts: With, context: By, plant: PlantName) -> Response:
     """Compare on what was held out."""
     given = await form(request)
     first, second = await run_in_threadpool(
-        _begin, parts, stamp, plant, given.get("first", ""), given.get("second", "")
+        _begin, parts, context, plant, given.get("first", ""), given.get("second", "")
     )
     return go(f"/plants/{plant}/compare", first=str(first), second=str(second))
 
 
-def _begin(parts: Parts, stamp: Stamp, plant: str, first: str, second: str) -> tuple[int, int]:
+def _begin(
+    parts: Parts, context: ActorContext, plant: str, first: str, second: str
+) -> tuple[int, int]:
     parts.queue.prepare()
-    with writing(parts.database) as writer:
+    with writing(parts.database) as tx:
         both = (
-            find.artifact(writer, plant, first).version,
-            find.artifact(writer, plant, second).version,
+            find.artifact(tx, plant, first).version,
+            find.artifact(tx, plant, second).version,
         )
         SUBMIT["compare"](
-            writer, parts.queue, uuid.uuid4().hex, plant, {"first": first, "second": second}, stamp
+            tx, parts.queue, uuid.uuid4().hex, plant, {"first": first, "second": second}, context
         )
     return both
 
@@ -85,8 +84,8 @@ def comparison(parts: Parts, job: JobRecord | None, both: list[ArtifactRecord]) 
     waiting = job is not None and job.state not in FINAL
     drawn = None
     if job is not None and not waiting:
-        with parts.database.read() as connection:
-            found = Reader(connection).output(job.id, COMPARISON)
+        with reading(parts.database) as tx:
+            found = tx.outputs.get(job.id, COMPARISON)
         drawn = orjson.loads(parts.blobs.get(found.digest)) if found is not None else None
     kinds = zip(("first", "second"), both, ("nominal", "corrected"), strict=True)
     models = [{"key": key, "label": f"version {a.version}", "kind": kind} for key, a, kind in kinds]

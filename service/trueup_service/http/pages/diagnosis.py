@@ -16,7 +16,7 @@ from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import show
 from trueup_service.http.routers.jobs import JobId
 from trueup_service.registry.records import FINAL, JobRecord, JobState
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 router = guarded("", ["pages"])
@@ -58,10 +58,10 @@ def report(parts: With, plant: PlantName, job: JobId) -> Response:
 
 
 def _job(parts: Parts, plant: str, job: str) -> JobRecord:
-    with parts.database.read() as connection:
-        found = find.job(Reader(connection), job)
+    with reading(parts.database) as tx:
+        found = find.job(tx, job)
     if found.plant != plant or found.kind != "diagnose":
-        raise find.missing("diagnosis", job)
+        raise find.not_found("diagnosis", job)
     return found
 
 
@@ -70,8 +70,8 @@ def _found(
 ) -> tuple[dict[str, Any], dict[str, Any] | None, str | None]:
     """The report, the figures if they were kept, and the name of the command's file if there is
     one."""
-    with parts.database.read() as connection:
-        outputs = {o.name: o.digest for o in Reader(connection).outputs(job.id)}
+    with reading(parts.database) as tx:
+        outputs = {o.name: o.digest for o in tx.outputs.of_job(job.id)}
     result: dict[str, Any] = job.result or {}
     figures = orjson.loads(parts.blobs.get(outputs[FIGURES])) if FIGURES in outputs else None
     return result["report"], figures, COMMAND if COMMAND in outputs else None

@@ -10,6 +10,7 @@ from trueup_service.http.context import With
 from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.pages.page import show
 from trueup_service.registry.overview import plant_lines
+from trueup_service.registry.transaction import reading
 
 router = guarded("", ["pages"])
 LINES = 50
@@ -24,9 +25,7 @@ def plants(
     after: Annotated[str, Query(max_length=63)] = "",
 ) -> Response:
     """The plants that somebody sees, by name, whose name contains `q`."""
-    with parts.database.read() as connection:
-        lines = plant_lines(
-            connection, after, LINES + 1, of=who.plant, project=who.project, containing=q
-        )
+    with reading(parts.database) as tx:
+        lines = plant_lines(tx, after, LINES + 1, of=who.plant, project=who.project, containing=q)
     more = lines[LINES - 1].name if len(lines) > LINES else None
     return show(request, "plants.html", lines=lines[:LINES], q=q, after=after, more=more)

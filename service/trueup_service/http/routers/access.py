@@ -7,8 +7,8 @@ from typing import Annotated
 
 from fastapi import Query, Request, Response
 
-from trueup_service.actions.stamp import time_text
 from trueup_service.actions.tokens import create_project, issue_token, revoke_token
+from trueup_service.actor_context import time_text
 from trueup_service.http.context import By, IdempotencyKey, Limit, PrefixPath, With, create
 from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.openapi import there
@@ -26,7 +26,7 @@ from trueup_service.http.schemas import (
 from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
 from trueup_service.identity import new_token
 from trueup_service.registry.records import Role, TokenRecord
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 
 router = guarded("/v1", ["access"])
 
@@ -59,15 +59,15 @@ def sign_out(request: Request, response: Response, parts: With) -> None:
     responses=there(Project),
 )
 def add_project(
-    parts: With, stamp: By, project: NewProject, key: IdempotencyKey = None
+    parts: With, context: By, project: NewProject, key: IdempotencyKey = None
 ) -> Response:
     return create(
         parts,
-        stamp,
+        context,
         "projects",
         key,
         project.model_dump(),
-        lambda w: create_project(w, project.name, stamp),
+        lambda tx: create_project(tx, project.name, context),
         Project,
     )
 
@@ -76,13 +76,13 @@ def add_project(
 def list_projects(
     parts: With, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
 ) -> Page[Project]:
-    with parts.database.read() as connection:
-        found = Reader(connection).projects(after, limit)
+    with reading(parts.database) as tx:
+        found = tx.projects.page(after, limit)
     return page(Project, found, limit, "name")
 
 
 @router.post("/tokens", status_code=201, summary="Issue a token")
-def issue(parts: With, stamp: By, wanted: NewToken) -> IssuedToken:
+def issue(parts: With, context: By, wanted: NewToken) -> IssuedToken:
     """`token` is shown this once; its hash alone is kept. A robot's is of one plant. It takes no
     idempotency key: a repeated answer would have to keep the secret. Revoke one that did not
     arrive.
@@ -93,18 +93,18 @@ def issue(parts: With, stamp: By, wanted: NewToken) -> IssuedToken:
     )
     roles = [role.value for role in Role if role in wanted.roles]
     record = TokenRecord(
-        prefix,
-        digest,
-        wanted.name,
-        roles,
-        wanted.project,
-        wanted.plant,
-        stamp.now,
-        stamp.actor,
-        expires,
+        prefix=prefix,
+        digest=digest,
+        name=wanted.name,
+        roles=roles,
+        project=wanted.project,
+        plant=wanted.plant,
+        created_at=context.now,
+        created_by=context.actor,
+        expires_at=expires,
     )
-    with writing(parts.database) as writer:
-        issued = issue_token(writer, record, stamp)
+    with writing(parts.database) as tx:
+        issued = issue_token(tx, record, context)
     return IssuedToken(**Token.model_validate(issued).model_dump(), token=text)
 
 
@@ -112,15 +112,15 @@ def issue(parts: With, stamp: By, wanted: NewToken) -> IssuedToken:
 def list_tokens(
     parts: With, after: Annotated[str, Query(max_length=16)] = "", limit: Limit = 100
 ) -> Page[Token]:
-    with parts.database.read() as connection:
-        found = Reader(connection).tokens(after, limit)
+    with reading(parts.database) as tx:
+        found = tx.tokens.page(after, limit)
     return page(Token, found, limit, "prefix")
 
 
 @router.post("/tokens/{prefix}/revoke", summary="Revoke a token")
-def revoke(request: Request, parts: With, stamp: By, prefix: PrefixPath) -> Token:
+def revoke(request: Request, parts: With, context: By, prefix: PrefixPath) -> Token:
     """For good. Other servers refuse it within `token_memory_s`."""
-    with writing(parts.database) as writer:
-        revoked = revoke_token(writer, prefix, stamp)
+    with writing(parts.database) as tx:
+        revoked = revoke_token(tx, prefix, context)
     request.app.state.identities.forget()
     return Token.model_validate(revoked)

@@ -13,7 +13,7 @@ from trueup.canonical import Json, digest_of_bytes, is_digest
 from trueup.errors import BadArtifact, BrokenChain
 from trueup.ledger.provenance import PAYLOAD_TYPE, of_artifact
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import DigestMismatch, Kept, NotFound
 from trueup_service.http.context import (
     By,
@@ -31,7 +31,7 @@ from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Artifact, Envelope, Page, page
 from trueup_service.http.uploads import ARRAYS_HINT, Received, allow, received
 from trueup_service.registry.blobs import Blobs
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 router = guarded("/v1", ["artifacts"])
@@ -95,7 +95,7 @@ def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     openapi_extra=MANIFEST,
 )
 async def add(
-    request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None
+    request: Request, parts: With, context: By, plant: PlantName, key: IdempotencyKey = None
 ) -> Response:
     """The body is the manifest's exact bytes; arrays that it names were uploaded before. The
     predictor must load and answer its probe."""
@@ -103,10 +103,10 @@ async def add(
     arrays = await run_in_threadpool(_arrays, parts, manifest)
     if arrays is None:
         await inspector_of(request).try_artifact(manifest, None)
-        return await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
-    async with contextmanager_in_threadpool(parts.blobs.at_hand(arrays, parts.spool)) as path:
+        return await run_in_threadpool(_add, parts, context, plant, manifest, key)
+    async with contextmanager_in_threadpool(parts.blobs.local_copy(arrays, parts.spool)) as path:
         await inspector_of(request).try_artifact(manifest, path)
-        answer = await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
+        answer = await run_in_threadpool(_add, parts, context, plant, manifest, key)
         # they may have been put long ago, and been taken for left over before this row was there
         await run_in_threadpool(parts.blobs.put, arrays, path)
         return answer
@@ -131,7 +131,9 @@ def _arrays(parts: Parts, manifest: bytes) -> str | None:
     return digest
 
 
-def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | None) -> Response:
+def _add(
+    parts: Parts, context: ActorContext, plant: str, manifest: bytes, key: str | None
+) -> Response:
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415
     from trueup_service.actions.add_artifact import add_artifact  # noqa: PLC0415
 
@@ -139,11 +141,11 @@ def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | Non
     request = {"digest": artifact.digest}
     return create(
         parts,
-        stamp,
+        context,
         f"artifacts/{plant}",
         key,
         request,
-        lambda w: add_artifact(w, plant, artifact, None, stamp),
+        lambda tx: add_artifact(tx, plant, artifact, None, context),
         Artifact,
     )
 
@@ -155,25 +157,24 @@ def list_artifacts(
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="version")] = 0,
     limit: Limit = 100,
 ) -> Page[Artifact]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.artifacts(plant, after, limit)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        found = tx.artifacts.page(plant, after, limit)
     return page(Artifact, found, limit, "version")
 
 
 @router.get("/plants/{plant}/artifacts/{digest}", summary="Get an artifact's registration")
 def get_artifact(parts: With, plant: PlantName, digest: DigestPath) -> Artifact:
-    with parts.database.read() as connection:
-        return Artifact.model_validate(find.artifact(Reader(connection), plant, digest))
+    with reading(parts.database) as tx:
+        return Artifact.model_validate(find.artifact(tx, plant, digest))
 
 
 @router.get(
     "/plants/{plant}/versions/{version}", summary="Get an artifact's registration by version"
 )
 def get_version(parts: With, plant: PlantName, version: int) -> Artifact:
-    with parts.database.read() as connection:
-        found = Reader(connection).artifact_version(plant, version) if 0 < version < 2**31 else None
+    with reading(parts.database) as tx:
+        found = tx.artifacts.by_version(plant, version) if 0 < version < 2**31 else None
     if found is None:
         raise NotFound(
             f"plant {plant!r} has no version {version}", noun="version", name=str(version)
@@ -188,8 +189,8 @@ def get_version(parts: With, plant: PlantName, version: int) -> Artifact:
 )
 def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
     """Their SHA-256 is the artifact's name."""
-    with parts.database.read() as connection:
-        found = find.artifact(Reader(connection), plant, digest)
+    with reading(parts.database) as tx:
+        found = find.artifact(tx, plant, digest)
     if digest_of_bytes(found.manifest.encode()) != digest:
         raise BrokenChain("the kept manifest is not the one that its digest names", artifact=digest)
     headers = {"ETag": f'"{digest}"', "Cache-Control": UNCHANGING}
@@ -203,8 +204,8 @@ def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
 )
 def get_arrays(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
     """The bytes that its manifest names."""
-    with parts.database.read() as connection:
-        arrays = find.artifact(Reader(connection), plant, digest).arrays
+    with reading(parts.database) as tx:
+        arrays = find.artifact(tx, plant, digest).arrays
     if arrays is None:
         raise NotFound(f"artifact {digest[:12]} has no arrays", noun="arrays", name=digest)
     return _blob(parts.blobs, arrays)
@@ -218,8 +219,8 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
     configuration and code by digest."""
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    with parts.database.read() as connection:
-        found = find.artifact(Reader(connection), plant, digest)
+    with reading(parts.database) as tx:
+        found = find.artifact(tx, plant, digest)
     kept = Bytes(found.manifest.encode(), b"")
     if kept.digest != digest:
         raise BrokenChain("the kept manifest is not the one that its digest names", artifact=digest)
@@ -236,12 +237,11 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
     "/plants/{plant}/artifacts/{digest}", summary="Refused: artifacts are kept", status_code=204
 )
 def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.artifact(reader, plant, digest)
-        serves = find.serving(reader, plant).artifact == digest
+    with reading(parts.database) as tx:
+        find.artifact(tx, plant, digest)
+        serves = find.serving(tx, plant).artifact == digest
         raise Kept(
             f"artifact {digest[:12]} is kept",
             serves=serves,
-            decisions=reader.decisions_naming(plant, digest),
+            decisions=tx.decisions.naming(plant, digest),
         )

@@ -1,7 +1,7 @@
 """Audit: the append-only log of everything that was done, its tree and its signed head.
 
 `/v1/audit` is the prefix of a tiled log: `checkpoint`, `tile/<level>/<tile>` and
-`tile/entries/<tile>` are what any reader of C2SP tlog-tiles knows. Inclusion and consistency are
+`tile/entries/<tile>` are what any tx of C2SP tlog-tiles knows. Inclusion and consistency are
 also proven directly, for who does not want to read tiles.
 """
 
@@ -24,8 +24,8 @@ from trueup_service.errors import BadRequest, NotFound
 from trueup_service.http.context import Limit, With
 from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.schemas import AuditEntry, AuditKey, AuditKeys, Page, Proof, Rows, page
-from trueup_service.registry.store import Reader
 from trueup_service.registry.tables import metadata
+from trueup_service.registry.transaction import ReadTransaction, reading
 from trueup_service.signed_log import SignedLog
 
 router = guarded("/v1/audit", ["audit"])
@@ -62,10 +62,8 @@ def list_entries(
 ) -> Page[AuditEntry]:
     """Entry n is leaf n - 1 of the tree; an entry's leaf holds the digests of `facts` and of
     `rows`. A token of a project sees its own."""
-    with parts.database.read() as connection:
-        found = Reader(connection).audit_entries(
-            after, limit, plant if who.plant is None else who.plant, who.project
-        )
+    with reading(parts.database) as tx:
+        found = tx.log.entries(after, limit, plant if who.plant is None else who.plant, who.project)
     return page(AuditEntry, found, limit, "sequence")
 
 
@@ -80,8 +78,8 @@ async def key(request: Request) -> Response:
 def keys(parts: With) -> AuditKeys:
     """In order, each but the first endorsed by the one before: whoever pinned an earlier one need
     not be told of the last by hand."""
-    with parts.database.read() as connection:
-        return AuditKeys(items=[AuditKey(**asdict(key)) for key in Reader(connection).audit_keys()])
+    with reading(parts.database) as tx:
+        return AuditKeys(items=[AuditKey(**asdict(key)) for key in tx.log.signing_keys()])
 
 
 @router.get(
@@ -98,12 +96,11 @@ async def checkpoint(request: Request) -> Response:
 def prove_inclusion(
     parts: With, sequence: Annotated[int, Query(ge=1, le=2**62)], size: Size | None = None
 ) -> Proof:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        size = _reached(reader, size)
+    with reading(parts.database) as tx:
+        size = _reached(tx, size)
         if sequence > size:
             raise BadRequest(f"a log of {size} entries has no entry {sequence}", size=size)
-        return _proof(reader, inclusion(sequence - 1, size), size)
+        return _proof(tx, inclusion(sequence - 1, size), size)
 
 
 @router.get("/consistency", summary="Prove that the log extends an earlier one")
@@ -112,23 +109,22 @@ def prove_consistency(
     old: Annotated[int, Query(ge=0, le=2**62, description="entries then")],
     size: Size | None = None,
 ) -> Proof:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        size = _reached(reader, size)
+    with reading(parts.database) as tx:
+        size = _reached(tx, size)
         if old > size:
             raise BadRequest(f"a log of {size} entries does not extend one of {old}", size=size)
-        return _proof(reader, consistency(old, size), size)
+        return _proof(tx, consistency(old, size), size)
 
 
-def _reached(reader: Reader, size: int | None) -> int:
-    now = reader.audit_tree().size
+def _reached(tx: ReadTransaction, size: int | None) -> int:
+    now = tx.log.tree().size
     if size is not None and size > now:
         raise BadRequest(f"the log has {now} entries yet", size=now)
     return now if size is None else size
 
 
-def _proof(reader: Reader, plan: Plan, size: int) -> Proof:
-    hashes = reader.audit_nodes([node for part in plan for node in part])
+def _proof(tx: ReadTransaction, plan: Plan, size: int) -> Proof:
+    hashes = tx.log.nodes([node for part in plan for node in part])
     return Proof(size=size, hashes=[base64.b64encode(h).decode() for h in prove(plan, hashes)])
 
 
@@ -142,8 +138,8 @@ def entries(parts: With, tile: TilePath) -> Response:
     """Each leaf's bytes behind their length (16 bits, big-endian); the tree's leaf hashes are over
     these bytes."""
     number, width = _tile(tile)
-    with parts.database.read() as connection:
-        found = Reader(connection).audit_entries(number * TILE, width)
+    with reading(parts.database) as tx:
+        found = tx.log.entries(number * TILE, width)
     leaves = [entry_bytes(e) for e in found]
     return _tile_answer(
         tile, len(leaves), width, b"".join(struct.pack(">H", len(leaf)) + leaf for leaf in leaves)
@@ -159,8 +155,8 @@ def entries(parts: With, tile: TilePath) -> Response:
 def hashes(parts: With, level: Annotated[int, Path(ge=0, le=7)], tile: TilePath) -> Response:
     """Neighbouring subtrees of 256^level leaves each, 32 bytes each."""
     number, width = _tile(tile)
-    with parts.database.read() as connection:
-        found = Reader(connection).audit_tile(8 * level, number * TILE, width)
+    with reading(parts.database) as tx:
+        found = tx.log.tile(8 * level, number * TILE, width)
     return _tile_answer(tile, len(found), width, b"".join(found))
 
 
@@ -218,8 +214,8 @@ def rows(
             raise ValueError
     except (orjson.JSONDecodeError, ValueError, TypeError) as error:
         raise BadRequest("after is `next` of the page before") from error
-    with parts.database.read() as connection:
-        items = Reader(connection).rows(found, key, limit)
+    with reading(parts.database) as tx:
+        items = tx.rows.page(found, key, limit)
     return Rows(
         items=items,
         next=orjson.dumps([items[-1][c.name] for c in columns]).decode()

@@ -34,7 +34,7 @@ from trueup_service.http.schemas import (
     Page,
     page,
 )
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import Transaction, reading
 
 router = guarded("/v1/plants/{plant}", ["channels"])
 ChannelName = Annotated[
@@ -59,7 +59,7 @@ CHANNEL = {
 )
 def add(
     parts: With,
-    stamp: By,
+    context: By,
     plant: PlantName,
     document: Annotated[
         dict[str, Any],
@@ -70,11 +70,11 @@ def add(
     """It is kept as it is said: by whom stands beside it, and what it cannot show is part of it."""
     return create(
         parts,
-        stamp,
+        context,
         f"evidence/{plant}",
         key,
         document,
-        lambda w: add_evidence(w, plant, document, None, stamp),
+        lambda tx: add_evidence(tx, plant, document, None, context),
         Evidence,
     )
 
@@ -90,10 +90,9 @@ def list_evidence(
     """In the order in which it came; `after` is `next` of the page before. A page ends early where
     its documents are long."""
     at, _, last = after.partition("_")
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.artifact(reader, plant, digest)
-        found, more = reader.evidence_of(plant, digest, (at, last), limit, PAGE_BYTES)
+    with reading(parts.database) as tx:
+        find.artifact(tx, plant, digest)
+        found, more = tx.evidence.page(plant, digest, (at, last), limit, PAGE_BYTES)
     return Page(
         items=[Evidence.model_validate(e) for e in found],
         next=f"{found[-1].created_at}_{found[-1].digest}" if more else None,
@@ -109,7 +108,7 @@ def list_evidence(
 )
 def declare(
     parts: With,
-    stamp: By,
+    context: By,
     plant: PlantName,
     channel: ChannelDeclaration,
     key: IdempotencyKey = None,
@@ -119,11 +118,11 @@ def declare(
 
     return create(
         parts,
-        stamp,
+        context,
         f"channels/{plant}",
         key,
         request,
-        lambda w: declare_channel(w, plant, channel.name, channel.requires, stamp),
+        lambda tx: declare_channel(tx, plant, channel.name, channel.requires, context),
         Channel,
     )
 
@@ -135,10 +134,9 @@ def list_channels(
     after: Annotated[str, Query(max_length=63)] = "",
     limit: Limit = 100,
 ) -> Page[Channel]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.channels(plant, after, limit)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        found = tx.channels.page(plant, after, limit)
     return page(Channel, found, limit, "name")
 
 
@@ -159,7 +157,7 @@ async def serving(request: Request) -> Response:
 async def move(
     request: Request,
     parts: With,
-    stamp: By,
+    context: By,
     plant: PlantName,
     channel: ChannelName,
     wanted: ChannelMove,
@@ -168,13 +166,13 @@ async def move(
     """409 if the channel is elsewhere, the artifact never served the plant itself, or evidence of a
     required stage is missing or failed."""
 
-    def act(writer: Writer) -> dict[str, Any]:
+    def act(tx: Transaction) -> dict[str, Any]:
         return asdict(
-            move_channel(writer, plant, channel, wanted.artifact, wanted.expected_generation, stamp)
+            move_channel(tx, plant, channel, wanted.artifact, wanted.expected_generation, context)
         )
 
     moved = await run_in_threadpool(
-        run_once, parts, stamp, f"channels/{plant}/{channel}", key, wanted.model_dump(), act
+        run_once, parts, context, f"channels/{plant}/{channel}", key, wanted.model_dump(), act
     )
     request.app.state.answers.wake()
     return ChannelPosition(**moved)

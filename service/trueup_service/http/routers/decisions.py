@@ -9,7 +9,7 @@ from trueup.errors import BrokenChain
 from trueup.ledger.provenance import PAYLOAD_TYPE, of_decision
 from trueup_service.actions import find
 from trueup_service.actions.approve import approve
-from trueup_service.actions.stamp import END_OF_TIME
+from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.context import (
     Before,
     By,
@@ -23,7 +23,7 @@ from trueup_service.http.context import (
 from trueup_service.http.guard import Asking, guarded, require_seen
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Approval, ApprovalRequest, Decision, Envelope, Page, page
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 
 router = guarded("/v1", ["decisions"])
 
@@ -32,17 +32,16 @@ router = guarded("/v1", ["decisions"])
 def list_decisions(
     parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
 ) -> Page[Decision]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.decisions(plant, before, limit)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        found = tx.decisions.page(plant, before, limit)
     return page(Decision, found, limit, "created_at")
 
 
 @router.get("/plants/{plant}/decisions/{digest}", summary="Get a decision of a plant")
 def get_decision(parts: With, plant: PlantName, digest: DigestPath) -> Decision:
-    with parts.database.read() as connection:
-        return Decision.model_validate(find.decision(Reader(connection), plant, digest))
+    with reading(parts.database) as tx:
+        return Decision.model_validate(find.decision(tx, plant, digest))
 
 
 @router.get(
@@ -52,8 +51,8 @@ def get_decision(parts: With, plant: PlantName, digest: DigestPath) -> Decision:
 def get_provenance(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Envelope:
     """An in-toto statement (test-result) in a DSSE envelope: candidate, gate, incumbent and
     held-out episodes by digest."""
-    with parts.database.read() as connection:
-        found = find.decision(Reader(connection), plant, digest)
+    with reading(parts.database) as tx:
+        found = find.decision(tx, plant, digest)
     if digest_of(found.document) != digest:
         raise BrokenChain("the kept decision is not the one that its digest names", decision=digest)
     facts: dict[str, Json] = {
@@ -73,7 +72,7 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
 )
 def add_approval(
     parts: With,
-    stamp: By,
+    context: By,
     plant: PlantName,
     digest: DigestPath,
     given: ApprovalRequest | None = None,
@@ -87,26 +86,27 @@ def add_approval(
     request: dict[str, Json] = {"decision": digest, "because": because}
     return create(
         parts,
-        stamp,
+        context,
         f"approvals/{plant}",
         key,
         request,
-        lambda w: approve(w, plant, digest, because, stamp),
+        lambda tx: approve(tx, plant, digest, because, context),
         Approval,
     )
 
 
 @router.get("/plants/{plant}/decisions/{digest}/approvals", summary="List who approved a decision")
 def list_approvals(parts: With, plant: PlantName, digest: DigestPath) -> Page[Approval]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.decision(reader, plant, digest)
-        return Page(items=[Approval.model_validate(a) for a in reader.approvals(plant, digest)])
+    with reading(parts.database) as tx:
+        find.decision(tx, plant, digest)
+        return Page(
+            items=[Approval.model_validate(a) for a in tx.approvals.of_decision(plant, digest)]
+        )
 
 
 @router.get("/decisions/{digest}", summary="Get a decision by its digest alone")
 def find_decision(parts: With, who: Asking, digest: DigestPath) -> Decision:
-    with parts.database.read() as connection:
-        found = find.any_decision(Reader(connection), digest)
-    require_seen(parts.database, who, found.plant, find.missing("decision", digest))
+    with reading(parts.database) as tx:
+        found = find.any_decision(tx, digest)
+    require_seen(parts.database, who, found.plant, find.not_found("decision", digest))
     return Decision.model_validate(found)

@@ -20,7 +20,7 @@ from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, 
 from trueup_service.http.serving_answers import document
 from trueup_service.http.uploads import received
 from trueup_service.inspection import Inspected
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 router = guarded("/v1/plants/{plant}/episodes", ["episodes"])
@@ -41,7 +41,7 @@ MCAP = {
     openapi_extra=MCAP,
 )
 async def upload(
-    request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None
+    request: Request, parts: With, context: By, plant: PlantName, key: IdempotencyKey = None
 ) -> Response:
     """The body is an MCAP file. It is hashed while it streams and held against `Content-Digest`
     (RFC 9530) if that is sent.
@@ -53,12 +53,12 @@ async def upload(
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         known = await run_in_threadpool(_known, parts, plant, file.digest)
         inspected = known or await inspect(request, file.path, held)
-        return await run_in_threadpool(ingest, parts, stamp, plant, key, file, inspected)
+        return await run_in_threadpool(ingest, parts, context, plant, key, file, inspected)
 
 
 def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
-    with parts.database.read() as connection:
-        found = Reader(connection).episode(plant, digest)
+    with reading(parts.database) as tx:
+        found = tx.episodes.get(plant, digest)
     return (
         None
         if found is None
@@ -77,19 +77,17 @@ def list_episodes(
     limit: Limit = 100,
 ) -> Page[Episode]:
     """In the order of their digests; `after` is the digest that the page before ended with."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.episodes(plant, role, after, limit)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        found = tx.episodes.page(plant, role, after, limit)
     return page(Episode, found, limit, "digest")
 
 
 @router.get("/{digest}", summary="Get an episode with what was serving while it was recorded")
 def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeContext:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        found = find.episode(reader, plant, digest)
-        uses, served = find.uses(reader, digest), find.served_during(reader, found)
+    with reading(parts.database) as tx:
+        found = find.episode(tx, plant, digest)
+        uses, served = find.uses(tx, digest), find.served_during(tx, found)
     return EpisodeContext(
         **Episode.model_validate(found).model_dump(),
         served=[Serving(**document(m)) for m in served],
@@ -99,17 +97,16 @@ def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeCon
 
 @router.get("/{digest}/content", summary="Download an episode's bytes", response_class=Response)
 def download(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
-    with parts.database.read() as connection:
-        found = find.episode(Reader(connection), plant, digest)
+    with reading(parts.database) as tx:
+        found = find.episode(tx, plant, digest)
     return send_kept(parts.blobs, digest, found.size_bytes)
 
 
 @router.delete("/{digest}", summary="Refused: episodes are kept", status_code=204)
 def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.episode(reader, plant, digest)
+    with reading(parts.database) as tx:
+        find.episode(tx, plant, digest)
         raise Kept(
             f"episode {digest[:12]} is kept: fits and decisions name it",
-            uses=sum(find.uses(reader, digest).values()),
+            uses=sum(find.uses(tx, digest).values()),
         )

@@ -21,7 +21,7 @@ from trueup_service.http.context import (
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Gate, GateInLine, LooserThan, Page, page
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 
 router = guarded("/v1/plants/{plant}", ["gates"])
 
@@ -31,7 +31,7 @@ router = guarded("/v1/plants/{plant}", ["gates"])
 )
 def declare(
     parts: With,
-    stamp: By,
+    context: By,
     plant: PlantName,
     document: Annotated[dict[str, Any] | None, Body()] = None,
     key: IdempotencyKey = None,
@@ -45,11 +45,11 @@ def declare(
 
     return create(
         parts,
-        stamp,
+        context,
         f"gates/{plant}",
         key,
         document,
-        lambda w: declare_gate(w, plant, document, stamp),
+        lambda tx: declare_gate(tx, plant, document, context),
         Gate,
     )
 
@@ -61,26 +61,24 @@ def list_gates(
     after: Annotated[str, Query(max_length=64)] = "",
     limit: Limit = 100,
 ) -> Page[Gate]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.gates(plant, after, limit)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        found = tx.gates.page(plant, after, limit)
     return page(Gate, found, limit, "digest")
 
 
 @router.get("/gates/{digest}", summary="Get a gate")
 def get_gate(parts: With, plant: PlantName, digest: DigestPath) -> Gate:
-    with parts.database.read() as connection:
-        return Gate.model_validate(find.gate(Reader(connection), plant, digest))
+    with reading(parts.database) as tx:
+        return Gate.model_validate(find.gate(tx, plant, digest))
 
 
 @router.get("/gate", summary="Get the gate in force")
 def get_gate_in_force(parts: With, plant: PlantName) -> GateInLine:
     """The last one that was declared: it judges."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = place(reader, plant)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        found = place(tx, plant)
     if found is None:
         raise NotFound(
             f"plant {plant!r} has no gate",
@@ -94,10 +92,10 @@ def get_gate_in_force(parts: With, plant: PlantName) -> GateInLine:
 @router.get("/gates/{digest}/line", summary="Get a gate with its place in the plant's line")
 def get_gate_in_line(parts: With, plant: PlantName, digest: DigestPath) -> GateInLine:
     """Whether it is in force, which one was before it, and what is looser in it."""
-    with parts.database.read() as connection:
-        found = place(Reader(connection), plant, digest)
+    with reading(parts.database) as tx:
+        found = place(tx, plant, digest)
     if found is None:
-        raise find.missing("gate", digest)
+        raise find.not_found("gate", digest)
     return _in_line(found)
 
 

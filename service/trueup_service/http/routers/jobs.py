@@ -10,8 +10,8 @@ from starlette.responses import StreamingResponse
 
 from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
-from trueup_service.actions.stamp import END_OF_TIME
 from trueup_service.actions.submit_job import SUBMIT
+from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.context import Before, By, IdempotencyKey, Limit, PlantName, With, create
 from trueup_service.http.downloads import send_kept
 from trueup_service.http.guard import Asking, guarded, require_seen
@@ -31,7 +31,7 @@ from trueup_service.http.schemas import (
     ValidationRequest,
     page,
 )
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 
 router = guarded("/v1", ["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
@@ -57,7 +57,7 @@ JobRequest = Annotated[
     responses=there(Job),
 )
 def submit(
-    parts: With, stamp: By, plant: PlantName, request: JobRequest, key: IdempotencyKey = None
+    parts: With, context: By, plant: PlantName, request: JobRequest, key: IdempotencyKey = None
 ) -> Response:
     """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a
     trial held-out ones alone; a diagnosis fits the former and compares on the latter. A calibration
@@ -69,11 +69,11 @@ def submit(
     frozen = {"kind": request.kind, **chosen}
     return create(
         parts,
-        stamp,
+        context,
         f"jobs/{plant}",
         key,
         frozen,
-        lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True),
+        lambda w: (act(w, parts.queue, job, plant, chosen, context), True),
         Job,
     )
 
@@ -82,22 +82,20 @@ def submit(
 def list_jobs(
     parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
 ) -> Page[Job]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.jobs(plant, before, limit)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        found = tx.jobs.page(plant, before, limit)
     return page(Job, found, limit, "created_at")
 
 
 @router.get("/jobs/{job}", summary="Get a job with its progress and what it has read")
 def get_job(parts: With, who: Asking, job: JobId) -> JobWithReads:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        found = find.job(reader, job)
-        require_seen(parts.database, who, found.plant, find.missing("job", job))
-        outputs = [Output.model_validate(o) for o in reader.outputs(job)]
+    with reading(parts.database) as tx:
+        found = find.job(tx, job)
+        require_seen(parts.database, who, found.plant, find.not_found("job", job))
+        outputs = [Output.model_validate(o) for o in tx.outputs.of_job(job)]
         return JobWithReads(
-            **Job.model_validate(found).model_dump(), reads=reader.job_reads(job), outputs=outputs
+            **Job.model_validate(found).model_dump(), reads=tx.jobs.reads(job), outputs=outputs
         )
 
 
@@ -109,10 +107,9 @@ def get_job(parts: With, who: Asking, job: JobId) -> JobWithReads:
 def get_output(parts: With, who: Asking, job: JobId, name: OutputName) -> StreamingResponse:
     """A diagnosis leaves `figures.json`, the numbers behind its pictures, and `next_experiment.csv`
     where there is one."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        require_seen(parts.database, who, find.job(reader, job).plant, find.missing("job", job))
-        found = find.output(reader, job, name)
+    with reading(parts.database) as tx:
+        require_seen(parts.database, who, find.job(tx, job).plant, find.not_found("job", job))
+        found = find.output(tx, job, name)
     named = f'attachment; filename="{found.name}"'
     return send_kept(
         parts.blobs, found.digest, found.size_bytes, found.media_type, Content_Disposition=named
@@ -120,12 +117,10 @@ def get_output(parts: With, who: Asking, job: JobId, name: OutputName) -> Stream
 
 
 @router.post("/jobs/{job}/cancel", summary="Cancel a job")
-def cancel(parts: With, stamp: By, who: Asking, job: JobId) -> Job:
+def cancel(parts: With, context: By, who: Asking, job: JobId) -> Job:
     """A waiting job is cancelled at once, a running one at its next report of progress; a finished
     one stays as it is."""
-    with parts.database.read() as connection:
-        require_seen(
-            parts.database, who, find.job(Reader(connection), job).plant, find.missing("job", job)
-        )
-    with writing(parts.database) as writer:
-        return Job.model_validate(cancel_job(writer, job, stamp))
+    with reading(parts.database) as tx:
+        require_seen(parts.database, who, find.job(tx, job).plant, find.not_found("job", job))
+    with writing(parts.database) as tx:
+        return Job.model_validate(cancel_job(tx, job, context))

@@ -15,7 +15,7 @@ from trueup_service.errors import LogRewound
 from trueup_service.http.context import With
 from trueup_service.http.guard import guarded
 from trueup_service.http.schemas import Health, Readiness
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 LEAST_ROOM_BYTES = 64 << 20
@@ -42,8 +42,8 @@ def ready(request: Request, parts: With, response: Response) -> Readiness:
 
 def _database(parts: Parts) -> str:
     try:
-        with parts.database.read() as connection:
-            Reader(connection).audit_tree()
+        with reading(parts.database) as tx:
+            tx.log.tree()
     except SQLAlchemyError as error:
         return f"fails: {type(error).__name__}"
     return "ok"

@@ -12,7 +12,7 @@ from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, Wi
 from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Page, Plant, page
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 
 router = guarded("/v1/plants", ["plants"])
 
@@ -22,7 +22,7 @@ router = guarded("/v1/plants", ["plants"])
 )
 def register(
     parts: With,
-    stamp: By,
+    context: By,
     who: Asking,
     document: Annotated[dict[str, Any], Body(description="plant.json")],
     project: Annotated[
@@ -44,15 +44,15 @@ def register(
             hint="Ask an admin for a token of the project.",
         )
     if who.project is not None and project not in (None, who.project):
-        raise find.missing("project", str(project))
+        raise find.not_found("project", str(project))
     of = who.project or project
     return create(
         parts,
-        stamp,
+        context,
         "plants",
         key,
         document,
-        lambda w: register_plant(w, document, stamp, of),
+        lambda tx: register_plant(tx, document, context, of),
         Plant,
     )
 
@@ -62,19 +62,16 @@ def list_plants(
     parts: With, who: Asking, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
 ) -> Page[Plant]:
     """Those that the token sees."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
+    with reading(parts.database) as tx:
         if who.plant is not None:
             return Page(
-                items=[Plant.model_validate(find.plant(reader, who.plant))]
-                if who.plant > after
-                else []
+                items=[Plant.model_validate(find.plant(tx, who.plant))] if who.plant > after else []
             )
-        found = reader.plants(after, limit, who.project)
+        found = tx.plants.page(after, limit, who.project)
     return page(Plant, found, limit, "name")
 
 
 @router.get("/{plant}", summary="Get a plant")
 def get_plant(parts: With, plant: PlantName) -> Plant:
-    with parts.database.read() as connection:
-        return Plant.model_validate(find.plant(Reader(connection), plant))
+    with reading(parts.database) as tx:
+        return Plant.model_validate(find.plant(tx, plant))

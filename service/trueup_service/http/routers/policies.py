@@ -14,7 +14,7 @@ from trueup_service.http.guard import Asking, guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Page, Policy, page
 from trueup_service.registry.records import PolicyRecord, Role
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import Transaction, reading
 
 router = guarded("/v1/plants/{plant}", ["policies"])
 
@@ -28,7 +28,7 @@ router = guarded("/v1/plants/{plant}", ["policies"])
 )
 def declare(
     parts: With,
-    stamp: By,
+    context: By,
     who: Asking,
     plant: PlantName,
     document: Annotated[
@@ -40,10 +40,10 @@ def declare(
     """It holds from now on; the ones before it stay on record. That promotions take fewer people
     than before, an admin alone can say."""
 
-    def act(writer: Writer) -> tuple[PolicyRecord, bool]:
-        return declare_policy(writer, plant, document, stamp, by_admin=Role.ADMIN in who.roles)
+    def act(tx: Transaction) -> tuple[PolicyRecord, bool]:
+        return declare_policy(tx, plant, document, context, by_admin=Role.ADMIN in who.roles)
 
-    return create(parts, stamp, f"policies/{plant}", key, document, act, Policy)
+    return create(parts, context, f"policies/{plant}", key, document, act, Policy)
 
 
 @router.get("/policies", summary="List the policies that held, in order")
@@ -53,19 +53,17 @@ def list_policies(
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="sequence")] = 0,
     limit: Limit = 100,
 ) -> Page[Policy]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.policies(plant, after, limit)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        found = tx.policies.page(plant, after, limit)
     return page(Policy, found, limit, "sequence")
 
 
 @router.get("/policy", summary="Get the policy that holds")
 def get_policy(parts: With, plant: PlantName) -> Policy:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.policy(plant)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        found = tx.policies.in_force(plant)
     if found is None:
         raise NotFound(
             f"plant {plant!r} has no policy",

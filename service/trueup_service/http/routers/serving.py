@@ -10,14 +10,14 @@ from starlette.concurrency import run_in_threadpool
 
 from trueup.canonical import Json
 from trueup_service.actions import find
-from trueup_service.actions.stamp import time_text
+from trueup_service.actor_context import time_text
 from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With
 from trueup_service.http.guard import guarded
 from trueup_service.http.moving import promote_tested, roll_back_tested
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas import Envelope, Page, Promotion, Rollback, Serving
 from trueup_service.http.serving_answers import document
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import SignedLog
 
 router = guarded("/v1/plants/{plant}/serving", ["serving"])
@@ -50,10 +50,9 @@ def envelope(request: Request, parts: With, plant: PlantName) -> Envelope:
     served before as the fallback, and the log's checkpoint, so that every robot is a witness of the
     log.
     """
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        move = find.serving(reader, plant)
-        back = None if move.back_to is None else reader.move(plant, move.back_to)
+    with reading(parts.database) as tx:
+        move = find.serving(tx, plant)
+        back = None if move.back_to is None else tx.serving.at_generation(plant, move.back_to)
     log: SignedLog = request.app.state.log
     issued = datetime.now(UTC)
     told: dict[str, Json] = {
@@ -80,13 +79,12 @@ def history(
     limit: Limit = 100,
 ) -> Page[Serving]:
     """Every position of the pointer in order, or with `at` the one that was live at that time."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
         if at is not None:
-            live = reader.served_at(plant, _padded(at))
+            live = tx.serving.at_time(plant, _padded(at))
             return Page(items=[Serving(**document(live))] if live else [])
-        found = reader.moves(plant, after, limit)
+        found = tx.serving.history(plant, after, limit)
     return Page(
         items=[Serving(**document(m)) for m in found],
         next=str(found[-1].generation) if len(found) == limit else None,
@@ -102,7 +100,7 @@ def _padded(at: str) -> str:
 async def promote(
     request: Request,
     parts: With,
-    stamp: By,
+    context: By,
     plant: PlantName,
     promotion: Promotion,
     key: IdempotencyKey = None,
@@ -110,7 +108,13 @@ async def promote(
     """Compare and swap: 409 if the pointer is elsewhere, the decision was judged at another one, or
     others must approve."""
     moved = await run_in_threadpool(
-        promote_tested, parts, stamp, plant, promotion.decision, promotion.expected_generation, key
+        promote_tested,
+        parts,
+        context,
+        plant,
+        promotion.decision,
+        promotion.expected_generation,
+        key,
     )
     request.app.state.answers.wake()
     return Serving(**moved)
@@ -120,7 +124,7 @@ async def promote(
 async def rollback(
     request: Request,
     parts: With,
-    stamp: By,
+    context: By,
     plant: PlantName,
     wanted: Rollback,
     key: IdempotencyKey = None,
@@ -128,7 +132,7 @@ async def rollback(
     """Only after the switchback test: the artifact loads, its digests hold, it answers its recorded
     probe, it fits the plant."""
     moved = await run_in_threadpool(
-        roll_back_tested, parts, stamp, plant, wanted.expected_generation, key
+        roll_back_tested, parts, context, plant, wanted.expected_generation, key
     )
     request.app.state.answers.wake()
     return Serving(**moved)

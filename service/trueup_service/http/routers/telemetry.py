@@ -55,7 +55,7 @@ BATCH = {
     openapi_extra=BATCH,
 )
 async def send(
-    request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None
+    request: Request, parts: With, context: By, plant: PlantName, key: IdempotencyKey = None
 ) -> Response:
     """The batch becomes an episode of the role telemetry, or reference: durable once answered, and
     shown to the plant's monitor.
@@ -69,6 +69,6 @@ async def send(
         try:
             inspected = await inspect(request, file.path, held, telemetry=True)
             episode = Received(path, inspected.digest, path.stat().st_size)
-            return await run_in_threadpool(ingest, parts, stamp, plant, key, episode, inspected)
+            return await run_in_threadpool(ingest, parts, context, plant, key, episode, inspected)
         finally:
             path.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from trueup.errors import BadEpisode
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import DigestMismatch, NotFound
 from trueup_service.http.context import By, DigestPath, IdempotencyKey, PlantName, With
 from trueup_service.http.guard import guarded
@@ -86,7 +86,7 @@ async def _until_it_breaks(request: Request) -> AsyncIterator[bytes]:
 async def finish(
     request: Request,
     parts: With,
-    stamp: By,
+    context: By,
     plant: PlantName,
     digest: DigestPath,
     key: IdempotencyKey = None,
@@ -99,7 +99,7 @@ async def finish(
     held = await run_in_threadpool(against, parts, plant)
     try:
         with uploads.alone(plant, digest):
-            answer = await _finished(request, parts, stamp, plant, digest, key, held)
+            answer = await _finished(request, parts, context, plant, digest, key, held)
             uploads.drop(plant, digest)
             return answer
     except FileNotFoundError as error:
@@ -117,7 +117,7 @@ async def finish(
 async def _finished(
     request: Request,
     parts: Parts,
-    stamp: Stamp,
+    context: ActorContext,
     plant: str,
     digest: str,
     key: str | None,
@@ -136,5 +136,5 @@ async def _finished(
         uploads.drop(plant, digest)
         raise
     return await run_in_threadpool(
-        ingest, parts, stamp, plant, key, Received(path, digest, path.stat().st_size), inspected
+        ingest, parts, context, plant, key, Received(path, digest, path.stat().st_size), inspected
     )
