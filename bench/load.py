@@ -43,7 +43,7 @@ from trueup_service.actions.add_monitor import add_monitor
 from trueup_service.actions.register_plant import register_plant
 from trueup_service.actions.tokens import issue_token
 from trueup_service.actor_context import ActorContext
-from trueup_service.identity import new_token
+from trueup_service.authentication import new_token
 from trueup_service.registry.records import Role as Of
 from trueup_service.registry.records import TokenRecord
 from trueup_service.registry.transaction import writing

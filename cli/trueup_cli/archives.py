@@ -224,10 +224,10 @@ def gc(
 ) -> None:
     """Remove bytes that no row names: what uploads left that never ended. What was registered is
     never removed."""
-    from trueup_service.leftovers import remove_leftovers
+    from trueup_service.garbage_collection import collect_garbage
 
     with _parts() as parts, progress("looking for what is left over") as bar:
-        removed: dict[str, Any] = remove_leftovers(
+        removed: dict[str, Any] = collect_garbage(
             parts, older_than_h * 3600.0, dry_run=dry_run, told=bar
         )
     if as_json_:

@@ -43,7 +43,7 @@ class Inspected:
 
 
 @dataclass(frozen=True, slots=True)
-class Against:
+class PlantContext:
     """What an upload is held against: the plant's description, and where the model that serves was
     fitted, as its manifest tells."""
 
@@ -51,7 +51,7 @@ class Against:
     coverage: list[Json]
 
 
-def as_mcap(path: Path) -> Path:
+def mcap_path(path: Path) -> Path:
     """Where a batch of telemetry becomes an episode."""
     return path.with_suffix(".mcap")
 
@@ -66,9 +66,11 @@ class Inspector:
         self._process: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
 
-    async def inspect(self, path: Path, against: Against, *, telemetry: bool = False) -> Inspected:
+    async def inspect(
+        self, path: Path, against: PlantContext, *, telemetry: bool = False
+    ) -> Inspected:
         """What the file holds as an episode of a plant; a batch of telemetry becomes the MCAP file
-        `as_mcap(path)`.
+        `mcap_path(path)`.
 
         Raises BadEpisode with the child's code and facts, InspectionFailed at a limit.
         """

@@ -38,7 +38,7 @@ from trueup.episode.telemetry import telemetry_to_mcap
 from trueup.episode.writer import write_episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
-from trueup_service.inspection import LENGTH, Against, Inspected, as_mcap
+from trueup_service.inspection import LENGTH, Inspected, PlantContext, mcap_path
 
 REHEARSED_SAMPLES = 200
 REHEARSED: dict[str, Json] = {
@@ -54,7 +54,7 @@ REHEARSED: dict[str, Json] = {
 }
 
 
-def inspect_file(path: Path, against: Against) -> Inspected:
+def inspect_file(path: Path, against: PlantContext) -> Inspected:
     """What a file holds as an episode of a plant. Raises BadEpisode, BadPlant."""
     described = Plant.from_document(against.plant)
     with path.open("rb") as file:
@@ -69,9 +69,9 @@ def inspect_file(path: Path, against: Against) -> Inspected:
 
 def convert_file(path: Path, plant: dict[str, Json]) -> Path:
     """A batch of telemetry as an MCAP file beside it. Raises BadEpisode, BadPlant."""
-    with as_mcap(path).open("xb") as file:
+    with mcap_path(path).open("xb") as file:
         telemetry_to_mcap(path.read_bytes(), Plant.from_document(plant).layout, file)
-    return as_mcap(path)
+    return mcap_path(path)
 
 
 def try_artifact(manifest: bytes, arrays: Path | None) -> None:
@@ -91,7 +91,7 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
             return {}
         path = Path(request["path"])
         held = convert_file(path, request["plant"]) if request["telemetry"] else path
-        return asdict(inspect_file(held, Against(request["plant"], request["coverage"])))
+        return asdict(inspect_file(held, PlantContext(request["plant"], request["coverage"])))
     except TrueupError as error:
         return {
             "problem": {
@@ -151,7 +151,7 @@ def rehearse() -> None:
             conditions={},
         )
         file.flush()
-        inspect_file(path, Against(dict(plant.document), []))
+        inspect_file(path, PlantContext(dict(plant.document), []))
     nominal = nominal_artifact(plant)
     try_artifact(nominal.manifest, None)
     gc.collect()

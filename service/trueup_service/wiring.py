@@ -14,7 +14,7 @@ from pathlib import Path
 from trueup.canonical import digest_of_bytes
 from trueup_service.jobs import JobQueue
 from trueup_service.locks import own_folder
-from trueup_service.private import private_folder
+from trueup_service.permissions import make_private
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.database import Database, copy_sqlite
 from trueup_service.registry.folder_blobs import FolderBlobs
@@ -42,7 +42,7 @@ class Parts:
 
 def build(settings: Settings) -> Parts:
     """The parts, with the schema up to date and a spool folder of this process."""
-    private_folder(settings.data_dir, settings.sqlite_file)
+    make_private(settings.data_dir, settings.sqlite_file)
     database = Database(settings.sqlalchemy_url, settings.database_pool)
     migrate(database)
     return Parts(
@@ -55,7 +55,7 @@ def build(settings: Settings) -> Parts:
 
 
 @contextmanager
-def reading(settings: Settings) -> Iterator[Parts]:
+def build_to_read(settings: Settings) -> Iterator[Parts]:
     """The parts for who reads alone. Where the data folder cannot be written, such as a snapshot
     that is mounted to be looked at, they are over a copy of its database, and nothing is written
     there.

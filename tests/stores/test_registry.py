@@ -15,8 +15,8 @@ from trueup.ledger.audit import rebuild
 from trueup.ledger.pointer import NothingToRollBackTo
 from trueup_migrations import HEAD
 from trueup_service.actions.declare_gate import declare_gate
+from trueup_service.actions.idempotency import IdempotencyKey, run_once_in
 from trueup_service.actions.move_pointer import promote_decision, roll_back_pointer
-from trueup_service.actions.once import Key, once
 from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.register_plant import register_plant
 from trueup_service.actor_context import ActorContext
@@ -258,7 +258,9 @@ def test_an_idempotency_key_repeats_its_answer_and_refuses_another_request(parts
 
     def send(request):
         with parts.database.write() as connection:
-            return once(Transaction(connection), Key("s", "k", request), CONTEXT.now, act)
+            return run_once_in(
+                Transaction(connection), IdempotencyKey("s", "k", request), CONTEXT.now, act
+            )
 
     assert send("a" * 64) == send("a" * 64) == {"n": 1}
     with pytest.raises(KeyReused):
@@ -380,7 +382,7 @@ def test_documents_are_canonical_text_whose_digest_is_the_plants(parts, plant):
 def test_a_registry_from_before_the_tree_is_migrated_and_holds(storage):
     from trueup.ledger.verification import verify
     from trueup_migrations import upgrade
-    from trueup_service.kept import Kept
+    from trueup_service.installation import Installation
     from trueup_service.registry.database import Database
 
     settings = storage.settings()
@@ -400,6 +402,6 @@ def test_a_registry_from_before_the_tree_is_migrated_and_holds(storage):
         connection.execute(text("UPDATE audit_head SET sequence = 1"))
     old.close()
     parts = storage.build()
-    found = verify(Kept(parts.database, parts.blobs))
+    found = verify(Installation(parts.database, parts.blobs))
     assert (found.findings, found.size, found.rows) == ([], 2, 1)
     parts.close()

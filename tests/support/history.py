@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from trueup.ledger.verification import verify
-from trueup_service.kept import Kept, lost_jobs
+from trueup_service.installation import Installation, lost_jobs
 from trueup_service.registry.records import FINAL
 from trueup_service.registry.transaction import ReadTransaction
 from trueup_service.wiring import Parts
@@ -46,7 +46,8 @@ class History:
 def problems(history: History, parts: Parts) -> list[str]:
     """What is lost, torn, doubled or never ended."""
     found = [
-        f"torn: {f.where}: {f.what}" for f in verify(Kept(parts.database, parts.blobs)).findings
+        f"torn: {f.where}: {f.what}"
+        for f in verify(Installation(parts.database, parts.blobs)).findings
     ]
     found += [f"lost: {f.where}: {f.what}" for f in lost_jobs(parts)]
     with parts.database.read() as connection:

@@ -9,7 +9,7 @@ from trueup.canonical import Json
 from trueup.gate.evidence import BadEvidence, Evidence
 from trueup_service.actions import find
 from trueup_service.actor_context import ActorContext
-from trueup_service.plain_text import obeyed_character
+from trueup_service.control_characters import control_character
 from trueup_service.registry.records import EvidenceRecord
 from trueup_service.registry.transaction import Transaction
 
@@ -31,7 +31,7 @@ def add_evidence(
                 ),
                 field=field,
             )
-        if character := obeyed_character(text, allowed="\n\t"):
+        if character := control_character(text, allowed="\n\t"):
             raise BadEvidence(
                 (
                     f"{field} holds the control character {character}: write it as text that can "

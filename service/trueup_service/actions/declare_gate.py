@@ -14,8 +14,8 @@ from trueup.gate.line import looser
 from trueup.model.plant import Plant
 from trueup_service.actions import find
 from trueup_service.actor_context import END_OF_TIME, ActorContext
+from trueup_service.control_characters import control_character
 from trueup_service.errors import GateFollows
-from trueup_service.plain_text import obeyed_character
 from trueup_service.registry.records import GateRecord
 from trueup_service.registry.transaction import Transaction
 
@@ -43,7 +43,7 @@ def declare_gate(
     known = next((g for g in line if g.digest == gate.digest), None)
     if known is not None:
         return known, False
-    if gate.because is not None and (character := obeyed_character(gate.because, allowed="\n\t")):
+    if gate.because is not None and (character := control_character(gate.because, allowed="\n\t")):
         raise BadGate(
             f"because holds the control character {character}: write it as text that can be read",
             field="because",

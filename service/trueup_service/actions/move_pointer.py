@@ -139,6 +139,20 @@ def _move(
     return move
 
 
+def position_document(move: Move) -> dict[str, Any]:
+    """A position of the pointer as responses and idempotency keys have it."""
+    return {
+        "plant": move.plant,
+        "version": move.version,
+        "artifact": move.artifact,
+        "generation": move.generation,
+        "since": move.at,
+        "decision": move.decision,
+        "move": str(move.kind),
+        "actor": move.actor,
+    }
+
+
 def _pointer(move: Move) -> ServingPointer:
     return ServingPointer(move.plant, move.generation, move.artifact, move.decision, move.at)
 

@@ -10,9 +10,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
 from trueup_service.actions import find
+from trueup_service.authentication import Authenticator, Principal
 from trueup_service.errors import Forbidden, NotFound, Unauthenticated
 from trueup_service.http.access import ACCESS, Rule
-from trueup_service.identity import Identities, Who
 from trueup_service.registry.database import Database
 from trueup_service.registry.transaction import reading
 
@@ -30,9 +30,9 @@ class Guarded(APIRoute):
             rule = ACCESS.get((scope["method"], self.path), NOBODY)
             if not rule.public:
                 request = Request(scope)
-                who = scope["who"] = await _recognised(request)
-                _require(who, rule)
-                await _require_plant(request, who)
+                principal = scope["principal"] = await _recognised(request)
+                _require(principal, rule)
+                await _require_plant(request, principal)
         await super().handle(scope, receive, send)
 
 
@@ -41,18 +41,20 @@ def guarded(prefix: str, tags: list[str]) -> APIRouter:
     return APIRouter(prefix=prefix, tags=list(tags), route_class=Guarded)
 
 
-async def _recognised(request: Request) -> Who:
-    identities: Identities = request.app.state.identities
+async def _recognised(request: Request) -> Principal:
+    authenticator: Authenticator = request.app.state.authenticator
     kind, _, token = request.headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer":
-        found = identities.remembered(token)
-        return found if found is not None else await run_in_threadpool(identities.by_token, token)
+        found = authenticator.remembered(token)
+        return (
+            found if found is not None else await run_in_threadpool(authenticator.by_token, token)
+        )
     cookie = request.cookies.get(COOKIE)
     if cookie is None:
         raise Unauthenticated
     require_own_page(request)
-    found = identities.remembered(cookie)
-    return found if found is not None else await run_in_threadpool(identities.by_session, cookie)
+    found = authenticator.remembered(cookie)
+    return found if found is not None else await run_in_threadpool(authenticator.by_session, cookie)
 
 
 def require_own_page(request: Request) -> None:
@@ -84,50 +86,50 @@ def origin_of(request: Request) -> str:
     )
 
 
-def _require(who: Who, rule: Rule) -> None:
+def _require(principal: Principal, rule: Rule) -> None:
     """Raises Forbidden."""
-    if not who.roles & rule.roles:
-        roles = sorted(rule.roles)
+    if not principal.roles & rule.roles:
+        held, needed = sorted(principal.roles), sorted(rule.roles)
         raise Forbidden(
-            f"{who.name!r} is {' and '.join(sorted(who.roles))}; this takes {' or '.join(roles)}",
-            roles=roles,
+            f"{principal.name!r} is {' and '.join(held)}; this takes {' or '.join(needed)}",
+            roles=needed,
         )
-    if rule.everywhere and not who.everywhere:
+    if rule.everywhere and not principal.everywhere:
         raise Forbidden(
             "this shows all projects, and the token is of one",
             hint="Ask an admin for a token of all projects.",
         )
 
 
-async def _require_plant(request: Request, who: Who) -> None:
+async def _require_plant(request: Request, principal: Principal) -> None:
     """What a token does not see is answered as what does not exist. Raises NotFound."""
     plant = request.path_params.get("plant")
-    if plant is None or who.everywhere:
+    if plant is None or principal.everywhere:
         return
-    if not await run_in_threadpool(sees, request.app.state.parts.database, who, plant):
+    if not await run_in_threadpool(sees, request.app.state.parts.database, principal, plant):
         raise find.not_found("plant", plant)
 
 
-def sees(database: Database, who: Who, plant: str) -> bool:
+def sees(database: Database, principal: Principal, plant: str) -> bool:
     """Whether somebody sees a plant that is there."""
-    if who.plant is not None:
-        return plant == who.plant
-    if who.project is None:
+    if principal.plant is not None:
+        return plant == principal.plant
+    if principal.project is None:
         return True
     with reading(database) as tx:
-        return tx.plants.is_in_project(plant, who.project)
+        return tx.plants.is_in_project(plant, principal.project)
 
 
-async def _who(request: Request) -> Who:
-    who: Who = request.scope["who"]
-    return who
+async def _principal(request: Request) -> Principal:
+    principal: Principal = request.scope["principal"]
+    return principal
 
 
-def require_seen(database: Database, who: Who, plant: str, hidden: NotFound) -> None:
+def require_seen(database: Database, principal: Principal, plant: str, hidden: NotFound) -> None:
     """For what is named without its plant. Raises `hidden`, which says what is said of what does
     not exist."""
-    if not who.everywhere and not sees(database, who, plant):
+    if not principal.everywhere and not sees(database, principal, plant):
         raise hidden
 
 
-Asking = Annotated[Who, Depends(_who)]
+CurrentPrincipal = Annotated[Principal, Depends(_principal)]

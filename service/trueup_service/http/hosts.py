@@ -22,7 +22,7 @@ from starlette.requests import Request
 
 from trueup_service.errors import UnknownHost
 from trueup_service.http import problems
-from trueup_service.http.observing import App, Receive, Scope, Send
+from trueup_service.http.request_telemetry import App, Receive, Scope, Send
 from trueup_service.settings import Settings
 
 ANY = "*"
@@ -32,7 +32,7 @@ HOST = re.compile(
 PROBES = ("/healthz", "/readyz")
 
 
-class Hosts:
+class AllowedHosts:
     """ASGI middleware: answers 421 to who asks for another host."""
 
     def __init__(self, app: App, settings: Settings) -> None:

@@ -67,7 +67,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.GateFollows: HTTPStatus.CONFLICT,
     service.GateSuperseded: HTTPStatus.CONFLICT,
     service.RejectedBefore: HTTPStatus.CONFLICT,
-    service.Kept: HTTPStatus.CONFLICT,
+    service.CannotBeDeleted: HTTPStatus.CONFLICT,
     service.BadRequest: HTTPStatus.BAD_REQUEST,
     service.SwitchbackFailed: HTTPStatus.CONFLICT,
     service.InspectionFailed: HTTPStatus.UNPROCESSABLE_ENTITY,

@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, computed_field
 
 from trueup.gate.line import disclosure
 from trueup.ledger.operation import Operation, of_job
-from trueup_service.plain_text import LINE
+from trueup_service.control_characters import LINE
 from trueup_service.registry.records import Role
 
 T = TypeVar("T")

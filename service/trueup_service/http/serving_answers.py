@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import asyncio
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import orjson
 from starlette.concurrency import run_in_threadpool
 
 from trueup_service.actions import find
+from trueup_service.actions.move_pointer import position_document
 from trueup_service.registry.database import Database
-from trueup_service.registry.records import Move
 from trueup_service.registry.transaction import ReadTransaction
 
 Asked = tuple[str, str | None]  # a plant, and one of its channels or None for its own pointer
@@ -31,20 +30,6 @@ class ServingAnswer:
     etag: str
     body: bytes
     headers: dict[str, str]
-
-
-def document(move: Move) -> dict[str, Any]:
-    """A position of the pointer as it goes over the wire."""
-    return {
-        "plant": move.plant,
-        "version": move.version,
-        "artifact": move.artifact,
-        "generation": move.generation,
-        "since": move.at,
-        "decision": move.decision,
-        "move": str(move.kind),
-        "actor": move.actor,
-    }
 
 
 def matches(etag: str, asked: str) -> bool:
@@ -110,7 +95,7 @@ class ServingAnswers:
             tx = ReadTransaction(connection)
             if channel is None:
                 move = find.serving(tx, plant)
-                told, generation = document(move), move.generation
+                told, generation = position_document(move), move.generation
             else:
                 at = find.channel_move(tx, plant, channel)
                 told, generation = asdict(at), at.generation

@@ -9,21 +9,23 @@ from datetime import UTC, datetime, timedelta
 from fastapi import Request, Response
 
 from trueup_service.actor_context import time_text
+from trueup_service.authentication import Authenticator, Principal, digest_of_secret
 from trueup_service.http.guard import COOKIE, origin_of
-from trueup_service.identity import Identities, Who, digest_of_secret
 from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 
 
-def begin_session(identities: Identities, parts: Parts, token: str) -> tuple[Who, str]:
+def begin_session(authenticator: Authenticator, parts: Parts, token: str) -> tuple[Principal, str]:
     """Who a token is of, and the secret of a session that lasts for a while. Raises
     Unauthenticated."""
-    who = identities.by_token(token)
+    principal = authenticator.by_token(token)
     now, secret = datetime.now(UTC), secrets.token_urlsafe(32)
     ends = now + timedelta(seconds=parts.settings.session_s)
     with writing(parts.database) as tx:
-        tx.sessions.begin(digest_of_secret(secret), who.token, time_text(now), time_text(ends))
-    return who, secret
+        tx.sessions.begin(
+            digest_of_secret(secret), principal.token, time_text(now), time_text(ends)
+        )
+    return principal, secret
 
 
 def give_cookie(request: Request, response: Response, parts: Parts, secret: str) -> None:
@@ -45,7 +47,7 @@ def end_session(request: Request, parts: Parts) -> None:
     if cookie is not None:
         with writing(parts.database) as tx:
             tx.sessions.end(digest_of_secret(cookie))
-    request.app.state.identities.forget()
+    request.app.state.authenticator.forget()
 
 
 def forget_cookie(response: Response) -> None:

@@ -9,34 +9,30 @@ import os
 import uuid
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 
-from fastapi import Request
+from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
+from trueup_service.actions.ingestion import ReceivedFile, ingest
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import BadRequest, DigestMismatch, TooLargeUpload
+from trueup_service.http.dependencies import created
+from trueup_service.http.schemas import Episode
+from trueup_service.inspection import Inspected
 from trueup_service.partial_uploads import write_all
+from trueup_service.wiring import Parts
 
 PART_BYTES, SYNC_BYTES = 256 << 10, 4 << 20
 ARRAYS_HINT = "Pack a smaller model, or raise TRUEUP_ARRAYS_LIMIT_BYTES."
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
-    """A file that is ours until the request ends, its SHA-256 and its size."""
-
-    path: Path
-    digest: str
-    size_bytes: int
-
-
 @asynccontextmanager
 async def received(
     request: Request, spool: Path, limit_bytes: int, hint: str | None = None
-) -> AsyncIterator[Received]:
+) -> AsyncIterator[ReceivedFile]:
     """The body as a file in `spool`, removed at the end. Raises TooLargeUpload with this hint or
     its own, DigestMismatch, BadRequest."""
     declared = request.headers.get("content-length", "")
@@ -45,7 +41,7 @@ async def received(
     try:
         digest, size = await _receive(request, path, limit_bytes, hint)
         _require_digest(request.headers.get("content-digest"), digest)
-        yield Received(path, digest, size)
+        yield ReceivedFile(path, digest, size)
     finally:
         path.unlink(missing_ok=True)
 
@@ -114,3 +110,15 @@ def _require_digest(header: str | None, digest: str) -> None:
             and value.strip(":") != base64.b64encode(bytes.fromhex(digest)).decode()
         ):
             raise DigestMismatch("the body is not what Content-Digest says", found=digest)
+
+
+def ingest_response(
+    parts: Parts,
+    context: ActorContext,
+    plant: str,
+    key: str | None,
+    file: ReceivedFile,
+    inspected: Inspected,
+) -> Response:
+    """Make a received file an episode, and respond with it."""
+    return created(ingest(parts, context, plant, key, file, inspected), Episode)

@@ -13,10 +13,10 @@ from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import inclusion, leaf_hash, prove
 from trueup.ledger.note import head_of
 from trueup_client.proof import includes
-from trueup_service.http.context import With
-from trueup_service.http.guard import Asking, guarded
+from trueup_service.authentication import Principal
+from trueup_service.http.dependencies import RequestParts
+from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.pages.page import form, show
-from trueup_service.identity import Who
 from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import SignedLog, root_at
 from trueup_service.wiring import Parts
@@ -29,8 +29,8 @@ NO_END = 2**62
 @router.get("/audit")
 def audit(
     request: Request,
-    parts: With,
-    who: Asking,
+    parts: RequestParts,
+    principal: CurrentPrincipal,
     plant: Annotated[str, Query(max_length=63)] = "",
     kind: Annotated[str, Query(max_length=32)] = "",
     before: Annotated[int, Query(ge=1, le=NO_END)] = NO_END,
@@ -39,28 +39,30 @@ def audit(
     return show(
         request,
         "audit.html",
-        **_listed(request, parts, who, plant, kind, before),
+        **_listed(request, parts, principal, plant, kind, before),
         compared=None,
         pasted="",
     )
 
 
 @router.post("/audit/compare")
-async def compare(request: Request, parts: With, who: Asking) -> Response:
+async def compare(request: Request, parts: RequestParts, principal: CurrentPrincipal) -> Response:
     """Whether the log extends the head in a checkpoint that somebody kept."""
     pasted = (await form(request)).get("checkpoint", "")
     found = await run_in_threadpool(_compared, parts, pasted)
-    listed = await run_in_threadpool(_listed, request, parts, who, "", "", NO_END)
+    listed = await run_in_threadpool(_listed, request, parts, principal, "", "", NO_END)
     return show(request, "audit.html", **listed, compared=found, pasted=pasted)
 
 
 def _listed(
-    request: Request, parts: Parts, who: Who, plant: str, kind: str, before: int
+    request: Request, parts: Parts, principal: Principal, plant: str, kind: str, before: int
 ) -> dict[str, Any]:
     log: SignedLog = request.app.state.log
     with reading(parts.database) as tx:
-        of = who.plant if who.plant is not None else plant or None
-        entries = tx.log.newest_entries(before, LINES, plant=of, project=who.project, kind=kind)
+        of = principal.plant if principal.plant is not None else plant or None
+        entries = tx.log.newest_entries(
+            before, LINES, plant=of, project=principal.project, kind=kind
+        )
         tree = tx.log.tree()
         root, held = tree.root(), []
         plans = [inclusion(entry.sequence - 1, tree.size) for entry in entries]

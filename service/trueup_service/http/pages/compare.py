@@ -15,7 +15,7 @@ from trueup_pages.diagnosis import recordings_of
 from trueup_service.actions import find
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.actor_context import ActorContext
-from trueup_service.http.context import By, PlantName, With
+from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import form, go, show
 from trueup_service.registry.records import FINAL, ArtifactRecord, JobRecord
@@ -30,7 +30,7 @@ LISTED = 200  # versions to choose from, the newest
 
 @router.get("/plants/{plant}/compare")
 def compare(
-    request: Request, parts: With, plant: PlantName, first: Version, second: Version
+    request: Request, parts: RequestParts, plant: PlantName, first: Version, second: Version
 ) -> Response:
     """What changed, and what a comparison found, if there was one."""
     with reading(parts.database) as tx:
@@ -54,7 +54,9 @@ def compare(
 
 
 @router.post("/plants/{plant}/compare")
-async def begin(request: Request, parts: With, context: By, plant: PlantName) -> Response:
+async def begin(
+    request: Request, parts: RequestParts, context: RequestContext, plant: PlantName
+) -> Response:
     """Compare on what was held out."""
     given = await form(request)
     first, second = await run_in_threadpool(

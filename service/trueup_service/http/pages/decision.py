@@ -15,7 +15,7 @@ from trueup.ledger.merkle import inclusion, leaf_hash, prove
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import known_at, place
 from trueup_service.actions.submit_job import SUBMIT
-from trueup_service.http.context import By, DigestPath, PlantName, With
+from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import go, show
 from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
@@ -25,7 +25,7 @@ router = guarded("", ["pages"])
 
 
 @router.get("/plants/{plant}/decisions/{digest}")
-def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Response:
+def decision(request: Request, parts: RequestParts, plant: PlantName, digest: Digest) -> Response:
     """The decision, with its proof and its newest recomputation."""
     with reading(parts.database) as tx:
         made = find.decision(tx, plant, digest)
@@ -76,7 +76,9 @@ def _known(tx: ReadTransaction, gate: GateRecord, made: DecisionRecord) -> dict[
 
 
 @router.post("/plants/{plant}/decisions/{digest}/recompute")
-def recompute(parts: With, context: By, plant: PlantName, digest: DigestPath) -> Response:
+def recompute(
+    parts: RequestParts, context: RequestContext, plant: PlantName, digest: Digest
+) -> Response:
     """Make it anew, from its bytes."""
     parts.queue.prepare()
     with writing(parts.database) as tx:

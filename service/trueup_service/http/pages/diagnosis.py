@@ -11,7 +11,7 @@ from starlette.responses import HTMLResponse
 from trueup_pages.diagnosis import report_page, view
 from trueup_service.actions import find
 from trueup_service.errors import NotFound
-from trueup_service.http.context import PlantName, With
+from trueup_service.http.dependencies import PlantName, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import show
 from trueup_service.http.routers.jobs import JobId
@@ -24,7 +24,7 @@ FIGURES, COMMAND = "figures.json", "next_experiment.csv"
 
 
 @router.get("/plants/{plant}/diagnoses/{job}")
-def diagnosis(request: Request, parts: With, plant: PlantName, job: JobId) -> Response:
+def diagnosis(request: Request, parts: RequestParts, plant: PlantName, job: JobId) -> Response:
     """How far it is, why it failed, or what it found."""
     found = _job(parts, plant, job)
     if found.state not in FINAL:
@@ -42,7 +42,7 @@ def diagnosis(request: Request, parts: With, plant: PlantName, job: JobId) -> Re
 
 
 @router.get("/plants/{plant}/diagnoses/{job}/report.html")
-def report(parts: With, plant: PlantName, job: JobId) -> Response:
+def report(parts: RequestParts, plant: PlantName, job: JobId) -> Response:
     """The same as one file that needs nothing else."""
     found = _job(parts, plant, job)
     if found.state != JobState.SUCCEEDED:

@@ -12,7 +12,7 @@ from fastapi import Query, Request, Response
 from trueup_pages.foxglove import layout
 from trueup_service.actions import find
 from trueup_service.actions.submit_job import SUBMIT
-from trueup_service.http.context import By, DigestPath, PlantName, With
+from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.compare import comparison
 from trueup_service.http.pages.page import go, show
@@ -24,7 +24,7 @@ Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 
 
 @router.get("/plants/{plant}/episodes/{digest}")
-def episode(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Response:
+def episode(request: Request, parts: RequestParts, plant: PlantName, digest: Digest) -> Response:
     """What was recorded, and what the newest look at it left behind."""
     with reading(parts.database) as tx:
         found = find.episode(tx, plant, digest)
@@ -48,7 +48,9 @@ def episode(request: Request, parts: With, plant: PlantName, digest: DigestPath)
 
 
 @router.post("/plants/{plant}/episodes/{digest}/signals")
-def look(parts: With, context: By, plant: PlantName, digest: DigestPath) -> Response:
+def look(
+    parts: RequestParts, context: RequestContext, plant: PlantName, digest: Digest
+) -> Response:
     """Roll two versions out over the episode."""
     parts.queue.prepare()
     with writing(parts.database) as tx:
@@ -70,7 +72,7 @@ def _beside(tx: ReadTransaction, plant: str) -> int:
 
 
 @router.get("/plants/{plant}/foxglove.json")
-def foxglove(parts: With, plant: PlantName, first: Version, second: Version) -> Response:
+def foxglove(parts: RequestParts, plant: PlantName, first: Version, second: Version) -> Response:
     """A layout for the overlay of two versions."""
     with reading(parts.database) as tx:
         document = find.plant(tx, plant).document

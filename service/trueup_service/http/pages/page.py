@@ -13,8 +13,8 @@ from fastapi import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from trueup_pages.rendering import render
+from trueup_service.authentication import Principal
 from trueup_service.errors import TooLargeUpload
-from trueup_service.identity import Who
 from trueup_service.registry.records import Role
 
 HEADERS = {
@@ -33,19 +33,19 @@ SEE_OTHER = 303
 
 def show(request: Request, template: str, status: int = 200, **values: Any) -> HTMLResponse:
     """A page, with who is looking at it."""
-    who: Who | None = request.scope.get("who")
+    principal: Principal | None = request.scope.get("principal")
     here = {
-        "who": who,
+        "who": principal,
         "path": request.url.path,
         "status": int(status),
-        "may": lambda *roles: may(who, *roles),
+        "may": lambda *roles: may(principal, *roles),
     }
     return HTMLResponse(render(template, **here, **values), status, headers=HEADERS)
 
 
-def may(who: Who | None, *roles: str) -> bool:
+def may(principal: Principal | None, *roles: str) -> bool:
     """Whether somebody may do what takes one of these roles, as an admin may everything."""
-    return who is not None and bool(who.roles & {Role.ADMIN, *map(Role, roles)})
+    return principal is not None and bool(principal.roles & {Role.ADMIN, *map(Role, roles)})
 
 
 def go(path: str, **query: str) -> Response:

@@ -15,11 +15,11 @@ from trueup.ledger.pointer import NothingToRollBackTo
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import place
 from trueup_service.actions.move_pointer import previous_artifact
+from trueup_service.actions.promotion import rehearse_way_back, roll_back
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.actor_context import END_OF_TIME
-from trueup_service.http.context import By, PlantName, With
+from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.moving import roll_back_tested, tested_way_back
 from trueup_service.http.pages.page import form, go, show, wants_page
 from trueup_service.http.problems import status_of
 from trueup_service.registry.overview import gaps_of
@@ -33,7 +33,7 @@ NOT_A_NUMBER = -1
 
 
 @router.get("/plants/{plant}")
-def plant_page(request: Request, parts: With, plant: PlantName) -> Response:
+def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Response:
     """What serves, what happened, and the newest of everything."""
     with reading(parts.database) as tx:
         record = find.plant(tx, plant)
@@ -69,7 +69,7 @@ def plant_page(request: Request, parts: With, plant: PlantName) -> Response:
 
 
 @router.post("/plants/{plant}/diagnoses")
-def diagnose(parts: With, context: By, plant: PlantName) -> Response:
+def diagnose(parts: RequestParts, context: RequestContext, plant: PlantName) -> Response:
     """Start a diagnosis, and show how it goes."""
     job = uuid.uuid4().hex
     parts.queue.prepare()
@@ -79,20 +79,22 @@ def diagnose(parts: With, context: By, plant: PlantName) -> Response:
 
 
 @router.get("/plants/{plant}/rollback")
-def rollback_page(request: Request, parts: With, plant: PlantName) -> Response:
+def rollback_page(request: Request, parts: RequestParts, plant: PlantName) -> Response:
     """What a rollback would do: tested now, moved only if somebody says so."""
     return _offer(request, parts, plant, None)
 
 
 @router.post("/plants/{plant}/rollback")
-async def rollback(request: Request, parts: With, context: By, plant: PlantName) -> Response:
+async def rollback(
+    request: Request, parts: RequestParts, context: RequestContext, plant: PlantName
+) -> Response:
     """Move the pointer back, if it is where whoever asks has seen it."""
     given = await form(request)
     text = given.get("generation", "").strip()
     generation = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else NOT_A_NUMBER  # noqa: PLR2004
     try:
         await run_in_threadpool(
-            roll_back_tested, parts, context, plant, generation, given.get("key") or None
+            roll_back, parts, context, plant, generation, given.get("key") or None
         )
     except TrueupError as error:
         if not wants_page(request):
@@ -112,7 +114,7 @@ def _offer(request: Request, parts: Parts, plant: str, refused: TrueupError | No
     tested, fails = None, None
     if back is not None:
         try:
-            tested = tested_way_back(parts, plant, serving.generation)
+            tested = rehearse_way_back(parts, plant, serving.generation)
         except PointerMoved:
             pass  # it moved while we looked; the form's generation will say so
         except TrueupError as error:

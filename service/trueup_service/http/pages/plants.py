@@ -6,8 +6,8 @@ from typing import Annotated
 
 from fastapi import Query, Request, Response
 
-from trueup_service.http.context import With
-from trueup_service.http.guard import Asking, guarded
+from trueup_service.http.dependencies import RequestParts
+from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.pages.page import show
 from trueup_service.registry.overview import plant_lines
 from trueup_service.registry.transaction import reading
@@ -19,13 +19,15 @@ LINES = 50
 @router.get("/")
 def plants(
     request: Request,
-    parts: With,
-    who: Asking,
+    parts: RequestParts,
+    principal: CurrentPrincipal,
     q: Annotated[str, Query(max_length=63)] = "",
     after: Annotated[str, Query(max_length=63)] = "",
 ) -> Response:
     """The plants that somebody sees, by name, whose name contains `q`."""
     with reading(parts.database) as tx:
-        lines = plant_lines(tx, after, LINES + 1, of=who.plant, project=who.project, containing=q)
+        lines = plant_lines(
+            tx, after, LINES + 1, of=principal.plant, project=principal.project, containing=q
+        )
     more = lines[LINES - 1].name if len(lines) > LINES else None
     return show(request, "plants.html", lines=lines[:LINES], q=q, after=after, more=more)

@@ -7,7 +7,7 @@ from starlette.concurrency import run_in_threadpool
 
 from trueup_pages.assets import by_url, bytes_of, type_of
 from trueup_service.errors import NotFound, Unauthenticated
-from trueup_service.http.context import With
+from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import guarded, require_own_page
 from trueup_service.http.pages.page import form, go, show
 from trueup_service.http.problems import status_of
@@ -24,7 +24,7 @@ async def sign_in_page(request: Request) -> Response:
 
 
 @router.post("/sign-in")
-async def sign_in(request: Request, parts: With) -> Response:
+async def sign_in(request: Request, parts: RequestParts) -> Response:
     """Begin a session with a token, and go on to where the browser wanted to be."""
     require_own_page(request)
     given = await form(request)
@@ -32,7 +32,7 @@ async def sign_in(request: Request, parts: With) -> Response:
     to = to if to.startswith("/") and not to.startswith(("//", "/\\")) else "/"  # nowhere but here
     try:
         _, secret = await run_in_threadpool(
-            begin_session, request.app.state.identities, parts, given.get("token", "").strip()
+            begin_session, request.app.state.authenticator, parts, given.get("token", "").strip()
         )
     except Unauthenticated as error:
         return show(request, "sign_in.html", status_of(error), next=to, problem=error)
@@ -42,7 +42,7 @@ async def sign_in(request: Request, parts: With) -> Response:
 
 
 @router.post("/sign-out")
-async def sign_out(request: Request, parts: With) -> Response:
+async def sign_out(request: Request, parts: RequestParts) -> Response:
     """End the session, and ask for a token again."""
     await run_in_threadpool(end_session, request, parts)
     answer = go("/sign-in")

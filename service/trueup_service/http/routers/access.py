@@ -9,8 +9,16 @@ from fastapi import Query, Request, Response
 
 from trueup_service.actions.tokens import create_project, issue_token, revoke_token
 from trueup_service.actor_context import time_text
-from trueup_service.http.context import By, IdempotencyKey, Limit, PrefixPath, With, create
-from trueup_service.http.guard import Asking, guarded
+from trueup_service.authentication import new_token
+from trueup_service.http.dependencies import (
+    IdempotencyKey,
+    Limit,
+    RequestContext,
+    RequestParts,
+    TokenPrefix,
+    create,
+)
+from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import (
     Identity,
@@ -24,7 +32,6 @@ from trueup_service.http.schemas import (
     page,
 )
 from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
-from trueup_service.identity import new_token
 from trueup_service.registry.records import Role, TokenRecord
 from trueup_service.registry.transaction import reading, writing
 
@@ -32,21 +39,21 @@ router = guarded("/v1", ["access"])
 
 
 @router.post("/session", summary="Sign in with a token, for a browser")
-def sign_in(request: Request, response: Response, parts: With, given: SignIn) -> Identity:
+def sign_in(request: Request, response: Response, parts: RequestParts, given: SignIn) -> Identity:
     """Sets a cookie that scripts cannot read and other sites cannot send. Programs send their token
     with every request instead."""
-    who, secret = begin_session(request.app.state.identities, parts, given.token)
+    principal, secret = begin_session(request.app.state.authenticator, parts, given.token)
     give_cookie(request, response, parts, secret)
-    return Identity.model_validate(who)
+    return Identity.model_validate(principal)
 
 
 @router.get("/session", summary="Who asks")
-async def session(who: Asking) -> Identity:
-    return Identity.model_validate(who)
+async def session(principal: CurrentPrincipal) -> Identity:
+    return Identity.model_validate(principal)
 
 
 @router.delete("/session", summary="Sign out", status_code=204)
-def sign_out(request: Request, response: Response, parts: With) -> None:
+def sign_out(request: Request, response: Response, parts: RequestParts) -> None:
     end_session(request, parts)
     forget_cookie(response)
 
@@ -59,7 +66,7 @@ def sign_out(request: Request, response: Response, parts: With) -> None:
     responses=there(Project),
 )
 def add_project(
-    parts: With, context: By, project: NewProject, key: IdempotencyKey = None
+    parts: RequestParts, context: RequestContext, project: NewProject, key: IdempotencyKey = None
 ) -> Response:
     return create(
         parts,
@@ -74,7 +81,7 @@ def add_project(
 
 @router.get("/projects", summary="List projects")
 def list_projects(
-    parts: With, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
+    parts: RequestParts, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
 ) -> Page[Project]:
     with reading(parts.database) as tx:
         found = tx.projects.page(after, limit)
@@ -82,7 +89,7 @@ def list_projects(
 
 
 @router.post("/tokens", status_code=201, summary="Issue a token")
-def issue(parts: With, context: By, wanted: NewToken) -> IssuedToken:
+def issue(parts: RequestParts, context: RequestContext, wanted: NewToken) -> IssuedToken:
     """`token` is shown this once; its hash alone is kept. A robot's is of one plant. It takes no
     idempotency key: a repeated answer would have to keep the secret. Revoke one that did not
     arrive.
@@ -110,7 +117,7 @@ def issue(parts: With, context: By, wanted: NewToken) -> IssuedToken:
 
 @router.get("/tokens", summary="List tokens")
 def list_tokens(
-    parts: With, after: Annotated[str, Query(max_length=16)] = "", limit: Limit = 100
+    parts: RequestParts, after: Annotated[str, Query(max_length=16)] = "", limit: Limit = 100
 ) -> Page[Token]:
     with reading(parts.database) as tx:
         found = tx.tokens.page(after, limit)
@@ -118,9 +125,11 @@ def list_tokens(
 
 
 @router.post("/tokens/{prefix}/revoke", summary="Revoke a token")
-def revoke(request: Request, parts: With, context: By, prefix: PrefixPath) -> Token:
+def revoke(
+    request: Request, parts: RequestParts, context: RequestContext, prefix: TokenPrefix
+) -> Token:
     """For good. Other servers refuse it within `token_memory_s`."""
     with writing(parts.database) as tx:
         revoked = revoke_token(tx, prefix, context)
-    request.app.state.identities.forget()
+    request.app.state.authenticator.forget()
     return Token.model_validate(revoked)

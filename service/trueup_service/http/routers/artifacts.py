@@ -13,23 +13,24 @@ from trueup.canonical import Json, digest_of_bytes, is_digest
 from trueup.errors import BadArtifact, BrokenChain
 from trueup.ledger.provenance import PAYLOAD_TYPE, of_artifact
 from trueup_service.actions import find
+from trueup_service.actions.ingestion import ReceivedFile
 from trueup_service.actor_context import ActorContext
-from trueup_service.errors import DigestMismatch, Kept, NotFound
-from trueup_service.http.context import (
-    By,
-    DigestPath,
+from trueup_service.errors import CannotBeDeleted, DigestMismatch, NotFound
+from trueup_service.http.dependencies import (
+    Digest,
     IdempotencyKey,
     Limit,
     PlantName,
-    With,
+    RequestContext,
+    RequestParts,
     create,
+    inspector_of,
 )
 from trueup_service.http.downloads import UNCHANGING, send_kept
 from trueup_service.http.guard import guarded
-from trueup_service.http.ingesting import inspector_of
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Artifact, Envelope, Page, page
-from trueup_service.http.uploads import ARRAYS_HINT, Received, allow, received
+from trueup_service.http.uploads import ARRAYS_HINT, allow, received
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
@@ -55,7 +56,7 @@ ARRAYS = {
     summary="Upload arrays under their digest",
     openapi_extra=ARRAYS,
 )
-async def put_blob(request: Request, parts: With, digest: DigestPath) -> dict[str, str | int]:
+async def put_blob(request: Request, parts: RequestParts, digest: Digest) -> dict[str, str | int]:
     """Durable once answered. The digest in the path is verified while the bytes stream."""
     limit = min(parts.settings.upload_limit_bytes, parts.settings.arrays_limit_bytes)
     async with received(request, parts.spool, limit, ARRAYS_HINT) as file:
@@ -63,7 +64,7 @@ async def put_blob(request: Request, parts: With, digest: DigestPath) -> dict[st
         return {"digest": digest, "size_bytes": file.size_bytes}
 
 
-def _keep(blobs: Blobs, digest: str, file: Received) -> None:
+def _keep(blobs: Blobs, digest: str, file: ReceivedFile) -> None:
     if file.digest != digest:
         raise DigestMismatch(
             "the body is not what the path names", expected=digest, found=file.digest
@@ -76,7 +77,7 @@ def _keep(blobs: Blobs, digest: str, file: Received) -> None:
     summary="Download bytes by their digest, for auditors",
     response_class=Response,
 )
-def get_blob(parts: With, digest: DigestPath) -> StreamingResponse:
+def get_blob(parts: RequestParts, digest: Digest) -> StreamingResponse:
     return _blob(parts.blobs, digest)
 
 
@@ -95,7 +96,11 @@ def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     openapi_extra=MANIFEST,
 )
 async def add(
-    request: Request, parts: With, context: By, plant: PlantName, key: IdempotencyKey = None
+    request: Request,
+    parts: RequestParts,
+    context: RequestContext,
+    plant: PlantName,
+    key: IdempotencyKey = None,
 ) -> Response:
     """The body is the manifest's exact bytes; arrays that it names were uploaded before. The
     predictor must load and answer its probe."""
@@ -152,7 +157,7 @@ def _add(
 
 @router.get("/plants/{plant}/artifacts", summary="List versions")
 def list_artifacts(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="version")] = 0,
     limit: Limit = 100,
@@ -164,7 +169,7 @@ def list_artifacts(
 
 
 @router.get("/plants/{plant}/artifacts/{digest}", summary="Get an artifact's registration")
-def get_artifact(parts: With, plant: PlantName, digest: DigestPath) -> Artifact:
+def get_artifact(parts: RequestParts, plant: PlantName, digest: Digest) -> Artifact:
     with reading(parts.database) as tx:
         return Artifact.model_validate(find.artifact(tx, plant, digest))
 
@@ -172,7 +177,7 @@ def get_artifact(parts: With, plant: PlantName, digest: DigestPath) -> Artifact:
 @router.get(
     "/plants/{plant}/versions/{version}", summary="Get an artifact's registration by version"
 )
-def get_version(parts: With, plant: PlantName, version: int) -> Artifact:
+def get_version(parts: RequestParts, plant: PlantName, version: int) -> Artifact:
     with reading(parts.database) as tx:
         found = tx.artifacts.by_version(plant, version) if 0 < version < 2**31 else None
     if found is None:
@@ -187,7 +192,7 @@ def get_version(parts: With, plant: PlantName, version: int) -> Artifact:
     summary="Download the manifest's exact bytes",
     response_class=Response,
 )
-def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
+def get_manifest(parts: RequestParts, plant: PlantName, digest: Digest) -> Response:
     """Their SHA-256 is the artifact's name."""
     with reading(parts.database) as tx:
         found = find.artifact(tx, plant, digest)
@@ -202,7 +207,7 @@ def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
     summary="Download an artifact's arrays",
     response_class=Response,
 )
-def get_arrays(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
+def get_arrays(parts: RequestParts, plant: PlantName, digest: Digest) -> StreamingResponse:
     """The bytes that its manifest names."""
     with reading(parts.database) as tx:
         arrays = find.artifact(tx, plant, digest).arrays
@@ -214,7 +219,9 @@ def get_arrays(parts: With, plant: PlantName, digest: DigestPath) -> StreamingRe
 @router.get(
     "/plants/{plant}/artifacts/{digest}/provenance", summary="Where an artifact comes from, signed"
 )
-def get_provenance(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Envelope:
+def get_provenance(
+    request: Request, parts: RequestParts, plant: PlantName, digest: Digest
+) -> Envelope:
     """An in-toto statement (SLSA provenance) in a DSSE envelope: episodes, plant, parent,
     configuration and code by digest."""
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
@@ -236,11 +243,11 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
 @router.delete(
     "/plants/{plant}/artifacts/{digest}", summary="Refused: artifacts are kept", status_code=204
 )
-def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
+def delete(parts: RequestParts, plant: PlantName, digest: Digest) -> None:
     with reading(parts.database) as tx:
         find.artifact(tx, plant, digest)
         serves = find.serving(tx, plant).artifact == digest
-        raise Kept(
+        raise CannotBeDeleted(
             f"artifact {digest[:12]} is kept",
             serves=serves,
             decisions=tx.decisions.naming(plant, digest),

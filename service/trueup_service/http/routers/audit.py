@@ -21,8 +21,8 @@ from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import Plan, consistency, inclusion, prove
 from trueup.ledger.rows import KEYS
 from trueup_service.errors import BadRequest, NotFound
-from trueup_service.http.context import Limit, With
-from trueup_service.http.guard import Asking, guarded
+from trueup_service.http.dependencies import Limit, RequestParts
+from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.schemas import AuditEntry, AuditKey, AuditKeys, Page, Proof, Rows, page
 from trueup_service.registry.tables import metadata
 from trueup_service.registry.transaction import ReadTransaction, reading
@@ -54,8 +54,8 @@ IMMUTABLE = {"Cache-Control": "private, max-age=31536000, immutable"}
 
 @router.get("", summary="List entries in order")
 def list_entries(
-    parts: With,
-    who: Asking,
+    parts: RequestParts,
+    principal: CurrentPrincipal,
     plant: str | None = None,
     after: Annotated[int, Query(ge=0, le=2**62, description="sequence")] = 0,
     limit: Limit = 100,
@@ -63,7 +63,9 @@ def list_entries(
     """Entry n is leaf n - 1 of the tree; an entry's leaf holds the digests of `facts` and of
     `rows`. A token of a project sees its own."""
     with reading(parts.database) as tx:
-        found = tx.log.entries(after, limit, plant if who.plant is None else who.plant, who.project)
+        found = tx.log.entries(
+            after, limit, plant if principal.plant is None else principal.plant, principal.project
+        )
     return page(AuditEntry, found, limit, "sequence")
 
 
@@ -75,7 +77,7 @@ async def key(request: Request) -> Response:
 
 
 @router.get("/keys", summary="The keys under which the log was signed")
-def keys(parts: With) -> AuditKeys:
+def keys(parts: RequestParts) -> AuditKeys:
     """In order, each but the first endorsed by the one before: whoever pinned an earlier one need
     not be told of the last by hand."""
     with reading(parts.database) as tx:
@@ -94,7 +96,7 @@ async def checkpoint(request: Request) -> Response:
 
 @router.get("/inclusion", summary="Prove that an entry is in the log")
 def prove_inclusion(
-    parts: With, sequence: Annotated[int, Query(ge=1, le=2**62)], size: Size | None = None
+    parts: RequestParts, sequence: Annotated[int, Query(ge=1, le=2**62)], size: Size | None = None
 ) -> Proof:
     with reading(parts.database) as tx:
         size = _reached(tx, size)
@@ -105,7 +107,7 @@ def prove_inclusion(
 
 @router.get("/consistency", summary="Prove that the log extends an earlier one")
 def prove_consistency(
-    parts: With,
+    parts: RequestParts,
     old: Annotated[int, Query(ge=0, le=2**62, description="entries then")],
     size: Size | None = None,
 ) -> Proof:
@@ -134,7 +136,7 @@ def _proof(tx: ReadTransaction, plan: Plan, size: int) -> Proof:
     response_class=Response,
     responses=OCTETS,
 )
-def entries(parts: With, tile: TilePath) -> Response:
+def entries(parts: RequestParts, tile: TilePath) -> Response:
     """Each leaf's bytes behind their length (16 bits, big-endian); the tree's leaf hashes are over
     these bytes."""
     number, width = _tile(tile)
@@ -152,7 +154,9 @@ def entries(parts: With, tile: TilePath) -> Response:
     response_class=Response,
     responses=OCTETS,
 )
-def hashes(parts: With, level: Annotated[int, Path(ge=0, le=7)], tile: TilePath) -> Response:
+def hashes(
+    parts: RequestParts, level: Annotated[int, Path(ge=0, le=7)], tile: TilePath
+) -> Response:
     """Neighbouring subtrees of 256^level leaves each, 32 bytes each."""
     number, width = _tile(tile)
     with reading(parts.database) as tx:
@@ -185,7 +189,7 @@ def _tile_answer(tile: str, found: int, width: int, content: bytes) -> Response:
 
 @router.get("/rows/{table}", summary="The registry's rows as they are stored")
 def rows(
-    parts: With,
+    parts: RequestParts,
     table: str,
     after: Annotated[str, Query(max_length=400, description="`next` of the page before")] = "",
     limit: Limit = 100,

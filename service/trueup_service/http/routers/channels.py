@@ -12,15 +12,15 @@ from starlette.concurrency import run_in_threadpool
 from trueup_service.actions import find
 from trueup_service.actions.add_evidence import add_evidence
 from trueup_service.actions.channels import declare_channel, move_channel
-from trueup_service.http.context import (
-    By,
-    DigestPath,
+from trueup_service.actions.idempotency import run_once
+from trueup_service.http.dependencies import (
+    Digest,
     IdempotencyKey,
     Limit,
     PlantName,
-    With,
+    RequestContext,
+    RequestParts,
     create,
-    run_once,
 )
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
@@ -58,8 +58,8 @@ CHANNEL = {
     responses=there(Evidence),
 )
 def add(
-    parts: With,
-    context: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     document: Annotated[
         dict[str, Any],
@@ -81,9 +81,9 @@ def add(
 
 @router.get("/artifacts/{digest}/evidence", summary="List the evidence of an artifact")
 def list_evidence(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
-    digest: DigestPath,
+    digest: Digest,
     after: Annotated[str, Query(max_length=92)] = "",
     limit: Limit = 100,
 ) -> Page[Evidence]:
@@ -107,8 +107,8 @@ def list_evidence(
     responses=there(Channel),
 )
 def declare(
-    parts: With,
-    context: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     channel: ChannelDeclaration,
     key: IdempotencyKey = None,
@@ -129,7 +129,7 @@ def declare(
 
 @router.get("/channels", summary="List channels")
 def list_channels(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     after: Annotated[str, Query(max_length=63)] = "",
     limit: Limit = 100,
@@ -156,8 +156,8 @@ async def serving(request: Request) -> Response:
 @router.post("/channels/{channel}/move", summary="Serve an artifact on a channel")
 async def move(
     request: Request,
-    parts: With,
-    context: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     channel: ChannelName,
     wanted: ChannelMove,

@@ -10,17 +10,17 @@ from trueup.ledger.provenance import PAYLOAD_TYPE, of_decision
 from trueup_service.actions import find
 from trueup_service.actions.approve import approve
 from trueup_service.actor_context import END_OF_TIME
-from trueup_service.http.context import (
-    Before,
-    By,
-    DigestPath,
+from trueup_service.http.dependencies import (
+    BeforeTime,
+    Digest,
     IdempotencyKey,
     Limit,
     PlantName,
-    With,
+    RequestContext,
+    RequestParts,
     create,
 )
-from trueup_service.http.guard import Asking, guarded, require_seen
+from trueup_service.http.guard import CurrentPrincipal, guarded, require_seen
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Approval, ApprovalRequest, Decision, Envelope, Page, page
 from trueup_service.registry.transaction import reading
@@ -30,7 +30,7 @@ router = guarded("/v1", ["decisions"])
 
 @router.get("/plants/{plant}/decisions", summary="List decisions, the newest first")
 def list_decisions(
-    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+    parts: RequestParts, plant: PlantName, before: BeforeTime = END_OF_TIME, limit: Limit = 100
 ) -> Page[Decision]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
@@ -39,7 +39,7 @@ def list_decisions(
 
 
 @router.get("/plants/{plant}/decisions/{digest}", summary="Get a decision of a plant")
-def get_decision(parts: With, plant: PlantName, digest: DigestPath) -> Decision:
+def get_decision(parts: RequestParts, plant: PlantName, digest: Digest) -> Decision:
     with reading(parts.database) as tx:
         return Decision.model_validate(find.decision(tx, plant, digest))
 
@@ -48,7 +48,9 @@ def get_decision(parts: With, plant: PlantName, digest: DigestPath) -> Decision:
     "/plants/{plant}/decisions/{digest}/provenance",
     summary="What a gate said of a candidate, signed",
 )
-def get_provenance(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Envelope:
+def get_provenance(
+    request: Request, parts: RequestParts, plant: PlantName, digest: Digest
+) -> Envelope:
     """An in-toto statement (test-result) in a DSSE envelope: candidate, gate, incumbent and
     held-out episodes by digest."""
     with reading(parts.database) as tx:
@@ -71,10 +73,10 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
     responses=there(Approval),
 )
 def add_approval(
-    parts: With,
-    context: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
-    digest: DigestPath,
+    digest: Digest,
     given: ApprovalRequest | None = None,
     key: IdempotencyKey = None,
 ) -> Response:
@@ -96,7 +98,7 @@ def add_approval(
 
 
 @router.get("/plants/{plant}/decisions/{digest}/approvals", summary="List who approved a decision")
-def list_approvals(parts: With, plant: PlantName, digest: DigestPath) -> Page[Approval]:
+def list_approvals(parts: RequestParts, plant: PlantName, digest: Digest) -> Page[Approval]:
     with reading(parts.database) as tx:
         find.decision(tx, plant, digest)
         return Page(
@@ -105,8 +107,8 @@ def list_approvals(parts: With, plant: PlantName, digest: DigestPath) -> Page[Ap
 
 
 @router.get("/decisions/{digest}", summary="Get a decision by its digest alone")
-def find_decision(parts: With, who: Asking, digest: DigestPath) -> Decision:
+def find_decision(parts: RequestParts, principal: CurrentPrincipal, digest: Digest) -> Decision:
     with reading(parts.database) as tx:
         found = find.any_decision(tx, digest)
-    require_seen(parts.database, who, found.plant, find.not_found("decision", digest))
+    require_seen(parts.database, principal, found.plant, find.not_found("decision", digest))
     return Decision.model_validate(found)

@@ -10,15 +10,23 @@ from starlette.responses import StreamingResponse
 
 from trueup.episode.role import Role
 from trueup_service.actions import find
-from trueup_service.errors import Kept
-from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With
+from trueup_service.actions.ingestion import plant_context
+from trueup_service.actions.move_pointer import position_document
+from trueup_service.errors import CannotBeDeleted
+from trueup_service.http.dependencies import (
+    Digest,
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    inspector_of,
+)
 from trueup_service.http.downloads import send_kept
 from trueup_service.http.guard import guarded
-from trueup_service.http.ingesting import against, ingest, inspect
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, page
-from trueup_service.http.serving_answers import document
-from trueup_service.http.uploads import received
+from trueup_service.http.uploads import ingest_response, received
 from trueup_service.inspection import Inspected
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
@@ -41,7 +49,11 @@ MCAP = {
     openapi_extra=MCAP,
 )
 async def upload(
-    request: Request, parts: With, context: By, plant: PlantName, key: IdempotencyKey = None
+    request: Request,
+    parts: RequestParts,
+    context: RequestContext,
+    plant: PlantName,
+    key: IdempotencyKey = None,
 ) -> Response:
     """The body is an MCAP file. It is hashed while it streams and held against `Content-Digest`
     (RFC 9530) if that is sent.
@@ -49,11 +61,11 @@ async def upload(
     All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again
     are the same episode.
     """
-    held = await run_in_threadpool(against, parts, plant)
+    against = await run_in_threadpool(plant_context, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         known = await run_in_threadpool(_known, parts, plant, file.digest)
-        inspected = known or await inspect(request, file.path, held)
-        return await run_in_threadpool(ingest, parts, context, plant, key, file, inspected)
+        inspected = known or await inspector_of(request).inspect(file.path, against)
+        return await run_in_threadpool(ingest_response, parts, context, plant, key, file, inspected)
 
 
 def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
@@ -70,7 +82,7 @@ def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
 
 @router.get("", summary="List episodes")
 def list_episodes(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     role: Role | None = None,
     after: Annotated[str, Query(max_length=64)] = "",
@@ -84,29 +96,29 @@ def list_episodes(
 
 
 @router.get("/{digest}", summary="Get an episode with what was serving while it was recorded")
-def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeContext:
+def get_episode(parts: RequestParts, plant: PlantName, digest: Digest) -> EpisodeContext:
     with reading(parts.database) as tx:
         found = find.episode(tx, plant, digest)
         uses, served = find.uses(tx, digest), find.served_during(tx, found)
     return EpisodeContext(
         **Episode.model_validate(found).model_dump(),
-        served=[Serving(**document(m)) for m in served],
+        served=[Serving(**position_document(m)) for m in served],
         uses=uses,
     )
 
 
 @router.get("/{digest}/content", summary="Download an episode's bytes", response_class=Response)
-def download(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
+def download(parts: RequestParts, plant: PlantName, digest: Digest) -> StreamingResponse:
     with reading(parts.database) as tx:
         found = find.episode(tx, plant, digest)
     return send_kept(parts.blobs, digest, found.size_bytes)
 
 
 @router.delete("/{digest}", summary="Refused: episodes are kept", status_code=204)
-def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
+def delete(parts: RequestParts, plant: PlantName, digest: Digest) -> None:
     with reading(parts.database) as tx:
         find.episode(tx, plant, digest)
-        raise Kept(
+        raise CannotBeDeleted(
             f"episode {digest[:12]} is kept: fits and decisions name it",
             uses=sum(find.uses(tx, digest).values()),
         )

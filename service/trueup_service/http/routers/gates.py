@@ -9,13 +9,13 @@ from fastapi import Body, Query, Response
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import Place, place
 from trueup_service.errors import NotFound
-from trueup_service.http.context import (
-    By,
-    DigestPath,
+from trueup_service.http.dependencies import (
+    Digest,
     IdempotencyKey,
     Limit,
     PlantName,
-    With,
+    RequestContext,
+    RequestParts,
     create,
 )
 from trueup_service.http.guard import guarded
@@ -30,8 +30,8 @@ router = guarded("/v1/plants/{plant}", ["gates"])
     "/gates", status_code=201, response_model=Gate, summary="Declare a gate", responses=there(Gate)
 )
 def declare(
-    parts: With,
-    context: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     document: Annotated[dict[str, Any] | None, Body()] = None,
     key: IdempotencyKey = None,
@@ -56,7 +56,7 @@ def declare(
 
 @router.get("/gates", summary="List gates")
 def list_gates(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     after: Annotated[str, Query(max_length=64)] = "",
     limit: Limit = 100,
@@ -68,13 +68,13 @@ def list_gates(
 
 
 @router.get("/gates/{digest}", summary="Get a gate")
-def get_gate(parts: With, plant: PlantName, digest: DigestPath) -> Gate:
+def get_gate(parts: RequestParts, plant: PlantName, digest: Digest) -> Gate:
     with reading(parts.database) as tx:
         return Gate.model_validate(find.gate(tx, plant, digest))
 
 
 @router.get("/gate", summary="Get the gate in force")
-def get_gate_in_force(parts: With, plant: PlantName) -> GateInLine:
+def get_gate_in_force(parts: RequestParts, plant: PlantName) -> GateInLine:
     """The last one that was declared: it judges."""
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
@@ -90,7 +90,7 @@ def get_gate_in_force(parts: With, plant: PlantName) -> GateInLine:
 
 
 @router.get("/gates/{digest}/line", summary="Get a gate with its place in the plant's line")
-def get_gate_in_line(parts: With, plant: PlantName, digest: DigestPath) -> GateInLine:
+def get_gate_in_line(parts: RequestParts, plant: PlantName, digest: Digest) -> GateInLine:
     """Whether it is in force, which one was before it, and what is looser in it."""
     with reading(parts.database) as tx:
         found = place(tx, plant, digest)

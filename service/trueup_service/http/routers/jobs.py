@@ -12,9 +12,17 @@ from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.actor_context import END_OF_TIME
-from trueup_service.http.context import Before, By, IdempotencyKey, Limit, PlantName, With, create
+from trueup_service.http.dependencies import (
+    BeforeTime,
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    create,
+)
 from trueup_service.http.downloads import send_kept
-from trueup_service.http.guard import Asking, guarded, require_seen
+from trueup_service.http.guard import CurrentPrincipal, guarded, require_seen
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import (
     BlindtrialRequest,
@@ -57,7 +65,11 @@ JobRequest = Annotated[
     responses=there(Job),
 )
 def submit(
-    parts: With, context: By, plant: PlantName, request: JobRequest, key: IdempotencyKey = None
+    parts: RequestParts,
+    context: RequestContext,
+    plant: PlantName,
+    request: JobRequest,
+    key: IdempotencyKey = None,
 ) -> Response:
     """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a
     trial held-out ones alone; a diagnosis fits the former and compares on the latter. A calibration
@@ -80,7 +92,7 @@ def submit(
 
 @router.get("/plants/{plant}/jobs", summary="List jobs, the newest first")
 def list_jobs(
-    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+    parts: RequestParts, plant: PlantName, before: BeforeTime = END_OF_TIME, limit: Limit = 100
 ) -> Page[Job]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
@@ -89,10 +101,10 @@ def list_jobs(
 
 
 @router.get("/jobs/{job}", summary="Get a job with its progress and what it has read")
-def get_job(parts: With, who: Asking, job: JobId) -> JobWithReads:
+def get_job(parts: RequestParts, principal: CurrentPrincipal, job: JobId) -> JobWithReads:
     with reading(parts.database) as tx:
         found = find.job(tx, job)
-        require_seen(parts.database, who, found.plant, find.not_found("job", job))
+        require_seen(parts.database, principal, found.plant, find.not_found("job", job))
         outputs = [Output.model_validate(o) for o in tx.outputs.of_job(job)]
         return JobWithReads(
             **Job.model_validate(found).model_dump(), reads=tx.jobs.reads(job), outputs=outputs
@@ -104,11 +116,13 @@ def get_job(parts: With, who: Asking, job: JobId) -> JobWithReads:
     summary="Download a file that a job left behind",
     response_class=Response,
 )
-def get_output(parts: With, who: Asking, job: JobId, name: OutputName) -> StreamingResponse:
+def get_output(
+    parts: RequestParts, principal: CurrentPrincipal, job: JobId, name: OutputName
+) -> StreamingResponse:
     """A diagnosis leaves `figures.json`, the numbers behind its pictures, and `next_experiment.csv`
     where there is one."""
     with reading(parts.database) as tx:
-        require_seen(parts.database, who, find.job(tx, job).plant, find.not_found("job", job))
+        require_seen(parts.database, principal, find.job(tx, job).plant, find.not_found("job", job))
         found = find.output(tx, job, name)
     named = f'attachment; filename="{found.name}"'
     return send_kept(
@@ -117,10 +131,12 @@ def get_output(parts: With, who: Asking, job: JobId, name: OutputName) -> Stream
 
 
 @router.post("/jobs/{job}/cancel", summary="Cancel a job")
-def cancel(parts: With, context: By, who: Asking, job: JobId) -> Job:
+def cancel(
+    parts: RequestParts, context: RequestContext, principal: CurrentPrincipal, job: JobId
+) -> Job:
     """A waiting job is cancelled at once, a running one at its next report of progress; a finished
     one stays as it is."""
     with reading(parts.database) as tx:
-        require_seen(parts.database, who, find.job(tx, job).plant, find.not_found("job", job))
+        require_seen(parts.database, principal, find.job(tx, job).plant, find.not_found("job", job))
     with writing(parts.database) as tx:
         return Job.model_validate(cancel_job(tx, job, context))

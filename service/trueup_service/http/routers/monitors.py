@@ -9,16 +9,16 @@ from fastapi import Path, Query
 
 from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm
+from trueup_service.actions.idempotency import run_once
 from trueup_service.actor_context import END_OF_TIME
-from trueup_service.http.context import (
-    Before,
-    By,
-    DigestPath,
+from trueup_service.http.dependencies import (
+    BeforeTime,
+    Digest,
     IdempotencyKey,
     Limit,
     PlantName,
-    With,
-    run_once,
+    RequestContext,
+    RequestParts,
 )
 from trueup_service.http.guard import guarded
 from trueup_service.http.schemas import Alarm, Closing, Monitor, MonitorState, Page, Watch, page
@@ -32,7 +32,7 @@ CALIBRATE = (
 
 
 @router.get("/monitor", summary="Whether the model that serves is watched")
-def state(parts: With, plant: PlantName) -> MonitorState:
+def state(parts: RequestParts, plant: PlantName) -> MonitorState:
     with reading(parts.database) as tx:
         serving, watching, alarm = (
             find.serving(tx, plant).artifact,
@@ -59,7 +59,7 @@ def state(parts: With, plant: PlantName) -> MonitorState:
 
 @router.get("/monitors", summary="List monitors, the newest first")
 def list_monitors(
-    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+    parts: RequestParts, plant: PlantName, before: BeforeTime = END_OF_TIME, limit: Limit = 100
 ) -> Page[Monitor]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
@@ -68,16 +68,16 @@ def list_monitors(
 
 
 @router.get("/monitors/{digest}", summary="Get a monitor with its calibration")
-def get_monitor(parts: With, plant: PlantName, digest: DigestPath) -> Monitor:
+def get_monitor(parts: RequestParts, plant: PlantName, digest: Digest) -> Monitor:
     with reading(parts.database) as tx:
         return Monitor.model_validate(find.monitor(tx, plant, digest))
 
 
 @router.get("/monitors/{digest}/watches", summary="What a monitor saw, episode by episode")
 def list_watches(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
-    digest: DigestPath,
+    digest: Digest,
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="sequence")] = 0,
     limit: Limit = 100,
 ) -> Page[Watch]:
@@ -89,7 +89,7 @@ def list_watches(
 
 @router.get("/alarms", summary="List alarms, the newest first")
 def list_alarms(
-    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+    parts: RequestParts, plant: PlantName, before: BeforeTime = END_OF_TIME, limit: Limit = 100
 ) -> Page[Alarm]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
@@ -100,15 +100,15 @@ def list_alarms(
 @router.get(
     "/alarms/{alarm}", summary="Get an alarm: what changed, and the diagnosis that it opened"
 )
-def get_alarm(parts: With, plant: PlantName, alarm: AlarmId) -> Alarm:
+def get_alarm(parts: RequestParts, plant: PlantName, alarm: AlarmId) -> Alarm:
     with reading(parts.database) as tx:
         return Alarm.model_validate(find.alarm(tx, plant, alarm))
 
 
 @router.post("/alarms/{alarm}/close", summary="Close an alarm, and say why")
 def close(
-    parts: With,
-    context: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     alarm: AlarmId,
     closing: Closing,

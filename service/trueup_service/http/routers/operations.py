@@ -12,7 +12,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from trueup import __version__
 from trueup_service.errors import LogRewound
-from trueup_service.http.context import With
+from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.schemas import Health, Readiness
 from trueup_service.registry.transaction import reading
@@ -28,7 +28,7 @@ async def health() -> Health:
 
 
 @router.get("/readyz", summary="The service can do its work", responses={503: {"model": Readiness}})
-def ready(request: Request, parts: With, response: Response) -> Readiness:
+def ready(request: Request, parts: RequestParts, response: Response) -> Readiness:
     checks = {
         "database": _database(parts),
         "blobs": _blobs(parts),

@@ -8,8 +8,15 @@ from fastapi import Body, Query, Response
 
 from trueup_service.actions import find
 from trueup_service.errors import Forbidden
-from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
-from trueup_service.http.guard import Asking, guarded
+from trueup_service.http.dependencies import (
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    create,
+)
+from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Page, Plant, page
 from trueup_service.registry.transaction import reading
@@ -21,9 +28,9 @@ router = guarded("/v1/plants", ["plants"])
     "", status_code=201, response_model=Plant, summary="Register a plant", responses=there(Plant)
 )
 def register(
-    parts: With,
-    context: By,
-    who: Asking,
+    parts: RequestParts,
+    context: RequestContext,
+    principal: CurrentPrincipal,
     document: Annotated[dict[str, Any], Body(description="plant.json")],
     project: Annotated[
         str | None, Query(max_length=63, description="default: the token's own")
@@ -38,14 +45,14 @@ def register(
     """
     from trueup_service.actions.register_plant import register_plant  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    if who.plant is not None:
+    if principal.plant is not None:
         raise Forbidden(
-            f"the token is of plant {who.plant!r} alone",
+            f"the token is of plant {principal.plant!r} alone",
             hint="Ask an admin for a token of the project.",
         )
-    if who.project is not None and project not in (None, who.project):
+    if principal.project is not None and project not in (None, principal.project):
         raise find.not_found("project", str(project))
-    of = who.project or project
+    of = principal.project or project
     return create(
         parts,
         context,
@@ -59,19 +66,24 @@ def register(
 
 @router.get("", summary="List plants by name")
 def list_plants(
-    parts: With, who: Asking, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
+    parts: RequestParts,
+    principal: CurrentPrincipal,
+    after: Annotated[str, Query(max_length=63)] = "",
+    limit: Limit = 100,
 ) -> Page[Plant]:
     """Those that the token sees."""
     with reading(parts.database) as tx:
-        if who.plant is not None:
+        if principal.plant is not None:
             return Page(
-                items=[Plant.model_validate(find.plant(tx, who.plant))] if who.plant > after else []
+                items=[Plant.model_validate(find.plant(tx, principal.plant))]
+                if principal.plant > after
+                else []
             )
-        found = tx.plants.page(after, limit, who.project)
+        found = tx.plants.page(after, limit, principal.project)
     return page(Plant, found, limit, "name")
 
 
 @router.get("/{plant}", summary="Get a plant")
-def get_plant(parts: With, plant: PlantName) -> Plant:
+def get_plant(parts: RequestParts, plant: PlantName) -> Plant:
     with reading(parts.database) as tx:
         return Plant.model_validate(find.plant(tx, plant))

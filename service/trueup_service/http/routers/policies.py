@@ -9,8 +9,15 @@ from fastapi import Body, Query, Response
 from trueup_service.actions import find
 from trueup_service.actions.declare_policy import declare_policy
 from trueup_service.errors import NotFound
-from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
-from trueup_service.http.guard import Asking, guarded
+from trueup_service.http.dependencies import (
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    create,
+)
+from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Page, Policy, page
 from trueup_service.registry.records import PolicyRecord, Role
@@ -27,9 +34,9 @@ router = guarded("/v1/plants/{plant}", ["policies"])
     responses=there(Policy),
 )
 def declare(
-    parts: With,
-    context: By,
-    who: Asking,
+    parts: RequestParts,
+    context: RequestContext,
+    principal: CurrentPrincipal,
     plant: PlantName,
     document: Annotated[
         dict[str, Any],
@@ -41,14 +48,14 @@ def declare(
     than before, an admin alone can say."""
 
     def act(tx: Transaction) -> tuple[PolicyRecord, bool]:
-        return declare_policy(tx, plant, document, context, by_admin=Role.ADMIN in who.roles)
+        return declare_policy(tx, plant, document, context, by_admin=Role.ADMIN in principal.roles)
 
     return create(parts, context, f"policies/{plant}", key, document, act, Policy)
 
 
 @router.get("/policies", summary="List the policies that held, in order")
 def list_policies(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="sequence")] = 0,
     limit: Limit = 100,
@@ -60,7 +67,7 @@ def list_policies(
 
 
 @router.get("/policy", summary="Get the policy that holds")
-def get_policy(parts: With, plant: PlantName) -> Policy:
+def get_policy(parts: RequestParts, plant: PlantName) -> Policy:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
         found = tx.policies.in_force(plant)

@@ -9,14 +9,19 @@ from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup.canonical import Json
-from trueup_service.actions import find
+from trueup_service.actions import find, promotion
+from trueup_service.actions.move_pointer import position_document
 from trueup_service.actor_context import time_text
-from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With
+from trueup_service.http.dependencies import (
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+)
 from trueup_service.http.guard import guarded
-from trueup_service.http.moving import promote_tested, roll_back_tested
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas import Envelope, Page, Promotion, Rollback, Serving
-from trueup_service.http.serving_answers import document
 from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import SignedLog
 
@@ -45,7 +50,7 @@ async def now(request: Request) -> Response:
 
 
 @router.get("/envelope", summary="What is serving now, signed for a robot")
-def envelope(request: Request, parts: With, plant: PlantName) -> Envelope:
+def envelope(request: Request, parts: RequestParts, plant: PlantName) -> Envelope:
     """A DSSE envelope: artifact, generation (which only grows), decision, expiry, the artifact that
     served before as the fallback, and the log's checkpoint, so that every robot is a witness of the
     log.
@@ -72,7 +77,7 @@ def envelope(request: Request, parts: With, plant: PlantName) -> Envelope:
 
 @router.get("/history", summary="What served when")
 def history(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     at: AtTime = None,
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="generation")] = 0,
@@ -83,10 +88,10 @@ def history(
         find.plant_digest(tx, plant)
         if at is not None:
             live = tx.serving.at_time(plant, _padded(at))
-            return Page(items=[Serving(**document(live))] if live else [])
+            return Page(items=[Serving(**position_document(live))] if live else [])
         found = tx.serving.history(plant, after, limit)
     return Page(
-        items=[Serving(**document(m)) for m in found],
+        items=[Serving(**position_document(m)) for m in found],
         next=str(found[-1].generation) if len(found) == limit else None,
     )
 
@@ -99,21 +104,21 @@ def _padded(at: str) -> str:
 @router.post("/promote", summary="Serve an accepted candidate")
 async def promote(
     request: Request,
-    parts: With,
-    context: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
-    promotion: Promotion,
+    wanted: Promotion,
     key: IdempotencyKey = None,
 ) -> Serving:
     """Compare and swap: 409 if the pointer is elsewhere, the decision was judged at another one, or
     others must approve."""
     moved = await run_in_threadpool(
-        promote_tested,
+        promotion.promote,
         parts,
         context,
         plant,
-        promotion.decision,
-        promotion.expected_generation,
+        wanted.decision,
+        wanted.expected_generation,
         key,
     )
     request.app.state.answers.wake()
@@ -123,8 +128,8 @@ async def promote(
 @router.post("/rollback", summary="Serve what served before")
 async def rollback(
     request: Request,
-    parts: With,
-    context: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     wanted: Rollback,
     key: IdempotencyKey = None,
@@ -132,7 +137,7 @@ async def rollback(
     """Only after the switchback test: the artifact loads, its digests hold, it answers its recorded
     probe, it fits the plant."""
     moved = await run_in_threadpool(
-        roll_back_tested, parts, context, plant, wanted.expected_generation, key
+        promotion.roll_back, parts, context, plant, wanted.expected_generation, key
     )
     request.app.state.answers.wake()
     return Serving(**moved)

@@ -12,15 +12,22 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from trueup.errors import BadEpisode
+from trueup_service.actions.ingestion import ReceivedFile, known_episode, plant_context
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import DigestMismatch, NotFound
-from trueup_service.http.context import By, DigestPath, IdempotencyKey, PlantName, With
+from trueup_service.http.dependencies import (
+    Digest,
+    IdempotencyKey,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    inspector_of,
+)
 from trueup_service.http.guard import guarded
-from trueup_service.http.ingesting import against, ingest, inspect, known_episode
 from trueup_service.http.openapi import there
 from trueup_service.http.schemas import Episode, Upload
-from trueup_service.http.uploads import Received
-from trueup_service.inspection import Against
+from trueup_service.http.uploads import ingest_response
+from trueup_service.inspection import PlantContext
 from trueup_service.partial_uploads import PartialUploads, Quota, digest_of_file
 from trueup_service.wiring import Parts
 
@@ -43,7 +50,7 @@ Offset = Annotated[
 
 
 @router.get("", summary="How far an upload came")
-def offset(parts: With, plant: PlantName, digest: DigestPath) -> Upload:
+def offset(parts: RequestParts, plant: PlantName, digest: Digest) -> Upload:
     """Zero where nothing came yet, at this server."""
     return Upload(
         digest=digest, offset_bytes=PartialUploads(parts.settings.data_dir).offset(plant, digest)
@@ -52,11 +59,11 @@ def offset(parts: With, plant: PlantName, digest: DigestPath) -> Upload:
 
 @router.patch("", summary="Send a part of an upload", openapi_extra=PART)
 async def append(
-    request: Request, parts: With, plant: PlantName, digest: DigestPath, at: Offset
+    request: Request, parts: RequestParts, plant: PlantName, digest: Digest, at: Offset
 ) -> Upload:
     """What is answered is durable. Where the connection breaks, what came is kept; 409 says where
     to go on."""
-    await run_in_threadpool(against, parts, plant)
+    await run_in_threadpool(plant_context, parts, plant)  # raises NotFound
     uploads = PartialUploads(parts.settings.data_dir)
     quota = Quota(parts.settings.uploads_under_way, parts.settings.uploads_under_way_bytes)
     here = await uploads.append(
@@ -85,10 +92,10 @@ async def _until_it_breaks(request: Request) -> AsyncIterator[bytes]:
 )
 async def finish(
     request: Request,
-    parts: With,
-    context: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
-    digest: DigestPath,
+    digest: Digest,
     key: IdempotencyKey = None,
 ) -> Response:
     """Its bytes must have the digest; then it is as if it had come at once. What is no episode, or
@@ -96,10 +103,10 @@ async def finish(
     again.
     """
     uploads = PartialUploads(parts.settings.data_dir)
-    held = await run_in_threadpool(against, parts, plant)
+    against = await run_in_threadpool(plant_context, parts, plant)
     try:
         with uploads.alone(plant, digest):
-            answer = await _finished(request, parts, context, plant, digest, key, held)
+            answer = await _finished(request, parts, context, plant, digest, key, against)
             uploads.drop(plant, digest)
             return answer
     except FileNotFoundError as error:
@@ -121,7 +128,7 @@ async def _finished(
     plant: str,
     digest: str,
     key: str | None,
-    held: Against,
+    against: PlantContext,
 ) -> Response:
     uploads = PartialUploads(parts.settings.data_dir)
     path = uploads.path(plant, digest)
@@ -131,10 +138,16 @@ async def _finished(
             raise DigestMismatch(
                 "the parts together are not what the path names", expected=digest, found=found
             )
-        inspected = await inspect(request, path, held)
+        inspected = await inspector_of(request).inspect(path, against)
     except (DigestMismatch, BadEpisode):
         uploads.drop(plant, digest)
         raise
     return await run_in_threadpool(
-        ingest, parts, context, plant, key, Received(path, digest, path.stat().st_size), inspected
+        ingest_response,
+        parts,
+        context,
+        plant,
+        key,
+        ReceivedFile(path, digest, path.stat().st_size),
+        inspected,
     )

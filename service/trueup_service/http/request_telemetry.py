@@ -41,7 +41,7 @@ FOR_BROWSERS = (
 GIVEN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
-class Observing:
+class RequestTelemetry:
     """ASGI middleware; takes the caller's `X-Request-Id` if it is a plain one, and answers with
     it."""
 

@@ -32,7 +32,7 @@ FROM_SETTINGS = "settings"  # stands for the prefix of the token in the settings
 
 
 @dataclass(frozen=True, slots=True)
-class Who:
+class Principal:
     """Somebody who was recognised: by which token, with which roles, and what of the registry there
     is for them."""
 
@@ -59,7 +59,7 @@ def digest_of_secret(secret: str) -> str:
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
-class Identities:
+class Authenticator:
     """Recognises tokens and sessions, and remembers them for a moment."""
 
     def __init__(
@@ -72,14 +72,14 @@ class Identities:
             if self._admin is None
             else FROM_SETTINGS + digest_of_secret(self._admin)[: len(FROM_SETTINGS)]
         )
-        self._known: dict[str, tuple[Who, float]] = {}
+        self._known: dict[str, tuple[Principal, float]] = {}
 
-    def remembered(self, credential: str) -> Who | None:
+    def remembered(self, credential: str) -> Principal | None:
         """Who was recognised by these very words a moment ago."""
         found = self._known.get(digest_of_secret(credential))
         return found[0] if found is not None and self._clock() < found[1] else None
 
-    def by_token(self, text: str) -> Who:
+    def by_token(self, text: str) -> Principal:
         """Who a token is of. Raises Unauthenticated."""
         if self._admin is not None and hmac.compare_digest(text.encode(), self._admin.encode()):
             return self._remember(text, self._from_settings())
@@ -93,7 +93,7 @@ class Identities:
             raise Unauthenticated("the token is not known")
         return self._remember(text, _holder(found))
 
-    def by_session(self, cookie: str) -> Who:
+    def by_session(self, cookie: str) -> Principal:
         """Who a browser's session is of. Raises Unauthenticated."""
         with reading(self._database) as tx:
             prefix = tx.sessions.token(digest_of_secret(cookie), _now())
@@ -104,30 +104,30 @@ class Identities:
             raise Unauthenticated("the session has ended", hint="Sign in again.")
         return self._remember(cookie, _holder(found))
 
-    def _from_settings(self) -> Who:
+    def _from_settings(self) -> Principal:
         """Who has the token of the settings; its stand-in for a prefix changes with it, and so ends
         the sessions that it began."""
-        return Who("admin", str(self._admin_prefix), frozenset({Role.ADMIN}), None, None)
+        return Principal("admin", str(self._admin_prefix), frozenset({Role.ADMIN}), None, None)
 
     def forget(self) -> None:
         """Ask the database again for everybody."""
         self._known.clear()
 
-    def _remember(self, credential: str, who: Who) -> Who:
+    def _remember(self, credential: str, principal: Principal) -> Principal:
         if len(self._known) >= REMEMBERED:
             self._known.clear()
         if self._memory_s:
-            self._known[digest_of_secret(credential)] = who, self._clock() + self._memory_s
-        return who
+            self._known[digest_of_secret(credential)] = principal, self._clock() + self._memory_s
+        return principal
 
 
-def _holder(token: TokenRecord) -> Who:
+def _holder(token: TokenRecord) -> Principal:
     """Raises Unauthenticated for a token that has expired or was revoked."""
     if token.revoked_at is not None:
         raise Unauthenticated("the token was revoked", name=token.name)
     if token.expires_at is not None and token.expires_at <= _now():
         raise Unauthenticated("the token has expired", name=token.name, expires_at=token.expires_at)
-    return Who(
+    return Principal(
         token.name, token.prefix, frozenset(map(Role, token.roles)), token.project, token.plant
     )
 

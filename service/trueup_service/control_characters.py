@@ -16,7 +16,7 @@ LINE = rf"^[^{OBEYED}]+$"  # a pattern of JSON Schema, too
 _OBEYED = re.compile(f"[{OBEYED}]")
 
 
-def obeyed_character(text: str, allowed: str = "") -> str | None:
+def control_character(text: str, allowed: str = "") -> str | None:
     """The first character of text that is obeyed and not allowed, as its code point; None if all of
     it is shown."""
     found = next((c for c in _OBEYED.findall(text) if c not in allowed), None)

@@ -13,7 +13,7 @@ from trueup_service.wiring import Parts
 INTERVAL_S = 60.0  # an age is hours: it matters little if something stays a minute longer
 
 
-def tidy(parts: Parts, now: datetime | None = None) -> None:
+def remove_expired(parts: Parts, now: datetime | None = None) -> None:
     """Let go of what has reached its age, and of each token's oldest answers beyond those that are
     kept."""
     settings = parts.settings

@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable
 
 from trueup_service.errors import Conflict
-from trueup_service.kept import unnamed
+from trueup_service.installation import unnamed_blobs
 from trueup_service.locks import try_lock
 from trueup_service.partial_uploads import PartialUploads
 from trueup_service.registry.transaction import reading
@@ -20,7 +20,7 @@ from trueup_service.wiring import Parts
 Told = Callable[[float, str], None]
 
 
-def remove_leftovers(
+def collect_garbage(
     parts: Parts, older_than_s: float, *, dry_run: bool, told: Told
 ) -> dict[str, int]:
     """How many blobs and files of uploads were removed, or would be, and how many bytes. Raises
@@ -41,7 +41,7 @@ def _remove(parts: Parts, older_than_s: float, *, dry_run: bool, told: Told) -> 
             parts.blobs.restore(digest)
         else:
             parts.blobs.forget(digest)
-    found = unnamed(parts)
+    found = unnamed_blobs(parts)
     blobs, size = 0, 0
     for count, digest in enumerate(found, 1):
         told(count / len(found), f"blob {digest[:12]}")

@@ -12,7 +12,7 @@ from trueup.ledger.verification import verify
 from trueup_service.actions.register_plant import register_plant
 from trueup_service.actions.tokens import issue_token
 from trueup_service.actor_context import ActorContext
-from trueup_service.kept import Kept
+from trueup_service.installation import Installation
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import TokenRecord
@@ -39,7 +39,7 @@ def edit(parts, *statements):
 
 
 def findings(parts):
-    return [(f.where, f.what) for f in verify(Kept(parts.database, parts.blobs)).findings]
+    return [(f.where, f.what) for f in verify(Installation(parts.database, parts.blobs)).findings]
 
 
 def schema(parts):

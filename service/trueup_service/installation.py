@@ -25,7 +25,7 @@ from trueup_service.wiring import Parts
 AT_ONCE = 1000
 
 
-class Kept:
+class Installation:
     """What a database and a blob store keep."""
 
     def __init__(self, database: Database, blobs: Blobs, signer: str | None = None) -> None:
@@ -136,8 +136,8 @@ def lost_jobs(parts: Parts) -> list[Finding]:
     ]
 
 
-def unnamed(parts: Parts) -> list[str]:
+def unnamed_blobs(parts: Parts) -> list[str]:
     """Digests of blobs that no row names."""
-    kept = Kept(parts.database, parts.blobs)
+    kept = Installation(parts.database, parts.blobs)
     named = {digest for table in KEYS for row in kept.rows(table) for digest in blobs(table, row)}
     return [digest for digest in parts.blobs.all() if digest not in named]

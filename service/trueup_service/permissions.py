@@ -18,7 +18,7 @@ FILES = ("trueup.sqlite*", "signing.key*", "admin.token", "service.log")
 log = logging.getLogger("trueup")
 
 
-def private_folder(path: Path, database: Path | None) -> None:
+def make_private(path: Path, database: Path | None) -> None:
     """Make the folder, or close it to others, and the database in it, whose companions get the
     permissions that it has."""
     path.mkdir(mode=FOLDER, parents=True, exist_ok=True)

@@ -11,9 +11,9 @@ import gc
 import re
 from collections import Counter
 
+from trueup_service.authentication import Principal
 from trueup_service.errors import MemoryFull, TooLargeUpload
-from trueup_service.http.observing import App, Message, Receive, Scope, Send
-from trueup_service.identity import Who
+from trueup_service.http.request_telemetry import App, Message, Receive, Scope, Send
 
 LIMIT_BYTES = 4 << 20
 FORM_BYTES = 16 << 10  # of a body that needs no token
@@ -21,7 +21,7 @@ SHARE = 0.5  # of the room: for the bodies of one token
 UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+)")
 
 
-class Limiting:
+class BodyLimit:
     """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it, one that
     others leave no room for in MemoryFull."""
 
@@ -40,8 +40,8 @@ class Limiting:
             nonlocal read, taken, whose
             message = await receive()
             read += len(message.get("body", b""))
-            who: Who | None = scope.get("who")
-            limit = FORM_BYTES if who is None else LIMIT_BYTES
+            principal: Principal | None = scope.get("principal")
+            limit = FORM_BYTES if principal is None else LIMIT_BYTES
             if read > limit:
                 told = f"the body has more than {limit} bytes"
                 raise TooLargeUpload(
@@ -49,8 +49,8 @@ class Limiting:
                     hint="Send less at once; long recordings and arrays have routes of their own.",
                     limit_bytes=limit,
                 )
-            if who is not None:
-                whose, more = who.token, read - taken
+            if principal is not None:
+                whose, more = principal.token, read - taken
                 taken = read
                 self._take(whose, more)
             return message
