@@ -10,7 +10,7 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
 from trueup_service.http.problems import MEDIA_TYPE
-from trueup_service.http.schemas import Problem
+from trueup_service.http.schemas.wire import Problem
 
 METHODS = ("get", "put", "post", "patch", "delete")
 

@@ -20,7 +20,7 @@ from trueup_service.actions.ingestion import ReceivedFile, ingest
 from trueup_service.actor_context import ActorContext
 from trueup_service.errors import BadRequest, DigestMismatch, TooLargeUpload
 from trueup_service.http.dependencies import created
-from trueup_service.http.schemas import Episode
+from trueup_service.http.schemas.episodes import Episode
 from trueup_service.inspection import Inspected
 from trueup_service.partial_uploads import write_all
 from trueup_service.wiring import Parts

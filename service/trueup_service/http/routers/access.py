@@ -20,17 +20,16 @@ from trueup_service.http.dependencies import (
 )
 from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import (
+from trueup_service.http.schemas.access import (
     Identity,
     IssuedToken,
     NewProject,
     NewToken,
-    Page,
     Project,
     SignIn,
     Token,
-    page,
 )
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
 from trueup_service.registry.records import Role, TokenRecord
 from trueup_service.registry.transaction import reading, writing

@@ -29,7 +29,8 @@ from trueup_service.http.dependencies import (
 from trueup_service.http.downloads import UNCHANGING, send_kept
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Artifact, Envelope, Page, page
+from trueup_service.http.schemas.serving import Artifact
+from trueup_service.http.schemas.wire import Envelope, Page, page
 from trueup_service.http.uploads import ARRAYS_HINT, allow, received
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.transaction import reading

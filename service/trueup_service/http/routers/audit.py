@@ -23,7 +23,8 @@ from trueup.ledger.rows import KEYS
 from trueup_service.errors import BadRequest, NotFound
 from trueup_service.http.dependencies import Limit, RequestParts
 from trueup_service.http.guard import CurrentPrincipal, guarded
-from trueup_service.http.schemas import AuditEntry, AuditKey, AuditKeys, Page, Proof, Rows, page
+from trueup_service.http.schemas.audit import AuditEntry, AuditKey, AuditKeys, Proof, Rows
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.tables import metadata
 from trueup_service.registry.transaction import ReadTransaction, reading
 from trueup_service.signed_log import SignedLog

@@ -25,15 +25,14 @@ from trueup_service.http.dependencies import (
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
-from trueup_service.http.schemas import (
+from trueup_service.http.schemas.serving import (
     Channel,
     ChannelDeclaration,
     ChannelMove,
     ChannelPosition,
     Evidence,
-    Page,
-    page,
 )
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.transaction import Transaction, reading
 
 router = guarded("/v1/plants/{plant}", ["channels"])

@@ -22,7 +22,8 @@ from trueup_service.http.dependencies import (
 )
 from trueup_service.http.guard import CurrentPrincipal, guarded, require_seen
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Approval, ApprovalRequest, Decision, Envelope, Page, page
+from trueup_service.http.schemas.decisions import Approval, ApprovalRequest, Decision
+from trueup_service.http.schemas.wire import Envelope, Page, page
 from trueup_service.registry.transaction import reading
 
 router = guarded("/v1", ["decisions"])

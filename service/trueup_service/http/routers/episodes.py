@@ -25,7 +25,9 @@ from trueup_service.http.dependencies import (
 from trueup_service.http.downloads import send_kept
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, page
+from trueup_service.http.schemas.episodes import Episode, EpisodeContext
+from trueup_service.http.schemas.serving import Serving
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.http.uploads import ingest_response, received
 from trueup_service.inspection import Inspected
 from trueup_service.registry.transaction import reading

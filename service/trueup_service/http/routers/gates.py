@@ -20,7 +20,8 @@ from trueup_service.http.dependencies import (
 )
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Gate, GateInLine, LooserThan, Page, page
+from trueup_service.http.schemas.decisions import Gate, GateInLine, LooserThan
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.transaction import reading
 
 router = guarded("/v1/plants/{plant}", ["gates"])

@@ -24,7 +24,7 @@ from trueup_service.http.dependencies import (
 from trueup_service.http.downloads import send_kept
 from trueup_service.http.guard import CurrentPrincipal, guarded, require_seen
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import (
+from trueup_service.http.schemas.jobs import (
     BlindtrialRequest,
     CalibrationRequest,
     ComparisonRequest,
@@ -34,11 +34,10 @@ from trueup_service.http.schemas import (
     Job,
     JobWithReads,
     Output,
-    Page,
     RecomputationRequest,
     ValidationRequest,
-    page,
 )
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.transaction import reading, writing
 
 router = guarded("/v1", ["jobs"])

@@ -21,7 +21,8 @@ from trueup_service.http.dependencies import (
     RequestParts,
 )
 from trueup_service.http.guard import guarded
-from trueup_service.http.schemas import Alarm, Closing, Monitor, MonitorState, Page, Watch, page
+from trueup_service.http.schemas.monitors import Alarm, Closing, Monitor, MonitorState, Watch
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.transaction import reading
 
 router = guarded("/v1/plants/{plant}", ["monitors"])

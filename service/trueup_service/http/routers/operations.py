@@ -14,7 +14,7 @@ from trueup import __version__
 from trueup_service.errors import LogRewound
 from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.schemas import Health, Readiness
+from trueup_service.http.schemas.wire import Health, Readiness
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 

@@ -18,7 +18,8 @@ from trueup_service.http.dependencies import (
 )
 from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Page, Plant, page
+from trueup_service.http.schemas.episodes import Plant
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.transaction import reading
 
 router = guarded("/v1/plants", ["plants"])

@@ -19,7 +19,8 @@ from trueup_service.http.dependencies import (
 )
 from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Page, Policy, page
+from trueup_service.http.schemas.decisions import Policy
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.records import PolicyRecord, Role
 from trueup_service.registry.transaction import Transaction, reading
 

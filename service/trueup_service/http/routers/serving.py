@@ -21,7 +21,8 @@ from trueup_service.http.dependencies import (
 )
 from trueup_service.http.guard import guarded
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
-from trueup_service.http.schemas import Envelope, Page, Promotion, Rollback, Serving
+from trueup_service.http.schemas.serving import Promotion, Rollback, Serving
+from trueup_service.http.schemas.wire import Envelope, Page
 from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import SignedLog
 

@@ -15,7 +15,7 @@ from trueup_service.http.dependencies import (
 )
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Episode
+from trueup_service.http.schemas.episodes import Episode
 from trueup_service.http.uploads import ingest_response, received
 from trueup_service.inspection import mcap_path
 

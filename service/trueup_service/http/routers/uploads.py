@@ -25,7 +25,7 @@ from trueup_service.http.dependencies import (
 )
 from trueup_service.http.guard import guarded
 from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Episode, Upload
+from trueup_service.http.schemas.episodes import Episode, Upload
 from trueup_service.http.uploads import ingest_response
 from trueup_service.inspection import PlantContext
 from trueup_service.partial_uploads import PartialUploads, Quota, digest_of_file
