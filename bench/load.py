@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from trueup.episode.tx import write_episode
 
 from bench.generator import Asked, Load, forever, get, pace, run, send
 from bench.report import Figure, show
@@ -34,6 +33,7 @@ from tests.support.postgres import start_postgres
 from trueup.artifact.artifact import nominal_artifact, unpack
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
+from trueup.episode.writer import write_episode
 from trueup.model.plant import Plant
 from trueup.monitor.monitor import Monitor, calibrate
 from trueup.simulate.excitation import SHAPES, planned

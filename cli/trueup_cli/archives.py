@@ -228,7 +228,7 @@ def gc(
 
     with _parts() as parts, progress("looking for what is left over") as bar:
         removed: dict[str, Any] = collect_garbage(
-            parts, older_than_h * 3600.0, dry_run=dry_run, told=bar
+            parts, older_than_h * 3600.0, dry_run=dry_run, progress=bar
         )
     if as_json_:
         as_json({**removed, "dry_run": dry_run})

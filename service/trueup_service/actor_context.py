@@ -1,4 +1,4 @@
-"""Who makes a change, and when: what every action and every entry of the log is given."""
+"""The actor of a change and its time, which every action and every entry of the log takes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Who asks: tokens, and the sessions of browsers.
+"""Authentication by tokens, and by the sessions of browsers.
 
-A token is `trueup_<prefix>_<secret>`. The prefix finds its row, the secret (32 random bytes) is
-kept as its SHA-256 alone and compared in constant time. It is shown once, to whoever issued it.
+A token is `trueup_<prefix>_<secret>`. The prefix finds its row. Of the secret (32 random bytes)
+only the SHA-256 is stored, and compared in constant time. A token is shown once, to whoever issued
+it.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ FROM_SETTINGS = "settings"  # stands for the prefix of the token in the settings
 
 @dataclass(frozen=True, slots=True)
 class Principal:
-    """Somebody who was recognised: by which token, with which roles, and what of the registry there
-    is for them."""
+    """Who was authenticated: the name and prefix of the token, its roles, and the project and plant
+    that it sees, None for all."""
 
     name: str
     token: str
@@ -44,7 +45,7 @@ class Principal:
 
     @property
     def everywhere(self) -> bool:
-        """Whether all projects and plants are there for them."""
+        """Whether the token sees all projects and plants."""
         return self.project is None and self.plant is None
 
 
@@ -55,12 +56,13 @@ def new_token() -> tuple[str, str, str]:
 
 
 def digest_of_secret(secret: str) -> str:
-    """What is kept of a secret. It is random and long, so a plain hash cannot be searched."""
+    """The digest that is stored of a secret. The secret is random and long, so a plain hash cannot
+    be searched."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
 class Authenticator:
-    """Recognises tokens and sessions, and remembers them for a moment."""
+    """Authenticates tokens and sessions, and remembers them for a moment."""
 
     def __init__(
         self, settings: Settings, database: Database, clock: Callable[[], float] = time.monotonic
@@ -75,42 +77,41 @@ class Authenticator:
         self._known: dict[str, tuple[Principal, float]] = {}
 
     def remembered(self, credential: str) -> Principal | None:
-        """Who was recognised by these very words a moment ago."""
-        found = self._known.get(digest_of_secret(credential))
-        return found[0] if found is not None and self._clock() < found[1] else None
+        """Who was authenticated by the same credential a moment ago."""
+        entry = self._known.get(digest_of_secret(credential))
+        return entry[0] if entry is not None and self._clock() < entry[1] else None
 
     def by_token(self, text: str) -> Principal:
-        """Who a token is of. Raises Unauthenticated."""
+        """The principal of a token. Raises Unauthenticated."""
         if self._admin is not None and hmac.compare_digest(text.encode(), self._admin.encode()):
             return self._remember(text, self._from_settings())
         _, prefix, secret = ([*text.split("_", PARTS - 1), "", ""])[:PARTS]
         with reading(self._database) as tx:
-            found = tx.tokens.get(prefix)
-        held = (
-            found.digest if found else digest_of_secret("")
-        )  # compared also where there is none, so that time tells nothing
-        if not hmac.compare_digest(digest_of_secret(secret), held) or found is None:
+            token = tx.tokens.get(prefix)
+        # Digests are compared also for an unknown prefix, so that timing reveals nothing.
+        held = token.digest if token else digest_of_secret("")
+        if not hmac.compare_digest(digest_of_secret(secret), held) or token is None:
             raise Unauthenticated("the token is not known")
-        return self._remember(text, _holder(found))
+        return self._remember(text, _holder(token))
 
     def by_session(self, cookie: str) -> Principal:
-        """Who a browser's session is of. Raises Unauthenticated."""
+        """The principal of a browser's session. Raises Unauthenticated."""
         with reading(self._database) as tx:
             prefix = tx.sessions.token(digest_of_secret(cookie), _now())
-            found = None if prefix is None else tx.tokens.get(prefix)
+            token = None if prefix is None else tx.tokens.get(prefix)
         if prefix is not None and prefix == self._admin_prefix:
             return self._remember(cookie, self._from_settings())
-        if found is None:
+        if token is None:
             raise Unauthenticated("the session has ended", hint="Sign in again.")
-        return self._remember(cookie, _holder(found))
+        return self._remember(cookie, _holder(token))
 
     def _from_settings(self) -> Principal:
-        """Who has the token of the settings; its stand-in for a prefix changes with it, and so ends
-        the sessions that it began."""
+        """The principal of the admin's token in the settings. The stand-in for its prefix changes
+        with the token, which ends the sessions that an older token began."""
         return Principal("admin", str(self._admin_prefix), frozenset({Role.ADMIN}), None, None)
 
     def forget(self) -> None:
-        """Ask the database again for everybody."""
+        """Forget every remembered credential, so that the database is asked again."""
         self._known.clear()
 
     def _remember(self, credential: str, principal: Principal) -> Principal:
@@ -122,7 +123,7 @@ class Authenticator:
 
 
 def _holder(token: TokenRecord) -> Principal:
-    """Raises Unauthenticated for a token that has expired or was revoked."""
+    """The principal of a token. Raises Unauthenticated where it has expired or was revoked."""
     if token.revoked_at is not None:
         raise Unauthenticated("the token was revoked", name=token.name)
     if token.expires_at is not None and token.expires_at <= _now():
@@ -137,8 +138,8 @@ def _now() -> str:
 
 
 def first_admin(settings: Settings, database: Database) -> Path | None:
-    """Make an admin's token where there is none; the file that it is in, None where it was not
-    needed."""
+    """Make an admin's token where there is no admin. Returns the file that holds it, None where it
+    was not needed."""
     if settings.admin_token is not None:
         return None
     with writing(database) as tx:

@@ -1,5 +1,5 @@
-"""Which characters text that others send may hold: none that a terminal or a page obeys instead of
-showing it.
+"""Control characters, which text from others may not hold: a terminal or a page obeys them instead
+of showing them.
 
 - C0 and C1 control characters and DEL: escape sequences begin with one, U+009B alone is as good as
   ESC [.
@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import re
 
-OBEYED = r"\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069"
-LINE = rf"^[^{OBEYED}]+$"  # a pattern of JSON Schema, too
-_OBEYED = re.compile(f"[{OBEYED}]")
+CONTROL = r"\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069"
+LINE = rf"^[^{CONTROL}]+$"  # a pattern of JSON Schema, too
+_CONTROL = re.compile(f"[{CONTROL}]")
 
 
 def control_character(text: str, allowed: str = "") -> str | None:
-    """The first character of text that is obeyed and not allowed, as its code point; None if all of
-    it is shown."""
-    found = next((c for c in _OBEYED.findall(text) if c not in allowed), None)
-    return None if found is None else f"U+{ord(found):04X}"
+    """The code point of the first control character in a text that is not allowed, None where there
+    is none."""
+    character = next((c for c in _CONTROL.findall(text) if c not in allowed), None)
+    return None if character is None else f"U+{ord(character):04X}"

@@ -1,5 +1,5 @@
-"""What is kept for a while only: answers of idempotency keys, and uploads in parts that nobody goes
-on with."""
+"""What is stored for a limited time: responses under idempotency keys, and uploads in parts that
+were abandoned."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from trueup_service.partial_uploads import PartialUploads
 from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 
-INTERVAL_S = 60.0  # an age is hours: it matters little if something stays a minute longer
+INTERVAL_S = 60.0  # ages are hours, so a minute more does not matter
 
 
 def remove_expired(parts: Parts, now: datetime | None = None) -> None:
-    """Let go of what has reached its age, and of each token's oldest answers beyond those that are
-    kept."""
+    """Remove what has reached its age, and of each token the oldest responses beyond the number
+    that is kept."""
     settings = parts.settings
     before = time_text((now or datetime.now(UTC)) - timedelta(seconds=settings.answers_kept_s))
     with reading(parts.database) as tx:

@@ -1,8 +1,8 @@
-"""Remove bytes that no row names: what uploads left that never ended.
+"""Garbage collection: remove bytes that no row names, which uploads left that never ended.
 
-What a row names is never touched, and rows are never removed. An upload makes its bytes durable
-before its row; so bytes are only left over once they are older than any upload takes, and an upload
-that finds its bytes there already makes them young again.
+Bytes that a row names are never removed, and neither are rows. An upload makes its bytes durable
+before its row. So bytes are garbage only once they are older than any upload takes, and an upload
+that finds its bytes in the store makes them young again.
 """
 
 from __future__ import annotations
@@ -17,34 +17,38 @@ from trueup_service.partial_uploads import PartialUploads
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
-Told = Callable[[float, str], None]
+Progress = Callable[[float, str], None]
 
 
 def collect_garbage(
-    parts: Parts, older_than_s: float, *, dry_run: bool, told: Told
+    parts: Parts, older_than_s: float, *, dry_run: bool, progress: Progress
 ) -> dict[str, int]:
-    """How many blobs and files of uploads were removed, or would be, and how many bytes. Raises
-    Conflict while another does it."""
+    """Remove unnamed blobs and abandoned uploads that are older than this [s], or with `dry_run`
+    only count them. Returns the numbers of blobs, files and bytes. Raises Conflict while another
+    process does it."""
     lock = try_lock(parts.settings.data_dir / "gc.lock")
     if lock is None:
         raise Conflict("somebody is at it already", hint="Wait for it to end.")
     try:
-        return _remove(parts, older_than_s, dry_run=dry_run, told=told)
+        return _remove(parts, older_than_s, dry_run=dry_run, progress=progress)
     finally:
         os.close(lock)
 
 
-def _remove(parts: Parts, older_than_s: float, *, dry_run: bool, told: Told) -> dict[str, int]:
-    told(0.0, "reading what is named")
-    for digest in [] if dry_run else list(parts.blobs.removed()):  # somebody was killed over these
+def _remove(
+    parts: Parts, older_than_s: float, *, dry_run: bool, progress: Progress
+) -> dict[str, int]:
+    progress(0.0, "reading what is named")
+    # A process that was killed may have left removed blobs.
+    for digest in [] if dry_run else list(parts.blobs.removed()):
         if _is_named(parts, digest) and not parts.blobs.holds(digest):
             parts.blobs.restore(digest)
         else:
             parts.blobs.forget(digest)
-    found = unnamed_blobs(parts)
+    unnamed = unnamed_blobs(parts)
     blobs, size = 0, 0
-    for count, digest in enumerate(found, 1):
-        told(count / len(found), f"blob {digest[:12]}")
+    for count, digest in enumerate(unnamed, 1):
+        progress(count / len(unnamed), f"blob {digest[:12]}")
         gone = parts.blobs.remove(digest, older_than_s, dry_run=dry_run)
         if gone is not None and not dry_run:
             if _is_named(parts, digest):

@@ -1,4 +1,4 @@
-"""Build the parts of the service from the settings; nothing else does."""
+"""Build the parts of the service from the settings. Only this module does."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from trueup_service.registry.folder_blobs import FolderBlobs
 from trueup_service.registry.schema import migrate
 from trueup_service.settings import Settings
 
-STORE_RETRIES = 3  # of a request; the caller is told, and repeats it with its key
+STORE_RETRIES = 3  # of a request; then the caller repeats it with its idempotency key
 STORE_CONNECT, STORE_PATIENCE = timedelta(seconds=5), timedelta(seconds=15)
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What the server and the worker are made of."""
+    """The parts that the server and the worker are made of."""
 
     settings: Settings
     database: Database
@@ -36,12 +36,12 @@ class Parts:
     spool: Path
 
     def close(self) -> None:
-        """Let go of every connection."""
+        """Close every connection."""
         self.database.close()
 
 
 def build(settings: Settings) -> Parts:
-    """The parts, with the schema up to date and a spool folder of this process."""
+    """Build the parts, with an up-to-date schema and a spool folder of this process."""
     make_private(settings.data_dir, settings.sqlite_file)
     database = Database(settings.sqlalchemy_url, settings.database_pool)
     migrate(database)
@@ -56,10 +56,8 @@ def build(settings: Settings) -> Parts:
 
 @contextmanager
 def build_to_read(settings: Settings) -> Iterator[Parts]:
-    """The parts for who reads alone. Where the data folder cannot be written, such as a snapshot
-    that is mounted to be looked at, they are over a copy of its database, and nothing is written
-    there.
-    """
+    """Build the parts for a process that only reads. Where the data folder cannot be written, such
+    as a mounted snapshot, they are over a copy of its database, and nothing is written there."""
     with ExitStack() as ended:
         if os.access(settings.data_dir, os.W_OK) or not settings.data_dir.is_dir():
             parts = build(settings)
@@ -84,7 +82,7 @@ def build_to_read(settings: Settings) -> Iterator[Parts]:
 
 
 def keep_bytes(parts: Parts, data: bytes) -> str:
-    """Put bytes into the blob store; their digest. Repeating it changes nothing."""
+    """Put bytes into the blob store, and return their digest. Repeating it changes nothing."""
     digest, path = digest_of_bytes(data), parts.spool / uuid.uuid4().hex
     path.write_bytes(data)
     try:

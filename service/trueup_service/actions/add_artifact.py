@@ -15,8 +15,8 @@ from trueup_service.registry.transaction import Transaction
 def add_artifact(
     tx: Transaction, plant: str, artifact: Artifact, job: str | None, context: ActorContext
 ) -> tuple[ArtifactRecord, bool]:
-    """The version, and whether it is new. The caller has unpacked the artifact, and its arrays are
-    durable. Raises BadArtifact."""
+    """Add an artifact that was unpacked before, and whose arrays are durable. Returns its version,
+    and whether it is new. Raises BadArtifact."""
     require_plant(artifact, find.plant_digest(tx, plant))
     tx.plants.lock(plant)
     known = tx.artifacts.get(plant, artifact.digest)
@@ -49,7 +49,7 @@ def add_artifact(
 
 
 def require_plant(artifact: Artifact, digest: str) -> None:
-    """Raises BadArtifact if the artifact was made for another configuration than this plant's."""
+    """Raises BadArtifact where the artifact was made for another description of the plant."""
     made_for = artifact.document.get("plant")
     if not isinstance(made_for, dict) or made_for.get("sha256") != digest:
         raise BadArtifact(

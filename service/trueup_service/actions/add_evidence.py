@@ -13,16 +13,16 @@ from trueup_service.control_characters import control_character
 from trueup_service.registry.records import EvidenceRecord
 from trueup_service.registry.transaction import Transaction
 
-LONGEST_TEXT = 10_000  # characters; what is read, not what is looked up
+LONGEST_TEXT = 10_000  # characters that a person reads
 
 
 def add_evidence(
     tx: Transaction, plant: str, document: Mapping[str, Any], job: str | None, context: ActorContext
 ) -> tuple[EvidenceRecord, bool]:
-    """The evidence, and whether it is new: the same document is the same evidence. Raises
-    BadEvidence, NotFound."""
-    found = Evidence.from_document(document)
-    for field, text in (("shows", found.shows), ("cannot_show", found.cannot_show)):
+    """Add evidence. Returns it, and whether it is new: the same document is the same evidence.
+    Raises BadEvidence, NotFound."""
+    evidence = Evidence.from_document(document)
+    for field, text in (("shows", evidence.shows), ("cannot_show", evidence.cannot_show)):
         if len(text) > LONGEST_TEXT:
             raise BadEvidence(
                 (
@@ -39,28 +39,28 @@ def add_evidence(
                 ),
                 field=field,
             )
-    find.artifact(tx, plant, found.artifact)
+    find.artifact(tx, plant, evidence.artifact)
     tx.plants.lock(plant)
-    known = tx.evidence.get(plant, found.digest)
+    known = tx.evidence.get(plant, evidence.digest)
     if known is not None:
         return known, False
     record = EvidenceRecord(
         plant=plant,
-        digest=found.digest,
-        artifact=found.artifact,
-        stage=found.stage,
-        passed=found.passed,
-        document=found.document(),
+        digest=evidence.digest,
+        artifact=evidence.artifact,
+        stage=evidence.stage,
+        passed=evidence.passed,
+        document=evidence.document(),
         job=job,
         created_at=context.now,
         created_by=context.actor,
     )
     tx.evidence.add(record)
     facts: dict[str, Json] = {
-        "artifact": found.artifact,
-        "stage": found.stage,
-        "passed": found.passed,
+        "artifact": evidence.artifact,
+        "stage": evidence.stage,
+        "passed": evidence.passed,
         "job": job,
     }
-    tx.log.append(context, "evidence:added", plant=plant, subject=found.digest, facts=facts)
+    tx.log.append(context, "evidence:added", plant=plant, subject=evidence.digest, facts=facts)
     return record, True

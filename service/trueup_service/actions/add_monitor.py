@@ -20,8 +20,8 @@ def add_monitor(
     since: str,
     context: ActorContext,
 ) -> None:
-    """Keep the monitor under its digest and let it watch what comes in after `since`; `kept` is
-    what it knows at its beginning."""
+    """Add a monitor under its digest, and let it watch the episodes that come in after `since`.
+    `kept` is the initial state of its detectors."""
     digest = digest_of(document)
     tx.plants.lock(plant)
     if tx.monitors.get(plant, digest) is None:

@@ -1,4 +1,4 @@
-"""Raise an alarm, one at a time, and close it."""
+"""Raise an alarm, of which a plant has one open at a time, and close it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def raise_alarm(
     plant: str,
     monitor: str | None,
     artifact: str,
-    found: dict[str, Any],
+    change: dict[str, Any],
     context: ActorContext,
 ) -> AlarmRecord | None:
-    """The alarm; None, and nothing is done, while another is open, or if it is about a model that
-    serves no more."""
+    """Raise an alarm on the episode and with the document of `change`. Returns None, and changes
+    nothing, where another alarm is open or the artifact does not serve any more."""
     if tx.alarms.open(plant) is not None or find.serving(tx, plant).artifact != artifact:
         return None
     raised = AlarmRecord(
@@ -31,8 +31,8 @@ def raise_alarm(
         plant=plant,
         monitor=monitor,
         artifact=artifact,
-        episode=found["episode"],
-        document=found["document"],
+        episode=change["episode"],
+        document=change["document"],
         job=None,
         trial=None,
         raised_at=context.now,
@@ -54,7 +54,8 @@ def raise_alarm(
 def follow_alarm(
     tx: Transaction, alarm: AlarmRecord, context: ActorContext, **jobs: str | None
 ) -> None:
-    """Note which diagnosis an alarm opened, and which trial of what that made."""
+    """Record which diagnosis an alarm opened, or which trial judges the model that the diagnosis
+    made."""
     tx.alarms.update(alarm.id, **jobs)
     facts: dict[str, Json] = {"operation": Operation.MONITORING, **jobs}
     tx.log.append(context, "alarm:followed", plant=alarm.plant, subject=alarm.id, facts=facts)
@@ -63,14 +64,16 @@ def follow_alarm(
 def close_alarm(
     tx: Transaction, plant: str, alarm: str, because: str, context: ActorContext
 ) -> AlarmRecord:
-    """Close an alarm, and say why. Raises NotFound, Conflict if it is closed already."""
+    """Close an alarm with a reason. Raises NotFound, and Conflict where it is closed already."""
     tx.plants.lock(plant)
-    found = find.alarm(tx, plant, alarm)
+    open_alarm = find.alarm(tx, plant, alarm)
     if not tx.alarms.update(
         alarm, closed_at=context.now, closed_by=context.actor, closed_because=because
     ):
         raise Conflict(
-            "the alarm is closed already", hint="Nothing is left to do.", closed_at=found.closed_at
+            "the alarm is closed already",
+            hint="Nothing is left to do.",
+            closed_at=open_alarm.closed_at,
         )
     facts: dict[str, Json] = {"operation": Operation.MONITORING, "because": because}
     tx.log.append(context, "alarm:closed", plant=plant, subject=alarm, facts=facts)

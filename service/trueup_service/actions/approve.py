@@ -1,4 +1,4 @@
-"""Approve a decision, where a promotion takes more than one person."""
+"""Approve a decision, where a promotion needs more than one person."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from trueup_service.registry.transaction import ReadTransaction, Transaction
 def approve(
     tx: Transaction, plant: str, decision: str, because: str | None, context: ActorContext
 ) -> tuple[Approval, bool]:
-    """The approval, and whether it is new: once for each token.
+    """Approve a decision, once for each token. Returns the approval, and whether it is new.
 
-    Raises NotFound, NotAccepted, BadRequest for a reason of which nothing is seen.
+    Raises NotFound, NotAccepted, and BadRequest where the reason has no visible character.
     """
     if because is not None and not seen(because):
         raise BadRequest(
@@ -62,8 +62,8 @@ def approve(
 def approved_by_others(
     tx: ReadTransaction, plant: str, decision: str, context: ActorContext
 ) -> list[Approval]:
-    """One approval of each person besides whoever promotes it now, the one with a reason before
-    others; of revoked tokens none."""
+    """One approval of each person other than the one who promotes, by name. Of several approvals of
+    a person the first with a reason counts, and those of revoked tokens do not."""
     promoting = person_of(tx, context.token, context.actor)
     people: dict[str, Approval] = {}
     for approval in sorted(
@@ -78,8 +78,8 @@ def approved_by_others(
 def require_approvals(
     tx: ReadTransaction, plant: str, decision: str, context: ActorContext
 ) -> list[Json]:
-    """Who approved a decision, besides whoever promotes it now. Raises ApprovalMissing where the
-    policy takes more people."""
+    """The actors who approved a decision, other than the one who promotes. Raises ApprovalMissing
+    where the policy needs more people."""
     policy = policy_of(tx, plant)
     others = [a.actor for a in approved_by_others(tx, plant, decision, context)]
     needed = 1 if policy is None else policy.approvals
@@ -95,10 +95,12 @@ def require_approvals(
 def require_not_rejected(
     tx: ReadTransaction, plant: str, made: DecisionRecord, context: ActorContext
 ) -> dict[str, Json]:
-    """What a promotion tells of a candidate that was rejected before: nothing, where none was.
+    """The facts that the log tells of a promotion whose candidate was rejected before. They are
+    empty where it was not.
 
-    It takes episodes that came in after the gate and after the rejection, or somebody else's
-    approval with a reason, unless the policy forbids it. Raises RejectedBefore.
+    Such a promotion needs held-out episodes that came in after the gate and after the rejection, or
+    an approval with a reason by another person, unless the policy forbids that. Raises
+    RejectedBefore.
     """
     rejected = rejections(tx, made)
     if not rejected:

@@ -1,9 +1,9 @@
-"""Channels of serving: other pointers of a plant, each behind what its own may serve, and only with
-the evidence that it requires.
+"""Channels of serving: further pointers of a plant, which serve what its own pointer has served,
+and only with the evidence that they require.
 
-A plant's own pointer moves by decisions. A channel, such as `staging` or `field`, follows: to an
-artifact that has served there, with evidence that was passed at each stage that the channel
-requires. Going back is a move like any other.
+The pointer of a plant moves by decisions. A channel, such as `staging` or `field`, follows it to an
+artifact that has served there and has passed evidence at each stage that the channel requires.
+Going back is a move like any other.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from trueup_service.registry.transaction import Transaction
 def declare_channel(
     tx: Transaction, plant: str, name: str, requires: Sequence[str], context: ActorContext
 ) -> tuple[ChannelRecord, bool]:
-    """The channel, and whether it is new. Raises BadRequest for a stage that there is not, Conflict
-    if it requires something else."""
+    """Declare a channel. Returns it, and whether it is new. Raises NotFound, BadRequest for an
+    unknown stage, and Conflict where the channel requires other stages."""
     find.plant_digest(tx, plant)
     if set(requires) - set(STAGES):
         raise BadRequest(f"a channel requires stages of {', '.join(STAGES)}", field="requires")
@@ -55,7 +55,8 @@ def move_channel(
     expected_generation: int,
     context: ActorContext,
 ) -> ChannelMove:
-    """The channel at an artifact. Raises PointerMoved, NeverServed, EvidenceMissing, NotFound."""
+    """Move a channel to an artifact. Raises NotFound, PointerMoved, NeverServed,
+    EvidenceMissing."""
     channel, wanted = find.channel(tx, plant, name), find.artifact(tx, plant, artifact)
     tx.plants.lock(plant)
     before = tx.channel_moves.last(plant, name)
@@ -70,9 +71,8 @@ def move_channel(
         raise NeverServed(
             f"version {wanted.version} has never served the plant itself", artifact=artifact
         )
-    last = tx.evidence.last_by_stage(
-        plant, artifact
-    )  # a stage that was failed after it was passed is failed
+    # A stage that failed after it had passed counts as failed.
+    last = tx.evidence.last_by_stage(plant, artifact)
     missing = [stage for stage in channel.requires if not last.get(stage, ("", False))[1]]
     if missing:
         raise EvidenceMissing(

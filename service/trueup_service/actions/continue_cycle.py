@@ -47,13 +47,14 @@ from trueup_service.registry.records import (
 from trueup_service.registry.transaction import Transaction
 
 DIAGNOSED = {Role.ADAPTATION, Role.VALIDATION}
-AGAIN = 2  # times the episodes of a diagnosis that found nothing, before there is another
+AGAIN = 2  # a diagnosis is repeated with this many times the episodes of one that led nowhere
 NOTHING = "no_gap"
 
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """What a step needs: the transaction, the queue, new ids, and who acts when."""
+    """The steps of the cycle, with what they need: the transaction, the queue, new ids, and who
+    acts when."""
 
     tx: Transaction
     queue: JobQueue
@@ -61,8 +62,8 @@ class Cycle:
     context: ActorContext
 
     def go_on(self, plant: str) -> None:
-        """Do what is next after an episode came in, a monitor was calibrated or has looked at
-        some."""
+        """Take the next step after an episode came in, or after a monitor was calibrated or has
+        looked at episodes."""
         self.tx.plants.lock(plant)
         self._watch(plant)
         alarm = self.tx.alarms.open(plant)
@@ -71,8 +72,8 @@ class Cycle:
             self._diagnose(alarm, policy)
 
     def diagnosed(self, job: JobRecord, candidate: str, verdict: str) -> None:
-        """A diagnosis ended: judge its model, if the open alarm asked for it and the policy says
-        so."""
+        """After a diagnosis: judge its model, if the open alarm asked for the diagnosis and the
+        policy allows it."""
         self.tx.plants.lock(job.plant)
         alarm, policy = self.tx.alarms.open(job.plant), policy_of(self.tx, job.plant)
         if (
@@ -97,8 +98,8 @@ class Cycle:
             follow_alarm(self.tx, alarm, self.context, trial=trial)
 
     def judged(self, job: JobRecord, decision: DecisionRecord, rehearsed: dict[str, Json]) -> None:
-        """A trial ended: promote its candidate, if the cycle asked for this very trial, by the gate
-        of the policy that holds."""
+        """After a trial: promote its candidate, if the cycle asked for this trial and the gate is
+        that of the policy in force."""
         plant = decision.plant
         self.tx.plants.lock(plant)
         alarm, policy = self.tx.alarms.open(plant), policy_of(self.tx, plant)
@@ -120,7 +121,8 @@ class Cycle:
         )
 
     def moved(self, move: Move) -> None:
-        """Another model serves: the alarm was about the one before it."""
+        """After a move of the pointer: close the open alarm, which was about the model that served
+        before."""
         alarm = self.tx.alarms.open(move.plant)
         if alarm is not None:
             because = (
@@ -129,12 +131,12 @@ class Cycle:
             close_alarm(self.tx, move.plant, alarm.id, because, self.context)
 
     def _watch(self, plant: str) -> None:
-        """Let the monitor of what serves look at what is new; make one where the policy wants it
-        and there is what it takes.
+        """Let the monitor of the model that serves look at new episodes. Where there is none,
+        calibrate one if the policy wants it and there are enough healthy episodes.
 
-        What is healthy for a new model is what came in since it serves and that it was neither made
-        nor chosen by. After a rollback a person says what is healthy: the change may still be
-        there.
+        Healthy for a new model are the episodes that came in since it serves and by which it was
+        neither fitted nor judged. After a rollback a person decides what is healthy, since the
+        change may still be there.
         """
         now, watching = find.serving(self.tx, plant), self.tx.watches.current(plant)
         if (
@@ -179,18 +181,20 @@ class Cycle:
             )
 
     def _diagnose(self, alarm: AlarmRecord, policy: UpdatePolicy | None) -> None:
-        """Diagnose what was recorded since the change began: at once, or again when there is twice
-        as much."""
-        found = self.tx.episodes.of_roles(alarm.plant, DIAGNOSED, _since_ns(alarm))
-        if {e.role for e in found} != DIAGNOSED or not self._is_due(alarm, policy, len(found)):
+        """Diagnose the episodes recorded since the change began: at once, and again when there are
+        AGAIN times as many."""
+        episodes = self.tx.episodes.of_roles(alarm.plant, DIAGNOSED, _since_ns(alarm))
+        if {e.role for e in episodes} != DIAGNOSED or not self._is_due(
+            alarm, policy, len(episodes)
+        ):
             return
-        request: dict[str, Json] = {"episodes": [e.digest for e in found], "seed": 0}
+        request: dict[str, Json] = {"episodes": [e.digest for e in episodes], "seed": 0}
         job = submit_diagnosis(self.tx, self.queue, self.new(), alarm.plant, request, self.context)
         follow_alarm(self.tx, alarm, self.context, job=job.id, trial=None)
 
     def _is_due(self, alarm: AlarmRecord, policy: UpdatePolicy | None, episodes: int) -> bool:
-        """Whether there was no diagnosis yet, or one that led nowhere and there is twice as much
-        now."""
+        """Whether there was no diagnosis yet, or one that led nowhere and there are AGAIN times as
+        many episodes now."""
         if alarm.job is None:
             return True
         job = find.job(self.tx, alarm.job)
@@ -208,11 +212,10 @@ class Cycle:
     def _held_out(
         self, diagnosis: JobRecord, alarm: AlarmRecord, policy: UpdatePolicy
     ) -> list[str]:
-        """What to judge on, of each cell of the gate's conditions: what was recorded since the
-        change, or where nothing was, what there is.
+        """The held-out episodes to judge on: in each cell of the gate's conditions those recorded
+        since the change, or all of the cell where there are none.
 
-        What the diagnosis has not compared on is taken before what it has; what is spent is left
-        out.
+        Episodes on which the diagnosis has not compared are preferred, and spent ones are left out.
         """
         gate: Any = find.gate(self.tx, alarm.plant, policy.gate).document
         cells: dict[tuple[str, ...], list[EpisodeRecord]] = {}
@@ -231,8 +234,8 @@ class Cycle:
         return chosen
 
     def _tried(self, plant: str, act: Callable[[], object]) -> bool:
-        """Take a step; where it cannot be, the log says why, and the cycle waits for a person or
-        for more data."""
+        """Take a step, and say whether it succeeded. Where it fails the log says why, and the cycle
+        waits for a person or for more data."""
         try:
             act()
         except TrueupError as error:
@@ -248,6 +251,6 @@ class Cycle:
 
 
 def _since_ns(alarm: AlarmRecord) -> int:
-    """When the change began."""
+    """The time at which the change began [ns]."""
     document: Any = alarm.document
     return int(document["since_ns"])

@@ -19,26 +19,28 @@ from trueup_service.errors import GateFollows
 from trueup_service.registry.records import GateRecord
 from trueup_service.registry.transaction import Transaction
 
-TOLD = 10  # decisions that a refusal names
+NAMED_DECISIONS = 10  # decisions that a refusal names
 
 
 def declare_gate(
     tx: Transaction, plant: str, document: Mapping[str, Json] | None, context: ActorContext
 ) -> tuple[GateRecord, bool]:
-    """The gate, and whether it is new. Without a document the one in force, or where there is none
-    the default.
+    """Declare a gate. Returns it, and whether it is new. Without a document it is the gate in
+    force, or the default gate where there is none.
 
-    Once a candidate of the plant has been judged, another gate names the one in force and says why.
-    Raises BadGate, VacuousGate, GateFollows, NotFound.
+    Once a candidate of the plant has been judged, a new gate must name the gate in force and give a
+    reason. Raises BadGate, VacuousGate, GateFollows, NotFound.
     """
     registered = find.plant(tx, plant)
-    given = None if document is None else Gate.from_document(document)
+    declared = None if document is None else Gate.from_document(document)
     tx.plants.lock(plant)
     line = tx.gates.in_order(plant)
-    if given is None and line:
+    if declared is None and line:
         return line[-1], False
     gate = (
-        default_gate(Plant.from_document(registered.document).horizon_s) if given is None else given
+        default_gate(Plant.from_document(registered.document).horizon_s)
+        if declared is None
+        else declared
     )
     known = next((g for g in line if g.digest == gate.digest), None)
     if known is not None:
@@ -76,8 +78,8 @@ def declare_gate(
 
 
 def _require_follows(tx: Transaction, plant: str, gate: Gate, line: Sequence[GateRecord]) -> None:
-    """Raises GateFollows where the gate does not say that it follows the one in force and must,
-    BadGate where it follows another."""
+    """Raises GateFollows where the gate must name the gate in force and does not, and BadGate where
+    it names another one."""
     last = line[-1] if line else None
     if gate.follows is not None and (last is None or gate.follows != last.digest):
         in_force = "none is in force" if last is None else f"{last.digest[:12]} is in force"
@@ -88,7 +90,7 @@ def _require_follows(tx: Transaction, plant: str, gate: Gate, line: Sequence[Gat
         )
     if last is None or gate.follows is not None:
         return
-    scored: list[Any] = tx.decisions.page(plant, END_OF_TIME, TOLD)
+    scored: list[Any] = tx.decisions.page(plant, END_OF_TIME, NAMED_DECISIONS)
     if not scored and not tx.jobs.has_trial(plant):
         return
     facts: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""Declare an update policy, which holds from then on."""
+"""Declare an update policy, which is in force from then on."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def declare_policy(
     *,
     by_admin: bool = False,
 ) -> tuple[PolicyRecord, bool]:
-    """The policy, and whether it is another than held before.
+    """Declare an update policy. Returns it, and whether it differs from the one in force.
 
     Raises BadPolicy, NotFound for a gate that is not declared, GateSuperseded for one that is not
-    in force, Forbidden where somebody but an admin makes promotions easier.
+    in force, and Forbidden where somebody other than an admin makes promotions easier.
     """
     policy = UpdatePolicy.from_document(document)
     gate = find.gate(tx, plant, policy.gate)
@@ -65,6 +65,6 @@ def declare_policy(
 
 
 def policy_of(tx: ReadTransaction, plant: str) -> UpdatePolicy | None:
-    """The policy that holds for a plant."""
+    """The update policy of a plant that is in force."""
     held = tx.policies.in_force(plant)
     return None if held is None else UpdatePolicy.from_document(held.document)

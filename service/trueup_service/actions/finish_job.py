@@ -1,4 +1,4 @@
-"""Finish a job: what came of it and the job's final state, in one transaction, once."""
+"""Finish a job: write its effects and its final state in one transaction, once."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ def finish_job(
     context: ActorContext,
     effects: Callable[[Transaction], None] = lambda _: None,
 ) -> bool:
-    """Run the job's effects and close it; False, and nothing is done, if it was closed before."""
+    """Run a job's effects and close it. Returns False, and changes nothing, where it was closed
+    before."""
     if not tx.jobs.update(
         job.id,
         now=context.now,

@@ -1,7 +1,8 @@
-"""A plant's line of gates: which one is in force, and what was known when a gate was declared.
+"""The gates of a plant in order: which one is in force, and what was known when a gate was
+declared.
 
-What came before what is told by the log's own order, not by clocks, which may be wrong. What was
-imported came before everything here.
+The order of events is that of the log and not of clocks, which may be wrong. What was imported came
+before everything here.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingeste
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A gate's place in its line: the one before it, each one before in which it is looser and in
-    what, and whether it is in force."""
+    """A gate's place among the gates of its plant: the gate before it, the earlier gates than which
+    it is looser and in what, and whether it is in force."""
 
     gate: GateRecord
     before: GateRecord | None
@@ -38,7 +39,7 @@ class Place:
 
     @property
     def looser(self) -> list[str]:
-        """What is looser in it than in the one before it."""
+        """What is looser in the gate than in the one before it."""
         return next(
             (
                 less.looser
@@ -50,7 +51,8 @@ class Place:
 
 
 def place(tx: ReadTransaction, plant: str, digest: str | None = None) -> Place | None:
-    """The place of a gate, or without a digest of the one in force; None where there is none."""
+    """The place of a gate, or of the gate in force without a digest. None where there is no such
+    gate."""
     line = tx.gates.in_order(plant)
     at = next(
         (i for i, gate in reversed(list(enumerate(line))) if digest in (None, gate.digest)), None
@@ -62,7 +64,7 @@ def place(tx: ReadTransaction, plant: str, digest: str | None = None) -> Place |
 
 
 def require_in_force(tx: ReadTransaction, plant: str, gate: GateRecord) -> None:
-    """Raises GateSuperseded."""
+    """Raises GateSuperseded where another gate has been declared since."""
     last = tx.gates.in_order(plant)[-1]
     if last.digest != gate.digest:
         raise GateSuperseded(
@@ -84,9 +86,8 @@ def known_at(
 def disclosed(
     tx: ReadTransaction, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]
 ) -> dict[str, dict[str, Json]]:
-    """What the decision of a trial must tell: what was `known` of its candidate and its episodes
-    when its gate was declared, and of what both are selected now (`selection`).
-    """
+    """What the decision of a trial must disclose: what was `known` of its candidate and its
+    episodes when its gate was declared, and out of how many both are selected now (`selection`)."""
     declared = tx.log.positions(plant, DECLARED, [gate.digest]).get(gate.digest, 0)
     made, comparisons = (
         tx.decisions.on_candidate_or_episodes(plant, candidate, episodes),
@@ -122,7 +123,7 @@ def disclosed(
 def _compared(
     tx: ReadTransaction, candidate: str, comparisons: Sequence[JobRecord], declared: int
 ) -> list[str]:
-    """Those of some comparisons that had shown the candidate's errors when the gate was
+    """The ids of those comparisons that had shown the candidate's errors when the gate was
     declared."""
     jobs = [
         j
@@ -136,8 +137,8 @@ def _compared(
 
 
 def rejections(tx: ReadTransaction, made: DecisionRecord) -> list[DecisionRecord]:
-    """Decisions, whenever they were made, that rejected the candidate of a decision: itself, or
-    what errs as it does."""
+    """The decisions, whenever they were made, that rejected the candidate of a decision, or one
+    with the same errors."""
     document: Any = made.document
     scoring = find.gate(tx, made.plant, made.gate).document["scoring"]
     return [
@@ -179,5 +180,5 @@ def stale(
 
 def _episodes(made: DecisionRecord) -> list[str]:
     document: Any = made.document
-    found: list[str] = document["episodes"]
-    return found
+    episodes: list[str] = document["episodes"]
+    return episodes

@@ -1,5 +1,5 @@
-"""Ingestion: an inspected recording becomes an episode of its plant, and whoever waits for episodes
-goes on."""
+"""Ingestion: an inspected recording becomes an episode of its plant, and the cycle goes on where
+something waits for episodes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Move a serving pointer: forward by a decision, back by a tested switch."""
+"""Move a serving pointer: forward by a decision, back after a switchback test."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def promote_decision(
     context: ActorContext,
     approved: Mapping[str, Json] = MappingProxyType({}),
 ) -> Move:
-    """The new position, at the decision's candidate; `rehearsed` is the record of the way back,
-    tried before, `approved` says by whom.
+    """Move the pointer to a decision's candidate, and return the new position. `rehearsed` is the
+    record of the rehearsed way back, and `approved` says who approved.
 
     Raises PointerMoved, NotAccepted, RejectedBefore, NotFound.
     """
@@ -66,8 +66,8 @@ def promote_decision(
 
 
 def _judged(made: DecisionRecord) -> Judged:
-    """What the decision's document says, if it still is the one that the digest names. Raises
-    BrokenChain."""
+    """What the decision's document says. Raises BrokenChain where the document is not the one that
+    the digest names."""
     document: dict[str, Any] = made.document
     if digest_of(document) != made.digest:
         raise BrokenChain(
@@ -85,7 +85,7 @@ def _judged(made: DecisionRecord) -> Judged:
 def previous_artifact(
     tx: ReadTransaction, plant: str, expected_generation: int
 ) -> tuple[Move, ArtifactRecord]:
-    """The position that a rollback would return to, and its artifact. Raises PointerMoved,
+    """The position that a rollback returns to, and its artifact. Raises PointerMoved,
     NothingToRollBackTo."""
     now = find.serving(tx, plant)
     require_generation(_pointer(now), expected_generation)
@@ -102,8 +102,8 @@ def roll_back_pointer(
     tested: dict[str, Json],
     context: ActorContext,
 ) -> Move:
-    """The new position, at the artifact that served before; `tested` is the record of its
-    switchback test."""
+    """Move the pointer back to the artifact that served before, and return the new position.
+    `tested` is the record of the switchback test. Raises PointerMoved, NothingToRollBackTo."""
     tx.plants.lock(plant)
     now = find.serving(tx, plant)
     back, artifact = previous_artifact(tx, plant, expected_generation)
@@ -158,5 +158,6 @@ def _pointer(move: Move) -> ServingPointer:
 
 
 def _later(before: Move, context: ActorContext) -> str:
-    """The time of a move is never before the one it follows, whatever the clock does."""
+    """The time of a move, which is never before that of the move it follows, whatever the clock
+    does."""
     return max(before.at, context.now)

@@ -14,7 +14,7 @@ from trueup_service.registry.transaction import Transaction
 def record_decision(
     tx: Transaction, plant: str, document: dict[str, Any], job: str | None, context: ActorContext
 ) -> DecisionRecord:
-    """Keep a decision's document under its digest; the same trial decided again is the same
+    """Record a decision's document under its digest. The same trial decided again is the same
     decision."""
     digest = digest_of(document)
     tx.plants.lock(plant)

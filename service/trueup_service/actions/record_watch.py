@@ -1,4 +1,4 @@
-"""Record what a monitor saw."""
+"""Record what a monitor saw in new episodes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from trueup_service.registry.transaction import Transaction
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """What came of following episodes `before` which the monitor stood: what its detectors keep,
-    what was seen, and the first alarm.
+    """The result of following episodes with a monitor that stood at `before`: the state that its
+    detectors keep, what was seen, and the first alarm.
 
     `alarm` has the `episode` on which it was raised, and the `document` that says what changed
     since when.
@@ -30,7 +30,7 @@ class Followed:
 
 
 def record_watch(tx: Transaction, followed: Followed, alarm_id: str, context: ActorContext) -> bool:
-    """Move the monitor on; False, and nothing is done, if another job has moved it."""
+    """Move a monitor on. Returns False, and changes nothing, where another job has moved it."""
     before, alarm = followed.before, followed.alarm
     tx.plants.lock(before.plant)
     if not tx.watches.advance(before, followed.kept, followed.seen):

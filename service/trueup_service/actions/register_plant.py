@@ -15,8 +15,8 @@ from trueup_service.registry.transaction import Transaction
 def register_plant(
     tx: Transaction, document: object, context: ActorContext, project: str | None = None
 ) -> tuple[PlantRecord, bool]:
-    """The plant, and whether it is new. Raises BadPlant, NotFound for a project, and Conflict if
-    the name has another description."""
+    """Register a plant. Returns it, and whether it is new. Raises BadPlant, NotFound for an unknown
+    project, and Conflict where the name has another description."""
     plant = Plant.from_document(document)
     if project is not None:
         find.project(tx, project)

@@ -18,9 +18,8 @@ from trueup_service.jobs import JobQueue
 from trueup_service.registry.records import EpisodeRecord, JobRecord, JobState
 from trueup_service.registry.transaction import Transaction
 
-LEAST_VALIDATED = (
-    5  # episodes: of one, the error differs by luck alone by as much as an alarm takes
-)
+# One episode differs by luck alone by as much as an alarm takes.
+LEAST_VALIDATED = 5  # episodes
 
 
 def submit_fit(
@@ -31,8 +30,8 @@ def submit_fit(
     request: dict[str, Json],
     context: ActorContext,
 ) -> JobRecord:
-    """A fit of `method` from adaptation episodes: those named, or all there are now. Raises
-    RoleRefused, NotIdentifiable."""
+    """Submit a fit of `method` from the named adaptation episodes, or from all of them. Raises
+    NotFound, RoleRefused, NotIdentifiable."""
     find.plant_digest(tx, plant)
     episodes = _episodes(tx, plant, request.get("episodes"), (Role.ADAPTATION,))
     if not episodes:
@@ -56,9 +55,9 @@ def submit_gate(
     request: dict[str, Json],
     context: ActorContext,
 ) -> JobRecord:
-    """A trial of a candidate against what serves now, under the plant's gate in force.
+    """Submit a trial of a candidate against what serves now, by the plant's gate in force.
 
-    Raises GateSuperseded, HeldOutSpent, RoleRefused, BadGate.
+    Raises NotFound, GateSuperseded, HeldOutSpent, RoleRefused, BadGate.
     """
     candidate = find.artifact(tx, plant, str(request["candidate"]))
     gate = find.gate(tx, plant, str(request["gate"]))
@@ -98,9 +97,8 @@ def submit_gate(
         "generation": now.generation,
     }
     record = _submit(tx, queue, job, plant, "gate", frozen, context)
-    tx.jobs.add_reads(
-        job, digests, "gate"
-    )  # used from now on, so that many at once do not spend more than there is
+    # The episodes count as used from now on, so that many trials at once do not overspend them.
+    tx.jobs.add_reads(job, digests, "gate")
     return record
 
 
@@ -112,8 +110,8 @@ def submit_diagnosis(
     request: dict[str, Json],
     context: ActorContext,
 ) -> JobRecord:
-    """A diagnosis of the nominal model from adaptation and validation episodes. Raises RoleRefused,
-    NotIdentifiable."""
+    """Submit a diagnosis of the nominal model from adaptation and validation episodes. Raises
+    NotFound, RoleRefused, NotIdentifiable."""
     return _submit_on_both(tx, queue, job, plant, "diagnose", request, context)
 
 
@@ -125,8 +123,8 @@ def submit_blindtrial(
     request: dict[str, Json],
     context: ActorContext,
 ) -> JobRecord:
-    """A blind trial after adaptation and validation episodes. Raises RoleRefused,
-    NotIdentifiable."""
+    """Submit a blind trial that imitates adaptation and validation episodes. Raises NotFound,
+    RoleRefused, NotIdentifiable."""
     return _submit_on_both(tx, queue, job, plant, "blindtrial", request, context)
 
 
@@ -164,8 +162,8 @@ def submit_calibration(
     request: dict[str, Json],
     context: ActorContext,
 ) -> JobRecord:
-    """A monitor of what serves now, on healthy episodes: those named, or all of the role reference.
-    Raises RoleRefused, NotIdentifiable."""
+    """Submit the calibration of a monitor of what serves now, on the named healthy episodes, or on
+    all of the role reference. Raises NotFound, RoleRefused, NotIdentifiable."""
     find.plant_digest(tx, plant)
     named = request.get("episodes")
     episodes = _episodes(tx, plant, named, (Role.REFERENCE,) if named is None else HEALTHY)
@@ -185,8 +183,8 @@ def submit_calibration(
 def submit_watch(
     tx: Transaction, queue: JobQueue, job: str, plant: str, context: ActorContext
 ) -> JobRecord | None:
-    """A look at the episodes that the plant's monitor has not seen; None if there are none, or one
-    waits already, or nobody watches."""
+    """Submit a look at the episodes that the plant's monitor has not seen. Returns None where there
+    are none, a look waits already, or no monitor watches what serves."""
     watching = tx.watches.current(plant)
     if watching is None or tx.jobs.is_queued(plant, "watch"):
         return None
@@ -205,10 +203,10 @@ def submit_validation(
     request: dict[str, Json],
     context: ActorContext,
 ) -> JobRecord:
-    """A validation of what serves, on what was held out since it was promoted, beside what its
-    promotion was judged on.
+    """Submit a validation of what serves on the episodes held out since its promotion, beside those
+    on which the promotion was judged.
 
-    Raises NotIdentifiable where too little was: a few episodes differ by luck.
+    Raises NotIdentifiable where fewer than LEAST_VALIDATED were held out.
     """
     now = find.serving(tx, plant)
     judged: Any = (
@@ -246,7 +244,7 @@ def submit_recomputation(
     request: dict[str, Json],
     context: ActorContext,
 ) -> JobRecord:
-    """A decision, made anew from its bytes. Raises NotFound."""
+    """Submit the recomputation of a decision from its bytes. Raises NotFound."""
     made = find.decision(tx, plant, str(request["decision"]))
     frozen: dict[str, Json] = {"decision": made.digest, "episodes": made.document["episodes"]}
     return _submit(tx, queue, job, plant, "recompute", frozen, context)
@@ -260,8 +258,8 @@ def submit_comparison(
     request: dict[str, Json],
     context: ActorContext,
 ) -> JobRecord:
-    """Two versions side by side on some episodes, or on all that were held out. Raises NotFound,
-    NotIdentifiable."""
+    """Submit a comparison of two versions on the named episodes, or on all held-out ones. Raises
+    NotFound, NotIdentifiable."""
     tx.plants.lock(plant)
     both: dict[str, Json] = {
         which: find.artifact(tx, plant, str(request[which])).digest for which in ("first", "second")
@@ -280,9 +278,8 @@ def submit_comparison(
     record = _submit(
         tx, queue, job, plant, "compare", {**both, "episodes": _digests(episodes)}, context
     )
-    tx.jobs.add_reads(
-        job, _digests(episodes), "compare"
-    )  # a gate's decision tells of it from now on
+    # From now on decisions disclose the comparison.
+    tx.jobs.add_reads(job, _digests(episodes), "compare")
     return record
 
 
@@ -303,8 +300,8 @@ def _episodes(
 ) -> list[EpisodeRecord]:
     if named is None:
         return tx.episodes.of_roles(plant, roles)
-    found = [find.episode(tx, plant, str(digest)) for digest in named]  # type: ignore[union-attr]
-    for episode in found:
+    episodes = [find.episode(tx, plant, str(digest)) for digest in named]  # type: ignore[union-attr]
+    for episode in episodes:
         if episode.role not in roles:
             raise RoleRefused(
                 (
@@ -314,14 +311,14 @@ def _episodes(
                 role=episode.role,
                 digest=episode.digest,
             )
-    return found
+    return episodes
 
 
 def _not_fitted(
     tx: Transaction, plant: str, episodes: list[EpisodeRecord], *, named: bool
 ) -> list[EpisodeRecord]:
-    """Those whose samples are not in as an adaptation episode, too: a fit may have seen them.
-    Raises RoleRefused for one that was named."""
+    """The episodes whose samples did not also come in as an adaptation episode, from which a fit
+    may have been made. Raises RoleRefused where one that was `named` did."""
     fitted = tx.episodes.samples_of_role(plant, Role.ADAPTATION)
     seen = [e for e in episodes if e.samples_digest in fitted]
     if seen and named:

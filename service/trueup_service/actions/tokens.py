@@ -1,4 +1,4 @@
-"""Issue and revoke tokens, and make the projects that they are of."""
+"""Issue and revoke tokens, and create projects."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trueup_service.registry.transaction import Transaction
 
 
 def create_project(tx: Transaction, name: str, context: ActorContext) -> tuple[ProjectRecord, bool]:
-    """The project, and whether it is new."""
+    """Create a project. Returns it, and whether it is new."""
     tx.lock_name(f"project {name}")
     known = tx.projects.get(name)
     if known is not None:
@@ -23,8 +23,8 @@ def create_project(tx: Transaction, name: str, context: ActorContext) -> tuple[P
 
 
 def issue_token(tx: Transaction, token: TokenRecord, context: ActorContext) -> TokenRecord:
-    """Keep a token. Raises NotFound for a project that there is not, BadRequest for a robot of no
-    plant."""
+    """Add a token. Raises NotFound for an unknown project or plant, and BadRequest for a robot's
+    token without a plant or with another role."""
     if Role.ROBOT in token.roles and (token.plant is None or len(token.roles) > 1):
         raise BadRequest("a robot's token is of one plant, and has no other role", field="plant")
     if token.project is not None:
@@ -46,14 +46,14 @@ def issue_token(tx: Transaction, token: TokenRecord, context: ActorContext) -> T
 
 
 def revoke_token(tx: Transaction, prefix: str, context: ActorContext) -> TokenRecord:
-    """Revoke a token, for good. Raises NotFound, Conflict where it is revoked."""
-    found = find.token(tx, prefix)
+    """Revoke a token for good. Raises NotFound, and Conflict where it is revoked already."""
+    token = find.token(tx, prefix)
     if not tx.tokens.revoke(prefix, context.now, context.actor):
         raise Conflict(
             "the token is revoked already",
             hint="Nothing is left to do.",
-            revoked_at=found.revoked_at,
+            revoked_at=token.revoked_at,
         )
-    facts: dict[str, Json] = {"name": found.name}
-    tx.log.append(context, "token:revoked", plant=found.plant, subject=prefix, facts=facts)
+    facts: dict[str, Json] = {"name": token.name}
+    tx.log.append(context, "token:revoked", plant=token.plant, subject=prefix, facts=facts)
     return find.token(tx, prefix)

@@ -1,4 +1,4 @@
-"""The application: routers, errors, and what lives as long as it does."""
+"""The application: its routers, its errors, and the tasks that run as long as it does."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ log = logging.getLogger("trueup.http")
 
 
 async def _publish(signed: SignedLog, interval_s: float) -> None:
-    """Keep the published head up to date."""
+    """Keep the published head of the log up to date."""
     while True:
         try:
             await run_in_threadpool(signed.publish)
@@ -88,8 +88,8 @@ async def _publish(signed: SignedLog, interval_s: float) -> None:
         await asyncio.sleep(interval_s)
 
 
-async def _tidy(parts: Parts) -> None:
-    """Let go of what is kept for a while only."""
+async def _remove_expired(parts: Parts) -> None:
+    """Remove what was stored for a limited time."""
     while True:
         try:
             await run_in_threadpool(remove_expired, parts)
@@ -99,7 +99,7 @@ async def _tidy(parts: Parts) -> None:
 
 
 def create_app(parts: Parts) -> FastAPI:
-    """The service over these parts."""
+    """The HTTP application of the service over these parts."""
 
     @asynccontextmanager
     async def alive(app: FastAPI) -> AsyncIterator[None]:
@@ -109,7 +109,7 @@ def create_app(parts: Parts) -> FastAPI:
         publishing = asyncio.create_task(
             _publish(app.state.log, parts.settings.checkpoint_interval_s)
         )
-        tidying = asyncio.create_task(_tidy(parts))
+        tidying = asyncio.create_task(_remove_expired(parts))
         yield
         publishing.cancel()
         tidying.cancel()

@@ -1,4 +1,4 @@
-"""The door: every route asks here who comes, before a byte of the body is read."""
+"""Access control: every route authenticates its caller before a byte of the body is read."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ NOBODY = Rule()
 
 
 class Guarded(APIRoute):
-    """A route that whoever may not use it does not reach."""
+    """A route that only an authorised caller reaches."""
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse or go on. Raises Unauthenticated, Forbidden, NotFound."""
+        """Authenticate and authorise, then handle the request. Raises Unauthenticated, Forbidden,
+        NotFound."""
         if scope["method"] in (self.methods or ()):
             rule = ACCESS.get((scope["method"], self.path), NOBODY)
             if not rule.public:
@@ -45,24 +46,30 @@ async def _recognised(request: Request) -> Principal:
     authenticator: Authenticator = request.app.state.authenticator
     kind, _, token = request.headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer":
-        found = authenticator.remembered(token)
+        principal = authenticator.remembered(token)
         return (
-            found if found is not None else await run_in_threadpool(authenticator.by_token, token)
+            principal
+            if principal is not None
+            else await run_in_threadpool(authenticator.by_token, token)
         )
     cookie = request.cookies.get(COOKIE)
     if cookie is None:
         raise Unauthenticated
     require_own_page(request)
-    found = authenticator.remembered(cookie)
-    return found if found is not None else await run_in_threadpool(authenticator.by_session, cookie)
+    principal = authenticator.remembered(cookie)
+    return (
+        principal
+        if principal is not None
+        else await run_in_threadpool(authenticator.by_session, cookie)
+    )
 
 
 def require_own_page(request: Request) -> None:
-    """A browser sends its cookie whoever made it ask: what changes something must come from a page
-    of ours. Raises Forbidden.
+    """Refuse a browser's change that does not come from a page of this service, since a browser
+    sends its cookie whoever made it ask. Raises Forbidden.
 
-    SameSite=Strict keeps other sites' requests without the cookie; this holds against other origins
-    of the same site, too.
+    SameSite=Strict keeps the cookie from requests of other sites. This check also holds against
+    other origins of the same site.
     """
     if request.method in SAFE:
         return
@@ -76,8 +83,8 @@ def require_own_page(request: Request) -> None:
 
 
 def origin_of(request: Request) -> str:
-    """Scheme and host under which a browser reaches the service; behind a proxy the settings say
-    so."""
+    """The scheme and host under which a browser reaches the service, from the settings where there
+    is a proxy."""
     public: str | None = request.app.state.parts.settings.public_url
     return (
         public.rstrip("/")
@@ -87,7 +94,7 @@ def origin_of(request: Request) -> str:
 
 
 def _require(principal: Principal, rule: Rule) -> None:
-    """Raises Forbidden."""
+    """Raises Forbidden where a rule does not allow the caller."""
     if not principal.roles & rule.roles:
         held, needed = sorted(principal.roles), sorted(rule.roles)
         raise Forbidden(
@@ -102,16 +109,16 @@ def _require(principal: Principal, rule: Rule) -> None:
 
 
 async def _require_plant(request: Request, principal: Principal) -> None:
-    """What a token does not see is answered as what does not exist. Raises NotFound."""
+    """Raises NotFound for a plant that the token does not see, as for one that does not exist."""
     plant = request.path_params.get("plant")
     if plant is None or principal.everywhere:
         return
-    if not await run_in_threadpool(sees, request.app.state.parts.database, principal, plant):
+    if not await run_in_threadpool(is_visible, request.app.state.parts.database, principal, plant):
         raise find.not_found("plant", plant)
 
 
-def sees(database: Database, principal: Principal, plant: str) -> bool:
-    """Whether somebody sees a plant that is there."""
+def is_visible(database: Database, principal: Principal, plant: str) -> bool:
+    """Whether a token sees a plant."""
     if principal.plant is not None:
         return plant == principal.plant
     if principal.project is None:
@@ -125,10 +132,10 @@ async def _principal(request: Request) -> Principal:
     return principal
 
 
-def require_seen(database: Database, principal: Principal, plant: str, hidden: NotFound) -> None:
-    """For what is named without its plant. Raises `hidden`, which says what is said of what does
-    not exist."""
-    if not principal.everywhere and not sees(database, principal, plant):
+def require_visible(database: Database, principal: Principal, plant: str, hidden: NotFound) -> None:
+    """Raises `hidden`, the error for what does not exist, where the token does not see the plant of
+    a thing that was named without it."""
+    if not principal.everywhere and not is_visible(database, principal, plant):
         raise hidden
 
 

@@ -1,5 +1,5 @@
-"""Sessions: a browser trades a token for a cookie that scripts cannot read and other sites cannot
-send."""
+"""Sessions of browsers: a token is exchanged for a cookie that scripts cannot read and other sites
+cannot send."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from trueup_service.wiring import Parts
 
 
 def begin_session(authenticator: Authenticator, parts: Parts, token: str) -> tuple[Principal, str]:
-    """Who a token is of, and the secret of a session that lasts for a while. Raises
+    """Begin a session with a token. Returns its principal and the session's secret. Raises
     Unauthenticated."""
     principal = authenticator.by_token(token)
     now, secret = datetime.now(UTC), secrets.token_urlsafe(32)
@@ -29,7 +29,7 @@ def begin_session(authenticator: Authenticator, parts: Parts, token: str) -> tup
 
 
 def give_cookie(request: Request, response: Response, parts: Parts, secret: str) -> None:
-    """Let a browser keep a session's secret, out of reach of scripts and of other sites."""
+    """Set the cookie that holds a session's secret, out of reach of scripts and of other sites."""
     is_https = origin_of(request).startswith("https:")
     response.set_cookie(
         COOKIE,
@@ -42,7 +42,7 @@ def give_cookie(request: Request, response: Response, parts: Parts, secret: str)
 
 
 def end_session(request: Request, parts: Parts) -> None:
-    """End the session that a browser's cookie is of."""
+    """End the session of a request's cookie."""
     cookie = request.cookies.get(COOKIE)
     if cookie is not None:
         with writing(parts.database) as tx:
@@ -51,5 +51,5 @@ def end_session(request: Request, parts: Parts) -> None:
 
 
 def forget_cookie(response: Response) -> None:
-    """Take the cookie back."""
+    """Delete the cookie."""
     response.delete_cookie(COOKIE, httponly=True, samesite="strict")

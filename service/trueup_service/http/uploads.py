@@ -1,4 +1,4 @@
-"""Receive a request's body into a file of ours, hashed while it streams, all or nothing."""
+"""Receive a request's body as a file on the spool, hashed while it streams, all or nothing."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ ARRAYS_HINT = "Pack a smaller model, or raise TRUEUP_ARRAYS_LIMIT_BYTES."
 async def received(
     request: Request, spool: Path, limit_bytes: int, hint: str | None = None
 ) -> AsyncIterator[ReceivedFile]:
-    """The body as a file in `spool`, removed at the end. Raises TooLargeUpload with this hint or
-    its own, DigestMismatch, BadRequest."""
+    """The body as a file in `spool`, which is removed at the end. Raises BadRequest,
+    DigestMismatch, and TooLargeUpload with this hint or its own."""
     declared = request.headers.get("content-length", "")
     allow(int(declared) if declared.isdigit() else 0, limit_bytes, hint)
     path = spool / uuid.uuid4().hex
@@ -49,8 +49,8 @@ async def received(
 async def _receive(
     request: Request, path: Path, limit_bytes: int, hint: str | None
 ) -> tuple[str, int]:
-    """Digest and size of the body. While one part is hashed and written in a thread, the next one
-    is received."""
+    """Write the body to a file. Returns its digest and size. While one part is hashed and written
+    in a thread, the next one is received."""
     gathered, under_way, size = bytearray(), None, 0
     with path.open("xb", buffering=0) as file:
         sink = _Sink(file)
@@ -76,8 +76,7 @@ async def _receive(
 
 
 class _Sink:
-    """Hashes and writes parts, and syncs now and then, so that little is left to sync at the
-    end."""
+    """Hashes and writes parts, and syncs now and then, to leave little to sync at the end."""
 
     def __init__(self, file: FileIO) -> None:
         self.hashed = hashlib.sha256()
@@ -93,7 +92,7 @@ class _Sink:
 
 
 def allow(size: int, limit_bytes: int, hint: str | None = None) -> None:
-    """Raises TooLargeUpload for more bytes."""
+    """Raises TooLargeUpload where an upload has more bytes than the limit."""
     if size > limit_bytes:
         raise TooLargeUpload(
             f"the upload has more than {limit_bytes} bytes", hint=hint, limit_bytes=limit_bytes
@@ -101,8 +100,8 @@ def allow(size: int, limit_bytes: int, hint: str | None = None) -> None:
 
 
 def _require_digest(header: str | None, digest: str) -> None:
-    """Hold the body against RFC 9530's `Content-Digest: sha-256=:base64:`; other algorithms are not
-    ours to judge."""
+    """Raises DigestMismatch where `Content-Digest: sha-256=:base64:` (RFC 9530) names another
+    digest. Other algorithms are ignored."""
     for item in (header or "").split(","):
         name, _, value = item.strip().partition("=")
         if (

@@ -1,5 +1,5 @@
-"""The log: its entries, filtered, each held against the signed head; and whether it extends a head
-that somebody kept."""
+"""The page of the audit log: its entries, each proven against the head, and whether the log extends
+a checkpoint that somebody kept."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def audit(
     kind: Annotated[str, Query(max_length=32)] = "",
     before: Annotated[int, Query(ge=1, le=NO_END)] = NO_END,
 ) -> Response:
-    """The newest entries, or those before one, of a plant, of a kind or of what it begins with."""
+    """The newest entries, or those before one, of all plants or of one, and of the kinds that begin
+    with `kind`."""
     return show(
         request,
         "audit.html",
@@ -47,11 +48,11 @@ def audit(
 
 @router.post("/audit/compare")
 async def compare(request: Request, parts: RequestParts, principal: CurrentPrincipal) -> Response:
-    """Whether the log extends the head in a checkpoint that somebody kept."""
+    """Whether the log extends the head of a pasted checkpoint."""
     pasted = (await form(request)).get("checkpoint", "")
-    found = await run_in_threadpool(_compared, parts, pasted)
+    comparison = await run_in_threadpool(_compared, parts, pasted)
     listed = await run_in_threadpool(_listed, request, parts, principal, "", "", NO_END)
-    return show(request, "audit.html", **listed, compared=found, pasted=pasted)
+    return show(request, "audit.html", **listed, compared=comparison, pasted=pasted)
 
 
 def _listed(
@@ -90,7 +91,7 @@ def _listed(
 
 
 def _compared(parts: Parts, pasted: str) -> tuple[bool, str]:
-    """Whether the log extends a head, and that in words."""
+    """Whether the log extends the head of a checkpoint, and the answer in words."""
     try:
         size, root = head_of(pasted.strip().replace("\r\n", "\n") + "\n")
     except (TrueupError, ValueError, IndexError):

@@ -1,4 +1,4 @@
-"""Two versions beside each other: what changed, and where the second is better and worse."""
+"""The page of two versions: what changed, and where the second is better or worse."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LISTED = 200  # versions to choose from, the newest
 def compare(
     request: Request, parts: RequestParts, plant: PlantName, first: Version, second: Version
 ) -> Response:
-    """What changed, and what a comparison found, if there was one."""
+    """What changed, and the result of the newest comparison, if there is one."""
     with reading(parts.database) as tx:
         both = [find.version(tx, plant, v) for v in (first, second)]
         asked = [a.digest for a in both]
@@ -57,10 +57,10 @@ def compare(
 async def begin(
     request: Request, parts: RequestParts, context: RequestContext, plant: PlantName
 ) -> Response:
-    """Compare on what was held out."""
-    given = await form(request)
+    """Submit a comparison on the held-out episodes."""
+    fields = await form(request)
     first, second = await run_in_threadpool(
-        _begin, parts, context, plant, given.get("first", ""), given.get("second", "")
+        _begin, parts, context, plant, fields.get("first", ""), fields.get("second", "")
     )
     return go(f"/plants/{plant}/compare", first=str(first), second=str(second))
 
@@ -81,14 +81,14 @@ def _begin(
 
 
 def comparison(parts: Parts, job: JobRecord | None, both: list[ArtifactRecord]) -> dict[str, Any]:
-    """What a comparison of two versions found, or how far it is; the values of `recordings.html`
-    among them."""
+    """The values of a comparison's page: its result or its progress, and the values of
+    `recordings.html`."""
     waiting = job is not None and job.state not in FINAL
     drawn = None
     if job is not None and not waiting:
         with reading(parts.database) as tx:
-            found = tx.outputs.get(job.id, COMPARISON)
-        drawn = orjson.loads(parts.blobs.get(found.digest)) if found is not None else None
+            output = tx.outputs.get(job.id, COMPARISON)
+        drawn = orjson.loads(parts.blobs.get(output.digest)) if output is not None else None
     kinds = zip(("first", "second"), both, ("nominal", "corrected"), strict=True)
     models = [{"key": key, "label": f"version {a.version}", "kind": kind} for key, a, kind in kinds]
     problem = (job.result or {}).get("problem") if job is not None else None
@@ -102,22 +102,22 @@ def comparison(parts: Parts, job: JobRecord | None, both: list[ArtifactRecord]) 
 
 
 def _changes(first: ArtifactRecord, second: ArtifactRecord) -> list[dict[str, Any]]:
-    """What each version is, a row for each thing that can be told in a line."""
-    told = [_told(a) for a in (first, second)]
+    """What differs between two versions, one row for each property."""
+    summaries = [_summary(a) for a in (first, second)]
     rows = []
-    for what in dict.fromkeys([*told[0], *told[1]]):
-        pair = [t.get(what, "–") for t in told]
+    for what in dict.fromkeys([*summaries[0], *summaries[1]]):
+        pair = [t.get(what, "–") for t in summaries]
         rows.append(
             {"what": what, "first": pair[0], "second": pair[1], "differs": pair[0] != pair[1]}
         )
     return rows
 
 
-def _told(record: ArtifactRecord) -> dict[str, str]:
+def _summary(record: ArtifactRecord) -> dict[str, str]:
     manifest: dict[str, Any] = json.loads(record.manifest)
     predictor, provenance = manifest.get("predictor", {}), manifest.get("provenance", {})
     nominal = manifest["plant"]["document"]["nominal"].get("parameters", {})
-    told = {
+    summary = {
         "kind": record.kind,
         "artifact": record.digest[:16],
         "made": record.created_at[:19].replace("T", " "),
@@ -125,22 +125,22 @@ def _told(record: ArtifactRecord) -> dict[str, str]:
     }
     numbers = predictor.get("parameters") or nominal
     if isinstance(numbers, dict):
-        told |= {
+        summary |= {
             f"parameter {key}": short(value)
             for key, value in numbers.items()
             if isinstance(value, int | float)
         }
     for effect in predictor.get("effects", []):
-        told |= {
+        summary |= {
             f"{name(effect)}, {key}": short(value) for key, value in effect["parameters"].items()
         }
     if predictor.get("features"):
-        told["features"] = ", ".join(predictor["features"])
-    told["origin"] = str(
+        summary["features"] = ", ".join(predictor["features"])
+    summary["origin"] = str(
         provenance.get("origin")
         or provenance.get("configuration", {}).get("document", {}).get("method", "–")
     )
-    told["code"] = str(provenance.get("code", {}).get("sha256", "–"))[:16]
+    summary["code"] = str(provenance.get("code", {}).get("sha256", "–"))[:16]
     read = provenance.get("configuration", {}).get("document", {}).get("episodes")
-    told["episodes"] = str(len(read)) if read else "–"
-    return told
+    summary["episodes"] = str(len(read)) if read else "–"
+    return summary

@@ -1,5 +1,5 @@
-"""A decision: every figure against its threshold, on what it rests, its place in the log, and the
-same made anew."""
+"""The page of a decision: every figure against its threshold, the episodes, the place in the log,
+and the newest recomputation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ router = guarded("", ["pages"])
 
 @router.get("/plants/{plant}/decisions/{digest}")
 def decision(request: Request, parts: RequestParts, plant: PlantName, digest: Digest) -> Response:
-    """The decision, with its proof and its newest recomputation."""
+    """A decision, with its proof in the log and its newest recomputation."""
     with reading(parts.database) as tx:
         made = find.decision(tx, plant, digest)
         gate = find.gate(tx, plant, made.gate)
@@ -60,7 +60,7 @@ def decision(request: Request, parts: RequestParts, plant: PlantName, digest: Di
 
 
 def _known(tx: ReadTransaction, gate: GateRecord, made: DecisionRecord) -> dict[str, Any]:
-    """What was known when the gate was declared, told by the decision or worked out, and what is
+    """What was known when the gate was declared, from the decision or worked out now, and what is
     looser in the gate."""
     document: dict[str, Any] = made.document
     known = document.get("known") or known_at(
@@ -79,7 +79,7 @@ def _known(tx: ReadTransaction, gate: GateRecord, made: DecisionRecord) -> dict[
 def recompute(
     parts: RequestParts, context: RequestContext, plant: PlantName, digest: Digest
 ) -> Response:
-    """Make it anew, from its bytes."""
+    """Submit the recomputation of a decision from its bytes."""
     parts.queue.prepare()
     with writing(parts.database) as tx:
         SUBMIT["recompute"](tx, parts.queue, uuid.uuid4().hex, plant, {"decision": digest}, context)

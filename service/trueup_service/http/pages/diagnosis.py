@@ -1,4 +1,4 @@
-"""A diagnosis: while it runs how far it is, then what it found."""
+"""The page of a diagnosis: its progress while it runs, then its report."""
 
 from __future__ import annotations
 
@@ -25,50 +25,52 @@ FIGURES, COMMAND = "figures.json", "next_experiment.csv"
 
 @router.get("/plants/{plant}/diagnoses/{job}")
 def diagnosis(request: Request, parts: RequestParts, plant: PlantName, job: JobId) -> Response:
-    """How far it is, why it failed, or what it found."""
-    found = _job(parts, plant, job)
-    if found.state not in FINAL:
-        return show(request, "running.html", job=found)
-    if found.state != JobState.SUCCEEDED:
-        return show(request, "failed.html", job=found, problem=(found.result or {}).get("problem"))
-    report, figures, command = _found(parts, found)
+    """The progress of a diagnosis, why it failed, or its report."""
+    record = _job(parts, plant, job)
+    if record.state not in FINAL:
+        return show(request, "running.html", job=record)
+    if record.state != JobState.SUCCEEDED:
+        return show(
+            request, "failed.html", job=record, problem=(record.result or {}).get("problem")
+        )
+    report, figures, command = _results(parts, record)
     values = view(
         report,
         figures,
         command and f"/v1/jobs/{job}/outputs/{COMMAND}",
         lambda digest: f"/plants/{plant}/episodes/{digest}",
     )
-    return show(request, "diagnosis.html", job=found, **values)
+    return show(request, "diagnosis.html", job=record, **values)
 
 
 @router.get("/plants/{plant}/diagnoses/{job}/report.html")
 def report(parts: RequestParts, plant: PlantName, job: JobId) -> Response:
-    """The same as one file that needs nothing else."""
-    found = _job(parts, plant, job)
-    if found.state != JobState.SUCCEEDED:
+    """The report of a diagnosis as one file that needs no other."""
+    record = _job(parts, plant, job)
+    if record.state != JobState.SUCCEEDED:
         raise NotFound(
             f"diagnosis {job} has found nothing",
             noun="report",
             name=job,
             hint="Wait for it to succeed.",
         )
-    document, figures, command = _found(parts, found)
+    document, figures, command = _results(parts, record)
     headers = {"Content-Disposition": f'attachment; filename="{plant}-{job[:12]}.html"'}
     return HTMLResponse(report_page(document, figures, command), headers=headers)
 
 
 def _job(parts: Parts, plant: str, job: str) -> JobRecord:
     with reading(parts.database) as tx:
-        found = find.job(tx, job)
-    if found.plant != plant or found.kind != "diagnose":
+        record = find.job(tx, job)
+    if record.plant != plant or record.kind != "diagnose":
         raise find.not_found("diagnosis", job)
-    return found
+    return record
 
 
-def _found(
+def _results(
     parts: Parts, job: JobRecord
 ) -> tuple[dict[str, Any], dict[str, Any] | None, str | None]:
-    """The report, the figures if they were kept, and the name of the command's file if there is
+    """The report, the figures if they were stored, and the name of the command file if there is
     one."""
     with reading(parts.database) as tx:
         outputs = {o.name: o.digest for o in tx.outputs.of_job(job.id)}

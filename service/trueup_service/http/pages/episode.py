@@ -1,5 +1,5 @@
-"""An episode: what was recorded under which conditions, what served meanwhile, what it was used
-for, and what models say of it."""
+"""The page of an episode: what was recorded under which conditions, what served meanwhile, what it
+was used for, and how models predict it."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Version = Annotated[int, Query(ge=1, le=2**31 - 1)]
 
 @router.get("/plants/{plant}/episodes/{digest}")
 def episode(request: Request, parts: RequestParts, plant: PlantName, digest: Digest) -> Response:
-    """What was recorded, and what the newest look at it left behind."""
+    """An episode, with the newest comparison on it."""
     with reading(parts.database) as tx:
-        found = find.episode(tx, plant, digest)
+        record = find.episode(tx, plant, digest)
         serving = find.serving(tx, plant)
         job = tx.jobs.last_matching(plant, "compare", lambda r: r["episodes"] == [digest])
         asked: Any = (
@@ -38,9 +38,9 @@ def episode(request: Request, parts: RequestParts, plant: PlantName, digest: Dig
         both = [find.artifact(tx, plant, asked[which]) for which in ("first", "second")]
         values: dict[str, Any] = {
             "plant": plant,
-            "episode": found,
+            "episode": record,
             "uses": {purpose: count for purpose, count in find.uses(tx, digest).items() if count},
-            "served": find.served_during(tx, found),
+            "served": find.served_during(tx, record),
             "serving": serving,
             "beside": _beside(tx, plant),
         }
@@ -51,7 +51,7 @@ def episode(request: Request, parts: RequestParts, plant: PlantName, digest: Dig
 def look(
     parts: RequestParts, context: RequestContext, plant: PlantName, digest: Digest
 ) -> Response:
-    """Roll two versions out over the episode."""
+    """Submit a comparison of two versions on the episode."""
     parts.queue.prepare()
     with writing(parts.database) as tx:
         find.episode(tx, plant, digest)
@@ -65,7 +65,7 @@ def look(
 
 
 def _beside(tx: ReadTransaction, plant: str) -> int:
-    """The version that is shown beside the declared one: what serves, or the newest while that is
+    """The version shown beside the declared one: the one that serves, or the newest where that is
     the declared one."""
     serving = find.serving(tx, plant).version
     return serving if serving != DECLARED else tx.artifacts.latest_version(plant)
@@ -73,7 +73,7 @@ def _beside(tx: ReadTransaction, plant: str) -> int:
 
 @router.get("/plants/{plant}/foxglove.json")
 def foxglove(parts: RequestParts, plant: PlantName, first: Version, second: Version) -> Response:
-    """A layout for the overlay of two versions."""
+    """A Foxglove layout for the overlay of two versions."""
     with reading(parts.database) as tx:
         document = find.plant(tx, plant).document
     made = layout(document, [f"v{v}" for v in dict.fromkeys((first, second))])

@@ -1,5 +1,4 @@
-"""One plant: what serves and how it came to, what happened when, the way back, and a diagnosis to
-start."""
+"""The page of a plant: what serves and its history, the way back, and a diagnosis to start."""
 
 from __future__ import annotations
 
@@ -34,7 +33,7 @@ NOT_A_NUMBER = -1
 
 @router.get("/plants/{plant}")
 def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Response:
-    """What serves, what happened, and the newest of everything."""
+    """What serves, the newest entries, and the newest of everything."""
     with reading(parts.database) as tx:
         record = find.plant(tx, plant)
         serving = find.serving(tx, plant)
@@ -70,7 +69,7 @@ def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Respo
 
 @router.post("/plants/{plant}/diagnoses")
 def diagnose(parts: RequestParts, context: RequestContext, plant: PlantName) -> Response:
-    """Start a diagnosis, and show how it goes."""
+    """Submit a diagnosis, and go to its page."""
     job = uuid.uuid4().hex
     parts.queue.prepare()
     with writing(parts.database) as tx:
@@ -80,7 +79,8 @@ def diagnose(parts: RequestParts, context: RequestContext, plant: PlantName) -> 
 
 @router.get("/plants/{plant}/rollback")
 def rollback_page(request: Request, parts: RequestParts, plant: PlantName) -> Response:
-    """What a rollback would do: tested now, moved only if somebody says so."""
+    """What a rollback would do. The switchback test runs now, and the pointer moves only when the
+    form is sent."""
     return _offer(request, parts, plant, None)
 
 
@@ -88,13 +88,13 @@ def rollback_page(request: Request, parts: RequestParts, plant: PlantName) -> Re
 async def rollback(
     request: Request, parts: RequestParts, context: RequestContext, plant: PlantName
 ) -> Response:
-    """Move the pointer back, if it is where whoever asks has seen it."""
-    given = await form(request)
-    text = given.get("generation", "").strip()
+    """Roll the pointer back, if it is at the generation that the form was shown for."""
+    fields = await form(request)
+    text = fields.get("generation", "").strip()
     generation = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else NOT_A_NUMBER  # noqa: PLR2004
     try:
         await run_in_threadpool(
-            roll_back, parts, context, plant, generation, given.get("key") or None
+            roll_back, parts, context, plant, generation, fields.get("key") or None
         )
     except TrueupError as error:
         if not wants_page(request):
@@ -116,7 +116,7 @@ def _offer(request: Request, parts: Parts, plant: str, refused: TrueupError | No
         try:
             tested = rehearse_way_back(parts, plant, serving.generation)
         except PointerMoved:
-            pass  # it moved while we looked; the form's generation will say so
+            pass  # the pointer moved meanwhile; sending the form will report it
         except TrueupError as error:
             fails = error
     values = {

@@ -1,4 +1,4 @@
-"""All plants: a line each."""
+"""The page of all plants, one line each."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def plants(
     q: Annotated[str, Query(max_length=63)] = "",
     after: Annotated[str, Query(max_length=63)] = "",
 ) -> Response:
-    """The plants that somebody sees, by name, whose name contains `q`."""
+    """The plants that the token sees and whose name contains `q`, by name."""
     with reading(parts.database) as tx:
         lines = plant_lines(
             tx, after, LINES + 1, of=principal.plant, project=principal.project, containing=q

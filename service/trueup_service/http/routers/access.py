@@ -1,4 +1,4 @@
-"""Access: sessions of browsers, projects, and tokens."""
+"""Routes of sessions, projects and tokens."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from trueup_service.http.dependencies import (
     create,
 )
 from trueup_service.http.guard import CurrentPrincipal, guarded
-from trueup_service.http.openapi import there
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.access import (
     Identity,
     IssuedToken,
@@ -38,10 +38,12 @@ router = guarded("/v1", ["access"])
 
 
 @router.post("/session", summary="Sign in with a token, for a browser")
-def sign_in(request: Request, response: Response, parts: RequestParts, given: SignIn) -> Identity:
+def sign_in(
+    request: Request, response: Response, parts: RequestParts, credential: SignIn
+) -> Identity:
     """Sets a cookie that scripts cannot read and other sites cannot send. Programs send their token
     with every request instead."""
-    principal, secret = begin_session(request.app.state.authenticator, parts, given.token)
+    principal, secret = begin_session(request.app.state.authenticator, parts, credential.token)
     give_cookie(request, response, parts, secret)
     return Identity.model_validate(principal)
 
@@ -62,7 +64,7 @@ def sign_out(request: Request, response: Response, parts: RequestParts) -> None:
     status_code=201,
     response_model=Project,
     summary="Create a project",
-    responses=there(Project),
+    responses=already_exists(Project),
 )
 def add_project(
     parts: RequestParts, context: RequestContext, project: NewProject, key: IdempotencyKey = None
@@ -83,16 +85,15 @@ def list_projects(
     parts: RequestParts, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
 ) -> Page[Project]:
     with reading(parts.database) as tx:
-        found = tx.projects.page(after, limit)
-    return page(Project, found, limit, "name")
+        projects = tx.projects.page(after, limit)
+    return page(Project, projects, limit, "name")
 
 
 @router.post("/tokens", status_code=201, summary="Issue a token")
 def issue(parts: RequestParts, context: RequestContext, wanted: NewToken) -> IssuedToken:
-    """`token` is shown this once; its hash alone is kept. A robot's is of one plant. It takes no
-    idempotency key: a repeated answer would have to keep the secret. Revoke one that did not
-    arrive.
-    """
+    """The response is the only one that has `token`; the service stores its hash. A robot's token
+    is of one plant. The route takes no idempotency key, since a repeated response would have to
+    keep the secret. Revoke a token that did not arrive."""
     text, prefix, digest = new_token()
     expires = (
         None if wanted.days is None else time_text(datetime.now(UTC) + timedelta(days=wanted.days))
@@ -119,15 +120,15 @@ def list_tokens(
     parts: RequestParts, after: Annotated[str, Query(max_length=16)] = "", limit: Limit = 100
 ) -> Page[Token]:
     with reading(parts.database) as tx:
-        found = tx.tokens.page(after, limit)
-    return page(Token, found, limit, "prefix")
+        tokens = tx.tokens.page(after, limit)
+    return page(Token, tokens, limit, "prefix")
 
 
 @router.post("/tokens/{prefix}/revoke", summary="Revoke a token")
 def revoke(
     request: Request, parts: RequestParts, context: RequestContext, prefix: TokenPrefix
 ) -> Token:
-    """For good. Other servers refuse it within `token_memory_s`."""
+    """A token is revoked for good. Other servers refuse it within `token_memory_s`."""
     with writing(parts.database) as tx:
         revoked = revoke_token(tx, prefix, context)
     request.app.state.authenticator.forget()

@@ -1,4 +1,4 @@
-"""Artifacts: versions of a plant's model, and the arrays that they name."""
+"""Routes of artifacts, the versions of a plant's model, and of the arrays that they name."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from trueup_service.http.dependencies import (
     create,
     inspector_of,
 )
-from trueup_service.http.downloads import UNCHANGING, send_kept
+from trueup_service.http.downloads import UNCHANGING, send_blob
 from trueup_service.http.guard import guarded
-from trueup_service.http.openapi import there
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.serving import Artifact
 from trueup_service.http.schemas.wire import Envelope, Page, page
 from trueup_service.http.uploads import ARRAYS_HINT, allow, received
@@ -58,7 +58,7 @@ ARRAYS = {
     openapi_extra=ARRAYS,
 )
 async def put_blob(request: Request, parts: RequestParts, digest: Digest) -> dict[str, str | int]:
-    """Durable once answered. The digest in the path is verified while the bytes stream."""
+    """The bytes are durable once answered. The digest in the path is verified while they stream."""
     limit = min(parts.settings.upload_limit_bytes, parts.settings.arrays_limit_bytes)
     async with received(request, parts.spool, limit, ARRAYS_HINT) as file:
         await run_in_threadpool(_keep, parts.blobs, digest, file)
@@ -85,7 +85,7 @@ def get_blob(parts: RequestParts, digest: Digest) -> StreamingResponse:
 def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     if not blobs.holds(digest):
         raise NotFound(f"there is no blob {digest!r} here", noun="blob", name=digest)
-    return send_kept(blobs, digest)
+    return send_blob(blobs, digest)
 
 
 @router.post(
@@ -93,7 +93,7 @@ def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     status_code=201,
     response_model=Artifact,
     summary="Add an artifact as the next version",
-    responses=there(Artifact),
+    responses=already_exists(Artifact),
     openapi_extra=MANIFEST,
 )
 async def add(
@@ -103,8 +103,8 @@ async def add(
     plant: PlantName,
     key: IdempotencyKey = None,
 ) -> Response:
-    """The body is the manifest's exact bytes; arrays that it names were uploaded before. The
-    predictor must load and answer its probe."""
+    """The body is the exact bytes of the manifest. Arrays that it names must have been uploaded
+    before. The predictor must load and answer its probe."""
     manifest = await request.body()
     arrays = await run_in_threadpool(_arrays, parts, manifest)
     if arrays is None:
@@ -113,7 +113,7 @@ async def add(
     async with contextmanager_in_threadpool(parts.blobs.local_copy(arrays, parts.spool)) as path:
         await inspector_of(request).try_artifact(manifest, path)
         answer = await run_in_threadpool(_add, parts, context, plant, manifest, key)
-        # they may have been put long ago, and been taken for left over before this row was there
+        # Bytes that were put long ago may have been collected before this row named them.
         await run_in_threadpool(parts.blobs.put, arrays, path)
         return answer
 
@@ -165,8 +165,8 @@ def list_artifacts(
 ) -> Page[Artifact]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        found = tx.artifacts.page(plant, after, limit)
-    return page(Artifact, found, limit, "version")
+        artifacts = tx.artifacts.page(plant, after, limit)
+    return page(Artifact, artifacts, limit, "version")
 
 
 @router.get("/plants/{plant}/artifacts/{digest}", summary="Get an artifact's registration")
@@ -180,12 +180,12 @@ def get_artifact(parts: RequestParts, plant: PlantName, digest: Digest) -> Artif
 )
 def get_version(parts: RequestParts, plant: PlantName, version: int) -> Artifact:
     with reading(parts.database) as tx:
-        found = tx.artifacts.by_version(plant, version) if 0 < version < 2**31 else None
-    if found is None:
+        record = tx.artifacts.by_version(plant, version) if 0 < version < 2**31 else None
+    if record is None:
         raise NotFound(
             f"plant {plant!r} has no version {version}", noun="version", name=str(version)
         )
-    return Artifact.model_validate(found)
+    return Artifact.model_validate(record)
 
 
 @router.get(
@@ -194,13 +194,13 @@ def get_version(parts: RequestParts, plant: PlantName, version: int) -> Artifact
     response_class=Response,
 )
 def get_manifest(parts: RequestParts, plant: PlantName, digest: Digest) -> Response:
-    """Their SHA-256 is the artifact's name."""
+    """The SHA-256 of the bytes is the artifact's name."""
     with reading(parts.database) as tx:
-        found = find.artifact(tx, plant, digest)
-    if digest_of_bytes(found.manifest.encode()) != digest:
+        record = find.artifact(tx, plant, digest)
+    if digest_of_bytes(record.manifest.encode()) != digest:
         raise BrokenChain("the kept manifest is not the one that its digest names", artifact=digest)
     headers = {"ETag": f'"{digest}"', "Cache-Control": UNCHANGING}
-    return Response(found.manifest, media_type="application/json", headers=headers)
+    return Response(record.manifest, media_type="application/json", headers=headers)
 
 
 @router.get(
@@ -209,7 +209,7 @@ def get_manifest(parts: RequestParts, plant: PlantName, digest: Digest) -> Respo
     response_class=Response,
 )
 def get_arrays(parts: RequestParts, plant: PlantName, digest: Digest) -> StreamingResponse:
-    """The bytes that its manifest names."""
+    """The bytes that the manifest names."""
     with reading(parts.database) as tx:
         arrays = find.artifact(tx, plant, digest).arrays
     if arrays is None:
@@ -228,16 +228,18 @@ def get_provenance(
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     with reading(parts.database) as tx:
-        found = find.artifact(tx, plant, digest)
-    kept = Bytes(found.manifest.encode(), b"")
-    if kept.digest != digest:
+        record = find.artifact(tx, plant, digest)
+    artifact = Bytes(record.manifest.encode(), b"")
+    if artifact.digest != digest:
         raise BrokenChain("the kept manifest is not the one that its digest names", artifact=digest)
     facts: dict[str, Json] = {
-        name: getattr(found, name)
+        name: getattr(record, name)
         for name in ("plant", "version", "job", "created_at", "created_by")
     }
     return Envelope(
-        **request.app.state.log.envelope(PAYLOAD_TYPE, of_artifact(kept.document, digest, facts))
+        **request.app.state.log.envelope(
+            PAYLOAD_TYPE, of_artifact(artifact.document, digest, facts)
+        )
     )
 
 

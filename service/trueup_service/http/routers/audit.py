@@ -1,7 +1,7 @@
 """Audit: the append-only log of everything that was done, its tree and its signed head.
 
 `/v1/audit` is the prefix of a tiled log: `checkpoint`, `tile/<level>/<tile>` and
-`tile/entries/<tile>` are what any tx of C2SP tlog-tiles knows. Inclusion and consistency are
+`tile/entries/<tile>` are what any reader of C2SP tlog-tiles knows. Inclusion and consistency are
 also proven directly, for who does not want to read tiles.
 """
 
@@ -61,26 +61,26 @@ def list_entries(
     after: Annotated[int, Query(ge=0, le=2**62, description="sequence")] = 0,
     limit: Limit = 100,
 ) -> Page[AuditEntry]:
-    """Entry n is leaf n - 1 of the tree; an entry's leaf holds the digests of `facts` and of
-    `rows`. A token of a project sees its own."""
+    """Entry n is leaf n - 1 of the tree. A leaf holds the digests of `facts` and of `rows`. A token
+    of a project sees the entries of its plants."""
     with reading(parts.database) as tx:
-        found = tx.log.entries(
+        entries = tx.log.entries(
             after, limit, plant if principal.plant is None else principal.plant, principal.project
         )
-    return page(AuditEntry, found, limit, "sequence")
+    return page(AuditEntry, entries, limit, "sequence")
 
 
 @router.get("/key", summary="The public key of the log", response_class=Response, responses=TEXT)
 async def key(request: Request) -> Response:
-    """`<name>+<hash>+<key>`, as C2SP signed-note has it. Keep it: whoever asks again at each use
-    believes whoever answers."""
+    """`<name>+<hash>+<key>`, as C2SP signed-note defines it. Pin it: a caller that fetches the key
+    at each use trusts whoever responds."""
     return Response(_log(request).signer.verifier + "\n", media_type="text/plain")
 
 
 @router.get("/keys", summary="The keys under which the log was signed")
 def keys(parts: RequestParts) -> AuditKeys:
-    """In order, each but the first endorsed by the one before: whoever pinned an earlier one need
-    not be told of the last by hand."""
+    """In order. Each key but the first is endorsed by the one before, so a caller that pinned an
+    earlier key can verify the last one."""
     with reading(parts.database) as tx:
         return AuditKeys(items=[AuditKey(**asdict(key)) for key in tx.log.signing_keys()])
 
@@ -89,8 +89,8 @@ def keys(parts: RequestParts) -> AuditKeys:
     "/checkpoint", summary="The signed head of the log", response_class=Response, responses=TEXT
 )
 async def checkpoint(request: Request) -> Response:
-    """Origin, number of entries and root, signed. The file `checkpoint` in the data folder is the
-    same, for mirrors."""
+    """Origin, number of entries and root, signed. The file `checkpoint` in the data folder has the
+    same text, for mirrors."""
     note = await run_in_threadpool(_log(request).checkpoint)
     return Response(note, media_type="text/plain", headers={"Cache-Control": "no-cache"})
 
@@ -138,12 +138,12 @@ def _proof(tx: ReadTransaction, plan: Plan, size: int) -> Proof:
     responses=OCTETS,
 )
 def entries(parts: RequestParts, tile: TilePath) -> Response:
-    """Each leaf's bytes behind their length (16 bits, big-endian); the tree's leaf hashes are over
-    these bytes."""
+    """The bytes of each leaf behind their length (16 bits, big-endian). The leaf hashes of the tree
+    are over these bytes."""
     number, width = _tile(tile)
     with reading(parts.database) as tx:
-        found = tx.log.entries(number * TILE, width)
-    leaves = [entry_bytes(e) for e in found]
+        tile_entries = tx.log.entries(number * TILE, width)
+    leaves = [entry_bytes(e) for e in tile_entries]
     return _tile_answer(
         tile, len(leaves), width, b"".join(struct.pack(">H", len(leaf)) + leaf for leaf in leaves)
     )
@@ -161,13 +161,13 @@ def hashes(
     """Neighbouring subtrees of 256^level leaves each, 32 bytes each."""
     number, width = _tile(tile)
     with reading(parts.database) as tx:
-        found = tx.log.tile(8 * level, number * TILE, width)
-    return _tile_answer(tile, len(found), width, b"".join(found))
+        nodes = tx.log.tile(8 * level, number * TILE, width)
+    return _tile_answer(tile, len(nodes), width, b"".join(nodes))
 
 
 def _tile(path: str) -> tuple[int, int]:
-    """Number and width of a tile. Raises NotFound for what no log reaches, BadRequest for a width
-    beyond a tile."""
+    """The number and width of a tile. Raises NotFound where no log can have it, and BadRequest for
+    a width beyond a tile."""
     name, _, part = path.partition(".p/")
     number, width = int(re.sub(r"[x/]", "", name)), int(part) if part else TILE
     if not 0 < width <= TILE or (part and width == TILE):
@@ -177,8 +177,8 @@ def _tile(path: str) -> tuple[int, int]:
     return number, width
 
 
-def _tile_answer(tile: str, found: int, width: int, content: bytes) -> Response:
-    if found < width:
+def _tile_answer(tile: str, filled: int, width: int, content: bytes) -> Response:
+    if filled < width:
         raise NotFound(
             f"the log does not fill tile {tile!r} yet",
             noun="tile",
@@ -195,19 +195,18 @@ def rows(
     after: Annotated[str, Query(max_length=400, description="`next` of the page before")] = "",
     limit: Limit = 100,
 ) -> Rows:
-    """What the entries' `rows` name, to be held against their digests: SHA-256 of the canonical
-    {"row": …, "table": …}; and what the log keeps beside its entries: its hashes, its head and its
-    keys.
-    """
-    found = TABLES.get(table)
-    if found is None:
+    """The rows that entries name in `rows`, to be held against their digests: SHA-256 of the
+    canonical {"row": …, "table": …}. Also what the log stores beside its entries: its hashes, its
+    head and its keys."""
+    stored = TABLES.get(table)
+    if stored is None:
         raise NotFound(
             f"the log names no rows of {table!r}",
             noun="table",
             name=table,
             hint=f"It names those of {', '.join(TABLES)}.",
         )
-    columns = list(found.primary_key.columns)
+    columns = list(stored.primary_key.columns)
     try:
         key = orjson.loads(after) if after else []
         key = (
@@ -220,7 +219,7 @@ def rows(
     except (orjson.JSONDecodeError, ValueError, TypeError) as error:
         raise BadRequest("after is `next` of the page before") from error
     with reading(parts.database) as tx:
-        items = tx.rows.page(found, key, limit)
+        items = tx.rows.page(stored, key, limit)
     return Rows(
         items=items,
         next=orjson.dumps([items[-1][c.name] for c in columns]).decode()

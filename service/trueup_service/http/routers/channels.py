@@ -1,5 +1,4 @@
-"""Evidence of artifacts at the stages of the test ladder, and the channels of serving that require
-it."""
+"""Routes of evidence of artifacts, and of the channels of serving that require it."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ from trueup_service.http.dependencies import (
     create,
 )
 from trueup_service.http.guard import guarded
-from trueup_service.http.openapi import there
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
 from trueup_service.http.schemas.serving import (
     Channel,
@@ -39,7 +38,7 @@ router = guarded("/v1/plants/{plant}", ["channels"])
 ChannelName = Annotated[
     str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A channel's name")
 ]
-PAGE_BYTES = 2 << 20  # of documents in a page, unless the first one alone has more
+PAGE_BYTES = 2 << 20  # documents of one page, unless the first one alone has more
 CHANNEL = {
     "name": "channel",
     "in": "path",
@@ -54,7 +53,7 @@ CHANNEL = {
     status_code=201,
     response_model=Evidence,
     summary="Add evidence of an artifact",
-    responses=there(Evidence),
+    responses=already_exists(Evidence),
 )
 def add(
     parts: RequestParts,
@@ -66,7 +65,8 @@ def add(
     ],
     key: IdempotencyKey = None,
 ) -> Response:
-    """It is kept as it is said: by whom stands beside it, and what it cannot show is part of it."""
+    """The document is stored as it is, with who sent it. What the evidence cannot show is part of
+    it."""
     return create(
         parts,
         context,
@@ -86,15 +86,15 @@ def list_evidence(
     after: Annotated[str, Query(max_length=92)] = "",
     limit: Limit = 100,
 ) -> Page[Evidence]:
-    """In the order in which it came; `after` is `next` of the page before. A page ends early where
-    its documents are long."""
+    """In the order of time; `after` is `next` of the page before. A page ends early where its
+    documents are long."""
     at, _, last = after.partition("_")
     with reading(parts.database) as tx:
         find.artifact(tx, plant, digest)
-        found, more = tx.evidence.page(plant, digest, (at, last), limit, PAGE_BYTES)
+        evidence, more = tx.evidence.page(plant, digest, (at, last), limit, PAGE_BYTES)
     return Page(
-        items=[Evidence.model_validate(e) for e in found],
-        next=f"{found[-1].created_at}_{found[-1].digest}" if more else None,
+        items=[Evidence.model_validate(e) for e in evidence],
+        next=f"{evidence[-1].created_at}_{evidence[-1].digest}" if more else None,
     )
 
 
@@ -103,7 +103,7 @@ def list_evidence(
     status_code=201,
     response_model=Channel,
     summary="Declare a channel of serving",
-    responses=there(Channel),
+    responses=already_exists(Channel),
 )
 def declare(
     parts: RequestParts,
@@ -112,7 +112,7 @@ def declare(
     channel: ChannelDeclaration,
     key: IdempotencyKey = None,
 ) -> Response:
-    """What it requires never changes."""
+    """What a channel requires never changes."""
     request = channel.model_dump()
 
     return create(
@@ -135,8 +135,8 @@ def list_channels(
 ) -> Page[Channel]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        found = tx.channels.page(plant, after, limit)
-    return page(Channel, found, limit, "name")
+        channels = tx.channels.page(plant, after, limit)
+    return page(Channel, channels, limit, "name")
 
 
 @router.get(
@@ -147,8 +147,8 @@ def list_channels(
     openapi_extra={"parameters": [PLANT, CHANNEL, *ASKED]},
 )
 async def serving(request: Request) -> Response:
-    """As of the plant's own pointer: with `If-None-Match` and `wait_s` it answers at the channel's
-    next move, or 304."""
+    """As for the plant's own pointer: with `If-None-Match` and `wait_s` the response comes at the
+    channel's next move, or is 304."""
     return await polled(request, request.path_params["plant"], request.path_params["channel"])
 
 
@@ -162,8 +162,8 @@ async def move(
     wanted: ChannelMove,
     key: IdempotencyKey = None,
 ) -> ChannelPosition:
-    """409 if the channel is elsewhere, the artifact never served the plant itself, or evidence of a
-    required stage is missing or failed."""
+    """409 if the channel is at another generation, the artifact never served the plant itself, or
+    evidence of a required stage is missing or failed."""
 
     def act(tx: Transaction) -> dict[str, Any]:
         return asdict(

@@ -1,8 +1,10 @@
-"""Decisions: what gates decided, with every figure."""
+"""Routes of decisions, with every figure, and of their approvals."""
 
 from __future__ import annotations
 
-from fastapi import Request, Response
+from typing import Annotated
+
+from fastapi import Body, Request, Response
 
 from trueup.canonical import Json, digest_of
 from trueup.errors import BrokenChain
@@ -20,8 +22,8 @@ from trueup_service.http.dependencies import (
     RequestParts,
     create,
 )
-from trueup_service.http.guard import CurrentPrincipal, guarded, require_seen
-from trueup_service.http.openapi import there
+from trueup_service.http.guard import CurrentPrincipal, guarded, require_visible
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.decisions import Approval, ApprovalRequest, Decision
 from trueup_service.http.schemas.wire import Envelope, Page, page
 from trueup_service.registry.transaction import reading
@@ -35,8 +37,8 @@ def list_decisions(
 ) -> Page[Decision]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        found = tx.decisions.page(plant, before, limit)
-    return page(Decision, found, limit, "created_at")
+        decisions = tx.decisions.page(plant, before, limit)
+    return page(Decision, decisions, limit, "created_at")
 
 
 @router.get("/plants/{plant}/decisions/{digest}", summary="Get a decision of a plant")
@@ -55,14 +57,16 @@ def get_provenance(
     """An in-toto statement (test-result) in a DSSE envelope: candidate, gate, incumbent and
     held-out episodes by digest."""
     with reading(parts.database) as tx:
-        found = find.decision(tx, plant, digest)
-    if digest_of(found.document) != digest:
+        decision = find.decision(tx, plant, digest)
+    if digest_of(decision.document) != digest:
         raise BrokenChain("the kept decision is not the one that its digest names", decision=digest)
     facts: dict[str, Json] = {
-        name: getattr(found, name) for name in ("plant", "job", "created_at", "created_by")
+        name: getattr(decision, name) for name in ("plant", "job", "created_at", "created_by")
     }
     return Envelope(
-        **request.app.state.log.envelope(PAYLOAD_TYPE, of_decision(found.document, digest, facts))
+        **request.app.state.log.envelope(
+            PAYLOAD_TYPE, of_decision(decision.document, digest, facts)
+        )
     )
 
 
@@ -71,21 +75,20 @@ def get_provenance(
     status_code=201,
     response_model=Approval,
     summary="Approve a decision for promotion",
-    responses=there(Approval),
+    responses=already_exists(Approval),
 )
 def add_approval(
     parts: RequestParts,
     context: RequestContext,
     plant: PlantName,
     digest: Digest,
-    given: ApprovalRequest | None = None,
+    approval: Annotated[ApprovalRequest | None, Body(title="Given")] = None,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Once for each token. Where the plant's policy takes two people for a promotion, one approves
-    and the other promotes: two names, for tokens of one name are one person. Of a candidate that
-    was rejected before, it takes a reason.
-    """
-    because = None if given is None else given.because
+    """One approval for each token. Where the plant's policy needs two people for a promotion, one
+    approves and the other promotes. Tokens of one name count as one person. A candidate that was
+    rejected before needs a reason."""
+    because = None if approval is None else approval.because
     request: dict[str, Json] = {"decision": digest, "because": because}
     return create(
         parts,
@@ -110,6 +113,6 @@ def list_approvals(parts: RequestParts, plant: PlantName, digest: Digest) -> Pag
 @router.get("/decisions/{digest}", summary="Get a decision by its digest alone")
 def find_decision(parts: RequestParts, principal: CurrentPrincipal, digest: Digest) -> Decision:
     with reading(parts.database) as tx:
-        found = find.any_decision(tx, digest)
-    require_seen(parts.database, principal, found.plant, find.not_found("decision", digest))
-    return Decision.model_validate(found)
+        decision = find.any_decision(tx, digest)
+    require_visible(parts.database, principal, decision.plant, find.not_found("decision", digest))
+    return Decision.model_validate(decision)

@@ -1,4 +1,4 @@
-"""Episodes: upload recordings as MCAP, list, get, download."""
+"""Routes of episodes: upload recordings as MCAP, list, get, download."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from trueup_service.http.dependencies import (
     RequestParts,
     inspector_of,
 )
-from trueup_service.http.downloads import send_kept
+from trueup_service.http.downloads import send_blob
 from trueup_service.http.guard import guarded
-from trueup_service.http.openapi import there
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.episodes import Episode, EpisodeContext
 from trueup_service.http.schemas.serving import Serving
 from trueup_service.http.schemas.wire import Page, page
@@ -47,7 +47,7 @@ MCAP = {
     status_code=201,
     response_model=Episode,
     summary="Upload an episode",
-    responses=there(Episode),
+    responses=already_exists(Episode),
     openapi_extra=MCAP,
 )
 async def upload(
@@ -57,7 +57,7 @@ async def upload(
     plant: PlantName,
     key: IdempotencyKey = None,
 ) -> Response:
-    """The body is an MCAP file. It is hashed while it streams and held against `Content-Digest`
+    """The body is an MCAP file. It is hashed while it streams, and compared with `Content-Digest`
     (RFC 9530) if that is sent.
 
     All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again
@@ -72,12 +72,17 @@ async def upload(
 
 def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
     with reading(parts.database) as tx:
-        found = tx.episodes.get(plant, digest)
+        record = tx.episodes.get(plant, digest)
     return (
         None
-        if found is None
+        if record is None
         else Inspected(
-            digest, found.role, found.start_ns, found.end_ns, found.summary, found.samples_digest
+            digest,
+            record.role,
+            record.start_ns,
+            record.end_ns,
+            record.summary,
+            record.samples_digest,
         )
     )
 
@@ -90,20 +95,20 @@ def list_episodes(
     after: Annotated[str, Query(max_length=64)] = "",
     limit: Limit = 100,
 ) -> Page[Episode]:
-    """In the order of their digests; `after` is the digest that the page before ended with."""
+    """In the order of their digests; `after` is the last digest of the page before."""
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        found = tx.episodes.page(plant, role, after, limit)
-    return page(Episode, found, limit, "digest")
+        episodes = tx.episodes.page(plant, role, after, limit)
+    return page(Episode, episodes, limit, "digest")
 
 
 @router.get("/{digest}", summary="Get an episode with what was serving while it was recorded")
 def get_episode(parts: RequestParts, plant: PlantName, digest: Digest) -> EpisodeContext:
     with reading(parts.database) as tx:
-        found = find.episode(tx, plant, digest)
-        uses, served = find.uses(tx, digest), find.served_during(tx, found)
+        episode = find.episode(tx, plant, digest)
+        uses, served = find.uses(tx, digest), find.served_during(tx, episode)
     return EpisodeContext(
-        **Episode.model_validate(found).model_dump(),
+        **Episode.model_validate(episode).model_dump(),
         served=[Serving(**position_document(m)) for m in served],
         uses=uses,
     )
@@ -112,8 +117,8 @@ def get_episode(parts: RequestParts, plant: PlantName, digest: Digest) -> Episod
 @router.get("/{digest}/content", summary="Download an episode's bytes", response_class=Response)
 def download(parts: RequestParts, plant: PlantName, digest: Digest) -> StreamingResponse:
     with reading(parts.database) as tx:
-        found = find.episode(tx, plant, digest)
-    return send_kept(parts.blobs, digest, found.size_bytes)
+        episode = find.episode(tx, plant, digest)
+    return send_blob(parts.blobs, digest, episode.size_bytes)
 
 
 @router.delete("/{digest}", summary="Refused: episodes are kept", status_code=204)

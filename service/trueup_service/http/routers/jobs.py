@@ -1,4 +1,4 @@
-"""Jobs: fits, trials and diagnoses, run by workers, with progress and cancellation."""
+"""Routes of jobs, which workers run, with progress and cancellation."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from trueup_service.http.dependencies import (
     RequestParts,
     create,
 )
-from trueup_service.http.downloads import send_kept
-from trueup_service.http.guard import CurrentPrincipal, guarded, require_seen
-from trueup_service.http.openapi import there
+from trueup_service.http.downloads import send_blob
+from trueup_service.http.guard import CurrentPrincipal, guarded, require_visible
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.jobs import (
     BlindtrialRequest,
     CalibrationRequest,
@@ -61,7 +61,7 @@ JobRequest = Annotated[
     status_code=201,
     response_model=Job,
     summary="Submit a fit, a trial, a diagnosis or a calibration",
-    responses=there(Job),
+    responses=already_exists(Job),
 )
 def submit(
     parts: RequestParts,
@@ -70,10 +70,9 @@ def submit(
     request: JobRequest,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a
-    trial held-out ones alone; a diagnosis fits the former and compares on the latter. A calibration
-    makes a monitor of what serves, on healthy episodes.
-    """
+    """Everything that the job will read is frozen now. A fit reads adaptation episodes only, and a
+    trial held-out ones only. A diagnosis fits adaptation episodes and compares on held-out ones. A
+    calibration makes a monitor of what serves, on healthy episodes."""
     chosen, job = request.model_dump(exclude={"kind"}, exclude_none=True), uuid.uuid4().hex
     act = SUBMIT[request.kind]
     parts.queue.prepare()
@@ -95,18 +94,18 @@ def list_jobs(
 ) -> Page[Job]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        found = tx.jobs.page(plant, before, limit)
-    return page(Job, found, limit, "created_at")
+        jobs = tx.jobs.page(plant, before, limit)
+    return page(Job, jobs, limit, "created_at")
 
 
 @router.get("/jobs/{job}", summary="Get a job with its progress and what it has read")
 def get_job(parts: RequestParts, principal: CurrentPrincipal, job: JobId) -> JobWithReads:
     with reading(parts.database) as tx:
-        found = find.job(tx, job)
-        require_seen(parts.database, principal, found.plant, find.not_found("job", job))
+        record = find.job(tx, job)
+        require_visible(parts.database, principal, record.plant, find.not_found("job", job))
         outputs = [Output.model_validate(o) for o in tx.outputs.of_job(job)]
         return JobWithReads(
-            **Job.model_validate(found).model_dump(), reads=tx.jobs.reads(job), outputs=outputs
+            **Job.model_validate(record).model_dump(), reads=tx.jobs.reads(job), outputs=outputs
         )
 
 
@@ -119,13 +118,15 @@ def get_output(
     parts: RequestParts, principal: CurrentPrincipal, job: JobId, name: OutputName
 ) -> StreamingResponse:
     """A diagnosis leaves `figures.json`, the numbers behind its pictures, and `next_experiment.csv`
-    where there is one."""
+    where it proposes one."""
     with reading(parts.database) as tx:
-        require_seen(parts.database, principal, find.job(tx, job).plant, find.not_found("job", job))
-        found = find.output(tx, job, name)
-    named = f'attachment; filename="{found.name}"'
-    return send_kept(
-        parts.blobs, found.digest, found.size_bytes, found.media_type, Content_Disposition=named
+        require_visible(
+            parts.database, principal, find.job(tx, job).plant, find.not_found("job", job)
+        )
+        output = find.output(tx, job, name)
+    named = f'attachment; filename="{output.name}"'
+    return send_blob(
+        parts.blobs, output.digest, output.size_bytes, output.media_type, Content_Disposition=named
     )
 
 
@@ -133,9 +134,11 @@ def get_output(
 def cancel(
     parts: RequestParts, context: RequestContext, principal: CurrentPrincipal, job: JobId
 ) -> Job:
-    """A waiting job is cancelled at once, a running one at its next report of progress; a finished
-    one stays as it is."""
+    """A waiting job is cancelled at once, and a running one at its next report of progress. A
+    finished job stays as it is."""
     with reading(parts.database) as tx:
-        require_seen(parts.database, principal, find.job(tx, job).plant, find.not_found("job", job))
+        require_visible(
+            parts.database, principal, find.job(tx, job).plant, find.not_found("job", job)
+        )
     with writing(parts.database) as tx:
         return Job.model_validate(cancel_job(tx, job, context))

@@ -1,4 +1,4 @@
-"""Monitors: what watches a plant, what it saw, and its alarms."""
+"""Routes of monitors, what they saw, and alarms."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ def list_monitors(
 ) -> Page[Monitor]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        found = tx.monitors.page(plant, before, limit)
-    return page(Monitor, found, limit, "created_at")
+        monitors = tx.monitors.page(plant, before, limit)
+    return page(Monitor, monitors, limit, "created_at")
 
 
 @router.get("/monitors/{digest}", summary="Get a monitor with its calibration")
@@ -84,8 +84,8 @@ def list_watches(
 ) -> Page[Watch]:
     with reading(parts.database) as tx:
         find.monitor(tx, plant, digest)
-        found = tx.watches.page(plant, digest, after, limit)
-    return page(Watch, found, limit, "sequence")
+        watches = tx.watches.page(plant, digest, after, limit)
+    return page(Watch, watches, limit, "sequence")
 
 
 @router.get("/alarms", summary="List alarms, the newest first")
@@ -94,8 +94,8 @@ def list_alarms(
 ) -> Page[Alarm]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        found = tx.alarms.page(plant, before, limit)
-    return page(Alarm, found, limit, "raised_at")
+        alarms = tx.alarms.page(plant, before, limit)
+    return page(Alarm, alarms, limit, "raised_at")
 
 
 @router.get(
@@ -115,7 +115,7 @@ def close(
     closing: Closing,
     key: IdempotencyKey = None,
 ) -> Alarm:
-    """The next one may then be raised."""
+    """After that the next alarm may be raised."""
     closed = run_once(
         parts,
         context,

@@ -1,4 +1,4 @@
-"""Operations: health, readiness, metrics."""
+"""Routes of operations: health, readiness, metrics."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def _blobs(parts: Parts) -> str:
 
 
 def _spool(parts: Parts) -> str:
-    """The disk that takes uploads and, where storage is embedded, everything."""
+    """The check of the disk that takes uploads and, with embedded storage, everything."""
     path = parts.spool / f"ready-{uuid.uuid4().hex}"
     try:
         with path.open("wb") as file:

@@ -1,4 +1,4 @@
-"""Plants: register a machine by its plant.json, list, get."""
+"""Routes of plants: register a machine by its plant.json, list, get."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trueup_service.http.dependencies import (
     create,
 )
 from trueup_service.http.guard import CurrentPrincipal, guarded
-from trueup_service.http.openapi import there
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.episodes import Plant
 from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.transaction import reading
@@ -26,7 +26,11 @@ router = guarded("/v1/plants", ["plants"])
 
 
 @router.post(
-    "", status_code=201, response_model=Plant, summary="Register a plant", responses=there(Plant)
+    "",
+    status_code=201,
+    response_model=Plant,
+    summary="Register a plant",
+    responses=already_exists(Plant),
 )
 def register(
     parts: RequestParts,
@@ -38,11 +42,11 @@ def register(
     ] = None,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Its declared model becomes version 1 and serves at generation 1. The same description again
-    answers 200.
+    """The declared model becomes version 1 and serves at generation 1. The same description again
+    responds 200.
 
-    Names are unique over all projects: one that another project has is refused, and nothing more is
-    said of it.
+    Names are unique over all projects. A name that another project has is refused without further
+    information.
     """
     from trueup_service.actions.register_plant import register_plant  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
@@ -72,7 +76,7 @@ def list_plants(
     after: Annotated[str, Query(max_length=63)] = "",
     limit: Limit = 100,
 ) -> Page[Plant]:
-    """Those that the token sees."""
+    """The plants that the token sees."""
     with reading(parts.database) as tx:
         if principal.plant is not None:
             return Page(
@@ -80,8 +84,8 @@ def list_plants(
                 if principal.plant > after
                 else []
             )
-        found = tx.plants.page(after, limit, principal.project)
-    return page(Plant, found, limit, "name")
+        plants = tx.plants.page(after, limit, principal.project)
+    return page(Plant, plants, limit, "name")
 
 
 @router.get("/{plant}", summary="Get a plant")

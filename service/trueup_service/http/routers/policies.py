@@ -1,4 +1,4 @@
-"""Update policies: what may happen to a plant's model without a person."""
+"""Routes of update policies: what may happen to a plant's model without a person."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from trueup_service.http.dependencies import (
     create,
 )
 from trueup_service.http.guard import CurrentPrincipal, guarded
-from trueup_service.http.openapi import there
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.decisions import Policy
 from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.records import PolicyRecord, Role
@@ -32,7 +32,7 @@ router = guarded("/v1/plants/{plant}", ["policies"])
     status_code=201,
     response_model=Policy,
     summary="Declare an update policy",
-    responses=there(Policy),
+    responses=already_exists(Policy),
 )
 def declare(
     parts: RequestParts,
@@ -45,8 +45,8 @@ def declare(
     ],
     key: IdempotencyKey = None,
 ) -> Response:
-    """It holds from now on; the ones before it stay on record. That promotions take fewer people
-    than before, an admin alone can say."""
+    """The policy is in force from now on, and earlier ones stay on record. Only an admin may let
+    promotions take fewer people than before."""
 
     def act(tx: Transaction) -> tuple[PolicyRecord, bool]:
         return declare_policy(tx, plant, document, context, by_admin=Role.ADMIN in principal.roles)
@@ -63,20 +63,20 @@ def list_policies(
 ) -> Page[Policy]:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        found = tx.policies.page(plant, after, limit)
-    return page(Policy, found, limit, "sequence")
+        policies = tx.policies.page(plant, after, limit)
+    return page(Policy, policies, limit, "sequence")
 
 
 @router.get("/policy", summary="Get the policy that holds")
 def get_policy(parts: RequestParts, plant: PlantName) -> Policy:
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
-        found = tx.policies.in_force(plant)
-    if found is None:
+        policy = tx.policies.in_force(plant)
+    if policy is None:
         raise NotFound(
             f"plant {plant!r} has no policy",
             noun="policy",
             name=plant,
             hint="Declare one; until then every step is a person's.",
         )
-    return Policy.model_validate(found)
+    return Policy.model_validate(policy)

@@ -1,4 +1,4 @@
-"""Serving: which version answers for a plant, its history, promotion and rollback."""
+"""Routes of serving: which version serves a plant, its history, promotion and rollback."""
 
 from __future__ import annotations
 
@@ -45,23 +45,22 @@ AtTime = Annotated[
     openapi_extra={"parameters": [PLANT, *ASKED]},
 )
 async def now(request: Request) -> Response:
-    """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` it answers at
-    the next move, or 304."""
+    """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` the response
+    comes at the next move, or is 304."""
     return await polled(request, request.path_params["plant"])
 
 
 @router.get("/envelope", summary="What is serving now, signed for a robot")
 def envelope(request: Request, parts: RequestParts, plant: PlantName) -> Envelope:
-    """A DSSE envelope: artifact, generation (which only grows), decision, expiry, the artifact that
-    served before as the fallback, and the log's checkpoint, so that every robot is a witness of the
-    log.
-    """
+    """A DSSE envelope with artifact, generation (which only grows), decision, expiry, the artifact
+    that served before as the fallback, and the log's checkpoint, which makes every robot a witness
+    of the log."""
     with reading(parts.database) as tx:
         move = find.serving(tx, plant)
         back = None if move.back_to is None else tx.serving.at_generation(plant, move.back_to)
     log: SignedLog = request.app.state.log
     issued = datetime.now(UTC)
-    told: dict[str, Json] = {
+    statement: dict[str, Json] = {
         "schema": ENVELOPE_SCHEMA,
         "plant": plant,
         "artifact": move.artifact,
@@ -73,7 +72,7 @@ def envelope(request: Request, parts: RequestParts, plant: PlantName) -> Envelop
         "expires_at": time_text(issued + timedelta(seconds=parts.settings.serving_lease_s)),
         "checkpoint": log.checkpoint(),
     }
-    return Envelope(**log.envelope(ENVELOPE_TYPE, told))
+    return Envelope(**log.envelope(ENVELOPE_TYPE, statement))
 
 
 @router.get("/history", summary="What served when")
@@ -84,16 +83,16 @@ def history(
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="generation")] = 0,
     limit: Limit = 100,
 ) -> Page[Serving]:
-    """Every position of the pointer in order, or with `at` the one that was live at that time."""
+    """Every position of the pointer in order, or with `at` the one at that time."""
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
         if at is not None:
             live = tx.serving.at_time(plant, _padded(at))
             return Page(items=[Serving(**position_document(live))] if live else [])
-        found = tx.serving.history(plant, after, limit)
+        moves = tx.serving.history(plant, after, limit)
     return Page(
-        items=[Serving(**position_document(m)) for m in found],
-        next=str(found[-1].generation) if len(found) == limit else None,
+        items=[Serving(**position_document(m)) for m in moves],
+        next=str(moves[-1].generation) if len(moves) == limit else None,
     )
 
 
@@ -111,8 +110,8 @@ async def promote(
     wanted: Promotion,
     key: IdempotencyKey = None,
 ) -> Serving:
-    """Compare and swap: 409 if the pointer is elsewhere, the decision was judged at another one, or
-    others must approve."""
+    """Compare and swap: 409 if the pointer is at another generation, the decision was judged at
+    another one, or approvals are missing."""
     moved = await run_in_threadpool(
         promotion.promote,
         parts,
@@ -135,8 +134,8 @@ async def rollback(
     wanted: Rollback,
     key: IdempotencyKey = None,
 ) -> Serving:
-    """Only after the switchback test: the artifact loads, its digests hold, it answers its recorded
-    probe, it fits the plant."""
+    """The pointer moves after the switchback test: the artifact loads, its digests hold, it answers
+    its recorded probe, and it fits the plant."""
     moved = await run_in_threadpool(
         promotion.roll_back, parts, context, plant, wanted.expected_generation, key
     )

@@ -1,4 +1,4 @@
-"""Telemetry: live batches of samples, each an episode that is watched and nothing else."""
+"""The route of telemetry: live batches of samples, each an episode that is only watched."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trueup_service.http.dependencies import (
     inspector_of,
 )
 from trueup_service.http.guard import guarded
-from trueup_service.http.openapi import there
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.episodes import Episode
 from trueup_service.http.uploads import ingest_response, received
 from trueup_service.inspection import mcap_path
@@ -57,7 +57,7 @@ BATCH = {
     status_code=201,
     response_model=Episode,
     summary="Send a batch of samples",
-    responses=there(Episode),
+    responses=already_exists(Episode),
     openapi_extra=BATCH,
 )
 async def send(
@@ -67,8 +67,8 @@ async def send(
     plant: PlantName,
     key: IdempotencyKey = None,
 ) -> Response:
-    """The batch becomes an episode of the role telemetry, or reference: durable once answered, and
-    shown to the plant's monitor.
+    """The batch becomes an episode of the role telemetry or reference. It is durable once answered,
+    and shown to the plant's monitor.
 
     Residuals begin anew with each batch, so a batch should be several horizons long. The same batch
     again is the same episode.

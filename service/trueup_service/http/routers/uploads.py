@@ -1,5 +1,5 @@
-"""Uploads in parts, for long recordings over lines that break: ask how far it came, go on from
-there, finish."""
+"""Routes of uploads in parts, for long recordings over unreliable connections: ask for the offset,
+go on from there, finish."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from trueup_service.http.dependencies import (
     inspector_of,
 )
 from trueup_service.http.guard import guarded
-from trueup_service.http.openapi import there
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.episodes import Episode, Upload
 from trueup_service.http.uploads import ingest_response
 from trueup_service.inspection import PlantContext
@@ -38,7 +38,7 @@ PART = {
         "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-SILENCE_S = 60.0  # of a line that neither sends nor breaks
+SILENCE_S = 60.0  # after which a connection that neither sends nor breaks is given up [s]
 Offset = Annotated[
     int,
     Header(
@@ -51,7 +51,7 @@ Offset = Annotated[
 
 @router.get("", summary="How far an upload came")
 def offset(parts: RequestParts, plant: PlantName, digest: Digest) -> Upload:
-    """Zero where nothing came yet, at this server."""
+    """Zero where this server has no part of the upload."""
     return Upload(
         digest=digest, offset_bytes=PartialUploads(parts.settings.data_dir).offset(plant, digest)
     )
@@ -61,9 +61,9 @@ def offset(parts: RequestParts, plant: PlantName, digest: Digest) -> Upload:
 async def append(
     request: Request, parts: RequestParts, plant: PlantName, digest: Digest, at: Offset
 ) -> Upload:
-    """What is answered is durable. Where the connection breaks, what came is kept; 409 says where
-    to go on."""
-    await run_in_threadpool(plant_context, parts, plant)  # raises NotFound
+    """What is answered is durable. Where the connection breaks, the received bytes are kept. 409
+    tells the offset at which to go on."""
+    await run_in_threadpool(plant_context, parts, plant)  # raises NotFound for an unknown plant
     uploads = PartialUploads(parts.settings.data_dir)
     quota = Quota(parts.settings.uploads_under_way, parts.settings.uploads_under_way_bytes)
     here = await uploads.append(
@@ -73,7 +73,7 @@ async def append(
 
 
 async def _until_it_breaks(request: Request) -> AsyncIterator[bytes]:
-    """The body, until the connection breaks or falls silent."""
+    """Yields the body, until the connection breaks or falls silent."""
     parts = request.stream()
     while True:
         try:
@@ -88,7 +88,7 @@ async def _until_it_breaks(request: Request) -> AsyncIterator[bytes]:
     status_code=201,
     response_model=Episode,
     summary="Make an upload an episode",
-    responses=there(Episode),
+    responses=already_exists(Episode),
 )
 async def finish(
     request: Request,
@@ -98,10 +98,9 @@ async def finish(
     digest: Digest,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Its bytes must have the digest; then it is as if it had come at once. What is no episode, or
-    other bytes, is dropped; where the service itself fails, the upload stays, and can be finished
-    again.
-    """
+    """The bytes must have the digest of the path; then it is as if they had come at once. What is
+    not an episode, or has another digest, is dropped. Where the service itself fails, the upload
+    stays and can be finished again."""
     uploads = PartialUploads(parts.settings.data_dir)
     against = await run_in_threadpool(plant_context, parts, plant)
     try:
@@ -133,10 +132,10 @@ async def _finished(
     uploads = PartialUploads(parts.settings.data_dir)
     path = uploads.path(plant, digest)
     try:
-        found = await run_in_threadpool(digest_of_file, path)
-        if found != digest:
+        received = await run_in_threadpool(digest_of_file, path)
+        if received != digest:
             raise DigestMismatch(
-                "the parts together are not what the path names", expected=digest, found=found
+                "the parts together are not what the path names", expected=digest, found=received
             )
         inspected = await inspector_of(request).inspect(path, against)
     except (DigestMismatch, BadEpisode):
