@@ -124,8 +124,7 @@ def _entries(tx: ReadTransaction, plant: str | None, size: int) -> Iterator[dict
         for entry in entries:
             plan = [] if plant is None else inclusion(entry.sequence - 1, size)
             yield entry_line(
-                entry,
-                prove(plan, tx.log.nodes([n for part in plan for n in part])) if plan else (),
+                entry, prove(plan, tx.log.nodes([n for part in plan for n in part])) if plan else ()
             )
         after = entries[-1].sequence
 

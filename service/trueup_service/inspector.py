@@ -186,7 +186,7 @@ def _in_child(handle: int) -> NoReturn:
         code = 0
     except BrokenPipeError:
         code = 0  # the caller is gone
-    except Exception:  # noqa: BLE001  (told, and the process ends)
+    except Exception:  # noqa: BLE001  (it is reported, and the process ends)
         sys.excepthook(*sys.exc_info())
     finally:
         os._exit(code)

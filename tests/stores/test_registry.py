@@ -23,8 +23,8 @@ from trueup_service.actor_context import ActorContext
 from trueup_service.errors import Conflict, KeyReused, NotWhole
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import ArtifactRecord, JobRecord, JobState
+from trueup_service.registry.repository import Repository
 from trueup_service.registry.schema import current, migrate
-from trueup_service.registry.session import Repository
 from trueup_service.registry.transaction import ReadTransaction, Transaction
 
 CONTEXT = ActorContext("tester", "2026-01-01T00:00:00.000000Z")

@@ -57,11 +57,7 @@ def promote_decision(
         actor=context.actor,
     )
     return _move(
-        tx,
-        now,
-        move,
-        context,
-        {"gate": made.gate, "rehearsed": rehearsed, **approved, **rejected},
+        tx, now, move, context, {"gate": made.gate, "rehearsed": rehearsed, **approved, **rejected}
     )
 
 

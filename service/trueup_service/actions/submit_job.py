@@ -39,11 +39,7 @@ def submit_fit(
             "there is no adaptation episode to fit",
             hint="Upload one whose metadata says role = adaptation.",
         )
-    frozen = {
-        **request,
-        "episodes": _digests(episodes),
-        "parent": find.serving(tx, plant).artifact,
-    }
+    frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(tx, plant).artifact}
     return _submit(tx, queue, job, plant, "fit", frozen, context)
 
 
@@ -146,11 +142,7 @@ def _submit_on_both(
             f"there is no {role} episode to start from",
             hint=f"Upload one whose metadata says role = {role}.",
         )
-    frozen = {
-        **request,
-        "episodes": _digests(episodes),
-        "parent": find.serving(tx, plant).artifact,
-    }
+    frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(tx, plant).artifact}
     return _submit(tx, queue, job, plant, kind, frozen, context)
 
 

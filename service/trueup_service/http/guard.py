@@ -31,7 +31,7 @@ class Guarded(APIRoute):
             rule = ACCESS.get((scope["method"], self.path), NOBODY)
             if not rule.public:
                 request = Request(scope)
-                principal = scope["principal"] = await _recognised(request)
+                principal = scope["principal"] = await _authenticate(request)
                 _require(principal, rule)
                 await _require_plant(request, principal)
         await super().handle(scope, receive, send)
@@ -42,7 +42,7 @@ def guarded(prefix: str, tags: list[str]) -> APIRouter:
     return APIRouter(prefix=prefix, tags=list(tags), route_class=Guarded)
 
 
-async def _recognised(request: Request) -> Principal:
+async def _authenticate(request: Request) -> Principal:
     authenticator: Authenticator = request.app.state.authenticator
     kind, _, token = request.headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer":

@@ -6,7 +6,7 @@ from sqlalchemy import bindparam, func, select
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import ArtifactRecord
-from trueup_service.registry.session import Repository
+from trueup_service.registry.repository import Repository
 
 _OF_PLANT = t.artifacts.c.plant == bindparam("plant")
 _ARTIFACT = select(t.artifacts).where(_OF_PLANT, t.artifacts.c.digest == bindparam("digest"))

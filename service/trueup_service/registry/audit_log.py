@@ -15,7 +15,7 @@ from trueup.ledger.merkle import Frontier, Node, leaf_hash, node_of, number_of
 from trueup_service.actor_context import ActorContext
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import AuditKey
-from trueup_service.registry.session import Session, values_of
+from trueup_service.registry.repository import TableGateway, values_of
 
 ESCAPE = "\\"
 
@@ -32,9 +32,9 @@ _NODES = select(t.audit_tree).where(t.audit_tree.c.node.in_(bindparam("nodes", e
 class AuditLog:
     """Entries in order, and the Merkle tree whose leaves they are."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._connection = session.connection
+    def __init__(self, gateway: TableGateway) -> None:
+        self._gateway = gateway
+        self._connection = gateway.connection
 
     def append(
         self,
@@ -59,7 +59,7 @@ class AuditLog:
             plant=plant,
             subject=subject,
             facts=facts,
-            rows=self._session.take_notes(),
+            rows=self._gateway.take_notes(),
         )
         tree = self._add_leaf(Frontier.from_bytes(head.size, head.frontier), entry)
         self._move_head(tree)
@@ -75,9 +75,9 @@ class AuditLog:
     def _add_leaf(self, tree: Frontier, entry: AuditEntry) -> Frontier:
         """Add an entry and the nodes of the tree that it completes. Returns the tree with it."""
         grown, completed = tree.append(leaf_hash(entry_bytes(entry)))
-        self._session.add(t.audit, values_of(entry))
+        self._gateway.add(t.audit, values_of(entry))
         nodes = [{"node": number_of(node), "hash": digest} for node, digest in completed.items()]
-        self._session.insert(t.audit_tree, nodes)
+        self._gateway.insert(t.audit_tree, nodes)
         return grown
 
     def _move_head(self, tree: Frontier) -> None:
@@ -134,7 +134,7 @@ class AuditLog:
             )
             .group_by(t.audit.c.subject)
         )
-        rows = self._session.in_parts(query, "subjects", subjects)
+        rows = self._gateway.in_parts(query, "subjects", subjects)
         return {str(subject): int(sequence) for subject, sequence in rows}
 
     def count_beyond_end(self) -> int:
@@ -163,10 +163,10 @@ class AuditLog:
 
     def add_key(self, key: AuditKey) -> None:
         """Add the public key that signs the log from now on."""
-        self._session.add(t.audit_key, {"id": 1 + len(self.signing_keys()), **values_of(key)})
+        self._gateway.add(t.audit_key, {"id": 1 + len(self.signing_keys()), **values_of(key)})
 
     def _all(self, query: Select[Any]) -> list[AuditEntry]:
-        return self._session.all(AuditEntry, t.audit, query)
+        return self._gateway.all(AuditEntry, t.audit, query)
 
 
 def _of(query: Select[Any], plant: str | None, project: str | None) -> Select[Any]:

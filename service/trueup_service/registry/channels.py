@@ -8,7 +8,7 @@ from sqlalchemy import func, select, tuple_
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import ChannelMove, ChannelRecord, EvidenceRecord
-from trueup_service.registry.session import Repository
+from trueup_service.registry.repository import Repository
 
 
 class Channels(Repository[ChannelRecord]):

@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, bindparam, func, select
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import Approval, DecisionRecord
-from trueup_service.registry.session import Repository
+from trueup_service.registry.repository import Repository
 
 _DECISION = select(t.decisions).where(t.decisions.c.digest == bindparam("digest"))
 
@@ -63,7 +63,7 @@ class Decisions(Repository[DecisionRecord]):
             t.decisions.c.plant == plant, t.decisions.c.candidate.in_(candidates), condition
         )
         decisions = self._all(on_candidates)
-        decisions += map(self._record, self._session.in_parts(on_episodes, "digests", episodes))
+        decisions += map(self._record, self._gateway.in_parts(on_episodes, "digests", episodes))
         by_digest = {decision.digest: decision for decision in decisions}
         return sorted(by_digest.values(), key=lambda d: (d.created_at, d.digest))
 

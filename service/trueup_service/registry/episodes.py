@@ -10,7 +10,7 @@ from sqlalchemy import Select, func, select
 from trueup.episode.role import HELD_OUT
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import EpisodeRecord, Watching
-from trueup_service.registry.session import Repository
+from trueup_service.registry.repository import Repository
 
 
 class Episodes(Repository[EpisodeRecord]):
@@ -39,8 +39,8 @@ class Episodes(Repository[EpisodeRecord]):
     ) -> list[EpisodeRecord]:
         """Every episode of some roles in the order of their start.
 
-        Only those whose recording starts at `since_ns` or later, where that is given, and that came
-        in after the time `ingested_after`.
+        Only those that came in after the time `ingested_after`, and unless `since_ns` is None only
+        those whose recording starts at that time or later [ns].
         """
         query = select(t.episodes).where(
             t.episodes.c.plant == plant,

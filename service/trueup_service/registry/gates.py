@@ -7,7 +7,7 @@ from sqlalchemy import func, select
 from trueup_service.registry import tables as t
 from trueup_service.registry.audit_log import AuditLog
 from trueup_service.registry.records import GateRecord, PolicyRecord
-from trueup_service.registry.session import Repository, Session
+from trueup_service.registry.repository import Repository, TableGateway
 
 
 class Gates(Repository[GateRecord]):
@@ -15,8 +15,8 @@ class Gates(Repository[GateRecord]):
 
     table, record = t.gates, GateRecord
 
-    def __init__(self, session: Session, log: AuditLog) -> None:
-        super().__init__(session)
+    def __init__(self, gateway: TableGateway, log: AuditLog) -> None:
+        super().__init__(gateway)
         self._log = log
 
     def get(self, plant: str, digest: str) -> GateRecord | None:

@@ -10,7 +10,7 @@ from sqlalchemy import bindparam, delete, func, select
 
 from trueup.canonical import Json
 from trueup_service.registry import tables as t
-from trueup_service.registry.session import Session
+from trueup_service.registry.repository import TableGateway
 
 KeptResponse = tuple[str, str, str]  # the scope, the key, and the time of the response
 _FORGET = delete(t.idempotency).where(
@@ -23,9 +23,9 @@ _FORGET = delete(t.idempotency).where(
 class Idempotency:
     """Responses by scope and key."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._connection = session.connection
+    def __init__(self, gateway: TableGateway) -> None:
+        self._gateway = gateway
+        self._connection = gateway.connection
 
     def response(self, scope: str, key: str) -> tuple[str, dict[str, Json]] | None:
         """The digest of the request that a key was used for, and the response to it."""
@@ -40,7 +40,7 @@ class Idempotency:
         self, scope: str, key: str, request_digest: str, response: dict[str, Json], now: str
     ) -> None:
         """Keep the response to a request under its idempotency key."""
-        self._session.add(
+        self._gateway.add(
             t.idempotency,
             {
                 "scope": scope,

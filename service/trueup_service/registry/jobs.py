@@ -10,15 +10,9 @@ from sqlalchemy import bindparam, func, select, update
 from trueup.canonical import Json
 from trueup_service.registry import tables as t
 from trueup_service.registry.episodes import equal_samples
-from trueup_service.registry.records import (
-    FINAL,
-    NOTHING_CAME,
-    JobRecord,
-    JobState,
-    OutputRecord,
-)
+from trueup_service.registry.records import FINAL, NOTHING_CAME, JobRecord, JobState, OutputRecord
+from trueup_service.registry.repository import Repository
 from trueup_service.registry.row_format import document_text
-from trueup_service.registry.session import Repository
 
 SEARCHED_JOBS = 200  # of one kind, the newest
 
@@ -107,9 +101,9 @@ class Jobs(Repository[JobRecord]):
         values = {name: value for name, value in changes.items() if value is not None}
         this_job = t.jobs.c.id == job
         leaves = t.jobs.c.state.not_in(FINAL) if only_from is None else t.jobs.c.state == only_from
-        changed = self._session.update(update(t.jobs), this_job, leaves, **values, updated_at=now)
+        changed = self._gateway.update(update(t.jobs), this_job, leaves, **values, updated_at=now)
         if state in FINAL and changed:
-            self._session.note_changed(t.jobs, this_job)
+            self._gateway.note_changed(t.jobs, this_job)
         return changed
 
     def reads(self, job: str) -> dict[str, str]:
@@ -127,7 +121,7 @@ class Jobs(Repository[JobRecord]):
         for digest in digests:
             if digest not in known:
                 row = {"job": job, "digest": digest, "purpose": purpose}
-                self._session.add(t.job_reads, row)
+                self._gateway.add(t.job_reads, row)
 
     def reading(self, digests: Sequence[str], purpose: str) -> list[JobRecord]:
         """Every job that read any of these bytes for a purpose, in the order of submission."""
@@ -138,7 +132,7 @@ class Jobs(Repository[JobRecord]):
         query = (
             select(t.jobs).where(t.jobs.c.id.in_(reads)).order_by(t.jobs.c.created_at, t.jobs.c.id)
         )
-        jobs = map(self._record, self._session.in_parts(query, "digests", digests))
+        jobs = map(self._record, self._gateway.in_parts(query, "digests", digests))
         return list({job.id: job for job in jobs}.values())
 
     def count_uses(self, digest: str, purpose: str) -> int:

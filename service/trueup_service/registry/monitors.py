@@ -9,8 +9,8 @@ from sqlalchemy import func, select, update
 from trueup.canonical import Json
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import AlarmRecord, MonitorRecord, Watch, Watching
+from trueup_service.registry.repository import Repository, values_of
 from trueup_service.registry.row_format import document_text
-from trueup_service.registry.session import Repository, values_of
 
 
 class Monitors(Repository[MonitorRecord]):
@@ -38,7 +38,7 @@ class Watches(Repository[Watch]):
     def current(self, plant: str) -> Watching | None:
         """Which monitor watches a plant, and how far it has come."""
         query = select(t.watching).where(t.watching.c.plant == plant)
-        return self._session.one(Watching, t.watching, query, {})
+        return self._gateway.one(Watching, t.watching, query, {})
 
     def page(self, plant: str, monitor: str, after: int, limit: int) -> list[Watch]:
         """What a monitor saw, episode by episode, from behind a sequence number."""
@@ -56,7 +56,7 @@ class Watches(Repository[Watch]):
     def begin(self, watching: Watching) -> None:
         """Let a monitor watch its plant from now on, in the place of any other."""
         of_plant = t.watching.c.plant == watching.plant
-        replaced = self._session.update(
+        replaced = self._gateway.update(
             update(t.watching),
             of_plant,
             monitor=watching.monitor,
@@ -65,8 +65,8 @@ class Watches(Repository[Watch]):
             kept=document_text(watching.kept),
         )
         if not replaced:
-            self._session.add(t.watching, values_of(watching))
-        self._session.note_changed(t.watching, of_plant)
+            self._gateway.add(t.watching, values_of(watching))
+        self._gateway.note_changed(t.watching, of_plant)
 
     def advance(self, before: Watching, kept: dict[str, Json], seen: Sequence[Watch]) -> bool:
         """Move a monitor on over what it has seen.
@@ -74,7 +74,7 @@ class Watches(Repository[Watch]):
         Returns False, and changes nothing, where the monitor does not stand where it stood before.
         """
         of_plant = t.watching.c.plant == before.plant
-        advanced = self._session.update(
+        advanced = self._gateway.update(
             update(t.watching),
             of_plant,
             t.watching.c.monitor == before.monitor,
@@ -84,7 +84,7 @@ class Watches(Repository[Watch]):
         )
         if not advanced:
             return False
-        self._session.note_changed(t.watching, of_plant)
+        self._gateway.note_changed(t.watching, of_plant)
         for watch in seen:
             self.add(watch)
         return True
@@ -114,7 +114,7 @@ class Alarms(Repository[AlarmRecord]):
         closed."""
         this_alarm = t.alarms.c.id == alarm
         is_open = t.alarms.c.closed_at.is_(None)
-        updated = self._session.update(update(t.alarms), this_alarm, is_open, **values)
+        updated = self._gateway.update(update(t.alarms), this_alarm, is_open, **values)
         if updated:
-            self._session.note_changed(t.alarms, this_alarm)
+            self._gateway.note_changed(t.alarms, this_alarm)
         return updated

@@ -6,7 +6,7 @@ from sqlalchemy import bindparam, select
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import PlantRecord, ProjectRecord
-from trueup_service.registry.session import Repository
+from trueup_service.registry.repository import Repository
 
 _PLANT = select(t.plants).where(t.plants.c.name == bindparam("plant"))
 _DIGEST = select(t.plants.c.digest).where(t.plants.c.name == bindparam("plant"))

@@ -7,7 +7,7 @@ from sqlalchemy import bindparam, select, update
 from trueup.errors import PointerMoved
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import Move
-from trueup_service.registry.session import Repository
+from trueup_service.registry.repository import Repository
 
 _NOW = (
     select(t.moves)
@@ -53,12 +53,12 @@ class Serving(Repository[Move]):
     def begin(self, move: Move) -> None:
         """Add the first position of a plant's pointer."""
         self.add(move)
-        self._session.add(t.serving, {"plant": move.plant, "generation": move.generation})
+        self._gateway.add(t.serving, {"plant": move.plant, "generation": move.generation})
 
     def move(self, move: Move) -> None:
         """Compare and swap: move the pointer if it stands one generation before. Raises
         PointerMoved."""
-        swapped = self._session.update(
+        swapped = self._gateway.update(
             update(t.serving),
             t.serving.c.plant == move.plant,
             t.serving.c.generation == move.generation - 1,
@@ -68,5 +68,5 @@ class Serving(Repository[Move]):
             raise PointerMoved(
                 f"another move took generation {move.generation}", expected=move.generation - 1
             )
-        self._session.note(t.serving, {"plant": move.plant, "generation": move.generation})
+        self._gateway.note(t.serving, {"plant": move.plant, "generation": move.generation})
         self.add(move)

@@ -10,8 +10,8 @@ from sqlalchemy import Table, literal, select, tuple_
 from trueup.canonical import Json
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import ImportRecord
+from trueup_service.registry.repository import Repository, TableGateway
 from trueup_service.registry.row_format import json_from_row, row_from_json
-from trueup_service.registry.session import Repository, Session
 
 NAMING_BLOBS = (t.episodes.c.digest, t.artifacts.c.arrays, t.imports.c.entries, t.outputs.c.digest)
 
@@ -25,9 +25,9 @@ class Imports(Repository[ImportRecord]):
 class StoredRows:
     """Rows of every table as JSON."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._connection = session.connection
+    def __init__(self, gateway: TableGateway) -> None:
+        self._gateway = gateway
+        self._connection = gateway.connection
 
     def page(
         self, table: Table, after: Sequence[Any], limit: int, plant: str | None = None
@@ -52,8 +52,8 @@ class StoredRows:
 
     def import_row(self, table: Table, document: Mapping[str, Any]) -> None:
         """Add a row that another registry stored, which the next entry of the log names."""
-        self._session.add_json(table, document)
+        self._gateway.add_json(table, document)
 
     def restore_row(self, table: Table, document: Mapping[str, Any]) -> None:
         """Put a row back that the restored log names already."""
-        self._session.insert(table, row_from_json(table, document))
+        self._gateway.insert(table, row_from_json(table, document))

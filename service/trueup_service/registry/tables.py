@@ -57,12 +57,7 @@ def _document(name: str, *, nullable: bool = False) -> Column[str]:
     return Column(name, Text, nullable=nullable, info={DOCUMENT: True})
 
 
-projects = Table(
-    "projects",
-    metadata,
-    Column("name", NAME, primary_key=True),
-    *_created(),
-)
+projects = Table("projects", metadata, Column("name", NAME, primary_key=True), *_created())
 
 tokens = Table(
     "tokens",
@@ -194,10 +189,7 @@ decisions = Table(
 )
 
 serving = Table(
-    "serving",
-    metadata,
-    _plant(primary_key=True),
-    Column("generation", Integer, nullable=False),
+    "serving", metadata, _plant(primary_key=True), Column("generation", Integer, nullable=False)
 )
 
 moves = Table(

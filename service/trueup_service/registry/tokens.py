@@ -6,7 +6,7 @@ from sqlalchemy import delete, select, update
 
 from trueup_service.registry import tables as t
 from trueup_service.registry.records import TokenRecord
-from trueup_service.registry.session import Repository, Session
+from trueup_service.registry.repository import Repository, TableGateway
 
 
 class Tokens(Repository[TokenRecord]):
@@ -25,7 +25,7 @@ class Tokens(Repository[TokenRecord]):
     def revoke(self, prefix: str, now: str, actor: str) -> bool:
         """Revoke a token. Returns False where it is revoked already."""
         of_prefix = t.tokens.c.prefix == prefix
-        revoked = self._session.update(
+        revoked = self._gateway.update(
             update(t.tokens),
             of_prefix,
             t.tokens.c.revoked_at.is_(None),
@@ -33,15 +33,15 @@ class Tokens(Repository[TokenRecord]):
             revoked_by=actor,
         )
         if revoked:
-            self._session.note_changed(t.tokens, of_prefix)
+            self._gateway.note_changed(t.tokens, of_prefix)
         return revoked
 
 
 class Sessions:
     """Sessions of browsers by the digest of their secret. The log does not name them."""
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
+    def __init__(self, gateway: TableGateway) -> None:
+        self._gateway = gateway
 
     def token(self, digest: str, now: str) -> str | None:
         """The prefix of the token that a session was begun with, None where the session has
@@ -49,15 +49,15 @@ class Sessions:
         query = select(t.sessions.c.token).where(
             t.sessions.c.digest == digest, t.sessions.c.expires_at > now
         )
-        prefix: str | None = self._session.connection.scalar(query)
+        prefix: str | None = self._gateway.connection.scalar(query)
         return prefix
 
     def begin(self, digest: str, token: str, now: str, expires_at: str) -> None:
         """Begin a session, and delete those that have ended."""
-        self._session.connection.execute(delete(t.sessions).where(t.sessions.c.expires_at <= now))
+        self._gateway.connection.execute(delete(t.sessions).where(t.sessions.c.expires_at <= now))
         row = {"digest": digest, "token": token, "created_at": now, "expires_at": expires_at}
-        self._session.add(t.sessions, row)
+        self._gateway.add(t.sessions, row)
 
     def end(self, digest: str) -> None:
         """End a session."""
-        self._session.connection.execute(delete(t.sessions).where(t.sessions.c.digest == digest))
+        self._gateway.connection.execute(delete(t.sessions).where(t.sessions.c.digest == digest))

@@ -25,8 +25,8 @@ from trueup_service.registry.idempotency import Idempotency
 from trueup_service.registry.jobs import Jobs, Outputs
 from trueup_service.registry.monitors import Alarms, Monitors, Watches
 from trueup_service.registry.plants import Plants, Projects
+from trueup_service.registry.repository import TableGateway
 from trueup_service.registry.serving import Serving
-from trueup_service.registry.session import Session
 from trueup_service.registry.stored_rows import Imports, StoredRows
 from trueup_service.registry.tokens import Sessions, Tokens
 
@@ -40,22 +40,22 @@ class ReadTransaction:
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
-        self._session = session = Session(connection, writable=self.writable)
-        self.log = AuditLog(session)
-        self.plants, self.projects = Plants(session), Projects(session)
-        self.tokens, self.sessions = Tokens(session), Sessions(session)
-        self.episodes = Episodes(session)
-        self.artifacts = Artifacts(session)
-        self.gates, self.policies = Gates(session, self.log), Policies(session)
-        self.decisions, self.approvals = Decisions(session), Approvals(session)
-        self.serving = Serving(session)
-        self.channels, self.channel_moves = Channels(session), ChannelMoves(session)
-        self.evidence = EvidenceOfArtifacts(session)
-        self.jobs, self.outputs = Jobs(session), Outputs(session)
-        self.monitors, self.watches = Monitors(session), Watches(session)
-        self.alarms = Alarms(session)
-        self.idempotency = Idempotency(session)
-        self.imports, self.rows = Imports(session), StoredRows(session)
+        self._gateway = gateway = TableGateway(connection, writable=self.writable)
+        self.log = AuditLog(gateway)
+        self.plants, self.projects = Plants(gateway), Projects(gateway)
+        self.tokens, self.sessions = Tokens(gateway), Sessions(gateway)
+        self.episodes = Episodes(gateway)
+        self.artifacts = Artifacts(gateway)
+        self.gates, self.policies = Gates(gateway, self.log), Policies(gateway)
+        self.decisions, self.approvals = Decisions(gateway), Approvals(gateway)
+        self.serving = Serving(gateway)
+        self.channels, self.channel_moves = Channels(gateway), ChannelMoves(gateway)
+        self.evidence = EvidenceOfArtifacts(gateway)
+        self.jobs, self.outputs = Jobs(gateway), Outputs(gateway)
+        self.monitors, self.watches = Monitors(gateway), Watches(gateway)
+        self.alarms = Alarms(gateway)
+        self.idempotency = Idempotency(gateway)
+        self.imports, self.rows = Imports(gateway), StoredRows(gateway)
 
 
 class Transaction(ReadTransaction):
@@ -75,8 +75,8 @@ class Transaction(ReadTransaction):
 
     def require_logged(self) -> None:
         """Raises BrokenChain where a row was written that no entry of the log names."""
-        if self._session.unlogged:
-            raise BrokenChain(f"no entry of the log tells of {', '.join(self._session.unlogged)}")
+        if self._gateway.unlogged:
+            raise BrokenChain(f"no entry of the log tells of {', '.join(self._gateway.unlogged)}")
 
 
 @contextmanager

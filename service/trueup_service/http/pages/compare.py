@@ -70,10 +70,7 @@ def _begin(
 ) -> tuple[int, int]:
     parts.queue.prepare()
     with writing(parts.database) as tx:
-        both = (
-            find.artifact(tx, plant, first).version,
-            find.artifact(tx, plant, second).version,
-        )
+        both = (find.artifact(tx, plant, first).version, find.artifact(tx, plant, second).version)
         SUBMIT["compare"](
             tx, parts.queue, uuid.uuid4().hex, plant, {"first": first, "second": second}, context
         )

@@ -35,7 +35,7 @@ def ready(request: Request, parts: RequestParts, response: Response) -> Readines
         "spool": _spool(parts),
         "log": _log(request),
     }
-    is_ready = all(found == "ok" for found in checks.values())
+    is_ready = all(result == "ok" for result in checks.values())
     response.status_code = 200 if is_ready else 503
     return Readiness(ready=is_ready, checks=checks)
 

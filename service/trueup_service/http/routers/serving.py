@@ -113,13 +113,7 @@ async def promote(
     """Compare and swap: 409 if the pointer is at another generation, the decision was judged at
     another one, or approvals are missing."""
     moved = await run_in_threadpool(
-        promotion.promote,
-        parts,
-        context,
-        plant,
-        wanted.decision,
-        wanted.expected_generation,
-        key,
+        promotion.promote, parts, context, plant, wanted.decision, wanted.expected_generation, key
     )
     request.app.state.answers.wake()
     return Serving(**moved)

@@ -1,4 +1,4 @@
-"""The one door to the tables: reads rows as records, adds rows, and keeps what the log must name.
+"""What repositories are built on: the gateway to the tables, and one table's rows as records.
 
 Every row that is written is noted by name and digest until the next entry of the log takes the
 notes. A job is noted only once it is final, since its progress is not history.
@@ -29,9 +29,9 @@ IN_CLAUSE = 500  # values that one statement names
 _INSERT = {name: insert(table) for name, table in t.metadata.tables.items()}
 
 
-class Session:
-    """A connection inside a transaction, and the rows written on it that no entry of the log names
-    yet."""
+class TableGateway:
+    """Reads and writes the rows of any table inside one transaction, and notes the written rows
+    that no entry of the log names yet."""
 
     def __init__(self, connection: Connection, *, writable: bool) -> None:
         self.connection = connection
@@ -106,19 +106,19 @@ class Repository(Generic[R]):
     table: Table
     record: type[R]
 
-    def __init__(self, session: Session) -> None:
-        self._session = session
-        self._connection = session.connection
+    def __init__(self, gateway: TableGateway) -> None:
+        self._gateway = gateway
+        self._connection = gateway.connection
 
     def add(self, record: R) -> None:
         """Add a record as a row, which the next entry of the log names."""
-        self._session.add(self.table, values_of(record))
+        self._gateway.add(self.table, values_of(record))
 
     def _one(self, query: Select[Any], **values: Any) -> R | None:
-        return self._session.one(self.record, self.table, query, values)
+        return self._gateway.one(self.record, self.table, query, values)
 
     def _all(self, query: Select[Any]) -> list[R]:
-        return self._session.all(self.record, self.table, query)
+        return self._gateway.all(self.record, self.table, query)
 
     def _record(self, row: Any) -> R:
         return record_from_row(self.record, self.table, row._mapping)
