@@ -57,7 +57,7 @@ def test_it_is_read_from_a_copy_and_nothing_is_written(site, shared, monkeypatch
         (copy / "trueup.sqlite-shm").unlink(missing_ok=True)
     monkeypatch.setattr(wiring.os, "access", lambda path, mode: False)
     before = fingerprint(copy)
-    with wiring.reading(embedded(copy).settings()) as parts:
+    with wiring.build_to_read(embedded(copy).settings()) as parts:
         found = verify(Installation(parts.database, parts.blobs))
         assert (found.findings, published(parts), lost_jobs(parts)) == ([], [], [])
         assert found.size > 5
