@@ -53,12 +53,11 @@ def module(document):
 
 def record(name, schema):
     """One record."""
-    told = textwrap.fill(
-        " ".join((schema.get("description") or f"{name}, as the service keeps it.").split()), 130
-    )
-    told = told.replace("\n", "\n    ") + ("\n    " if "\n" in told else "")
+    description = schema.get("description") or f"{name}, as the service keeps it."
+    docstring = textwrap.fill(" ".join(description.split()), 90)
+    docstring = docstring.replace("\n", "\n    ") + ("\n    " if "\n" in docstring else "")
     fields = [f"    {key}: {kind(value)}" for key, value in schema["properties"].items()]
-    return f'\n\nclass {name}(TypedDict):\n    """{told}"""\n\n' + "\n".join(fields) + "\n"
+    return f'\n\nclass {name}(TypedDict):\n    """{docstring}"""\n\n' + "\n".join(fields) + "\n"
 
 
 def kind(schema):

@@ -54,7 +54,7 @@ def _parts() -> Iterator[Parts]:
 
 
 def _now() -> str:
-    from trueup_service.actions.stamp import time_text
+    from trueup_service.actor_context import time_text
 
     return time_text(datetime.now(UTC))
 
@@ -138,7 +138,7 @@ def import_(
     source
         what `trueup export` wrote
     """
-    from trueup_service.actions.stamp import Stamp
+    from trueup_service.actor_context import ActorContext
     from trueup_service.archives import import_plant
 
     with (
@@ -147,7 +147,9 @@ def import_(
         progress("importing") as bar,
     ):
         actor = os.environ.get("TRUEUP_ACTOR") or getpass.getuser()
-        plant = import_plant(parts, archive, project, Stamp(f"command for {actor}", _now()), bar)
+        plant = import_plant(
+            parts, archive, project, ActorContext(f"command for {actor}", _now()), bar
+        )
     log = archive.config["checkpoint"].splitlines()[0]
     as_json({"plant": plant, "from": log}) if as_json_ else say(
         "plant [bold]{}[/] is here, from {}", plant, log
@@ -222,11 +224,11 @@ def gc(
 ) -> None:
     """Remove bytes that no row names: what uploads left that never ended. What was registered is
     never removed."""
-    from trueup_service.leftovers import remove_leftovers
+    from trueup_service.garbage_collection import collect_garbage
 
     with _parts() as parts, progress("looking for what is left over") as bar:
-        removed: dict[str, Any] = remove_leftovers(
-            parts, older_than_h * 3600.0, dry_run=dry_run, told=bar
+        removed: dict[str, Any] = collect_garbage(
+            parts, older_than_h * 3600.0, dry_run=dry_run, progress=bar
         )
     if as_json_:
         as_json({**removed, "dry_run": dry_run})

@@ -16,13 +16,19 @@ def fsck(*, as_json_: Json = False) -> None:
     A data folder that cannot be written, such as a mounted snapshot, is read as it is.
     """
     from trueup.ledger.verification import verify
-    from trueup_service.kept import Kept, lost_jobs, published, signing, unnamed
+    from trueup_service.installation import (
+        Installation,
+        lost_jobs,
+        published,
+        signing,
+        unnamed_blobs,
+    )
     from trueup_service.registry.schema import altered
     from trueup_service.settings import Settings
-    from trueup_service.wiring import reading
+    from trueup_service.wiring import build_to_read
 
-    with reading(Settings()) as parts, progress("checking") as bar:
-        found = verify(Kept(parts.database, parts.blobs, signing(parts)), bar)
+    with build_to_read(Settings()) as parts, progress("checking") as bar:
+        found = verify(Installation(parts.database, parts.blobs, signing(parts)), bar)
         wrong = [
             (f.where, f.what)
             for f in [
@@ -32,7 +38,7 @@ def fsck(*, as_json_: Json = False) -> None:
                 *altered(parts.database),
             ]
         ]
-        left = unnamed(parts)
+        left = unnamed_blobs(parts)
     if as_json_:
         as_json(
             {

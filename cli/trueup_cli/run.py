@@ -34,9 +34,9 @@ def serve(
     port
         port to listen on; TRUEUP_PORT, else 8321
     """
+    from trueup_service.authentication import first_admin
     from trueup_service.http.serve import listen
     from trueup_service.http.serve import serve as run
-    from trueup_service.identity import first_admin
     from trueup_service.logs import configure_logs
     from trueup_service.settings import Settings
     from trueup_service.wiring import build

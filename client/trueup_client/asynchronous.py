@@ -1,5 +1,4 @@
-"""The client for an event loop: every method of `Client`, awaited, or iterated over with `async
-for`.
+"""The client for an event loop: the methods of `Client`, to be awaited or iterated over.
 
     async with AsyncClient("http://127.0.0.1:8321") as client:
         serving = await client.serving("emps")
@@ -50,8 +49,9 @@ from trueup_client.witness import Witness
 
 
 class AsyncClient:
-    """Talks to one service, with at most `at_once` requests on their way; arguments as `Client`
-    takes them.
+    """Talks to one service, with at most `at_once` requests on their way.
+
+    The other arguments are those of `Client`.
 
     `progress` and `confirmed` are called in the thread that asks. A call that is cancelled is
     broken off, and what it asked for may have been done: ask, or repeat it with its key. A watch
@@ -76,8 +76,7 @@ class AsyncClient:
         await self.close()
 
     async def close(self) -> None:
-        """Close every connection; whatever still asks, or waits for its turn, ends with
-        Unreachable."""
+        """Close every connection; what still asks or waits for its turn ends with Unreachable."""
         await self._pool.close()
 
     async def register_plant(self, document: Document, project: str | None = None) -> Plant:

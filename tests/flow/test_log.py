@@ -31,8 +31,8 @@ from trueup_client import Client, NotSigned, Problem, Rewritten, Robot, Witness
 from trueup_client.proof import Checkpoint, Key, includes, leaf_hash
 from trueup_service.archives import export
 from trueup_service.errors import LogRewound, OtherKey
-from trueup_service.kept import Kept, lost_jobs, published, signing, unnamed
-from trueup_service.registry.store import Reader
+from trueup_service.installation import Installation, lost_jobs, published, signing, unnamed_blobs
+from trueup_service.registry.transaction import ReadTransaction
 from trueup_service.settings import Settings
 from trueup_service.signed_log import open_log
 from trueup_service.wiring import build
@@ -344,7 +344,7 @@ def test_a_key_takes_over_only_from_the_one_that_signs_and_for_the_same_log(tmp_
         opened(first, second)  # what was taken out of use stays out
     assert opened(third, second) == third.verifier
     with parts.database.read() as connection:
-        keys = Reader(connection).audit_keys()
+        keys = ReadTransaction(connection).log.signing_keys()
     parts.close()
     notes = [key.endorsement for key in keys if key.endorsement]
     pinned = Key.from_text(first.verifier)
@@ -401,13 +401,15 @@ def kept(told):
 
 
 def found(parts):
-    return verify(Kept(parts.database, parts.blobs, signing(parts))).findings or published(parts)
+    return verify(Installation(parts.database, parts.blobs, signing(parts))).findings or published(
+        parts
+    )
 
 
 def test_what_was_not_touched_holds(kept, told):
     assert found(kept) == []
     assert lost_jobs(kept) == []
-    assert unnamed(kept) == []
+    assert unnamed_blobs(kept) == []
     assert "whole" in run_fsck(told).stdout
 
 
@@ -451,7 +453,7 @@ def test_every_cut_tail_is_found_however_well_it_is_cut(kept, tmp_path):
     """Entries, tree and head are cut alike, so that what is left is a sound log; only the published
     head shows it."""
     open_log(kept.settings, kept.database).publish()
-    entries = list(Kept(kept.database, kept.blobs).entries(0, 10**6))
+    entries = list(Installation(kept.database, kept.blobs).entries(0, 10**6))
     shutil.copytree(kept.settings.data_dir, tmp_path / "copy")
     copy = build(embedded(tmp_path / "copy").settings())
     for size in reversed(range(len(entries))):
@@ -459,7 +461,7 @@ def test_every_cut_tail_is_found_however_well_it_is_cut(kept, tmp_path):
         assert [f.where for f in published(copy)] == ["log"]
         assert not [
             f
-            for f in verify(Kept(copy.database, copy.blobs)).findings
+            for f in verify(Installation(copy.database, copy.blobs)).findings
             if f.where in ("log", "tree")
         ]
     copy.close()
@@ -576,7 +578,7 @@ def test_a_published_head_that_none_of_the_kept_keys_signed_is_found_without_the
             text("UPDATE audit_key SET verifier = :forged"), {"forged": FORGED.verifier}
         )
     try:
-        assert verify(Kept(kept.database, kept.blobs)).findings == []  # nobody can say
+        assert verify(Installation(kept.database, kept.blobs)).findings == []  # nobody can say
         assert [f.where for f in published(kept)] == ["audit_key"]
     finally:
         with kept.database.write() as connection:

@@ -9,7 +9,7 @@ from trueup.diagnose.task_worker import TaskWorker
 from trueup.episode.role import Role
 from trueup_service.actions import find
 from trueup_service.registry.records import FINAL
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 from trueup_worker.inputs import read_episodes, read_plant
 from trueup_worker.likeness import likeness
@@ -47,8 +47,8 @@ class Helping:
 
     def _helper(self, job: str) -> TaskWorker | None:
         """None of a job that is over."""
-        with self._parts.database.read() as connection:
-            found = find.job(Reader(connection), job)
+        with reading(self._parts.database) as tx:
+            found = find.job(tx, job)
         if found.state in FINAL:
             return None
         if self._known is None or self._known[0] != job:

@@ -11,7 +11,7 @@ from trueup.errors import BrokenChain
 from trueup.gate.recompute import differences, models, recompute
 from trueup_service.actions import find
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
 from trueup_worker.progress import Progress
@@ -20,12 +20,11 @@ from trueup_worker.progress import Progress
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
     """Recompute, and say where the two differ. Raises BrokenChain if the kept document is not the
     one that the digest names."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        made = find.decision(reader, job.plant, str(job.request["decision"]))
+    with reading(parts.database) as tx:
+        made = find.decision(tx, job.plant, str(job.request["decision"]))
         gate, registered = (
-            find.gate(reader, job.plant, made.gate).document,
-            find.plant_digest(reader, job.plant),
+            find.gate(tx, job.plant, made.gate).document,
+            find.plant_digest(tx, job.plant),
         )
     recorded: dict[str, Any] = made.document
     if digest_of(recorded) != made.digest:
@@ -46,7 +45,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def effects(
-    parts: Parts, writer: object, job: JobRecord, outcome: dict[str, Any], stamp: object
+    parts: Parts, tx: object, job: JobRecord, outcome: dict[str, Any], context: object
 ) -> None:
     """None beside its result."""
 

@@ -23,13 +23,13 @@ from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
 from trueup.canonical import Json
 from trueup_service.actions.finish_job import finish_job
-from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.engine import DBOS, SetWorkflowID
 from trueup_service.jobs import ENGINE_VERSION, QUEUE, alone_with, queue_of
 from trueup_service.locks import try_lock
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import FINAL, JobRecord, JobState
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 
 log = logging.getLogger("trueup.worker")
 
@@ -135,8 +135,8 @@ def revive(database: Database) -> list[str]:
     given_up = DBOS.list_workflows(status="ERROR", load_input=False, load_output=False)
     revived = []
     for job in sorted({w.workflow_id.split(AGAIN)[0] for w in given_up}):
-        with database.read() as connection:
-            found = Reader(connection).job(job)
+        with reading(database) as tx:
+            found = tx.jobs.get(job)
         if found is None or found.state in FINAL:
             continue
         attempts = DBOS.list_workflows(workflow_id_prefix=job, load_input=False, load_output=False)
@@ -177,13 +177,13 @@ def _fail(database: Database, job: JobRecord) -> None:
         "detail": f"the job engine gave up {ATTEMPTS} times",
         "hint": "Read the worker's log, then submit the job again.",
     }
-    with writing(database) as writer:
+    with writing(database) as tx:
         finish_job(
-            writer,
+            tx,
             job,
             JobState.FAILED,
             {"problem": problem},
-            Stamp(job.created_by, time_text(datetime.now(UTC))),
+            ActorContext(job.created_by, time_text(datetime.now(UTC))),
         )
     log.error("given up", extra={"job": job.id})
 

@@ -1,8 +1,8 @@
-"""Bodies that are held in memory have a limit, each and all together; uploads, which stream to
-disk, have one of their own.
+"""Limits on request bodies that are held in memory, for each body and for all together. Uploads
+stream to disk, and have limits of their own.
 
-Whoever shows no token may send a form to sign in, and takes no room from others; nobody with one
-may take more than a share of it.
+A request without a token may send a form to sign in, and takes no room from others. One token may
+hold at most a share of the room.
 """
 
 from __future__ import annotations
@@ -11,21 +11,22 @@ import gc
 import re
 from collections import Counter
 
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from trueup_service.authentication import Principal
 from trueup_service.errors import MemoryFull, TooLargeUpload
-from trueup_service.http.observing import App, Message, Receive, Scope, Send
-from trueup_service.identity import Who
 
 LIMIT_BYTES = 4 << 20
 FORM_BYTES = 16 << 10  # of a body that needs no token
-SHARE = 0.5  # of the room: for the bodies of one token
+SHARE = 0.5  # of the room that the bodies of one token may take
 UPLOADS = re.compile(r"/v1/(plants/[^/]+/(episodes|uploads/[^/]+)|blobs/[^/]+)")
 
 
-class Limiting:
-    """ASGI middleware: a longer body ends in TooLargeUpload where the route reads it, one that
-    others leave no room for in MemoryFull."""
+class BodyLimit:
+    """ASGI middleware. Reading a longer body raises TooLargeUpload, and reading one for which other
+    requests leave no room raises MemoryFull."""
 
-    def __init__(self, app: App, room_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, room_bytes: int) -> None:
         self._app, self._room = app, room_bytes
         self._passed, self._limit = 0, room_bytes
         self._held = Counter[str]()  # bytes of each token's bodies
@@ -40,17 +41,16 @@ class Limiting:
             nonlocal read, taken, whose
             message = await receive()
             read += len(message.get("body", b""))
-            who: Who | None = scope.get("who")
-            limit = FORM_BYTES if who is None else LIMIT_BYTES
+            principal: Principal | None = scope.get("principal")
+            limit = FORM_BYTES if principal is None else LIMIT_BYTES
             if read > limit:
-                told = f"the body has more than {limit} bytes"
                 raise TooLargeUpload(
-                    told,
+                    f"the body has more than {limit} bytes",
                     hint="Send less at once; long recordings and arrays have routes of their own.",
                     limit_bytes=limit,
                 )
-            if who is not None:
-                whose, more = who.token, read - taken
+            if principal is not None:
+                whose, more = principal.token, read - taken
                 taken = read
                 self._take(whose, more)
             return message
@@ -60,9 +60,8 @@ class Limiting:
         finally:
             self._give_back(whose, taken)
             self._passed += read
-            if (
-                self._passed > self._limit
-            ):  # a refused body hangs on its error, in a circle that the collector is slow to see
+            # A refused body hangs on its error, in a reference cycle that is collected late.
+            if self._passed > self._limit:
                 self._passed = 0
                 gc.collect()
 

@@ -1,5 +1,5 @@
-"""An installation's own database and blobs as what is verified, without a server, and what else
-must hold there."""
+"""An installation's own database and blobs, as a registry that can be verified without a server,
+and further checks on them."""
 
 from __future__ import annotations
 
@@ -18,77 +18,79 @@ from trueup.ledger.verification import Finding
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.database import Database
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import CHECKPOINT_FILE, own_key, root_at
 from trueup_service.wiring import Parts
 
 AT_ONCE = 1000
 
 
-class Kept:
-    """What a database and a blob store keep."""
+class Installation:
+    """The registry in a database and a blob store, as `trueup.ledger.verification` reads one."""
 
     def __init__(self, database: Database, blobs: Blobs, signer: str | None = None) -> None:
         self._database, self._blobs, self._signer = database, blobs, signer
 
     def signer(self) -> str | None:
-        """The key that signs here, where it is at hand."""
+        """The public key that signs here, None where it is not at hand."""
         return self._signer
 
     def head(self) -> tuple[int, bytes]:
-        """The log as it stands, unsigned."""
-        with self._database.read() as connection:
-            tree = Reader(connection).audit_tree()
+        """The size and the root of the log, unsigned."""
+        with reading(self._database) as tx:
+            tree = tx.log.tree()
         return tree.size, tree.root()
 
     def entries(self, after: int, until: int) -> Iterator[AuditEntry]:
-        """Entries in order."""
+        """Yields the entries behind one, up to another one. Raises TrueupError where an entry
+        cannot be read."""
         while after < until:
-            with self._database.read() as connection:
+            with reading(self._database) as tx:
                 try:
-                    found = Reader(connection).audit_entries(after, min(AT_ONCE, until - after))
+                    page = tx.log.entries(after, min(AT_ONCE, until - after))
                 except ValueError as error:
                     raise TrueupError(f"an entry after {after} cannot be read: {error}") from error
-            if not found:
+            if not page:
                 return
-            yield from found
-            after = found[-1].sequence
+            yield from page
+            after = page[-1].sequence
 
     def nodes(self) -> Iterator[tuple[Node, bytes]]:
-        """The hashes that are kept."""
+        """Yields the stored hashes of the tree."""
         for row in self.rows(t.audit_tree.name):
-            found: Any = row
-            yield node_of(int(found["node"])), bytes.fromhex(found["hash"])
+            node: Any = row
+            yield node_of(int(node["node"])), bytes.fromhex(node["hash"])
 
     def rows(self, table: str) -> Iterator[dict[str, Json]]:
-        """Rows as they are stored."""
-        found = t.metadata.tables[table]
+        """Yields the rows of a table as they are stored. Raises TrueupError where they cannot be
+        read."""
+        stored = t.metadata.tables[table]
         after: list[Any] = []
-        columns = [c.name for c in found.primary_key.columns]
+        columns = [c.name for c in stored.primary_key.columns]
         while True:
             try:
-                with self._database.read() as connection:
-                    items = Reader(connection).rows(found, after, AT_ONCE)
+                with reading(self._database) as tx:
+                    items = tx.rows.page(stored, after, AT_ONCE)
             except (SQLAlchemyError, ValueError) as error:
                 raise TrueupError(f"rows cannot be read: {type(error).__name__}") from error
             yield from items
             if len(items) < AT_ONCE:
                 return
             after = [
-                c.type.python_type(items[-1][c.name]) for c in (found.c[name] for name in columns)
+                c.type.python_type(items[-1][c.name]) for c in (stored.c[name] for name in columns)
             ]
 
     def blob(self, digest: str) -> Iterator[bytes]:
-        """Bytes in parts."""
+        """Yields the bytes of a blob in parts. Raises BlobMissing."""
         return self._blobs.stream(digest)
 
 
 def published(parts: Parts) -> list[Finding]:
-    """Whether the log ends where it says, and extends the head that this installation has
-    published."""
+    """Findings where the log does not end at its head, or does not extend the head that this
+    installation has published."""
     path = parts.settings.data_dir / CHECKPOINT_FILE
-    with parts.database.read() as connection:
-        beyond = Reader(connection).audit_beyond()
+    with reading(parts.database) as tx:
+        beyond = tx.log.count_beyond_end()
     if beyond:
         return [Finding("log", f"{beyond} entries are kept behind its end")]
     if not path.exists():
@@ -96,13 +98,12 @@ def published(parts: Parts) -> list[Finding]:
     note = path.read_text()
     size, root = head_of(note)
     try:
-        with parts.database.read() as connection:
-            reader = Reader(connection)
-            now, keys = reader.audit_tree().size, [key.verifier for key in reader.audit_keys()]
-            same = now >= size and root_at(reader, size) == root
+        with reading(parts.database) as tx:
+            now, keys = tx.log.tree().size, [key.verifier for key in tx.log.signing_keys()]
+            same = now >= size and root_at(tx, size) == root
     except TrueupError as error:
         return [Finding("log", error.message)]
-    found = (
+    findings = (
         []
         if same
         else [
@@ -112,24 +113,24 @@ def published(parts: Parts) -> list[Finding]:
         ]
     )
     if not any(signed_with(note, key) for key in keys):
-        found.append(
+        findings.append(
             Finding(
                 t.audit_key.name, "none of the keys that are kept has signed what was published"
             )
         )
-    return found
+    return findings
 
 
 def signing(parts: Parts) -> str | None:
-    """The key that signs here, if a head was ever published and the key is at hand. Raises
+    """The public key that signs here, where a head was published and the key is at hand. Raises
     BadKey."""
     return own_key(parts.settings) if (parts.settings.data_dir / CHECKPOINT_FILE).exists() else None
 
 
 def lost_jobs(parts: Parts) -> list[Finding]:
-    """Jobs that were accepted, have not ended, and that the engine does not know."""
-    with parts.database.read() as connection:
-        waiting = Reader(connection).jobs_under_way()
+    """Findings on jobs that were accepted, have not ended, and are unknown to the engine."""
+    with reading(parts.database) as tx:
+        waiting = tx.jobs.unfinished()
     return [
         Finding(f"jobs/{job}", "it was accepted, and the job engine does not know it")
         for job in waiting
@@ -137,8 +138,8 @@ def lost_jobs(parts: Parts) -> list[Finding]:
     ]
 
 
-def unnamed(parts: Parts) -> list[str]:
-    """Digests of blobs that no row names."""
-    kept = Kept(parts.database, parts.blobs)
+def unnamed_blobs(parts: Parts) -> list[str]:
+    """The digests of blobs that no row names."""
+    kept = Installation(parts.database, parts.blobs)
     named = {digest for table in KEYS for row in kept.rows(table) for digest in blobs(table, row)}
     return [digest for digest in parts.blobs.all() if digest not in named]

@@ -1,5 +1,5 @@
-"""Around every request: an id, metrics, and one JSON log line; for a read that succeeds only at
-DEBUG, for fleets poll."""
+"""Telemetry of requests: an id, metrics, and one line of JSON in the log. A read that succeeds is
+logged at DEBUG only, since fleets poll."""
 
 from __future__ import annotations
 
@@ -8,16 +8,9 @@ import logging
 import re
 import secrets
 import time
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any
 
 from prometheus_client import Counter, Histogram
-
-Scope = MutableMapping[str, Any]
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 log = logging.getLogger("trueup.access")
 REQUESTS = Counter("trueup_http_requests_total", "Requests answered", ["method", "route", "status"])
@@ -27,7 +20,7 @@ SECONDS = Histogram(
     ["method", "route"],
     buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1, 5, 30),
 )
-FIRST_REFUSAL = 400
+FIRST_ERROR_STATUS = 400
 FOR_BROWSERS = (
     (
         b"content-security-policy",
@@ -35,17 +28,17 @@ FOR_BROWSERS = (
     ),
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
-    # an answer is data: nothing in it may run, or be shown inside another site; a page says itself
-    # what it may load
+    # A response is data: nothing in it may run, or be shown inside another site. A page sets its
+    # own policy.
 )
-GIVEN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
+PLAIN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
-class Observing:
-    """ASGI middleware; takes the caller's `X-Request-Id` if it is a plain one, and answers with
-    it."""
+class RequestTelemetry:
+    """ASGI middleware. It takes over the caller's `X-Request-Id` where that is a plain one, and
+    responds with the id."""
 
-    def __init__(self, app: App) -> None:
+    def __init__(self, app: ASGIApp) -> None:
         self._app = app
         self._measures: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
         self._ids = (f"{secrets.token_hex(4)}-{n}" for n in itertools.count(1))
@@ -54,8 +47,8 @@ class Observing:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        given = next((v for k, v in scope["headers"] if k == b"x-request-id"), b"")
-        name = given.decode() if GIVEN_ID.fullmatch(given) else next(self._ids)
+        header = next((v for k, v in scope["headers"] if k == b"x-request-id"), b"")
+        name = header.decode() if PLAIN_ID.fullmatch(header) else next(self._ids)
         scope["request_id"] = name
         began, status = time.perf_counter(), 500
 
@@ -63,8 +56,8 @@ class Observing:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                given = {k for k, _ in message["headers"]}
-                more = [(k, v) for k, v in FOR_BROWSERS if k not in given]
+                present = {k for k, _ in message["headers"]}
+                more = [(k, v) for k, v in FOR_BROWSERS if k not in present]
                 message["headers"] = [*message["headers"], (b"x-request-id", name.encode()), *more]
             await send(message)
 
@@ -83,13 +76,13 @@ class Observing:
             )
         measures[0].inc()
         measures[1].observe(seconds)
-        level = logging.DEBUG if method == "GET" and status < FIRST_REFUSAL else logging.INFO
+        level = logging.DEBUG if method == "GET" and status < FIRST_ERROR_STATUS else logging.INFO
         if log.isEnabledFor(level):
-            told = {
+            fields = {
                 "request_id": name,
                 "method": method,
                 "path": scope["path"],
                 "status": status,
                 "seconds": round(seconds, 6),
             }
-            log.log(level, "request", extra=told)
+            log.log(level, "request", extra=fields)

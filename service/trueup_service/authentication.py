@@ -1,7 +1,8 @@
-"""Who asks: tokens, and the sessions of browsers.
+"""Authentication by tokens, and by the sessions of browsers.
 
-A token is `trueup_<prefix>_<secret>`. The prefix finds its row, the secret (32 random bytes) is
-kept as its SHA-256 alone and compared in constant time. It is shown once, to whoever issued it.
+A token is `trueup_<prefix>_<secret>`. The prefix finds its row. Of the secret (32 random bytes)
+only the SHA-256 is stored, and compared in constant time. A token is shown once, to whoever issued
+it.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.actions.tokens import issue_token
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.errors import Unauthenticated
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import Role, TokenRecord
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.settings import Settings
 
 PREFIX_BYTES, SECRET_BYTES = 6, 32
@@ -32,9 +33,9 @@ FROM_SETTINGS = "settings"  # stands for the prefix of the token in the settings
 
 
 @dataclass(frozen=True, slots=True)
-class Who:
-    """Somebody who was recognised: by which token, with which roles, and what of the registry there
-    is for them."""
+class Principal:
+    """Who was authenticated: the name and prefix of the token, its roles, and the project and plant
+    that it sees, None for all."""
 
     name: str
     token: str
@@ -44,7 +45,7 @@ class Who:
 
     @property
     def everywhere(self) -> bool:
-        """Whether all projects and plants are there for them."""
+        """Whether the token sees all projects and plants."""
         return self.project is None and self.plant is None
 
 
@@ -55,12 +56,13 @@ def new_token() -> tuple[str, str, str]:
 
 
 def digest_of_secret(secret: str) -> str:
-    """What is kept of a secret. It is random and long, so a plain hash cannot be searched."""
+    """The digest that is stored of a secret. The secret is random and long, so a plain hash cannot
+    be searched."""
     return hashlib.sha256(secret.encode()).hexdigest()
 
 
-class Identities:
-    """Recognises tokens and sessions, and remembers them for a moment."""
+class Authenticator:
+    """Authenticates tokens and sessions, and remembers them for a moment."""
 
     def __init__(
         self, settings: Settings, database: Database, clock: Callable[[], float] = time.monotonic
@@ -72,63 +74,61 @@ class Identities:
             if self._admin is None
             else FROM_SETTINGS + digest_of_secret(self._admin)[: len(FROM_SETTINGS)]
         )
-        self._known: dict[str, tuple[Who, float]] = {}
+        self._known: dict[str, tuple[Principal, float]] = {}
 
-    def remembered(self, credential: str) -> Who | None:
-        """Who was recognised by these very words a moment ago."""
-        found = self._known.get(digest_of_secret(credential))
-        return found[0] if found is not None and self._clock() < found[1] else None
+    def remembered(self, credential: str) -> Principal | None:
+        """Who was authenticated by the same credential a moment ago."""
+        entry = self._known.get(digest_of_secret(credential))
+        return entry[0] if entry is not None and self._clock() < entry[1] else None
 
-    def by_token(self, text: str) -> Who:
-        """Who a token is of. Raises Unauthenticated."""
+    def by_token(self, text: str) -> Principal:
+        """The principal of a token. Raises Unauthenticated."""
         if self._admin is not None and hmac.compare_digest(text.encode(), self._admin.encode()):
             return self._remember(text, self._from_settings())
         _, prefix, secret = ([*text.split("_", PARTS - 1), "", ""])[:PARTS]
-        with self._database.read() as connection:
-            found = Reader(connection).token(prefix)
-        held = (
-            found.digest if found else digest_of_secret("")
-        )  # compared also where there is none, so that time tells nothing
-        if not hmac.compare_digest(digest_of_secret(secret), held) or found is None:
+        with reading(self._database) as tx:
+            token = tx.tokens.get(prefix)
+        # Digests are compared also for an unknown prefix, so that timing reveals nothing.
+        held = token.digest if token else digest_of_secret("")
+        if not hmac.compare_digest(digest_of_secret(secret), held) or token is None:
             raise Unauthenticated("the token is not known")
-        return self._remember(text, _holder(found))
+        return self._remember(text, _holder(token))
 
-    def by_session(self, cookie: str) -> Who:
-        """Who a browser's session is of. Raises Unauthenticated."""
-        with self._database.read() as connection:
-            reader = Reader(connection)
-            prefix = reader.session(digest_of_secret(cookie), _now())
-            found = None if prefix is None else reader.token(prefix)
+    def by_session(self, cookie: str) -> Principal:
+        """The principal of a browser's session. Raises Unauthenticated."""
+        with reading(self._database) as tx:
+            prefix = tx.sessions.token(digest_of_secret(cookie), _now())
+            token = None if prefix is None else tx.tokens.get(prefix)
         if prefix is not None and prefix == self._admin_prefix:
             return self._remember(cookie, self._from_settings())
-        if found is None:
+        if token is None:
             raise Unauthenticated("the session has ended", hint="Sign in again.")
-        return self._remember(cookie, _holder(found))
+        return self._remember(cookie, _holder(token))
 
-    def _from_settings(self) -> Who:
-        """Who has the token of the settings; its stand-in for a prefix changes with it, and so ends
-        the sessions that it began."""
-        return Who("admin", str(self._admin_prefix), frozenset({Role.ADMIN}), None, None)
+    def _from_settings(self) -> Principal:
+        """The principal of the admin's token in the settings. The stand-in for its prefix changes
+        with the token, which ends the sessions that an older token began."""
+        return Principal("admin", str(self._admin_prefix), frozenset({Role.ADMIN}), None, None)
 
     def forget(self) -> None:
-        """Ask the database again for everybody."""
+        """Forget every remembered credential, so that the database is asked again."""
         self._known.clear()
 
-    def _remember(self, credential: str, who: Who) -> Who:
+    def _remember(self, credential: str, principal: Principal) -> Principal:
         if len(self._known) >= REMEMBERED:
             self._known.clear()
         if self._memory_s:
-            self._known[digest_of_secret(credential)] = who, self._clock() + self._memory_s
-        return who
+            self._known[digest_of_secret(credential)] = principal, self._clock() + self._memory_s
+        return principal
 
 
-def _holder(token: TokenRecord) -> Who:
-    """Raises Unauthenticated for a token that has expired or was revoked."""
+def _holder(token: TokenRecord) -> Principal:
+    """The principal of a token. Raises Unauthenticated where it has expired or was revoked."""
     if token.revoked_at is not None:
         raise Unauthenticated("the token was revoked", name=token.name)
     if token.expires_at is not None and token.expires_at <= _now():
         raise Unauthenticated("the token has expired", name=token.name, expires_at=token.expires_at)
-    return Who(
+    return Principal(
         token.name, token.prefix, frozenset(map(Role, token.roles)), token.project, token.plant
     )
 
@@ -138,15 +138,15 @@ def _now() -> str:
 
 
 def first_admin(settings: Settings, database: Database) -> Path | None:
-    """Make an admin's token where there is none; the file that it is in, None where it was not
-    needed."""
+    """Make an admin's token where there is no admin. Returns the file that holds it, None where it
+    was not needed."""
     if settings.admin_token is not None:
         return None
-    with writing(database) as writer:
-        writer.lock_name("first admin")
+    with writing(database) as tx:
+        tx.lock_name("first admin")
         if any(
             Role.ADMIN in token.roles and token.revoked_at is None
-            for token in writer.tokens("", 10**6)
+            for token in tx.tokens.page("", 10**6)
         ):
             return None
         text, prefix, digest = new_token()
@@ -156,7 +156,15 @@ def first_admin(settings: Settings, database: Database) -> Path | None:
             file.write(text + "\n")
             os.fsync(file.fileno())
         token = TokenRecord(
-            prefix, digest, "admin", [Role.ADMIN.value], None, None, _now(), "first start", None
+            prefix=prefix,
+            digest=digest,
+            name="admin",
+            roles=[Role.ADMIN.value],
+            project=None,
+            plant=None,
+            created_at=_now(),
+            created_by="first start",
+            expires_at=None,
         )
-        issue_token(writer, token, Stamp("first start", token.created_at))
+        issue_token(tx, token, ActorContext("first start", token.created_at))
     return path

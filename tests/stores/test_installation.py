@@ -10,24 +10,24 @@ from tests.support.made import plant_document
 from trueup.ledger.rows import KEYS
 from trueup.ledger.verification import verify
 from trueup_service.actions.register_plant import register_plant
-from trueup_service.actions.stamp import Stamp
 from trueup_service.actions.tokens import issue_token
-from trueup_service.kept import Kept
+from trueup_service.actor_context import ActorContext
+from trueup_service.installation import Installation
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import TokenRecord
 from trueup_service.registry.schema import altered
-from trueup_service.registry.store import Writer, writing
+from trueup_service.registry.transaction import Transaction, writing
 from trueup_service.wiring import keep_bytes
 
-STAMP = Stamp("tester", "2026-01-01T00:00:00.000000Z")
+CONTEXT = ActorContext("tester", "2026-01-01T00:00:00.000000Z")
 
 
 @pytest.fixture
 def parts(storage):
     found = storage.build()
     with found.database.write() as connection:
-        register_plant(Writer(connection), plant_document("p"), STAMP)
+        register_plant(Transaction(connection), plant_document("p"), CONTEXT)
     yield found
     found.close()
 
@@ -39,7 +39,7 @@ def edit(parts, *statements):
 
 
 def findings(parts):
-    return [(f.where, f.what) for f in verify(Kept(parts.database, parts.blobs)).findings]
+    return [(f.where, f.what) for f in verify(Installation(parts.database, parts.blobs)).findings]
 
 
 def schema(parts):
@@ -67,10 +67,10 @@ def test_a_second_row_of_one_name_is_found(parts):
 )  # elsewhere a column of text holds text
 def test_a_row_under_a_key_of_bytes_is_found(parts):
     token = TokenRecord(
-        "carol", "0" * 64, "carol", ["operator"], None, None, STAMP.now, "tester", None
+        "carol", "0" * 64, "carol", ["operator"], None, None, CONTEXT.now, "tester", None
     )
-    with writing(parts.database) as writer:
-        issue_token(writer, token, STAMP)
+    with writing(parts.database) as tx:
+        issue_token(tx, token, CONTEXT)
     columns = [c.name for c in t.tokens.columns]
     other = {"prefix": "CAST(prefix AS BLOB)", "digest": "digest || '0'"}
     edit(
