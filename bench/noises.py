@@ -19,7 +19,7 @@ import numpy as np
 
 from bench.report import Figure, publish, show
 from tests.support.simulated import episodes_of, plant_of
-from trueup.blindtrial.tally import Answer, judge
+from trueup.blindtrial.scoring import Answer, score_answer
 from trueup.diagnose.diagnosis import diagnose
 from trueup.fit.rollout_fit import warm
 from trueup.simulate.noise import Noise
@@ -135,7 +135,7 @@ def _row(law: str, i: int, names: list[str]) -> Row:
         "moved": True,
         "bait": None,
     }
-    right = bool(judge(label, Answer(found, None, took))["exact"])
+    right = bool(score_answer(label, Answer(found, None, took))["exact"])
     m, told = trial.machine, found["parameters"]
     truth = {"k": m.k, "c": m.c, "b": m.b}
     held = (

@@ -225,7 +225,7 @@ class _Labels:
         self._committed: dict[str, list[list[str]]] = {}
 
     def __call__(self, entry: Any) -> list[Any]:
-        from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
+        from trueup.blindtrial.commitment import CommitmentMismatch, require_commitments
         from trueup.ledger.verification import Finding
 
         if entry.kind == "blindtrial:committed":
@@ -236,8 +236,8 @@ class _Labels:
             entry.subject, []
         ):  # of a worker that was killed before it opened them, another drew anew
             try:
-                require_as_committed(entry.facts["result"]["report"], commitments)
-            except NotAsCommitted:
+                require_commitments(entry.facts["result"]["report"], commitments)
+            except CommitmentMismatch:
                 continue
             return []
         return [Finding(f"entry {entry.sequence}", "opens labels that nobody committed")]

@@ -95,6 +95,14 @@ class Machine:
         """The same with one imperfection more."""
         return replace(self, imperfections={**self.imperfections, name: values})
 
+    def by_joint(self) -> dict[tuple[str, int], Mapping[str, float]]:
+        """The imperfections' numbers, by effect and joint."""
+        return {(name, 0): values for name, values in self.imperfections.items()}
+
+    def parameters(self) -> dict[str, float]:
+        """The true numbers of the family by name."""
+        return {"k": self.k, "c": self.c, "b": self.b}
+
     def vector(self) -> tuple[Array, NDArray[np.bool_]]:
         """The imperfections' numbers, and which there are."""
         numbers, present = np.zeros(SIZE), np.zeros(SIZE, np.bool_)

@@ -95,6 +95,14 @@ class RobotMachine:
         """The same with one imperfection more."""
         return replace(self, imperfections={**self.imperfections, (name, joint): values})
 
+    def by_joint(self) -> Mapping[tuple[str, int], Mapping[str, float]]:
+        """The imperfections' numbers, by effect and joint."""
+        return self.imperfections
+
+    def parameters(self) -> dict[str, float]:
+        """None: a log shows sums of a robot's masses."""
+        return {}
+
     def vectors(self) -> tuple[Array, NDArray[np.bool_]]:
         """The imperfections' numbers by joint, and which there are, `(joints, SIZE)`."""
         joints = len(self.tree.joints)

@@ -15,7 +15,7 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 
 from trueup import errors
-from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted
+from trueup.blindtrial.commitment import CommitmentMismatch, LabelLeaked
 from trueup.canonical import NotCanonical
 from trueup.gate.evidence import BadEvidence
 from trueup.gate.policy import BadPolicy
@@ -47,7 +47,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.PointerMoved: HTTPStatus.CONFLICT,
     errors.BrokenChain: HTTPStatus.INTERNAL_SERVER_ERROR,
     LabelLeaked: HTTPStatus.UNPROCESSABLE_ENTITY,
-    NotAsCommitted: HTTPStatus.INTERNAL_SERVER_ERROR,
+    CommitmentMismatch: HTTPStatus.INTERNAL_SERVER_ERROR,
     NotCanonical: HTTPStatus.UNPROCESSABLE_ENTITY,
     NotAccepted: HTTPStatus.CONFLICT,
     NothingToRollBackTo: HTTPStatus.CONFLICT,

@@ -17,11 +17,11 @@ from trueup.monitor.monitor import Monitor, _halves, calibrate
 from trueup.monitor.residuals import blocks, missed
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, run
-from trueup.simulate.trial import Bench
+from trueup.simulate.trial import JointBench
 
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
 
-BENCH = Bench("oscillator", 2.0, 0.5, 1.0, 1.0, 0.02, 20, 8.0, 0.01, None, 1.0)
+BENCH = JointBench("oscillator", 2.0, 0.5, 1.0, 1.0, 0.02, 20, 8.0, 0.01, None, 1.0)
 PLANT = plant_of(BENCH)
 SIGMA = (0.005, 0.01)
 KINDS = ("quantile_run", "likelihood_ratio_cusum", "effect_cusum")
