@@ -25,7 +25,7 @@ from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT, Service, command
 from tests.support.storage import embedded
 from tests.support.tampering import cut, flip, promoted
-from trueup.ledger.note import Signer
+from trueup.ledger.signed_note import Signer
 from trueup.ledger.verification import verify
 from trueup_client import Client, NotSigned, Problem, Rewritten, Robot, Witness
 from trueup_client.proof import Checkpoint, Key, includes, leaf_hash

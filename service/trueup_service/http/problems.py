@@ -19,9 +19,9 @@ from trueup.blindtrial.commitment import CommitmentMismatch, LabelLeaked
 from trueup.canonical import NotCanonical
 from trueup.gate.evidence import BadEvidence
 from trueup.gate.policy import BadPolicy
-from trueup.ledger.archive import BadArchive
-from trueup.ledger.note import BadKey
+from trueup.ledger.archive_layout import BadArchive
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
+from trueup.ledger.signed_note import BadKey
 from trueup_service import errors as service
 from trueup_service.http.pages.page import show, to_sign_in, wants_page
 from trueup_service.registry.blobs import BlobDamaged, BlobMissing, StoreAway

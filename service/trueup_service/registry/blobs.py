@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from trueup.canonical import is_digest
 from trueup.errors import TrueupError
-from trueup.files import regular
+from trueup.files import regular, sync
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
@@ -129,14 +129,14 @@ class FolderBlobs(Blobs):
     def put(self, digest: str, source: Path) -> None:
         target = self._path(digest)
         target.parent.mkdir(exist_ok=True)
-        _sync(source)
+        sync(source)
         while not self._linked(source, target):
             continue  # it was being removed: once it is gone it can be linked
         for folder in (
             target.parent,
             self._root,
         ):  # also for a file that was there: whoever linked it may not have come this far
-            _sync(folder)
+            sync(folder)
 
     def _linked(self, source: Path, target: Path) -> bool:
         """Link the file, or make the one that is there young again, so that nobody takes it for
@@ -147,7 +147,7 @@ class FolderBlobs(Blobs):
             try:
                 os.utime(target)
                 self._mend(target, source)
-                _sync(target)
+                sync(target)
             except FileNotFoundError:
                 return False
         return True
@@ -223,11 +223,11 @@ class FolderBlobs(Blobs):
         with contextlib.suppress(FileExistsError):
             os.link(self._aside(digest), self._path(digest))
         self._aside(digest).unlink()
-        _sync(self._path(digest).parent)
+        sync(self._path(digest).parent)
 
     def forget(self, digest: str) -> None:
         self._aside(digest).unlink(missing_ok=True)
-        _sync(self._root)
+        sync(self._root)
 
     def removed(self) -> Iterator[str]:
         return (path.name.removeprefix("removed-") for path in self._root.glob("removed-*"))
@@ -373,11 +373,3 @@ def _checked(digest: str) -> str:
 def _digest_of(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -3,7 +3,7 @@
 import pytest
 
 from trueup.ledger.audit import AuditEntry
-from trueup.ledger.gate_lines import GateLines
+from trueup.ledger.gate_lines import GateLineCheck
 
 PLANT, GATE, CANDIDATE = "arm", "a" * 64, "b" * 64
 REJECTED, ACCEPTED = "c" * 64, "d" * 64
@@ -14,7 +14,7 @@ class Log:
     on the same episode is the last."""
 
     def __init__(self) -> None:
-        self.lines, self.size = GateLines(), 0
+        self.lines, self.size = GateLineCheck(), 0
         self.add("plant:registered", PLANT, {"project": None})
         self.add("episode:ingested", "e" * 64, {"role": "validation"})
         rules = {"rules": [], "scoring": {"horizon_s": 0.5, "windows": "every"}}
@@ -60,7 +60,7 @@ def log():
 def test_somebody_elses_approval_counts_and_is_told(log):
     log.approve("ben", "3")
     assert log.promote("ana", token="1") == []
-    assert log.lines.notes[-1].endswith("with the approval of ben and a reason")
+    assert log.lines.remarks[-1].endswith("with the approval of ben and a reason")
 
 
 def test_ones_own_second_token_does_not_count(log):
@@ -110,7 +110,7 @@ def judged(log, candidate, *, beside=(), **told):
 
 def test_a_decision_that_tells_all_is_as_the_log_says(log):
     assert judged(log, OTHER, beside=[CANDIDATE]) == []
-    assert "Its errors are within 1 % of those of candidate bbbb" in log.lines.notes[-1]
+    assert "Its errors are within 1 % of those of candidate bbbb" in log.lines.remarks[-1]
 
 
 @pytest.mark.parametrize(
