@@ -22,7 +22,7 @@ from trueup.episode.role import Role
 from trueup.monitor.achieved import poisson_interval
 from trueup.monitor.detector import detectors
 from trueup.monitor.monitor import Monitor, calibrate
-from trueup.monitor.residuals import missed
+from trueup.monitor.residuals import unscaled_residuals
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, Run, run
 from trueup.simulate.magnitude import as_large_as, shape_of
@@ -141,7 +141,8 @@ def error(predictor, episodes) -> float:
             np.mean(
                 np.concatenate(
                     [
-                        (missed(predictor, e).values * predictor.plant.scales / motion) ** 2
+                        (unscaled_residuals(predictor, e).values * predictor.plant.scales / motion)
+                        ** 2
                         for e in episodes
                     ]
                 )

@@ -11,7 +11,7 @@ from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.plant import Plant
 from trueup.simulate.machine import Run
-from trueup.simulate.noise import WHITE, Noise
+from trueup.simulate.noise import WHITE, NoiseModel
 from trueup.simulate.trial import JointBench, SimulatedTrial, draw, draw_bench
 
 
@@ -67,7 +67,7 @@ def recorded(
     *,
     shifted: bool = True,
     velocity: bool = True,
-    law: Noise = WHITE,
+    law: NoiseModel = WHITE,
     runs: int | None = None,
 ) -> tuple[Plant, list[Episode], SimulatedTrial]:
     rng = np.random.default_rng(seed)

@@ -1,6 +1,5 @@
-"""Laws of dynamics, whoever made them: the compiled rollout is the numpy step again and again, lane
-by lane, and time that stands still moves nothing.
-"""
+"""Laws of dynamics: the compiled rollout is the repeated numpy step, lane by lane; a step of no
+length changes no state; inertia resists every force."""
 
 from __future__ import annotations
 
@@ -24,11 +23,13 @@ def compiled_equals_numpy(dynamics: Dynamics, parameters: Array, name: str) -> N
         rng.normal(size=(WINDOWS, SAMPLES, dynamics.joints)),
     )
     steps = rng.integers(1, 3, (WINDOWS, SAMPLES))
-    found = dynamics.rollout(parameters, initial, applied, np.full((WINDOWS, SAMPLES), H_S), steps)
+    rolled_out = dynamics.rollout(
+        parameters, initial, applied, np.full((WINDOWS, SAMPLES), H_S), steps
+    )
     for vector in range(VECTORS):
         states = initial.copy()
         for i in range(SAMPLES):
-            same = np.allclose(found[vector, :, i], states, rtol=ROUNDING, atol=ROUNDING)
+            same = np.allclose(rolled_out[vector, :, i], states, rtol=ROUNDING, atol=ROUNDING)
             require(same, "compiled equals numpy", name, f"sample {i}, vector {vector}")
             for step in range(int(steps[:, i].max())):
                 runs = steps[:, i] > step

@@ -1,4 +1,4 @@
-"""Put commands and observations on one clock."""
+"""Align commands and observations on one clock."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ Message = tuple[int, int, int]
 
 
 @dataclass(slots=True)
-class Block:
+class MessageBlock:
     """Messages in one buffer, by channel; `byte` is where the buffer's record is in the file."""
 
     data: bytes
@@ -132,9 +132,9 @@ class Loose:
         self._data += data
         self.size += MESSAGE_HEAD.size + len(data)
 
-    def block(self) -> Block:
+    def block(self) -> MessageBlock:
         """The messages gathered so far."""
-        return Block(bytes(self._data), self._byte, self._messages)
+        return MessageBlock(bytes(self._data), self._byte, self._messages)
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""Roles of data, kept apart: what an episode was recorded for is what it may be used for."""
+"""Roles of episodes: an episode may be used only for what it was recorded for."""
 
 from __future__ import annotations
 

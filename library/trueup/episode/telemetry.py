@@ -31,7 +31,7 @@ LONGEST_S = 1e9
 
 
 def telemetry_to_mcap(data: bytes, layout: Layout, out: BinaryIO) -> None:
-    """Write a batch as MCAP. Raises NotAnEpisode with the rule that it breaks."""
+    """Write a batch as MCAP. Raises NotAnEpisode, with the rule that the batch breaks."""
     try:
         batch = orjson.loads(data)
     except orjson.JSONDecodeError as error:
@@ -99,10 +99,10 @@ def _numbers(given: Any, field: str) -> NDArray[np.float64]:
         isinstance(x, int | float) and not isinstance(x, bool) for x in given
     ):
         raise _refused(f"{field} must be a list of numbers", field)
-    found = np.array(given, np.float64)
-    if not np.isfinite(found).all():
+    numbers = np.array(given, np.float64)
+    if not np.isfinite(numbers).all():
         raise _refused(f"{field} must be a list of finite numbers", field)
-    return found
+    return numbers
 
 
 def _columns(

@@ -33,10 +33,10 @@ from trueup.episode.container import (
     NAMES,
     NOT_IN_DATA,
     RECORD_HEAD,
-    Block,
     Contents,
     Limits,
     Loose,
+    MessageBlock,
     Op,
     name_of,
 )
@@ -55,9 +55,9 @@ class Walk:
     """One pass over a stream of `size` bytes; iterate it to its end, or the file has not been
     checked.
 
-    Yields a Block for each chunk and for messages outside chunks; `contents` grows as it goes, and
-    of the metadata keeps the records named in `wanted`. Raises MalformedMcap (facts `rule`, `byte`)
-    and TooLarge (facts `limit`, `byte`).
+    Yields a MessageBlock for each chunk and for messages outside chunks; `contents` grows as it
+    goes, and of the metadata keeps the records named in `wanted`. Raises MalformedMcap (facts
+    `rule`, `byte`) and TooLarge (facts `limit`, `byte`).
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class Walk:
         self._crc = 0
         self._unfolded = 0
 
-    def __iter__(self) -> Iterator[Block]:
+    def __iter__(self) -> Iterator[MessageBlock]:
         if self._size > self._limits.file_bytes:
             raise TooLarge(
                 f"the file has {self._size} bytes, {self._limits.file_bytes} are allowed",
@@ -103,7 +103,7 @@ class Walk:
         fields = Fields(body, at)
         fields.text(), fields.text()
 
-    def _data(self) -> Iterator[Block]:
+    def _data(self) -> Iterator[MessageBlock]:
         loose = Loose()
         while True:
             crc_before = self._crc
@@ -205,7 +205,7 @@ class Walk:
         self.contents.messages += 1
         loose.add(channel, body[MESSAGE_HEAD.size :], log_time_ns, at)
 
-    def _chunk(self, at: int, body: bytes) -> Block:
+    def _chunk(self, at: int, body: bytes) -> MessageBlock:
         self.contents.chunks += 1
         fields = Fields(body, at)
         fields.uint(8), fields.uint(8)
@@ -215,7 +215,7 @@ class Walk:
         data = decompress(compression, stored, size, at)
         if crc and crc != zlib.crc32(data):
             raise MalformedMcap("the checksum of a chunk does not hold", rule="crc", byte=at)
-        block = Block(data, at)
+        block = MessageBlock(data, at)
         self._unfold(block)
         return block
 
@@ -235,7 +235,7 @@ class Walk:
                 byte=at,
             )
 
-    def _unfold(self, block: Block) -> None:
+    def _unfold(self, block: MessageBlock) -> None:
         """Sort the chunk's records. This is the hot loop of the walk, so it is flat, and its names
         are bound once."""
         data, end, at, count = block.data, len(block.data), 0, 0

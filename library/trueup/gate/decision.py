@@ -1,4 +1,4 @@
-"""Gate and Decision: rules frozen by their digest, and what they decided."""
+"""Gate and Decision: rules that are frozen by their digest, and what they decided."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Gate:
     BadGate without rules.
 
     `conditions` are those whose values make the cells of retained conditions. After `held_out_uses`
-    trials an episode is spent: whoever chooses among candidates by it again and again fits to it.
-    `follows` names the gate of the plant that this one takes the place of, and `because` says why;
-    a gate that is known to accept anything says that it is `vacuous`, and why.
+    trials an episode is spent, because choosing among candidates by it again and again fits them to
+    it. `follows` names the plant's gate that this one replaces, and `because` says why. A gate that
+    is known to accept anything declares itself `vacuous`, and says why.
     """
 
     rules: tuple[Rule, ...]
@@ -128,8 +128,8 @@ class Gate:
 
 
 def _read(given: Any, name: str, kind: type, called: str, *, optional: bool = False) -> Any:
-    """A field of the kind that it must have, as it was sent; a whole number may stand for a real
-    one. Raises BadGate, KeyError."""
+    """A field of the kind that it must have; a whole number may stand for a real one. Raises
+    BadGate, KeyError."""
     value = given.get(name) if optional else given[name]
     if optional and value is None:
         return None
@@ -169,8 +169,8 @@ def _rule(document: Mapping[str, Json]) -> Rule:
 
 
 def default_gate(horizon_s: float) -> Gate:
-    """Rollout mean below 0.98 of the incumbent's and one-step error no worse, over every window of
-    each episode."""
+    """The gate of a plant that declares none: the mean rollout error below 0.98 of the incumbent's,
+    and the one-step error no worse, over every window of each episode."""
     return Gate(
         (rules()["rollout_improves"](), rules()["one_step_no_worse"]()), Scoring(horizon_s, EVERY)
     )
@@ -178,12 +178,13 @@ def default_gate(horizon_s: float) -> Gate:
 
 @dataclass(frozen=True)
 class Decision:
-    """What a gate decided of a candidate against the incumbent that served at `generation`.
+    """The decision of a gate on a candidate, against the incumbent that served at `generation`.
 
     It holds every figure, so that it can be recomputed, and the generation, so that it cannot be
     replayed after a move. `known` is what was known when the gate was declared
     (`trueup.gate.line`), `uses` how often each episode has been judged on, this time included, and
-    `selection` of what candidate and episodes were selected, which older decisions do not tell.
+    `selection` the number of candidates and episodes that its own were selected from; decisions of
+    earlier versions hold none of the three.
     """
 
     plant: str
@@ -228,7 +229,7 @@ class Decision:
 
 
 def figures(score: Score) -> dict[str, Json]:
-    """A score as JSON, one number for each episode; what is no number stands as null."""
+    """A score as JSON, one number for each episode; not-a-number is null."""
     return {"rollout": _numbers(score.rollout), "one_step": _numbers(score.one_step)}
 
 

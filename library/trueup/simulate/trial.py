@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import BEYOND, SLOTS, Feedback, Machine, Run, run
 from trueup.simulate.magnitude import as_large_as, shape_of
-from trueup.simulate.noise import WHITE, Noise
+from trueup.simulate.noise import WHITE, NoiseModel
 from trueup.simulate.robot import Follow, RobotMachine
 
 Array = NDArray[np.float64]
@@ -24,8 +24,8 @@ CATALOGUE = tuple(name for name in SLOTS if name not in BEYOND)
 
 @dataclass(frozen=True)
 class Plan:
-    """What one recording is commanded, or the reference it is to follow, `(samples,)`, and the
-    position and velocity it starts from."""
+    """The plan of one recording: commands, or a reference to follow, `(samples,)`, and the position
+    and velocity that it starts from."""
 
     role: str
     series: Array
@@ -96,7 +96,7 @@ class JointBench:
     recorded: Sequence[Plan] = ()
     bounds: tuple[float, float] | None = None  # of the command, where they are not +-limit
     sigma: tuple[float, float] | None = None  # of position and velocity, instead of `noise`
-    law: Noise = WHITE  # of that noise
+    law: NoiseModel = WHITE  # of that noise
     unshifted: tuple[float, float, float] | None = None  # k, c, b of machines that are not shifted
 
     @property
@@ -105,7 +105,7 @@ class JointBench:
         return min([round(1.0 / self.timestep_s), *(len(p.series) - 1 for p in self.recorded)])
 
     def led_in(self, series: Array) -> Array:
-        """A series with its warm-up: a recorded one is led in by its own beginning backwards, so
+        """A series with its warm-up. A recorded series is led in by its own beginning backwards, so
         that its machine is under way."""
         return np.concatenate([series[self.warm_up : 0 : -1], series]) if self.recorded else series
 
@@ -125,11 +125,9 @@ class JointBench:
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """What was recorded, by role, and what is wrong: a machine with its effects, whether parameters
-    moved, the gap that the least makes.
-
-    `sigma` is the noise of positions and velocities `(2 x joints,)`.
-    """
+    """The recordings of one machine, by role, and what is wrong with it: `shifted` says whether its
+    parameters moved, `gap` is the smallest gap that an imperfection makes, `sigma` the noise of
+    positions and velocities `(2 x joints,)`."""
 
     machine: Machine | RobotMachine
     shifted: bool
@@ -186,8 +184,7 @@ def draw(
     `gaps`, recorded by the bench's plans.
 
     The gap is the change of position that an imperfection causes, relative to the motion; of the
-    velocity where it changes that alone. Parameters that are shifted move by factors within
-    `spread`.
+    velocity where it changes that alone. If `shifted`, parameters move by factors within `spread`.
     """
     k, c, b = bench.k, bench.c, bench.b
     if shifted:
@@ -237,8 +234,8 @@ def draw(
 def _plans(
     bench: JointBench, size: Mapping[str, float], rng: np.random.Generator
 ) -> Iterator[Plan]:
-    """What is recorded: drawn series from rest about the middle, or the recorded ones, and as a
-    test those of validation backwards."""
+    """The plans of the recordings: the bench's recorded ones, with those of validation backwards as
+    a test; or else drawn series, which start near rest about the middle."""
     if bench.recorded:
         yield from bench.recorded
         for p in bench.recorded:

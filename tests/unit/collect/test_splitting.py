@@ -12,7 +12,7 @@ from tests.support.simulated import episode_of, episodes_of, plant_of
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.excitation import Setting, splitting
-from trueup.collect.goal import Splitting
+from trueup.collect.goal import SplittingGoal
 from trueup.diagnose.diagnosis import diagnose
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
@@ -166,7 +166,7 @@ COMMAND = np.sin(2.0 * TIMES)[:, None]
 
 
 def apart(*ensembles):
-    return Splitting(ensembles, NOISE, REST).told(TIMES, [COMMAND]).least
+    return SplittingGoal(ensembles, NOISE, REST).evaluate(TIMES, [COMMAND]).least
 
 
 def test_a_number_that_was_fitted_to_zero_can_still_give_way():

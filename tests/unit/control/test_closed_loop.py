@@ -10,7 +10,7 @@ from tests.support.made import TRUE, episode_bytes, plant_document
 from tests.support.robots import arm_plant
 from trueup.control.closed_loop import CANNOT, SEEDS, TURNS, Tracking, Travelled, compare
 from trueup.control.estimator import transport_delay_s
-from trueup.control.loop import Run
+from trueup.control.loop import LoopRun
 from trueup.control.planner import Linearised
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
@@ -164,7 +164,7 @@ def test_an_arms_references_are_no_faster_and_no_further_than_it_was_recorded(ar
 
     def noted(machine, planner, reference, every, begin, rng):
         asked.append(np.abs(np.gradient(reference, every * arm.timestep_s, axis=0)).max(axis=0))
-        return Run(np.zeros((len(reference) + 1, 4)), np.zeros((len(reference), 2)))
+        return LoopRun(np.zeros((len(reference) + 1, 4)), np.zeros((len(reference), 2)))
 
     monkeypatch.setattr("trueup.control.closed_loop._run", noted)
     machine = of_arm(arm)

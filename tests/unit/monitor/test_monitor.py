@@ -14,7 +14,7 @@ from trueup.monitor.achieved import poisson_interval
 from trueup.monitor.change import Before, changed, onset
 from trueup.monitor.detector import detectors
 from trueup.monitor.monitor import Monitor, _halves, calibrate
-from trueup.monitor.residuals import blocks, missed
+from trueup.monitor.residuals import blocks, unscaled_residuals
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, run
 from trueup.simulate.trial import JointBench
@@ -147,7 +147,7 @@ def test_a_spoiled_document_is_refused(monitor, spoil):
 
 
 def test_residuals_begin_anew_with_every_window_and_leave_its_start_out():
-    found = missed(Nominal(PLANT), recorded(machine(), 1))
+    found = unscaled_residuals(Nominal(PLANT), recorded(machine(), 1))
     assert len(found.first) == 4
     assert found.age.min() > 0.0
     assert found.age.max() == pytest.approx(1.0, abs=0.02)
@@ -164,7 +164,7 @@ def test_a_predictor_that_runs_away_is_far_off_and_no_number_is_lost(monitor):
 
 def test_blocks_are_whole_windows_of_one_episode(monitor):
     residuals = monitor.healthy.residuals(
-        missed(Nominal(PLANT), recorded(machine(), 3, seconds=11.0))
+        unscaled_residuals(Nominal(PLANT), recorded(machine(), 3, seconds=11.0))
     )
     parts = blocks(replace(residuals, evidence=np.zeros((residuals.windows, 2, 2))), 2)
     assert [p.windows for p in parts] == [2] * (residuals.windows // 2)

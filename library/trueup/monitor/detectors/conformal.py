@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.monitor.detector import Detector, Followed, Reference, State
+from trueup.monitor.detector import Detector, FollowedEpisode, Reference, State
 from trueup.monitor.residuals import Residuals, blocks
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ class ConformalTest(Detector):
     def begin(self) -> State:
         return (0.0, *self.scores)
 
-    def follow(self, state: State, residuals: Residuals) -> Followed:
+    def follow(self, state: State, residuals: Residuals) -> FollowedEpisode:
         gathered, known = state[0], np.array(state[1:])
         if len(known) > len(self.scores) + MOST:
             known = np.array(self.scores)
@@ -71,7 +71,7 @@ class ConformalTest(Detector):
             statistic[end - 1 :] = gathered
             if gathered > self.level:
                 alarm, gathered = end - 1 if alarm is None else alarm, 0.0
-        return Followed(
+        return FollowedEpisode(
             statistic,
             alarm,
             None if alarm is None else int((residuals.weight @ residuals.values**2).argmax()),

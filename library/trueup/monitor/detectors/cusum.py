@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.monitor.detector import Detector, Followed, Reference, State
+from trueup.monitor.detector import Detector, FollowedEpisode, Reference, State
 from trueup.monitor.residuals import Residuals
 from trueup.monitor.tail import Tail
 
@@ -67,7 +67,7 @@ class Cusum(Detector):
     def begin(self) -> State:
         return (0.0,) * self.sums()
 
-    def follow(self, state: State, residuals: Residuals) -> Followed:
+    def follow(self, state: State, residuals: Residuals) -> FollowedEpisode:
         sums = np.cumsum(self.increments(residuals), axis=0)
         path = sums - np.minimum(np.minimum.accumulate(sums, axis=0), -np.array(state))
         highest, ends = path.max(axis=1), self.ends(residuals)
@@ -76,8 +76,8 @@ class Cusum(Detector):
         beyond = np.flatnonzero(highest > self.level)
         if len(beyond):
             at = int(beyond[0])
-            return Followed(statistic, int(ends[at]), int(path[at].argmax()), self.begin())
-        return Followed(
+            return FollowedEpisode(statistic, int(ends[at]), int(path[at].argmax()), self.begin())
+        return FollowedEpisode(
             statistic, None, None, tuple(float(x) for x in path[-1]) if len(path) else state
         )
 
