@@ -26,9 +26,8 @@ from trueup.model.predictor import Nominal, Predictor
 Array = NDArray[np.float64]
 SCHEMA = "trueup.artifact/1"
 PROBES = 8
-PROBE_TOLERANCE = (
-    1e-9  # relative: matrix products differ by some 1e-13 between processors and their libraries
-)
+# relative: matrix products differ by some 1e-13 between processors and their libraries
+PROBE_TOLERANCE = 1e-9
 MANIFEST_BYTES = 4 << 20
 
 

@@ -130,22 +130,22 @@ class Model:
 
     def _issued(self, commands: ArrayLike) -> Array:
         """Commands as `(n, samples, commands)`."""
-        given, width = np.array(commands, float), len(self.commands)
-        given = given[:, None] if given.ndim == 1 and width == 1 else given
-        if given.ndim not in (2, 3) or given.shape[-1] != width or given.shape[-2] == 0:
+        array, width = np.array(commands, float), len(self.commands)
+        array = array[:, None] if array.ndim == 1 and width == 1 else array
+        if array.ndim not in (2, 3) or array.shape[-1] != width or array.shape[-2] == 0:
             raise ValueError(
-                f"commands are (samples, {width}) or (n, samples, {width}), these are {given.shape}"
+                f"commands are (samples, {width}) or (n, samples, {width}), these are {array.shape}"
             )
-        return given if given.ndim == 3 else given[None]  # noqa: PLR2004
+        return array if array.ndim == 3 else array[None]  # noqa: PLR2004
 
 
 def _columns(what: str, values: ArrayLike, samples: int, width: int) -> Array:
     """Columns `(samples, width)`; a single one may be `(samples,)`."""
-    given = np.array(values, float)
-    given = given[:, None] if given.ndim == 1 and width == 1 else given
-    if given.shape != (samples, width):
-        raise ValueError(f"{what} are ({samples}, {width}), these are {given.shape}")
-    return given
+    array = np.array(values, float)
+    array = array[:, None] if array.ndim == 1 and width == 1 else array
+    if array.shape != (samples, width):
+        raise ValueError(f"{what} are ({samples}, {width}), these are {array.shape}")
+    return array
 
 
 def load(folder: str | PathLike[str], digest: str | None = None) -> Model:

@@ -135,15 +135,15 @@ class Graph:
 
     def apply(self, operator: str, inputs: list[Any], **attributes: Any) -> Symbol:
         """The result of an operator on symbols and numbers."""
-        given = [x if isinstance(x, Symbol) else self._constant(np.float64(x)) for x in inputs]
-        if operator != "Cast" and not (operator == "Equal" and all(x.is_truth for x in given)):
-            given = [
+        operands = [x if isinstance(x, Symbol) else self._constant(np.float64(x)) for x in inputs]
+        if operator != "Cast" and not (operator == "Equal" and all(x.is_truth for x in operands)):
+            operands = [
                 self.apply("Cast", [x], to=self._onnx.TensorProto.DOUBLE) if x.is_truth else x
-                for x in given
+                for x in operands
             ]
         name = f"x{len(self._nodes)}"
         self._nodes.append(
-            self._onnx.helper.make_node(operator, [x.name for x in given], [name], **attributes)
+            self._onnx.helper.make_node(operator, [x.name for x in operands], [name], **attributes)
         )
         return Symbol(self, name, is_truth=operator in COMPARISONS)
 
@@ -154,13 +154,13 @@ class Graph:
 
     def needed(self, outputs: tuple[str, ...]) -> list[Any]:
         """The nodes that outputs depend on; constants that no node needs are removed."""
-        wanted, kept = set(outputs), []
+        wanted, nodes = set(outputs), []
         for node in reversed(self._nodes):
             if wanted.intersection(node.output):
                 wanted.update(node.input)
-                kept.append(node)
+                nodes.append(node)
         self._constants = {name: x for name, x in self._constants.items() if name in wanted}
-        return kept[::-1]
+        return nodes[::-1]
 
     def initializers(self) -> list[Any]:
         """The constants as ONNX initializers."""

@@ -41,14 +41,8 @@ PLANNER_SEED, MONITOR_SEED = 7, 4242
 TICKS = 200
 REFERENCE = 0.55 * np.sin(2.0 * np.pi * 0.15 * (DT_S * np.arange(TICKS))[:, None])
 DELAYS = (0, 1, 2, 3, 5, 8)
-IRREGULAR = (
-    3,
-    0,
-    5,
-    2,
-    8,
-    1,
-)  # delays in turn: what is seen comes late, irregularly and out of order
+# delays in turn: what is seen comes late, irregularly and out of order
+IRREGULAR = (3, 0, 5, 2, 8, 1)
 HORIZONS = (1, 10, 50, 200)
 
 

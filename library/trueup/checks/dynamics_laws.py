@@ -9,9 +9,8 @@ from trueup.checks.law import require
 from trueup.model.dynamics import Array, Dynamics
 
 VECTORS, WINDOWS, SAMPLES, H_S = 21, 3, 40, 0.01
-ROUNDING = (
-    1e-9  # compiled code may order additions otherwise; a robot's motion multiplies the difference
-)
+# compiled code may order additions otherwise; a robot's motion multiplies the difference
+ROUNDING = 1e-9
 
 
 def compiled_equals_numpy(dynamics: Dynamics, parameters: Array, name: str) -> None:

@@ -71,10 +71,10 @@ def a_smaller_error_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
             trial.candidate.rollout * rng.uniform(0.1, 1.0, EPISODES),
             trial.candidate.one_step * rng.uniform(0.1, 1.0, EPISODES),
         )
-        kept = (
+        law_holds = (
             not rule(trial).passed or rule(_trial(better, trial.incumbent, trial.episodes)).passed
         )
-        require(kept, "a smaller error never turns a pass into a refusal", rule.name)
+        require(law_holds, "a smaller error never turns a pass into a refusal", rule.name)
 
 
 def it_can_refuse_and_it_can_pass(rule: Rule) -> None:
@@ -94,8 +94,8 @@ def a_larger_bound_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
     bound = next(f.name for f in fields(rule))  # type: ignore[arg-type]
     larger = replace(rule, **{bound: 1.5 * getattr(rule, bound)})  # type: ignore[type-var]
     for trial in _trials():
-        kept = not rule(trial).passed or larger(trial).passed
-        require(kept, "a larger bound never turns a pass into a refusal", rule.name)
+        law_holds = not rule(trial).passed or larger(trial).passed
+        require(law_holds, "a larger bound never turns a pass into a refusal", rule.name)
 
 
 def requiring_the_bound_is_stricter(rule: Rule) -> None:

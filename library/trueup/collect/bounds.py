@@ -19,13 +19,8 @@ from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 SMOOTHED = 0.85  # of a random excitation, from sample to sample: at 0.05 s the chapter's
-DECLARED, RECORDED, GIVEN, BAND, UNBOUNDED = (
-    "declared",
-    "recorded",
-    "given",
-    "band",
-    "unbounded",
-)  # where a bound comes from
+# where a bound comes from
+DECLARED, RECORDED, GIVEN, BAND, UNBOUNDED = ("declared", "recorded", "given", "band", "unbounded")
 LONGEST_S = 3600.0  # of an excitation
 
 

@@ -63,56 +63,58 @@ def command_table(plant: Plant, t_s: Array, command: Array, first: Sequence[str]
 
 
 def _begin(plant: Plant, excitation: Excitation) -> str:
-    held = ", ".join(
+    hold = ", ".join(
         f"{c.name} = {excitation.hold[plant.joint_of(c)]:.4g} {c.unit}"
         for c in plant.layout.commands
     )
     return (
         f"Bring the machine to rest at {begins_at(plant, excitation.start)}, under the command "
-        f"{held}: the design begins there."
+        f"{hold}: the design begins there."
     )
 
 
 def _travel(plant: Plant, excitation: Excitation) -> list[str]:
-    said = []
+    sentences = []
     for j in range(len(excitation.hold)):
         (low, high), whence = excitation.bounds.whole()[j], WHENCE[excitation.bounds.sources[j]]
         free, position = 100 * excitation.bounds.margin, _position(plant, j)
-        said.append(
+        sentences.append(
             f"See that {position.name} may go from {low:.4g} to {high:.4g} {position.unit} "
             f"({whence}); {free:.0f} % of it is kept free."
         )
-    return said
+    return sentences
 
 
 def _speed(plant: Plant, excitation: Excitation) -> list[str]:
-    joints, said = len(excitation.hold), []
+    joints, sentences = len(excitation.hold), []
     for j in range(joints):
         low, high = excitation.bounds.whole()[joints + j]
         of = f"The speed of {plant.joint_name(j)}"
         if excitation.bounds.sources[joints + j] == UNBOUNDED:
-            said.append(f"{of} is not bounded: none is recorded or declared; --speed bounds it.")
+            sentences.append(
+                f"{of} is not bounded: none is recorded or declared; --speed bounds it."
+            )
         else:
             whence = SPEED_WHENCE[excitation.bounds.sources[joints + j]]
-            said.append(
+            sentences.append(
                 f"{of} stays between {low:.4g} and {high:.4g} {_position(plant, j).unit}/s "
                 f"({whence})."
             )
-    return said
+    return sentences
 
 
 def _command(plant: Plant, excitation: Excitation) -> list[str]:
-    said = []
+    sentences = []
     for channel in plant.layout.commands:
         j = plant.joint_of(channel)
         low, high = excitation.command[:, j].min(), excitation.command[:, j].max()
         whence = RATE_WHENCE[excitation.bounds.rate_sources[j]]
-        said.append(
+        sentences.append(
             f"The command {channel.name} goes from {low:.4g} to {high:.4g} {channel.unit} "
             "and changes by at most "
             f"{excitation.bounds.rate[j]:.4g} {channel.unit}/s ({whence})."
         )
-    return said
+    return sentences
 
 
 def _end(plant: Plant, excitation: Excitation) -> str:

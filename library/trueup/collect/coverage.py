@@ -94,12 +94,12 @@ def coverage_of(plant: Plant, episodes: Sequence[Episode]) -> list[Coverage]:
         low, high = triples.min(axis=0), triples.max(axis=0)
         x = (triples - low) / np.maximum(high - low, LEAST)
         corners = x[np.unique((x @ _directions().T).argmax(axis=0))]
-        kept = x[:: -(-len(x) // SAMPLES)]
+        chosen = x[:: -(-len(x) // SAMPLES)]
         between = x[
             len(x) // (2 * SAMPLES) :: -(-len(x) // SAMPLES)
-        ]  # as far from kept ones as samples can be
-        near = float(np.quantile(_from_samples(kept, between), NEAR)) + TOUCH
-        coverages.append(Coverage(plant.joint_name(joint), low, high, corners, kept, near))
+        ]  # as far from chosen ones as samples can be
+        near = float(np.quantile(_from_samples(chosen, between), NEAR)) + TOUCH
+        coverages.append(Coverage(plant.joint_name(joint), low, high, corners, chosen, near))
     return coverages
 
 

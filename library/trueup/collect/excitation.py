@@ -25,19 +25,16 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 MEMBERS, JUDGED = 48, 3  # that bound a wave, and that its worth is a mean over
 TRIED, IMPROVED = 160, 240  # waves drawn, and changes of the best
-SETTLED_S, SETTLED = (
-    60.0,
-    1e-3,
-)  # within which time, and to which part of the largest speed, a machine is at rest
+# within which time, and to which part of the largest speed, a machine is at rest
+SETTLED_S, SETTLED = (60.0, 1e-3)
 SMALLEST = 0.01  # of the command's reach: less is no excitation
 SHRINK = 0.97
 CHECKED = 1000  # members drawn anew, under each of which the final command must hold
 DETECTABLE = 4.0  # standard errors between two predictions, over the whole experiment
 ALONE = 0.3  # of the effort, to see whether anything parts an alternative
 RANDOM = 20  # random excitations of the same energy to compare with
-SHARE = (
-    0.45  # of the limit: root mean square of a random excitation to compare with while designing
-)
+# of the limit: root mean square of a random excitation to compare with while designing
+SHARE = 0.45
 
 
 @dataclass(frozen=True)

@@ -29,18 +29,12 @@ BRAKED = 3  # times it is fitted, for its limits cut some of it off
 NUDGED = 1e-3  # of the command's reach: how much a tent is pushed to see what it moves
 CUT = (1.0, 2.0, 4.0)  # times the limit before a wave is cut off there
 SIZES = 8  # that are tried of a wave
-ALMOST, ENOUGH = (
-    0.96,
-    0.9,
-)  # of the room: what the next size is aimed at, and what the largest size takes of it
+# of the room: what the next size is aimed at, and what the largest size takes of it
+ALMOST, ENOUGH = (0.96, 0.9)
 LEAST = 1e-9  # of the room, to divide by: a machine that sticks takes none
-AT_REST, STILL = (
-    0.05,
-    0.01,
-    # of the largest speed under any member: what counts as rest, and what is waited for if that is
-    # not
-    # LONG
-)
+# of the largest speed under any member: what counts as rest, and what a hold waits for unless that
+# takes longer than LONG
+AT_REST, STILL = (0.05, 0.01)
 LONG, LONGEST = 1.0, 3.0  # times the excitation: how long a hold may be
 CHANGED = 0.3  # of the lines, at once
 TOUCH = 1e-9  # of a command: it is the hold

@@ -15,11 +15,8 @@ Array = NDArray[np.float64]
 
 
 SHORTER = (1.0, 0.5, 0.2)  # of a step
-NUDGES = (
-    0.2,
-    0.05,
-    0.02,
-)  # of a command's range, for derivatives: wide ones first, for dry friction hides narrow ones
+# of a command's range, for derivatives: wide ones first, for dry friction hides narrow ones
+NUDGES = (0.2, 0.05, 0.02)
 
 
 class Planner(ABC):

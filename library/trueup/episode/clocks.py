@@ -13,9 +13,8 @@ import numpy as np
 from trueup.episode.track import Track
 
 LATENCY_S = 1.0  # by so much a buffered logger may be late at one message and not at another
-LATENCY_SHARE = (
-    0.05  # of the recording: and clocks may drift apart by so much, far more than quartz does
-)
+# of the recording: and clocks may drift apart by so much, far more than quartz does
+LATENCY_SHARE = 0.05
 
 
 def doubts(track: Track) -> tuple[str, ...]:

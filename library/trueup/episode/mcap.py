@@ -29,10 +29,8 @@ from trueup.episode.walk import Walk
 from trueup.errors import NotAnEpisode, TooLarge
 
 EPISODE_RECORD = "episode"
-CONDITIONS, CONDITION_CHARACTERS = (
-    64,
-    4096,
-)  # entries, and characters of them all: every listing and audit entry repeats them
+# entries, and characters of them all: every listing and audit entry repeats them
+CONDITIONS, CONDITION_CHARACTERS = (64, 4096)
 
 
 def read_episode(data: bytes, layout: Layout, limits: Limits = LIMITS) -> Episode:

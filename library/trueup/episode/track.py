@@ -14,9 +14,8 @@ from trueup.episode.joint_state import Columns
 from trueup.episode.layout import Channel
 from trueup.errors import NotAnEpisode
 
-LONGEST_NS = (
-    30 * 24 * 3600 * 1_000_000_000
-)  # one month: a longer episode is a clock that was set while recording
+# one month: a longer episode is a clock that was set while recording
+LONGEST_NS = 30 * 24 * 3600 * 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,20 +106,20 @@ class Gate:
                     ),
                     hint=HOLDS,
                 )
-            given: Any = document
-            if set(given["scoring"]) != {"horizon_s", "windows"}:
+            values: Any = document
+            if set(values["scoring"]) != {"horizon_s", "windows"}:
                 raise BadGate(
                     "scoring holds horizon_s and windows, nothing else", field="scoring", hint=HOLDS
                 )
-            horizon_s = _read(given["scoring"], "horizon_s", float, "a number")
+            horizon_s = _read(values["scoring"], "horizon_s", float, "a number")
             return Gate(
-                tuple(_rule(r) for r in _read(given, "rules", list, "a list")),
-                Scoring(horizon_s, _read(given["scoring"], "windows", str, "a text")),
-                tuple(_conditions(given)),
-                _read(given, "held_out_uses", int, "a whole number", optional=True),
-                _read(given, "follows", str, "a text", optional=True),
-                _read(given, "because", str, "a text", optional=True),
-                _read(given, "vacuous", bool, "true or false", optional=True) or False,
+                tuple(_rule(r) for r in _read(values, "rules", list, "a list")),
+                Scoring(horizon_s, _read(values["scoring"], "windows", str, "a text")),
+                tuple(_conditions(values)),
+                _read(values, "held_out_uses", int, "a whole number", optional=True),
+                _read(values, "follows", str, "a text", optional=True),
+                _read(values, "because", str, "a text", optional=True),
+                _read(values, "vacuous", bool, "true or false", optional=True) or False,
             )
         except KeyError as error:
             raise BadGate(f"a gate needs {error.args[0]!r}", hint=HOLDS) from error
@@ -127,10 +127,10 @@ class Gate:
             raise BadGate(f"the gate cannot be read: {error!r}") from error
 
 
-def _read(given: Any, name: str, kind: type, called: str, *, optional: bool = False) -> Any:
+def _read(values: Any, name: str, kind: type, called: str, *, optional: bool = False) -> Any:
     """A field of the kind that it must have; a whole number may stand for a real one. Raises
     BadGate, KeyError."""
-    value = given.get(name) if optional else given[name]
+    value = values.get(name) if optional else values[name]
     if optional and value is None:
         return None
     if kind is float and type(value) is int:
@@ -140,29 +140,29 @@ def _read(given: Any, name: str, kind: type, called: str, *, optional: bool = Fa
     return value
 
 
-def _conditions(given: Any) -> list[str]:
-    named = _read(given, "conditions", list, "a list of texts", optional=True) or []
+def _conditions(values: Any) -> list[str]:
+    named = _read(values, "conditions", list, "a list of texts", optional=True) or []
     return [_read({"conditions": each}, "conditions", str, "a list of texts") for each in named]
 
 
 def _rule(document: Mapping[str, Json]) -> Rule:
-    given = dict(document)
-    kind = rules().get(_read(given, "rule", str, "the name of a rule"))
-    given.pop("rule")
+    values = dict(document)
+    kind = rules().get(_read(values, "rule", str, "the name of a rule"))
+    values.pop("rule")
     if kind is None:
         raise BadGate(
             f"the rule {document['rule']!r} is not known", hint=f"Rules are {', '.join(rules())}."
         )
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
-    if set(given) - known:
+    if set(values) - known:
         raise BadGate(
-            f"the rule {kind.name} has no {', '.join(sorted(set(given) - known))}",
+            f"the rule {kind.name} has no {', '.join(sorted(set(values) - known))}",
             hint=f"It has {', '.join(sorted(known))}.",
         )
-    require = given.pop("require", MEAN)
+    require = values.pop("require", MEAN)
     if require not in (MEAN, BOUND):
         raise BadGate(f"the rule {kind.name} requires the {MEAN} or the {BOUND}", field="require")
-    bounds = {name: _read(given, name, float, "a number") for name in given}
+    bounds = {name: _read(values, name, float, "a number") for name in values}
     if not all(np.isfinite(v) and v > 0.0 for v in bounds.values()):
         raise BadGate(f"the bounds of {kind.name} must be positive numbers")
     return kind(**bounds, require=require)  # type: ignore[call-arg]

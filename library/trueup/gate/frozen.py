@@ -32,10 +32,10 @@ class Frozen:
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Self:
         """Read a declaration from JSON. Raises the class's own error."""
-        given = dict(document)
-        if given.pop("schema", None) != cls.schema:
+        values = dict(document)
+        if values.pop("schema", None) != cls.schema:
             raise cls.refused(f"the schema of {cls.noun} is {cls.schema}", field="schema")
         try:
-            return cls(**given)
+            return cls(**values)
         except TypeError as error:
             raise cls.refused(f"{cls.noun} cannot be read: {error}") from error

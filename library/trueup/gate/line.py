@@ -137,9 +137,13 @@ def looser(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
     reasons = [f"it drops the rule {name}" for name in old if name not in new]
     for name, rule in new.items():
         for bound, value in rule.items():
-            held = old.get(name, {}).get(bound)
-            if isinstance(value, int | float) and isinstance(held, int | float) and value > held:
-                reasons.append(f"{bound} of {name} is {value:g}, was {held:g}")
+            former = old.get(name, {}).get(bound)
+            if (
+                isinstance(value, int | float)
+                and isinstance(former, int | float)
+                and value > former
+            ):
+                reasons.append(f"{bound} of {name} is {value:g}, was {former:g}")
         if old.get(name, {}).get("require") == "bound" and rule.get("require") != "bound":
             reasons.append(f"{name} requires the mean, no longer the bound of its interval")
     scoring = [g["scoring"] for g in (before, after)]

@@ -60,10 +60,10 @@ class UpdatePolicy(Frozen):
     def document(self) -> dict[str, Json]:
         """The policy as JSON. The default of `on_rejected` is left out, so that older policies keep
         their digests."""
-        said = super().document()
+        document = super().document()
         return {
             name: value
-            for name, value in said.items()
+            for name, value in document.items()
             if (name, value) != ("on_rejected", APPROVAL)
         }
 

@@ -207,10 +207,10 @@ class Rule(ABC):
 
     def document(self) -> dict[str, Json]:
         """The rule as JSON; `require` is left out where it is the mean."""
-        given: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
         return {
             "rule": self.name,
-            **{name: value for name, value in given.items() if (name, value) != ("require", MEAN)},
+            **{name: value for name, value in values.items() if (name, value) != ("require", MEAN)},
         }
 
 

@@ -32,9 +32,8 @@ from trueup.errors import TrueupError
 ED25519 = b"\x01"
 SEED_BYTES = 32
 PRIVATE = "PRIVATE+KEY+"
-ENDORSEMENT = (
-    "trueup: the log is signed from here on by"  # no checkpoint begins so: an origin has no space
-)
+# no checkpoint begins so: an origin has no space
+ENDORSEMENT = "trueup: the log is signed from here on by"
 _NAME = re.compile(r"[^\s+]+")
 
 

@@ -170,12 +170,15 @@ def _base(predictor: Predictor) -> tuple[Array, Hypothesis, Scheme]:
 def _shapes(starts: Sequence[tuple[float, ...]], most: int) -> list[tuple[float, ...]]:
     """Some of the starts, from the first to the last; of two that differ in the sign alone the
     first."""
-    kept: list[tuple[float, ...]] = []
+    distinct: list[tuple[float, ...]] = []
     for start in starts:
-        if tuple(-x for x in start) not in kept:
-            kept.append(start)
+        if tuple(-x for x in start) not in distinct:
+            distinct.append(start)
     return (
-        [kept[i] for i in np.unique(np.linspace(0, len(kept) - 1, most).round().astype(int))]
+        [
+            distinct[i]
+            for i in np.unique(np.linspace(0, len(distinct) - 1, most).round().astype(int))
+        ]
         if most > 1
-        else [kept[len(kept) // 3]]
+        else [distinct[len(distinct) // 3]]
     )

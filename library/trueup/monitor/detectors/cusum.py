@@ -24,9 +24,8 @@ Array = NDArray[np.float64]
 LARGEST = 8.0  # healthy spreads that one residual counts at most: a single wild sample is no change
 SHIFT = 1.0  # of the mean, in healthy spreads, for which the tabular sum is the best
 GROWTH = 1.5  # of the spread, for which the likelihood ratio is the best: less than twice
-NOTICED = (
-    0.5  # of one channel's healthy power: the error has grown by a fifth where two are observed
-)
+# of one channel's healthy power: the error has grown by a fifth where two are observed
+NOTICED = 0.5
 LEAST_POWER = 1e-12  # of a signature: the data show nothing of it
 # standard errors of what the reference tells of a signature: smaller effects are not looked for
 SURE = 3.0
@@ -307,8 +306,8 @@ def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C
             )
         )
         return replace(detector, level=level)
-    kept = np.flatnonzero(counted)[-LEVELS // 2 :]
-    slope, at = np.polyfit(levels[kept], np.log(rates[kept]), 1)
+    tail = np.flatnonzero(counted)[-LEVELS // 2 :]
+    slope, at = np.polyfit(levels[tail], np.log(rates[tail]), 1)
     return replace(detector, level=float((np.log(reference.cautious_rate) - at) / slope))
 
 
