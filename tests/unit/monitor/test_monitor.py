@@ -147,12 +147,12 @@ def test_a_spoiled_document_is_refused(monitor, spoil):
 
 
 def test_residuals_begin_anew_with_every_window_and_leave_its_start_out():
-    found = unscaled_residuals(Nominal(PLANT), recorded(machine(), 1))
-    assert len(found.first) == 4
-    assert found.age.min() > 0.0
-    assert found.age.max() == pytest.approx(1.0, abs=0.02)
-    assert not set(found.rows) & set(found.first)
-    assert set(found.window) == {0, 1, 2, 3}
+    residuals = unscaled_residuals(Nominal(PLANT), recorded(machine(), 1))
+    assert len(residuals.first) == 4
+    assert residuals.age.min() > 0.0
+    assert residuals.age.max() == pytest.approx(1.0, abs=0.02)
+    assert not set(residuals.rows) & set(residuals.first)
+    assert set(residuals.window) == {0, 1, 2, 3}
 
 
 def test_a_predictor_that_runs_away_is_far_off_and_no_number_is_lost(monitor):
@@ -212,11 +212,11 @@ def test_what_changed_tells_the_machine_from_its_task(reference):
         conditions={"stage": ["SIL"], "payload": ["2 kg"]},
         period_s=0.04,
     )
-    found = changed(before, {"q": np.array([2.0, 2.0]), "v": np.array([1.0, 1.0])}, now)
-    assert found["channels"]["q"]["error"] == pytest.approx(2.0)
-    assert set(found["outside"]) == {"u"}
-    assert found["conditions"] == {"payload": {"reference": [], "now": ["2 kg"]}}
-    assert len(found["words"]) == 4
+    change = changed(before, {"q": np.array([2.0, 2.0]), "v": np.array([1.0, 1.0])}, now)
+    assert change["channels"]["q"]["error"] == pytest.approx(2.0)
+    assert set(change["outside"]) == {"u"}
+    assert change["conditions"] == {"payload": {"reference": [], "now": ["2 kg"]}}
+    assert len(change["words"]) == 4
     quiet = changed(before, {"q": np.array([1.0])}, before)
     assert quiet["words"] == []
     assert Before.from_document(before.document()) == replace(
