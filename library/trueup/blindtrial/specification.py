@@ -156,8 +156,8 @@ def _effects_of_kind(source: TrialPlant, kind: str, rng: np.random.Generator) ->
 def label_of(
     plant: Plant, specification: Specification, trial: SimulatedTrial
 ) -> Mapping[str, Json]:
-    """What is true of a machine: its effects with their numbers, its parameters where they can be
-    told one by one, the gap that an effect makes."""
+    """The label of a machine: its effects with their numbers, its parameters where a log can show
+    each of them, and the gap that an effect makes."""
     numbers = trial.machine.parameters()
     return {
         "kind": specification.kind,

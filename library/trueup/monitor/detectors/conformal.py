@@ -31,10 +31,8 @@ CERTAIN = 1.0 - 1e-4  # nearer to 1 the formula loses its digits; its limit is 1
 @dataclass(frozen=True)
 class ConformalTest(Detector):
     """An alarm when the sum of bets passes `level`, the number of blocks in the promised time;
-    blocks have `windows` rollouts each.
-
-    `scores` are those of the healthy blocks that it begins with.
-    """
+    blocks have `windows` rollouts each. `scores` are those of the healthy blocks that the ranking
+    begins with."""
 
     level: float
     windows: int
@@ -98,7 +96,7 @@ class ConformalTest(Detector):
 
 
 def bet(rank: int, count: int) -> float:
-    """What a rank from the top, 1 to `count`, is worth: 1 on the mean over all ranks."""
+    """The value of a bet on a rank from the top, 1 to `count`: 1 on the mean over all ranks."""
     return float(_power(np.array([rank / count]))[0] / _mean(count))
 
 
@@ -116,6 +114,6 @@ def _power(p: Array) -> Array:
 
 
 def _score(block: Residuals) -> float:
-    """Root mean square of the channel that has the largest."""
+    """The root mean square of the channel that has the largest."""
     share = block.weight / block.weight.sum()
     return float(np.sqrt((share @ block.values**2).max()))

@@ -41,7 +41,8 @@ C = TypeVar("C", bound="Cusum")
 
 @dataclass(frozen=True)
 class Cusum(Detector):
-    """The largest of several sums, each at least 0, of what speaks for one change."""
+    """Base of detectors whose statistic is the largest of several sums, each at least 0, of the
+    evidence for one change."""
 
     level: float
     rests_on = (
@@ -51,12 +52,12 @@ class Cusum(Detector):
 
     @abstractmethod
     def increments(self, residuals: Residuals) -> Array:
-        """What each step, a sample or a window, adds to each sum, `(steps, sums)`, negative on the
-        mean while all is well."""
+        """The increment of each sum at each step, a sample or a window, `(steps, sums)`: negative
+        on the mean for healthy residuals."""
 
     @abstractmethod
     def sums(self) -> int:
-        """How many there are."""
+        """The number of sums."""
 
     @staticmethod
     def ends(residuals: Residuals) -> NDArray[np.int64]:
@@ -86,8 +87,8 @@ class Cusum(Detector):
 
 @dataclass(frozen=True)
 class TabularCusum(Cusum):
-    """Two sums of each channel, for a mean that rises above what it was, and one that falls: S =
-    max(0, S +- (z - centre) - SHIFT / 2)."""
+    """Two sums for each channel, for a mean that rises and for one that falls: S = max(0, S +- (z -
+    centre) - SHIFT / 2)."""
 
     centre: tuple[float, ...]
     name = "tabular_cusum"
@@ -119,8 +120,8 @@ class TabularCusum(Cusum):
 
 @dataclass(frozen=True)
 class LikelihoodRatioCusum(Cusum):
-    """One sum of each channel, of the log likelihood ratio of a spread GROWTH times as large: z^2/2
-    (1 - 1/GROWTH^2) - ln GROWTH."""
+    """One sum for each channel, of the log likelihood ratio of a spread GROWTH times as large:
+    z^2/2 (1 - 1/GROWTH^2) - ln GROWTH."""
 
     channels: int
     name = "likelihood_ratio_cusum"
@@ -278,12 +279,12 @@ def _summary(detector: Cusum, blocks: Sequence[Residuals]) -> _Summary:
 
 
 def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C:
-    """The detector at the level that resampled futures pass as seldom as promised.
+    """The detector with the level that resampled futures pass as rarely as promised.
 
-    Each future draws its blocks from a resampled reference, so that what a short reference leaves
-    open is in the rate, and its largest blocks from a tail. Rates too small to be counted are read
-    off the line through the logarithms of those that are: a sum that falls on the mean has an
-    exponential tail.
+    Each future draws its blocks from a resampled reference, so that the uncertainty of a short
+    reference is part of the rate, and its largest blocks from a tail. Rates too small to be counted
+    are extrapolated along the line through the logarithms of those that are: a sum that falls on
+    the mean has an exponential tail.
     """
     of = _summary(detector, reference.fitted)
     levels = _passed_once(of, rng)
@@ -312,7 +313,8 @@ def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C
 
 
 def _passed_once(of: _Summary, rng: np.random.Generator) -> Array:
-    """Levels `(LEVELS,)` from what a block reaches by itself to what hardly any future passes."""
+    """Levels `(LEVELS,)`, from what one block reaches by itself to what hardly any future
+    passes."""
     state, highest = np.zeros((STREAMS, of.total.shape[1])), np.zeros(STREAMS)
     for _ in range(LENGTH):
         block = of.drawn(rng.integers(0, len(of.rise), STREAMS), rng)

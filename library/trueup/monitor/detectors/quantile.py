@@ -77,7 +77,7 @@ def _largest(residuals: Residuals) -> Array:
 
 
 def _in_a_row(residuals: Residuals, run: int) -> Array:
-    """What the last `run` samples all reach, `(samples - run + 1,)`."""
+    """The largest level that all of the last `run` samples reach, `(samples - run + 1,)`."""
     largest = _largest(residuals)
     return (
         np.asarray(sliding_window_view(largest, run).min(axis=1))
