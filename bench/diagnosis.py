@@ -23,7 +23,7 @@ import numpy as np
 from bench.peers.case import TERMS
 from bench.peers.environment import HERE, peers_python
 from tests.support.simulated import episode_of, episodes_of, plant_of
-from trueup.blindtrial.tally import Answer, judge
+from trueup.blindtrial.scoring import Answer, score_answer
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.explore import explore
@@ -282,7 +282,7 @@ def main() -> None:
 
 
 def _line(found: list[Hidden], answers: dict[str, Given]) -> list[str]:
-    exact = {m.name: bool(judge(m.label, answers[m.name].answer)["exact"]) for m in found}
+    exact = {m.name: bool(score_answer(m.label, answers[m.name].answer)["exact"]) for m in found}
 
     def share(chosen) -> str:
         return f"{sum(exact[m.name] for m in chosen)}/{len(chosen)}"

@@ -159,11 +159,12 @@ def import_(
 @contextmanager
 def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]:
     """An archive whose head is signed by a key that is believed, and that holds against it: the
-    seal is looked at before anything else.
+    signature of its manifest is checked before anything else is read.
 
     Raises KeyNotGiven, NotSigned, NotWhole, BadArchive.
     """
-    from trueup.ledger.archive import Archive, Seal, statement_of
+    from trueup.ledger.archive import Archive, ManifestSignature
+    from trueup.ledger.archive_layout import statement_of
     from trueup_client.problem import NotSigned
     from trueup_client.proof import Checkpoint, Key, includes
     from trueup_service.archives import require_whole
@@ -181,10 +182,10 @@ def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]
         first = given or own
         return [] if first is None else [first, *first.followed(endorsements)]
 
-    def signed(seal: Seal) -> bool:
+    def signed(by: ManifestSignature) -> bool:
         return any(
-            k.signed(seal.signature, statement_of(f"sha256:{seal.digest}"))
-            for k in signers(seal.endorsements)
+            k.signed(by.signature, statement_of(f"sha256:{by.digest}"))
+            for k in signers(by.endorsements)
         )
 
     archive = Archive(source, signed)

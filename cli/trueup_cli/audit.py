@@ -126,12 +126,12 @@ def verify(
 ) -> None:
     """Hold the service against its log: every entry, every row, every byte, every decision; exit 4
     with a list if anything differs."""
-    from trueup.ledger.gate_lines import GateLines
+    from trueup.ledger.gate_lines import GateLineCheck
     from trueup.ledger.verification import verify as hold
 
     client, witness = seen(url)
     with progress("verifying") as bar:
-        labels, lines = _Labels(), GateLines()
+        labels, lines = _Labels(), GateLineCheck()
         looks = lambda entry: [*labels(entry), *lines(entry)]  # noqa: E731
         found = hold(
             _Service(client, witness),
@@ -151,7 +151,7 @@ def verify(
             "rows": found.rows,
             "bytes": found.bytes,
         }
-        as_json({**whole, "findings": wrong, "notes": lines.notes})
+        as_json({**whole, "findings": wrong, "notes": lines.remarks})
     elif wrong:
         table("", ["where", "what does not agree"], wrong)
     else:
@@ -168,10 +168,10 @@ def verify(
             megabytes,
             replayed,
         )
-    if lines.notes and not as_json_:
+    if lines.remarks and not as_json_:
         say("[bold]notes[/]: gates and decisions that were made after candidates had been judged")
-        for note in lines.notes:
-            say("  {}", note)
+        for remark in lines.remarks:
+            say("  {}", remark)
     if wrong:
         _disagree(f"{len(wrong)} things are not as the log says")
 
@@ -225,7 +225,7 @@ class _Labels:
         self._committed: dict[str, list[list[str]]] = {}
 
     def __call__(self, entry: Any) -> list[Any]:
-        from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
+        from trueup.blindtrial.commitment import CommitmentMismatch, require_commitments
         from trueup.ledger.verification import Finding
 
         if entry.kind == "blindtrial:committed":
@@ -236,8 +236,8 @@ class _Labels:
             entry.subject, []
         ):  # of a worker that was killed before it opened them, another drew anew
             try:
-                require_as_committed(entry.facts["result"]["report"], commitments)
-            except NotAsCommitted:
+                require_commitments(entry.facts["result"]["report"], commitments)
+            except CommitmentMismatch:
                 continue
             return []
         return [Finding(f"entry {entry.sequence}", "opens labels that nobody committed")]

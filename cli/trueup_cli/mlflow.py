@@ -34,7 +34,7 @@ from trueup.model.predictor import Identified, Nominal
 from trueup_cli.exits import HOLDS, told
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, witnessed
 from trueup_cli.show import Bar, as_json, progress, say
-from trueup_client import Client, Untrue
+from trueup_client import Client, DigestMismatch
 from trueup_client.records import Artifact as Registered
 
 app = App(
@@ -279,7 +279,9 @@ def _known(
     known, kept = _held(folder)
     registered = (version.tags or {}).get(MADE_HERE)
     if kept is not None and registered not in (None, kept.digest):
-        raise Untrue(f"{uri} is registered as {registered[:12]} and holds {kept.digest[:12]}")
+        raise DigestMismatch(
+            f"{uri} is registered as {registered[:12]} and holds {kept.digest[:12]}"
+        )
     return {
         **known,
         "source": uri,
@@ -290,7 +292,7 @@ def _known(
 
 def _held(folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
     """What an MLflow model's file says of it, and the artifact in its folder. Raises NotImportable,
-    Untrue."""
+    DigestMismatch."""
     document = _read(folder / FILE)
     known: dict[str, JsonValue] = {
         "flavors": sorted(map(str, document.get("flavors", ()))),
@@ -312,7 +314,7 @@ def _held(folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
         artifact_of(document),
     )
     if told != kept.digest:
-        raise Untrue(f"{FILE} names artifact {str(told)[:12]} and holds {kept.digest[:12]}")
+        raise DigestMismatch(f"{FILE} names artifact {str(told)[:12]} and holds {kept.digest[:12]}")
     return known, kept
 
 

@@ -62,7 +62,7 @@ PlantName = Annotated[str, Parameter(completer=plants_there, help="Name of the p
 
 def seen(url: str) -> tuple[Client, Witness]:
     """The same, once the log was seen to extend what this user saw of it before, and who saw it.
-    Raises NotSigned, Rewritten."""
+    Raises NotSigned, LogForked."""
     client, pinned = connect(url), os.environ.get("TRUEUP_LOG_KEY")
     witness = Witness(witness_file(url), pinned)
     try:

@@ -163,7 +163,7 @@ def keygen(name: str, *, as_json_: Json = False) -> None:
     name
         name of the log, such as registry.example.com/robots; it stands in every checkpoint
     """
-    from trueup.ledger.note import Signer
+    from trueup.ledger.signed_note import Signer
     from trueup_service.signed_log import new_signer
 
     made = Signer.from_text(new_signer(name).text)

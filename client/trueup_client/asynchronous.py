@@ -108,7 +108,7 @@ class AsyncClient:
         return await self._pool.run(Client.episode, plant, digest)
 
     async def download_episode(self, plant: str, digest: str, path: str | os.PathLike[str]) -> None:
-        """Save an episode's bytes. Raises Untrue if they are not what the digest names."""
+        """Save an episode's bytes. Raises DigestMismatch if they are not what the digest names."""
         return await self._pool.run(Client.download_episode, plant, digest, path)
 
     def artifacts(self, plant: str) -> AsyncIterator[Artifact]:
@@ -130,7 +130,7 @@ class AsyncClient:
 
     async def fetch(self, plant: str, digest: str, folder: str | os.PathLike[str]) -> Path:
         """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte
-        verified. Raises Untrue."""
+        verified. Raises DigestMismatch."""
         return await self._pool.run(Client.fetch, plant, digest, folder)
 
     async def declare_gate(self, plant: str, document: Document | None = None) -> Gate:
@@ -368,7 +368,7 @@ class AsyncClient:
         return await self._pool.run(Client.inclusion, sequence, size)
 
     async def witness(self, witness: Witness) -> Checkpoint:
-        """Let a witness see the log as it is now. Raises NotSigned, Rewritten."""
+        """Let a witness see the log as it is now. Raises NotSigned, LogForked."""
         return await self._pool.run(Client.witness, witness)
 
     def rows(self, table: str) -> AsyncIterator[Document]:

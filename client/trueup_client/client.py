@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 from urllib.parse import quote, urlencode
 
 from trueup_client.connection import STREAM_BYTES, Connection
-from trueup_client.problem import Problem, Unreachable, Untrue
+from trueup_client.problem import DigestMismatch, Problem, Unreachable
 from trueup_client.proof import Checkpoint
 from trueup_client.records import (
     Alarm,
@@ -169,7 +169,7 @@ class Client:
         return self._get(f"/v1/plants/{_name(plant)}/episodes/{_name(digest)}")
 
     def download_episode(self, plant: str, digest: str, path: str | os.PathLike[str]) -> None:
-        """Save an episode's bytes. Raises Untrue if they are not what the digest names."""
+        """Save an episode's bytes. Raises DigestMismatch if they are not what the digest names."""
         self._save(
             f"/v1/plants/{_name(plant)}/episodes/{_name(digest)}/content", digest, Path(path)
         )
@@ -210,7 +210,7 @@ class Client:
 
     def fetch(self, plant: str, digest: str, folder: str | os.PathLike[str]) -> Path:
         """Fetch an artifact into a folder as manifest.json and arrays.safetensors, every byte
-        verified. Raises Untrue."""
+        verified. Raises DigestMismatch."""
         to = Path(folder)
         to.mkdir(parents=True, exist_ok=True)
         self._save(
@@ -519,7 +519,7 @@ class Client:
         )
 
     def witness(self, witness: Witness) -> Checkpoint:
-        """Let a witness see the log as it is now. Raises NotSigned, Rewritten."""
+        """Let a witness see the log as it is now. Raises NotSigned, LogForked."""
         if witness.key is None:
             witness.pin(self.audit_key())
         return witness.see(self.checkpoint(), self.consistency, self.endorsements)
@@ -593,7 +593,7 @@ class Client:
                 return
             query[cursor] = page["next"]
             if query[cursor] in followed:
-                raise Untrue(
+                raise DigestMismatch(
                     f"the pages of {path} lead back to one that was read: a list has an end"
                 )
             followed.add(query[cursor])
@@ -609,7 +609,7 @@ class Client:
                 file.flush()
                 os.fsync(file.fileno())
             if hashed.hexdigest() != digest:
-                raise Untrue(f"{path} gave {hashed.hexdigest()}")
+                raise DigestMismatch(f"{path} gave {hashed.hexdigest()}")
             beside.replace(to)
             sync_folder(to.parent)
         finally:

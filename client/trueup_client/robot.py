@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 from trueup_client.client import Client, is_whole, sync_folder
-from trueup_client.problem import NotSigned, Rewritten
+from trueup_client.problem import LogForked, NotSigned
 from trueup_client.proof import Key
 from trueup_client.records import Envelope
 from trueup_client.witness import Witness
@@ -168,7 +168,7 @@ class Robot:
         return Answer(**{name: found[name] for name in Answer.__slots__}), found["checkpoint"]
 
     def _require_later(self, answer: Answer) -> None:
-        """Raises Rewritten for an answer older than one that was seen, or another artifact under
+        """Raises LogForked for an answer older than one that was seen, or another artifact under
         its generation, NotSigned if expired."""
         if not answer.is_current(self._clock()):
             raise NotSigned(
@@ -178,7 +178,7 @@ class Robot:
         if answer.generation < generation or (
             answer.generation == generation and answer.artifact != artifact
         ):
-            raise Rewritten(
+            raise LogForked(
                 f"generation {answer.generation} was answered after generation {generation}"
             )
 

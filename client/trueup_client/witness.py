@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
-from trueup_client.problem import NotSigned, Problem, Rewritten
+from trueup_client.problem import LogForked, NotSigned, Problem
 from trueup_client.proof import Checkpoint, Key, extends
 
 T = TypeVar("T")
@@ -76,7 +76,7 @@ class Witness:
         return found
 
     def see(self, note: str, prove: Proof, endorsements: Endorsements = list) -> Checkpoint:
-        """Take a checkpoint, if it is signed and extends the last one. Raises NotSigned, Rewritten.
+        """Take a checkpoint, if it is signed and extends the last one. Raises NotSigned, LogForked.
 
         An older one of the same log changes nothing, so that answers may overtake each other.
         """
@@ -88,12 +88,12 @@ class Witness:
             except Problem as error:
                 if error.status != BAD_REQUEST:
                     raise  # it cannot answer now
-                raise Rewritten(
+                raise LogForked(
                     f"a log of {new.size} entries was seen, and is not there any more "
                     f"({self._path})"
                 ) from error
             if not extends(old.size, old.root, new.size, new.root, proof):
-                raise Rewritten(
+                raise LogForked(
                     f"a log of {new.size} entries does not extend the one of {old.size}; "
                     f"what was seen is in {self._path}"
                 )

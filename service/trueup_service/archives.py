@@ -19,23 +19,19 @@ from sqlalchemy import Table
 from sqlalchemy.exc import IntegrityError
 
 from trueup.canonical import Json
-from trueup.ledger.archive import (
+from trueup.ledger.archive import Archive, Includes, dangling_rows, foreign_rows, unproven
+from trueup.ledger.archive_layout import (
     ARRAYS,
     ENTRIES,
     EPISODE,
     OUTPUT,
     ROWS,
-    Archive,
-    ArchiveWriter,
-    Includes,
-    dangling,
     entry_line,
     lines,
-    of_others,
-    unproven,
 )
+from trueup.ledger.archive_writer import ArchiveWriter
 from trueup.ledger.merkle import inclusion, prove
-from trueup.ledger.rows import KEPT_APART, KEYS, blobs, must_be_named
+from trueup.ledger.rows import KEYS, NOT_OF_A_PLANT, blobs, must_be_named
 from trueup.ledger.verification import verify, verify_part
 from trueup_service.actions import find
 from trueup_service.actor_context import ActorContext
@@ -75,7 +71,7 @@ def export(
         named: dict[str, str] = {}
         for count, table in enumerate(KEYS):
             progress(0.2 * count / len(KEYS), table)
-            if plant is not None and table in KEPT_APART:
+            if plant is not None and table in NOT_OF_A_PLANT:
                 continue
             rows = [
                 row
@@ -135,7 +131,7 @@ def require_whole(archive: Archive, includes: Includes, progress: Progress) -> N
     if archive.plant is None:
         findings = verify(archive, progress).findings
     else:
-        missing, others = unproven(archive, includes), of_others(archive)
+        missing, others = unproven(archive, includes), foreign_rows(archive)
         if missing:
             raise NotWhole(
                 (
@@ -144,7 +140,7 @@ def require_whole(archive: Archive, includes: Includes, progress: Progress) -> N
                 ),
                 entries=missing[:10],
             )
-        hanging = dangling(archive)
+        hanging = dangling_rows(archive)
         if hanging:
             raise NotWhole(
                 f"{len(hanging)} rows name what the archive does not hold, {hanging[0]} among them",
@@ -154,7 +150,9 @@ def require_whole(archive: Archive, includes: Includes, progress: Progress) -> N
             raise NotWhole(
                 f"{len(others)} rows are of another plant, {others[0]} among them", rows=others[:10]
             )
-        findings = verify_part(archive, (entry for entry, _ in archive.proven()), progress).findings
+        findings = verify_part(
+            archive, (entry for entry, _ in archive.entries_with_proofs()), progress
+        ).findings
     if findings:
         first = findings[0]
         raise NotWhole(
@@ -211,7 +209,7 @@ def import_plant(
                 hint="A plant is imported once, where there is none of its name.",
             )
         for table in t.metadata.sorted_tables:
-            if table.name not in KEYS or table.name in (*KEPT_APART, t.imports.name):
+            if table.name not in KEYS or table.name in (*NOT_OF_A_PLANT, t.imports.name):
                 continue
             for row in archive.rows(table.name):
                 if must_be_named(table.name, row):

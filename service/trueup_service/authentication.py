@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import hmac
-import os
 import secrets
 import time
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from trueup.files import write_new
 from trueup_service.actions.tokens import issue_token
 from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.errors import Unauthenticated
@@ -152,9 +152,7 @@ def first_admin(settings: Settings, database: Database) -> Path | None:
         text, prefix, digest = new_token()
         path = settings.data_dir / ADMIN_FILE
         path.unlink(missing_ok=True)
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            file.write(text + "\n")
-            os.fsync(file.fileno())
+        write_new(path, f"{text}\n".encode(), mode=0o600)
         token = TokenRecord(
             prefix=prefix,
             digest=digest,

@@ -12,8 +12,8 @@ from trueup.canonical import Json
 from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry
 from trueup.ledger.merkle import Node, node_of
-from trueup.ledger.note import head_of, signed_with
 from trueup.ledger.rows import KEYS, blobs
+from trueup.ledger.signed_note import head_of, signed_with
 from trueup.ledger.verification import Finding
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import Blobs

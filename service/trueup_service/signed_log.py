@@ -15,8 +15,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from trueup.canonical import Json
+from trueup.files import sync, write_durably, write_new
 from trueup.ledger.merkle import EMPTY, Frontier, cover, fold
-from trueup.ledger.note import Signer, head_of
+from trueup.ledger.signed_note import Signer, head_of
 from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.errors import LogRewound, OtherKey
 from trueup_service.registry.database import Database
@@ -24,6 +25,7 @@ from trueup_service.registry.records import AuditKey
 from trueup_service.registry.transaction import ReadTransaction, Transaction, reading, writing
 from trueup_service.settings import Settings
 
+PRIVATE_MODE = 0o600  # of files: for their owner alone
 KEY_FILE, KEY_FILE_BEFORE, CHECKPOINT_FILE = "signing.key", "signing.key.before", "checkpoint"
 
 
@@ -54,7 +56,8 @@ class SignedLog:
         """Write the signed head to its file, if it has moved. Raises LogRewound."""
         note = self.checkpoint()
         if not self._published.exists() or self._published.read_text() != note:
-            _replace(self._published, note)
+            write_durably(self._published, [note.encode()], PRIVATE_MODE)
+            sync(self._published.parent)
 
     def envelope(self, payload_type: str, document: Json) -> dict[str, Json]:
         """A document in an envelope that is signed with the log's key."""
@@ -159,35 +162,12 @@ def _key_text(path: Path, name: str | None) -> str:
     one makes it."""
     if not path.exists():
         beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
-        _write(beside, new_signer(name).text + "\n")
+        write_new(beside, f"{new_signer(name).text}\n".encode(), PRIVATE_MODE)
         try:
             os.link(beside, path)
         except FileExistsError:
             pass
         finally:
             beside.unlink()
-        _sync_folder(path.parent)
+        sync(path.parent)
     return path.read_text()
-
-
-def _replace(path: Path, text: str) -> None:
-    """Replace a file in one step, so that a reader sees the old text or the new one."""
-    beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
-    _write(beside, text)
-    beside.replace(path)
-    _sync_folder(path.parent)
-
-
-def _write(path: Path, text: str) -> None:
-    with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

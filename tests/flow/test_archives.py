@@ -24,8 +24,8 @@ from tests.support.service import ROOT, Service, command, kill
 from tests.support.storage import embedded, scaled
 from tests.support.tampering import promoted
 from trueup.episode.role import Role
-from trueup.ledger.archive import SIGNATURE, statement_of
-from trueup.ledger.note import Signer
+from trueup.ledger.archive_layout import SIGNATURE, statement_of
+from trueup.ledger.signed_note import Signer
 from trueup_client import Client, Problem
 from trueup_client import client as module
 from trueup_service.actions.register_plant import register_plant

@@ -25,9 +25,9 @@ from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT, Service, command
 from tests.support.storage import embedded
 from tests.support.tampering import cut, flip, promoted
-from trueup.ledger.note import Signer
+from trueup.ledger.signed_note import Signer
 from trueup.ledger.verification import verify
-from trueup_client import Client, NotSigned, Problem, Rewritten, Robot, Witness
+from trueup_client import Client, LogForked, NotSigned, Problem, Robot, Witness
 from trueup_client.proof import Checkpoint, Key, includes, leaf_hash
 from trueup_service.archives import export
 from trueup_service.errors import LogRewound, OtherKey
@@ -139,12 +139,12 @@ def test_a_witness_sees_the_log_grow_and_refuses_one_that_was_rewritten(told, lo
         (second.size, bytes(32)),
         (second.size + 1, bytes(32)),
     ):  # whoever has the key tells another story
-        with pytest.raises(Rewritten):
+        with pytest.raises(LogForked):
             Witness(tmp_path / "seen.json").see(
                 signer(told).checkpoint(size, root), client.consistency
             )
     forged = Witness(tmp_path / "seen.json")
-    with pytest.raises(Rewritten):
+    with pytest.raises(LogForked):
         forged.see(signer(told).checkpoint(second.size + 1, bytes(32)), lambda *_: [bytes(32)] * 4)
     assert client.witness(Witness(tmp_path / "seen.json")).size == second.size
 
@@ -158,7 +158,7 @@ def test_a_witness_refuses_a_log_whose_tail_was_cut(told, log, tmp_path):
     seen = Checkpoint.of(client.checkpoint(), key)
     witness = Witness(tmp_path / "seen.json", client.audit_key())
     witness.see(signer(told).checkpoint(seen.size + 5, bytes(32)), client.consistency)
-    with pytest.raises(Rewritten):
+    with pytest.raises(LogForked):
         client.witness(witness)
 
 
@@ -227,7 +227,7 @@ def test_a_robot_refuses_an_older_generation_a_forged_answer_and_one_for_another
     robot.refresh()
     moved = move(client, "p", 1.3)
     assert robot.refresh().answer.generation == moved.generation
-    with pytest.raises(Rewritten):
+    with pytest.raises(LogForked):
         robot._require_later(robot._opened(old, robot._witness.key)[0])
     payload = json.loads(base64.b64decode(old["payload"]))
     with pytest.raises(NotSigned):
@@ -599,7 +599,7 @@ def test_a_robot_keeps_the_highest_generation_that_it_saw_though_it_could_not_fe
         robot.refresh()
     assert robot.current() == before
     again = Robot(service.url, "p", tmp_path / "robot")
-    with pytest.raises(Rewritten):
+    with pytest.raises(LogForked):
         again._require_later(again._opened(old, again._witness.key)[0])
     late = Robot(
         service.url, "p", tmp_path / "other", clock=lambda: datetime.now(UTC) + timedelta(days=2)

@@ -12,7 +12,7 @@ import pytest
 from tests.support.service import ROOT, Service, command, kill
 from tests.support.storage import embedded
 from tests.support.tampering import promoted
-from trueup.ledger.note import Signer
+from trueup.ledger.signed_note import Signer
 from trueup.ledger.verification import verify
 from trueup_client import Client
 from trueup_service import wiring

@@ -360,16 +360,18 @@ class _Late(QuantileRun):
     name = "late"
 
     def follow(self, state, residuals):
-        found = super().follow(state, residuals)
-        return replace(found, alarm=None if found.alarm is None else len(found.statistic) - 1)
+        followed = super().follow(state, residuals)
+        return replace(
+            followed, alarm=None if followed.alarm is None else len(followed.statistic) - 1
+        )
 
 
 class _Foreseeing(QuantileRun):
     name = "foreseeing"
 
     def follow(self, state, residuals):
-        found = super().follow(state, residuals)
-        return replace(found, statistic=np.maximum.accumulate(found.statistic[::-1])[::-1])
+        followed = super().follow(state, residuals)
+        return replace(followed, statistic=np.maximum.accumulate(followed.statistic[::-1])[::-1])
 
 
 class _Nervous(QuantileRun):

@@ -11,11 +11,11 @@ from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.plant import Plant
 from trueup.simulate.machine import Run
-from trueup.simulate.noise import WHITE, Noise
-from trueup.simulate.trial import Bench, Trial, draw, draw_bench
+from trueup.simulate.noise import WHITE, NoiseModel
+from trueup.simulate.trial import JointBench, SimulatedTrial, draw, draw_bench
 
 
-def plant_of(bench: Bench, *, velocity: bool = True) -> Plant:
+def plant_of(bench: JointBench, *, velocity: bool = True) -> Plant:
     parameters = {"k": bench.k, "c": bench.c, "b": bench.b}
     if bench.kind == "inertia":
         del parameters["k"]
@@ -36,7 +36,7 @@ def plant_of(bench: Bench, *, velocity: bool = True) -> Plant:
     )
 
 
-def episodes_of(plant: Plant, trial: Trial, runs: int | None = None) -> list[Episode]:
+def episodes_of(plant: Plant, trial: SimulatedTrial, runs: int | None = None) -> list[Episode]:
     """The first runs of each role, or all."""
     roles = Role.ADAPTATION, Role.VALIDATION
     return [
@@ -67,9 +67,9 @@ def recorded(
     *,
     shifted: bool = True,
     velocity: bool = True,
-    law: Noise = WHITE,
+    law: NoiseModel = WHITE,
     runs: int | None = None,
-) -> tuple[Plant, list[Episode], Trial]:
+) -> tuple[Plant, list[Episode], SimulatedTrial]:
     rng = np.random.default_rng(seed)
     bench = replace(draw_bench(tier, rng), law=law)
     trial = draw(bench, names, shifted, rng)

@@ -64,7 +64,7 @@ def test_a_log_is_surveyed_in_every_encoding(tmp_path, encoding):
     path = record(tmp_path / "bag.mcap", 0, encoding=encoding)
     with path.open("rb") as file:
         found = survey(file, path.stat().st_size)
-    told = {s.topic: s for s in found.found}
+    told = {s.topic: s for s in found.topics}
     assert set(told) == {"/robot/joint_states", "/robot/effort_command"}
     assert told["/robot/joint_states"].joints == ("hinge",)
     assert told["/robot/joint_states"].fields == (Field.POSITION, Field.VELOCITY)

@@ -62,7 +62,7 @@ def choose(
 ) -> Chosen:
     """The topics and the joint of a log with one driven joint, those that are named or those that
     are plain. Raises BadPlant."""
-    by_name = {s.topic: s for s in survey.found}
+    by_name = {s.topic: s for s in survey.topics}
     for name in (observation, command):
         if name is not None and name not in by_name:
             raise BadPlant(f"no JointState is on {name}", field="topics", hint=_there_is(survey))
@@ -101,7 +101,7 @@ def choose(
 def _observed(survey: Survey, command: str | None) -> Surveyed:
     seen = [
         s
-        for s in survey.found
+        for s in survey.topics
         if Field.POSITION in s.fields and s.topic != command and not COMMANDED.search(s.topic)
     ]
     if len(seen) != 1:
@@ -114,7 +114,7 @@ def _observed(survey: Survey, command: str | None) -> Surveyed:
 
 
 def _commanded(survey: Survey, seen: Surveyed) -> Surveyed:
-    others = [s for s in survey.found if s.topic != seen.topic and s.fields]
+    others = [s for s in survey.topics if s.topic != seen.topic and s.fields]
     named = [s for s in others if COMMANDED.search(s.topic)] or others
     if len(named) == 1:
         return named[0]
@@ -130,7 +130,7 @@ def _commanded(survey: Survey, seen: Surveyed) -> Surveyed:
 def _there_is(survey: Survey) -> str:
     streams = [
         f"{s.topic} ({', '.join(s.fields) or 'empty'} of {', '.join(s.joints) or 'unnamed joints'})"
-        for s in survey.found
+        for s in survey.topics
     ]
     others = (
         f" Other topics: {', '.join(survey.others)}; commands must be JointState, too."

@@ -10,7 +10,7 @@ from trueup.canonical import Json, digest_of
 from trueup.errors import BrokenChain
 from trueup.ledger.operation import Operation
 from trueup.ledger.pointer import (
-    Judged,
+    JudgedDecision,
     NothingToRollBackTo,
     ServingPointer,
     promote,
@@ -61,7 +61,7 @@ def promote_decision(
     )
 
 
-def _judged(made: DecisionRecord) -> Judged:
+def _judged(made: DecisionRecord) -> JudgedDecision:
     """What the decision's document says. Raises BrokenChain where the document is not the one that
     the digest names."""
     document: dict[str, Any] = made.document
@@ -69,7 +69,7 @@ def _judged(made: DecisionRecord) -> Judged:
         raise BrokenChain(
             "the decision's document is not the one that its digest names", decision=made.digest
         )
-    return Judged(
+    return JudgedDecision(
         made.digest,
         document["accepted"],
         document["candidate"],

@@ -15,13 +15,13 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 
 from trueup import errors
-from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted
+from trueup.blindtrial.commitment import CommitmentMismatch, LabelLeaked
 from trueup.canonical import NotCanonical
 from trueup.gate.evidence import BadEvidence
 from trueup.gate.policy import BadPolicy
-from trueup.ledger.archive import BadArchive
-from trueup.ledger.note import BadKey
+from trueup.ledger.archive_layout import BadArchive
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
+from trueup.ledger.signed_note import BadKey
 from trueup_service import errors as service
 from trueup_service.http.pages.page import show, to_sign_in, wants_page
 from trueup_service.registry.blobs import BlobDamaged, BlobMissing, StoreAway
@@ -47,7 +47,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.PointerMoved: HTTPStatus.CONFLICT,
     errors.BrokenChain: HTTPStatus.INTERNAL_SERVER_ERROR,
     LabelLeaked: HTTPStatus.UNPROCESSABLE_ENTITY,
-    NotAsCommitted: HTTPStatus.INTERNAL_SERVER_ERROR,
+    CommitmentMismatch: HTTPStatus.INTERNAL_SERVER_ERROR,
     NotCanonical: HTTPStatus.UNPROCESSABLE_ENTITY,
     NotAccepted: HTTPStatus.CONFLICT,
     NothingToRollBackTo: HTTPStatus.CONFLICT,

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from trueup.canonical import is_digest
-from trueup.files import regular
+from trueup.files import regular, sync
 from trueup_service.registry.blobs import STREAM_BYTES, BlobMissing, Blobs, require_digest
 
 REMOVED = "removed-"  # what a file is called until it is forgotten or restored
@@ -30,12 +30,12 @@ class FolderBlobs(Blobs):
     def put(self, digest: str, source: Path) -> None:
         target = self._path(digest)
         target.parent.mkdir(exist_ok=True)
-        _sync(source)
+        sync(source)
         while not self._link(source, target):
             continue  # the file was removed in this moment, and can be linked now
         # Also where the file was there: the process that linked it may have died before this.
         for folder in (target.parent, self._root):
-            _sync(folder)
+            sync(folder)
 
     def _link(self, source: Path, target: Path) -> bool:
         """Link the file, or touch the one that is there, so that garbage collection does not take
@@ -46,7 +46,7 @@ class FolderBlobs(Blobs):
             try:
                 os.utime(target)
                 self._mend(target, source)
-                _sync(target)
+                sync(target)
             except FileNotFoundError:
                 return False
         return True
@@ -121,11 +121,11 @@ class FolderBlobs(Blobs):
         with contextlib.suppress(FileExistsError):
             os.link(self._removed_path(digest), self._path(digest))
         self._removed_path(digest).unlink()
-        _sync(self._path(digest).parent)
+        sync(self._path(digest).parent)
 
     def forget(self, digest: str) -> None:
         self._removed_path(digest).unlink(missing_ok=True)
-        _sync(self._root)
+        sync(self._root)
 
     def removed(self) -> Iterator[str]:
         return (path.name.removeprefix(REMOVED) for path in self._root.glob(f"{REMOVED}*"))
@@ -140,11 +140,3 @@ class FolderBlobs(Blobs):
 def _digest_of(path: Path) -> str:
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

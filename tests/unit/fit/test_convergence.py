@@ -17,7 +17,7 @@ from trueup.fit.rollout_fit import Start
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.rounding import STEP_BITS, rounded
 from trueup.model.series import refined, series
-from trueup.simulate.noise import Noise
+from trueup.simulate.noise import NoiseModel
 
 FRICTION = Hypothesis(("coulomb_friction",))
 
@@ -133,7 +133,7 @@ def test_where_something_else_acts_intervals_are_as_wide_as_recordings_disagree(
 
 
 def test_errors_under_coloured_noise_are_taken_less_what_was_expected():
-    of = recorded("B1", ["coulomb_friction"], 18, law=Noise(0.9))
+    of = recorded("B1", ["coulomb_friction"], 18, law=NoiseModel(0.9))
     (fitter, data, fit, _), (plain, _, white, _) = _posed(of, np.full(2, 0.9)), _posed(of)
     assert fit.reduced_chi_square == pytest.approx(1.0, abs=0.15)
     ratio = [half_widths(f, f)["", "k"] for f in (fit, white)]

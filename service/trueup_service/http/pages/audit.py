@@ -11,7 +11,7 @@ from starlette.concurrency import run_in_threadpool
 from trueup.errors import TrueupError
 from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import inclusion, leaf_hash, prove
-from trueup.ledger.note import head_of
+from trueup.ledger.signed_note import head_of
 from trueup_client.proof import includes
 from trueup_service.authentication import Principal
 from trueup_service.http.dependencies import RequestParts

@@ -18,7 +18,7 @@ from fastapi import Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup.ledger.audit import entry_bytes
-from trueup.ledger.merkle import Plan, consistency, inclusion, prove
+from trueup.ledger.merkle import ProofPlan, consistency, inclusion, prove
 from trueup.ledger.rows import KEYS
 from trueup_service.errors import BadRequest, NotFound
 from trueup_service.http.dependencies import Limit, RequestParts
@@ -126,7 +126,7 @@ def _reached(tx: ReadTransaction, size: int | None) -> int:
     return now if size is None else size
 
 
-def _proof(tx: ReadTransaction, plan: Plan, size: int) -> Proof:
+def _proof(tx: ReadTransaction, plan: ProofPlan, size: int) -> Proof:
     hashes = tx.log.nodes([node for part in plan for node in part])
     return Proof(size=size, hashes=[base64.b64encode(h).decode() for h in prove(plan, hashes)])
 

@@ -1,9 +1,9 @@
-"""Seal: a label committed before the diagnosis and opened after it.
+"""Commitment: a label is committed before the diagnosis and opened after it.
 
-A commitment is the SHA-256 of the canonical bytes of a label and its salt: it binds the label and,
-as long as the salt is not known, tells nothing of it. Labels and salts follow from one secret, so
-that whoever is given it afterwards can draw everything again. Source: M. Naor, Journal of
-Cryptology 4 (1991), on bit commitment.
+A commitment is the SHA-256 of the canonical bytes of a label and its salt. It binds the label and
+reveals nothing of it as long as the salt is not known. Labels and salts follow from one secret,
+with which everything can be drawn again. Source: M. Naor, Journal of Cryptology 4 (1991), on bit
+commitment.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from trueup.errors import TrueupError
 
 
 class LabelLeaked(TrueupError):
-    """What is handed to the diagnosis tells the label."""
+    """What is handed to the diagnosis reveals the label."""
 
     code = "label-leaked"
     hint = "Take the named file's metadata out of the recordings; then draw again."
 
 
-class NotAsCommitted(TrueupError):
+class CommitmentMismatch(TrueupError):
     """An opened label is not the one that was committed."""
 
     code = "not-as-committed"
@@ -38,15 +38,17 @@ def salt_of(secret: bytes, index: int) -> str:
 
 
 def commitment(label: Mapping[str, Json], salt: str) -> str:
-    """What is published before the diagnosis."""
+    """The commitment of a label, 64 hexadecimal digits: what is published before the diagnosis."""
     return digest_of({"label": label, "salt": salt})
 
 
-def require_silent(
+def require_no_leak(
     files: Mapping[str, bytes], label: Mapping[str, Any], salt: str, own: Json
 ) -> None:
-    """Raises LabelLeaked where a file's name or bytes spell an effect or the salt; words of the
-    user's `own` documents are not told."""
+    """Raises LabelLeaked where a file's name or bytes spell an effect of the label, or the salt.
+
+    Words that the user's `own` documents hold are no leak.
+    """
     hidden = [*label["effects"], *([label["bait"]] if label["bait"] else ())]
     words = {*(name.split(" at ")[0] for name in hidden), salt}
     known = canonical_bytes(own).decode()
@@ -58,13 +60,16 @@ def require_silent(
                 )
 
 
-def require_as_committed(document: Mapping[str, Any], commitments: list[str]) -> None:
-    """Hold a report's opened labels against what was published. Raises NotAsCommitted."""
+def require_commitments(document: Mapping[str, Any], commitments: list[str]) -> None:
+    """Raises CommitmentMismatch where a report's opened labels are not those of the published
+    commitments."""
     rows = document["rows"]
     if len(rows) != len(commitments):
-        raise NotAsCommitted(f"{len(commitments)} labels were committed, {len(rows)} were opened")
+        raise CommitmentMismatch(
+            f"{len(commitments)} labels were committed, {len(rows)} were opened"
+        )
     for row, published in zip(rows, commitments, strict=True):
         if commitment(row["label"], row["salt"]) != published:
-            raise NotAsCommitted(
+            raise CommitmentMismatch(
                 f"the label of trial {row['index']} is not the one committed", trial=row["index"]
             )

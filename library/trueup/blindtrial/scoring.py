@@ -1,5 +1,5 @@
-"""Tally: answers held against opened labels: how often right, how often the truth was among the
-alternatives, what the intervals cover.
+"""Scoring: answers compared with opened labels. How often an answer is right, how often the truth
+is among its alternatives, what its intervals cover.
 
 exact     the answer names the hidden composition and no other; an effect of the same law on every
           log, or one that no measurement on this plant tells from it and the answer lists beside
@@ -20,14 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from trueup.blindtrial.lot import spelled
+from trueup.blindtrial.specification import spelled
 from trueup.canonical import Json
 from trueup.diagnose.indistinguishable import ALIASES
 from trueup.model.effect import effects
 
-BY_CHANCE = (
-    0.0025  # that an honest diagnosis names an effect where there is none, and it is the bait
-)
+# The chance that an honest diagnosis of a machine without effects names one, and it is the decoy.
+BY_CHANCE = 0.0025
 IMPROBABLE = 0.02
 ONE_SIDED = 1.645  # standard errors
 # Numbers that both simulators mean alike, where that is not an effect's first alone: the laws
@@ -44,7 +43,7 @@ ALIKE: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the diagnosing process said of one case: its report, or a problem; and how long it took
+    """The diagnosing process's answer to one case: its report, or a problem; and how long it took
     [s]."""
 
     report: Mapping[str, Any] | None
@@ -53,17 +52,17 @@ class Answer:
 
     @property
     def verdict(self) -> str:
-        """The report's, or `refused`."""
+        """The report's verdict, or `refused` where there is no report."""
         return str(self.report["verdict"]) if self.report else "refused"
 
     @property
     def named(self) -> frozenset[str]:
-        """The answer's effects."""
+        """The effects that the answer names."""
         return _folded(self.report["effects"]) if self.report else frozenset()
 
     @property
     def others(self) -> set[frozenset[str]]:
-        """The listed alternatives."""
+        """The alternative compositions that the answer lists."""
         return (
             {_folded(names) for names in self.report["indistinguishable"]} - {self.named}
             if self.report
@@ -73,20 +72,18 @@ class Answer:
 
 def _folded(of: Iterable[str | Mapping[str, Any]]) -> frozenset[str]:
     """Effects of a label or a report as they are compared: on the log of one joint, effects of one
-    law are one."""
-    found = set()
-    for at in of:
-        name, _, joint = (
-            at.partition(" at ") if isinstance(at, str) else (at["effect"], "", at.get("joint", ""))
-        )
-        found.add(
-            spelled(name, joint)
-            if joint
-            else effects()[name].same_as or name
-            if name in effects()
-            else name
-        )
-    return frozenset(found)
+    law count as one."""
+    names = set()
+    for entry in of:
+        if isinstance(entry, str):
+            name, _, joint = entry.partition(" at ")
+        else:
+            name, joint = entry["effect"], entry.get("joint", "")
+        if joint:
+            names.add(spelled(name, joint))
+        else:
+            names.add((effects()[name].same_as or name) if name in effects() else name)
+    return frozenset(names)
 
 
 def _are_twins(differing: frozenset[str]) -> bool:
@@ -98,9 +95,9 @@ def _are_twins(differing: frozenset[str]) -> bool:
     )
 
 
-def judge(label: Mapping[str, Any], answer: Answer) -> dict[str, Json]:
-    """One trial: was the answer exact, was the truth in its set, how many alternatives did it
-    leave."""
+def score_answer(label: Mapping[str, Any], answer: Answer) -> dict[str, Json]:
+    """The score of one trial: whether the answer is exact, whether the truth is in its set, how
+    many wrong alternatives it leaves, and whether it took the decoy."""
     truth, named, others = _folded(label["effects"]), answer.named, answer.others
     if label["kind"] == "none":
         fine = {"parameters_only"} if label["moved"] else {"parameters_only", "no_gap"}
@@ -116,9 +113,9 @@ def judge(label: Mapping[str, Any], answer: Answer) -> dict[str, Json]:
     return {"exact": exact, "in_set": in_set, "alternatives": len(excess), "bait_taken": taken}
 
 
-def intervals(label: Mapping[str, Any], answer: Answer) -> list[dict[str, Any]]:
-    """Of a rightly named composition each comparable number: of what, the hidden value, the
-    estimate, and whether its interval holds."""
+def score_intervals(label: Mapping[str, Any], answer: Answer) -> list[dict[str, Any]]:
+    """Each comparable number of a rightly named composition: the effect it is of, its hidden value,
+    its estimate, and whether the estimate's interval holds. Empty for other answers."""
     if (
         label["kind"] == "outside"
         or answer.report is None
@@ -127,7 +124,7 @@ def intervals(label: Mapping[str, Any], answer: Answer) -> list[dict[str, Any]]:
         return []
     if answer.named != _folded(label["effects"]):
         return []
-    found = []
+    scored = []
     for entry in answer.report["effects"]:
         name = entry["effect"]
         true: Mapping[str, float] = next(
@@ -138,9 +135,9 @@ def intervals(label: Mapping[str, Any], answer: Answer) -> list[dict[str, Any]]:
             for n in ALIKE.get(name, (effects()[name].params[0].name,))
             if n in true and n in entry["estimate"]
         ]
-        found += [_held(name, n, true[n], entry["estimate"][n]) for n in compared]
+        scored += [_held(name, n, true[n], entry["estimate"][n]) for n in compared]
     own = label["parameters"]  # of a robot the log shows sums of them
-    return found + [
+    return scored + [
         _held("", n, own[n], p) for n, p in answer.report["parameters"].items() if n in own
     ]
 
@@ -157,9 +154,9 @@ def _held(of: str, number: str, true: float, estimate: Mapping[str, Any]) -> dic
     }
 
 
-def bound(label: Mapping[str, Any], answer: Answer) -> bool | None:
-    """Whether the bound on a hidden single effect that was not named holds; None where there is
-    none."""
+def bound_holds(label: Mapping[str, Any], answer: Answer) -> bool | None:
+    """Whether the answer's bound on a single hidden effect that it does not name holds; None where
+    there is no such bound."""
     if answer.report is None or len(label["effects"]) != 1 or answer.verdict == "effect":
         return None
     ((name, numbers),) = label["effects"].items()
@@ -174,9 +171,9 @@ def bound(label: Mapping[str, Any], answer: Answer) -> bool | None:
     return None
 
 
-def tally(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> dict[str, Json]:
-    """The trials together. `rows` hold each trial's label and judgement, and `closed`, what was
-    closed on recordings only for measuring."""
+def summarise(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> dict[str, Json]:
+    """The scores of all trials together, as fields of the report. Each of `rows` holds a trial's
+    label and score, and `closed`, the share of the gap that was closed on its test recordings."""
     kinds: dict[str, Json] = {}
     for kind in dict.fromkeys(r["label"]["kind"] for r in rows):
         of = [r for r in rows if r["label"]["kind"] == kind]
@@ -188,10 +185,12 @@ def tally(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> dict[
         }
     checks = [x for r in rows for x in r["intervals"]]
     bounds = [
-        b for r, a in zip(rows, answers, strict=True) if (b := bound(r["label"], a)) is not None
+        b
+        for r, a in zip(rows, answers, strict=True)
+        if (b := bound_holds(r["label"], a)) is not None
     ]
-    baits = [r for r in rows if r["label"]["bait"]]
-    taken = sum(r["bait_taken"] for r in baits)
+    decoys = [r for r in rows if r["label"]["bait"]]
+    taken = sum(r["bait_taken"] for r in decoys)
     return {
         "kinds": kinds,
         "confusion": _confusion(rows),
@@ -203,7 +202,7 @@ def tally(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> dict[
         },
         "closed": _closed(rows),
         "refused": sum(a.report is None for a in answers),
-        "leak": {"baits": len(baits), "taken": taken, "void": _improbable(taken, len(baits))},
+        "leak": {"baits": len(decoys), "taken": taken, "void": _improbable(taken, len(decoys))},
         "seconds": {
             "median": float(np.median([a.seconds for a in answers])),
             "max": float(max(a.seconds for a in answers)),
@@ -211,26 +210,27 @@ def tally(rows: Sequence[Mapping[str, Any]], answers: Sequence[Answer]) -> dict[
     }
 
 
-def _improbable(taken: int, baits: int) -> bool | None:
-    """Whether so many baits cannot have been answered by chance; None where there were none."""
+def _improbable(taken: int, decoys: int) -> bool | None:
+    """Whether `taken` of the decoys cannot have been answered by chance; None where there are
+    none."""
     chance = sum(
-        math.comb(baits, k) * BY_CHANCE**k * (1.0 - BY_CHANCE) ** (baits - k)
-        for k in range(taken, baits + 1)
+        math.comb(decoys, k) * BY_CHANCE**k * (1.0 - BY_CHANCE) ** (decoys - k)
+        for k in range(taken, decoys + 1)
     )
-    return bool(taken and chance < IMPROBABLE) if baits else None
+    return bool(taken and chance < IMPROBABLE) if decoys else None
 
 
 def _confusion(rows: Sequence[Mapping[str, Any]]) -> list[Json]:
-    """How often which truth was answered how, faint ones apart."""
-    counts = Counter(_where_apart(r) for r in rows if r["label"]["kind"] != "faint")
+    """The confusion matrix as a list: how often each truth got each answer, without faint ones."""
+    counts = Counter(_truth_and_answer(r) for r in rows if r["label"]["kind"] != "faint")
     return [
         {"truth": truth, "answer": answer, "n": n} for (truth, answer), n in sorted(counts.items())
     ]
 
 
-def _where_apart(row: Mapping[str, Any]) -> tuple[str, str]:
-    """Truth and answer of a trial in words, joints left out where they are right, and said to be
-    others where they are not."""
+def _truth_and_answer(row: Mapping[str, Any]) -> tuple[str, str]:
+    """Truth and answer of a trial in words, without joints. An answer that is right but for the
+    joint ends in "at another joint"."""
     truth, answer = (
         _words(_folded(row["label"]["effects"]), row["label"]["kind"]),
         str(row["answer"]),
@@ -261,9 +261,9 @@ def answer_words(answer: Answer) -> str:
 
 
 def _trust(rows: Sequence[Mapping[str, Any]]) -> list[Json]:
-    """Of each answer that was given: how often it was right, and how often at least, with 95 %
+    """For each answer how often it was right, and the share that is right at least, with 95 %
     confidence."""
-    found: list[Json] = []
+    trust: list[Json] = []
     for answer in sorted({_placeless(r["answer"]) for r in rows}):
         of = [
             bool(r["exact"])
@@ -271,45 +271,51 @@ def _trust(rows: Sequence[Mapping[str, Any]]) -> list[Json]:
             if _placeless(r["answer"]) == answer and r["label"]["kind"] != "faint"
         ]
         if of:
-            found.append(
+            trust.append(
                 {
                     "answer": answer,
                     "n": len(of),
                     "right": sum(of),
-                    "at_least": lower(sum(of), len(of)),
+                    "at_least": lower_bound(sum(of), len(of)),
                 }
             )
-    return found
+    return trust
 
 
 def _closed(rows: Sequence[Mapping[str, Any]]) -> Json:
-    """What was closed where an effect was hidden, and how far the report was off."""
-    kept = [r for r in rows if r["closed"] is not None and r["label"]["kind"] in ("single", "pair")]
-    if not kept:
+    """The share of the gap that was closed where an effect was hidden, and how far the report's own
+    figure was off."""
+    corrected = [
+        r for r in rows if r["closed"] is not None and r["label"]["kind"] in ("single", "pair")
+    ]
+    if not corrected:
         return None
-    closed = [r["closed"] for r in kept]
+    closed = [r["closed"] for r in corrected]
     off = [
-        abs(r["closed"] - r["reported_closed"]) for r in kept if r["reported_closed"] is not None
+        abs(r["closed"] - r["reported_closed"])
+        for r in corrected
+        if r["reported_closed"] is not None
     ]
     return {
-        "n": len(kept),
+        "n": len(corrected),
         "median": float(np.median(closed)),
         "worst_tenth": float(np.quantile(closed, 0.1)),
         "reported_off_p90": float(np.quantile(off, 0.9)) if off else None,
     }
 
 
-def _rate(found: Iterable[Any]) -> Json:
-    values = [bool(x) for x in found]
+def _rate(outcomes: Iterable[Any]) -> Json:
+    """How many outcomes there are, the share that is true, and that share's lower bound."""
+    values = [bool(x) for x in outcomes]
     return {
         "n": len(values),
         "share": float(np.mean(values)) if values else None,
-        "at_least": lower(sum(values), len(values)),
+        "at_least": lower_bound(sum(values), len(values)),
     }
 
 
-def lower(right: int, n: int) -> float:
-    """The share that at least is right, with 95 % confidence.
+def lower_bound(right: int, n: int) -> float:
+    """The lower bound of a share of which `right` of `n` were observed, with 95 % confidence.
 
     Source: E. B. Wilson, Journal of the American Statistical Association 22 (1927).
     """

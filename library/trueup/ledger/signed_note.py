@@ -1,5 +1,5 @@
-"""What the service signs: checkpoints of its log as signed notes, and documents in envelopes.
-Ed25519.
+"""Signed notes and envelopes: checkpoints of the log as C2SP signed notes, documents in DSSE
+envelopes, both signed with Ed25519.
 
     key          <name>+<hash>+<base64(0x01 || public key)>, hash being the first four bytes of
                  SHA-256(name, newline, 0x01, public key)
@@ -32,9 +32,8 @@ from trueup.errors import TrueupError
 ED25519 = b"\x01"
 SEED_BYTES = 32
 PRIVATE = "PRIVATE+KEY+"
-ENDORSEMENT = (
-    "trueup: the log is signed from here on by"  # no checkpoint begins so: an origin has no space
-)
+# no checkpoint begins so: an origin has no space
+ENDORSEMENT = "trueup: the log is signed from here on by"
 _NAME = re.compile(r"[^\s+]+")
 
 
@@ -56,7 +55,7 @@ class Signer:
 
     @staticmethod
     def from_text(text: str) -> Signer:
-        """A key as `text` wrote it. Raises BadKey."""
+        """A key from its one line of text. Raises BadKey."""
         parts = text.strip().removeprefix(PRIVATE).split("+", 2)
         try:
             name, named, encoded = parts
@@ -70,10 +69,10 @@ class Signer:
             or key[:1] != ED25519
         ):
             raise BadKey
-        found = Signer(name, key[1:])
-        if found.hash.hex() != named:
+        signer = Signer(name, key[1:])
+        if signer.hash.hex() != named:
             raise BadKey("the key is not the one that its hash names")
-        return found
+        return signer
 
     @property
     def text(self) -> str:
@@ -105,7 +104,7 @@ class Signer:
         return self._key.public_key().public_bytes_raw()
 
     def note(self, text: str) -> str:
-        """A text that ends in a newline, as a signed note."""
+        """The signed note of a text, which must end in a newline."""
         return f"{text}\n— {self.name} {_base64(self.hash + self._key.sign(text.encode()))}\n"
 
     def checkpoint(self, size: int, root: bytes) -> str:
@@ -113,7 +112,7 @@ class Signer:
         return self.note(f"{self.name}\n{size}\n{_base64(root)}\n")
 
     def endorsement(self, verifier: str) -> str:
-        """That the log goes on under another key, as a signed note."""
+        """A signed note by which this key hands the log over to another one."""
         return self.note(f"{ENDORSEMENT}\n{verifier}\n")
 
     def envelope(self, payload_type: str, document: Json) -> dict[str, Json]:
@@ -148,7 +147,8 @@ def signed_with(note: str, verifier: str) -> bool:
 
 
 def head_of(note: str) -> tuple[int, bytes]:
-    """Size and root in a checkpoint whose signature holds, or is our own."""
+    """Size and root of the log in a checkpoint. The caller has verified its signature, or made
+    it."""
     _, size, root, *_ = note.splitlines()
     return int(size), base64.b64decode(root)
 
