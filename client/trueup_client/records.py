@@ -1,5 +1,4 @@
-"""What the service answers with, as its OpenAPI document describes it. Made by
-tools/make_records.py."""
+"""The service's answers as types. Made by tools/make_records.py from its OpenAPI."""
 
 from __future__ import annotations
 
@@ -91,8 +90,9 @@ class LooserThan(TypedDict):
 
 
 class GateInLine(TypedDict):
-    """A gate in its plant's line, in force or not, and what is looser in it than in the one before,
-    in words; and than in every one."""
+    """A gate in its plant's line, in force or not, and what is looser in it than in the one
+    before, in words; and than in every one.
+    """
 
     plant: str
     digest: str
@@ -115,9 +115,9 @@ class Output(TypedDict):
 
 
 class Job(TypedDict):
-    """`progress` runs from 0 to 1. `result` is what came of it, or a problem with `code`, `detail`
-    and `hint`. `operation` says whether it monitors, identifies parameters or corrects a model;
-    nothing here adapts a control policy.
+    """`progress` runs from 0 to 1. `result` is what came of it, or a problem with `code`,
+    `detail` and `hint`. `operation` says whether it monitors, identifies parameters or
+    corrects a model; nothing here adapts a control policy.
     """
 
     id: str
@@ -231,7 +231,8 @@ class Policy(TypedDict):
 
 class Monitor(TypedDict):
     """A calibrated monitor: its detectors with their levels, and what they were measured to
-    keep."""
+    keep.
+    """
 
     plant: str
     digest: str
@@ -243,8 +244,9 @@ class Monitor(TypedDict):
 
 
 class Watch(TypedDict):
-    """What a monitor saw in one episode: of each detector its highest statistic, of each channel
-    its error in healthy spreads."""
+    """What a monitor saw in one episode: of each detector its highest statistic, of each
+    channel its error in healthy spreads.
+    """
 
     sequence: int
     episode: str
@@ -253,8 +255,8 @@ class Watch(TypedDict):
 
 
 class Alarm(TypedDict):
-    """`document` says which detectors alarmed, since when, and what changed; `job` is the diagnosis
-    that it opened, once it could, `trial` the gate that judged what that made.
+    """`document` says which detectors alarmed, since when, and what changed; `job` is the
+    diagnosis that it opened, once it could, `trial` the gate that judged what that made.
     """
 
     id: str
@@ -272,8 +274,9 @@ class Alarm(TypedDict):
 
 
 class MonitorState(TypedDict):
-    """Whether somebody watches. `watches` is false where no monitor was calibrated for what serves
-    now: `hint` says what to do."""
+    """Whether somebody watches. `watches` is false where no monitor was calibrated for what
+    serves now: `hint` says what to do.
+    """
 
     plant: str
     serving: str

@@ -559,7 +559,7 @@ def test_a_wrong_plant_is_refused_at_its_field(service):
 
 def test_a_damaged_download_is_thrown_away(client, plant, tmp_path, monkeypatch):
     serving = client.serving(plant)
-    monkeypatch.setattr(client._to, "parts", lambda path: iter([b"damaged"]))
+    monkeypatch.setattr(client._connection, "parts", lambda path: iter([b"damaged"]))
     with pytest.raises(Untrue):
         client.fetch(plant, serving.artifact, tmp_path / "m")
     assert list((tmp_path / "m").iterdir()) == []
