@@ -39,7 +39,7 @@ def registry(tmp_path_factory):
 def mlflow(registry, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # where it keeps files beside its database
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    with passing._asking(registry) as found:
+    with passing._mlflow_at(registry) as found:
         yield found
 
 

@@ -15,7 +15,7 @@ from tests.support.hostile import EVIL, OBEYED, hostile
 from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT
 from trueup.gate.evidence import SCHEMA
-from trueup_cli.complaints import trace
+from trueup_cli.error_output import print_traceback
 from trueup_client import Client
 from trueup_service.logs import JsonLines
 
@@ -206,7 +206,7 @@ def test_a_line_of_the_log_is_one_line_of_ascii():
 
 
 def test_an_error_that_nobody_expected_is_printed_whole_and_quotes_nothing_as_it_is(capsys):
-    assert trace(ValueError(EVIL)) == 1
+    assert print_traceback(ValueError(EVIL)) == 1
     said = capsys.readouterr().err
     assert "ValueError: \\x1b[2J[red]x[/]" in said
     assert not OBEYED & set(said)

@@ -13,7 +13,7 @@ from cyclopts import App
 
 from tests.support.service import ROOT
 from trueup_cli import exits, main, show
-from trueup_cli.complaints import complain
+from trueup_cli.error_output import print_error
 from trueup_client.problem import NotSigned, Problem, Unreachable, Untrue
 
 FOR_PEOPLE = {
@@ -77,8 +77,12 @@ def test_exit_codes_are_what_they_are_told_to_be(tmp_path):
         "predict", "--model", str(tmp_path), "--episode", "x", "--horizon", "1", "--out", "y"
     )
     assert (refused.returncode, refused.stderr.split()[0]) == (exits.REFUSED, "bad-artifact")
-    assert complain(Untrue("x")) == complain(NotSigned("x")) == exits.DISAGREES
-    assert (complain(Unreachable("x")), complain(Problem(409, {})), complain(ValueError("x"))) == (
+    assert print_error(Untrue("x")) == print_error(NotSigned("x")) == exits.DISAGREES
+    assert (
+        print_error(Unreachable("x")),
+        print_error(Problem(409, {})),
+        print_error(ValueError("x")),
+    ) == (
         exits.UNREACHABLE,
         exits.REFUSED,
         None,
@@ -111,7 +115,7 @@ def test_an_answer_is_printed_with_its_warnings_and_names_as_they_are(capsys):
     rival = [{"effect": "backlash", "joint": "[bold]"}]
     episodes = [{"sha256": "0" * 64, "role": "adaptation", "period_s": 0.0053}]
     evidence = {"timestep_s": 0.005, "episodes": episodes}
-    show.answer(
+    show.show_diagnosis(
         {
             "verdict": "unknown_effect",
             "gap": gap,

@@ -1,12 +1,11 @@
-"""Conduct a blind trial: draw, commit, have diagnosed in rooms of their own, open.
+"""Conduct a blind trial: draw faults, commit to them, have them diagnosed in isolation, open them.
 
-lots        what is hidden, by a secret that exists in this process alone
-recordings  case folders on disk, held against their labels: nothing in them may spell what is
-            hidden
+lots        the hidden faults, drawn with a secret that exists in this process alone
+recordings  case folders on disk, which are checked not to spell their labels
 commitment  published before the first diagnosis
-rooms       processes that are told a folder and nothing else
-opening     labels, salts and the secret, so that anybody can hold them against the commitments, or
-            draw it all again
+rooms       isolated processes that receive a folder and nothing else
+opening     labels, salts and the secret: anybody can check them against the commitments, or draw
+            the trial again
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ from trueup_worker.blind_room import NO_ANSWER, Room
 
 SCHEMA = "trueup.blindtrial/1"
 SECRET_BYTES = 32
-DRAWING = 0.2  # of the time
+DRAWING = 0.2  # share of the trial's time
 
 Diagnose = Callable[[Path], Mapping[str, Any]]
 Progress = Callable[[str, float], None]
 
 
 class NoRoom(TrueupError):
-    """No process of its own could be started to diagnose in."""
+    """No isolated process could be started to diagnose in."""
 
     code = "no-room"
     hint = (
@@ -61,7 +60,7 @@ class NoRoom(TrueupError):
 
 @dataclass(frozen=True)
 class Sealed:
-    """One trial before it is opened: its folder is all that a room is told."""
+    """One trial before it is opened. A room receives its folder alone."""
 
     folder: Path
     label: Mapping[str, Json]
@@ -81,11 +80,12 @@ def conduct(
     rooms: Sequence[Diagnose] | None = None,
     keep: Path | None = None,
 ) -> dict[str, Any]:
-    """The report of `count` trials after a user's plant and episodes.
+    """Returns the report of `count` trials modelled on a user's plant and episodes.
 
-    A `secret` draws an opened trial again; without one it is drawn too. `commit` is called with the
-    commitments before the first diagnosis. `keep` is a folder for the cases, made when the first is
-    written; without one they are removed. Raises NotIdentifiable, LabelLeaked, NoRoom.
+    With the `secret` of an opened trial it draws that trial again; without one it draws a new
+    secret. `commit` is called with the commitments before the first diagnosis. `keep` is a folder
+    for the cases, made when the first is written; without one they are removed. Raises
+    NotIdentifiable, LabelLeaked, NoRoom.
     """
     bench, hidden = bench_of(plant, episodes), secret or os.urandom(SECRET_BYTES)
     with tempfile.TemporaryDirectory(prefix="blind-") as temporary:
@@ -97,20 +97,20 @@ def conduct(
             progress("drawing machines and recording them", DRAWING * len(sealed) / count)
         commit([s.commitment for s in sealed])
         answers = []
-        for answer in _answered([s.folder for s in sealed], rooms):
+        for answer in _diagnosed([s.folder for s in sealed], rooms):
             answers.append(answer)
             progress("diagnosing", DRAWING + (1.0 - DRAWING) * len(answers) / count)
     if all(str(a.get("problem", "")).startswith(NO_ANSWER) for a in answers):
         raise NoRoom("no diagnosing process ever answered: " + str(answers[0]["problem"]))
-    found = [Answer(a.get("report"), a.get("problem"), float(a["seconds"])) for a in answers]
+    judged = [Answer(a.get("report"), a.get("problem"), float(a["seconds"])) for a in answers]
     rows = [
-        _row(i, plant, *parts) for i, parts in enumerate(zip(sealed, answers, found, strict=True))
+        _row(i, plant, *parts) for i, parts in enumerate(zip(sealed, answers, judged, strict=True))
     ]
     return {
         "schema": SCHEMA,
         "plant": plant.name,
         "trials": count,
-        **tally(rows, found),
+        **tally(rows, judged),
         "rows": list(rows),
         "bench": {
             "episodes": [
@@ -150,17 +150,17 @@ def _drawn(
         folder.mkdir(parents=True)
         for name, data in files.items():
             (folder / name).write_bytes(data)
-            os.utime(folder / name, (0, 0))  # how long a machine took to draw is nobody's business
+            os.utime(folder / name, (0, 0))  # times could tell how long a machine took to draw
         os.utime(folder, (0, 0))
         yield Sealed(folder, label, salt, commitment(label, salt), tests(plant, trial), trial.sigma)
 
 
-def _answered(
-    folders: Sequence[Path], given: Sequence[Diagnose] | None
+def _diagnosed(
+    folders: Sequence[Path], rooms: Sequence[Diagnose] | None
 ) -> Iterator[Mapping[str, Any]]:
-    """Every folder's answer, in order; as many rooms as there are cores."""
+    """Yields every folder's answer, in order. Without `rooms` each core gets one."""
     with ExitStack() as stack:
-        rooms: Sequence[Diagnose] = given or [stack.enter_context(Room(core)) for core in _cores()]
+        rooms = rooms or [stack.enter_context(Room(core)) for core in _cores()]
         free: SimpleQueue[Diagnose] = SimpleQueue()
         for room in rooms:
             free.put(room)
@@ -185,7 +185,7 @@ def _cores() -> list[int]:
 
 
 def _row(
-    index: int, plant: Plant, sealed: Sealed, answer: Mapping[str, Any], found: Answer
+    index: int, plant: Plant, sealed: Sealed, answer: Mapping[str, Any], judged: Answer
 ) -> dict[str, Json]:
     closed = None
     if "manifest" in answer:
@@ -196,14 +196,14 @@ def _row(
         "label": sealed.label,
         "salt": sealed.salt,
         "commitment": sealed.commitment,
-        "verdict": found.verdict,
-        "problem": found.problem,
-        "answer": answer_words(found),
-        "indistinguishable": found.report["indistinguishable"] if found.report else [],
+        "verdict": judged.verdict,
+        "problem": judged.problem,
+        "answer": answer_words(judged),
+        "indistinguishable": judged.report["indistinguishable"] if judged.report else [],
         "closed": closed,
-        "unexplained": found.report["evidence"]["unexplained"] if found.report else None,
-        "intervals": intervals(sealed.label, found),
-        "reported_closed": found.report["gap"]["closed"] if found.report else None,
-        "seconds": found.seconds,
-        **judge(sealed.label, found),
+        "unexplained": judged.report["evidence"]["unexplained"] if judged.report else None,
+        "intervals": intervals(sealed.label, judged),
+        "reported_closed": judged.report["gap"]["closed"] if judged.report else None,
+        "seconds": judged.seconds,
+        **judge(sealed.label, judged),
     }

@@ -20,7 +20,7 @@ READING = 0.2  # of the job's time
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Calibrate. Repeating it gives the same monitor."""
+    """Calibrates. Repeating it gives the same monitor."""
     request: dict[str, Any] = job.request
     plant = read_plant(parts, job)
     predictor = read_predictor(parts, job, request["artifact"])
@@ -45,7 +45,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 def effects(
     parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
 ) -> None:
-    """The monitor watches from when it was asked for."""
+    """Adds the monitor, which watches from the time of the job's submission."""
     add_monitor(
         writer, job.plant, outcome["monitor"], outcome["kept"], job.id, job.created_at, stamp
     )
@@ -53,7 +53,7 @@ def effects(
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     document = outcome["monitor"]
     return {
         "monitor": digest_of(document),

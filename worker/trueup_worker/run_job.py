@@ -1,8 +1,8 @@
 """Run one job in two steps that may each be repeated: compute, then finish.
 
-Computing has no effect but blobs, which are named by their content. Finishing is one transaction
-that happens only if the job is not finished yet: so a job has its effects once, however often its
-worker was killed.
+Computing writes blobs only, which are named by their content. Finishing is one transaction, which
+happens only if the job is not finished yet. So a job has its effects once, however often its worker
+was killed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ KINDS: dict[str, ModuleType] = {
 
 
 def compute(parts: Parts, job_id: str) -> dict[str, Json]:
-    """What came of the job, as JSON: its final state, and the outcome or the problem."""
+    """Computes a job, and returns its final state with the outcome or the problem, as JSON."""
     with writing(parts.database) as writer:
         job = find.job(writer, job_id)
         if job.state == JobState.QUEUED:
@@ -84,36 +84,33 @@ def compute(parts: Parts, job_id: str) -> dict[str, Json]:
         }
 
 
-def finish(parts: Parts, job_id: str, found: dict[str, Any]) -> str:
-    """Close the job with what was computed."""
+def finish(parts: Parts, job_id: str, computed: dict[str, Any]) -> str:
+    """Closes a job with what `compute` returned, and returns its final state."""
     with parts.database.read() as connection:
         job = find.job(Reader(connection), job_id)
-    stamp, state = Stamp(job.created_by, _now()), JobState(found["state"])
-    if "outcome" not in found:
-        _close(parts, job, state, found.get("problem", {}), stamp)
+    stamp, state = Stamp(job.created_by, _now()), JobState(computed["state"])
+    if "outcome" not in computed:
+        _close(parts, job, state, computed.get("problem", {}), stamp)
         return state
     try:
-        _finish(parts, job, state, found["outcome"], stamp)
+        _finish(parts, job, state, computed["outcome"], stamp)
     except SQLAlchemyError as error:
         if not isinstance(error, DataError):
             raise  # the database, not the job: the engine tries this step again
         state = _failed(parts, job, error, stamp)
-    except Exception as error:  # noqa: BLE001  (whatever it is, the job must end)
+    except Exception as error:  # noqa: BLE001  (the job must end)
         state = _failed(parts, job, error, stamp)
     return state
 
 
 def _failed(parts: Parts, job: JobRecord, error: Exception, stamp: Stamp) -> JobState:
-    """Close a job whose outcome cannot be written down."""
+    """Closes a job whose outcome cannot be stored, and returns its state."""
     log.error(
         "the job could not be closed with what came of it", extra={"job": job.id}, exc_info=error
     )
-    told = (
-        error
-        if isinstance(error, TrueupError)
-        else TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
-    )
-    _close(parts, job, JobState.FAILED, _problem(told), stamp)
+    if not isinstance(error, TrueupError):
+        error = TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
+    _close(parts, job, JobState.FAILED, _problem(error), stamp)
     return JobState.FAILED
 
 
