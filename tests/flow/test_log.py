@@ -289,7 +289,7 @@ def test_a_key_takes_over_and_whoever_pinned_the_one_before_follows_by_its_word_
                     client.witness(Witness(tmp_path / seen, GOLDEN_KEY))
             cut_off = Robot("http://127.0.0.1:9", "p", tmp_path / "cut off", first)
             cut_off._witness.keys = again.keys  # it stopped between the new key and the new answer
-            assert cut_off._kept() is not None
+            assert cut_off._stored_model() is not None
             robot = Robot(service.url, "p", tmp_path / "robot", first)
             kept = (tmp_path / "robot" / "serving.json").read_text()
             assert robot.refresh().answer.generation == 1

@@ -285,7 +285,7 @@ def test_what_was_changed_in_the_registry_is_not_taken_for_what_it_was(
     ],
 )
 def test_what_is_told_of_a_registry_holds_no_password(service, address):
-    assert passing.where(address) in {"http://h:5", "postgresql", "sqlite", "file"}
+    assert passing.without_credentials(address) in {"http://h:5", "postgresql", "sqlite", "file"}
 
 
 def test_names_that_differ_stay_different(service):

@@ -71,7 +71,7 @@ def test_what_cannot_be_told_from_the_answer_is_above_the_line():
         "fitted parameters alone",
     ]
     assert [r["divide"] for r in found] == ["", "", INSEPARABLE, ""]
-    assert found[0]["said"] == "the answer"
+    assert found[0]["note"] == "the answer"
 
 
 @pytest.mark.parametrize(("verdict", "line"), [("effect", ALONE), ("unknown_effect", NOT_ENOUGH)])
@@ -80,14 +80,14 @@ def test_the_line_says_what_the_verdict_says(verdict, line):
         report(row(2.0, "coulomb_friction", answer=True), row(9.0, "backlash"), verdict=verdict)
     )
     assert found[1]["divide"] == line
-    assert ("answer" in found[0]["said"]) == (verdict == "effect")
+    assert ("answer" in found[0]["note"]) == (verdict == "effect")
 
 
 def test_what_fits_closer_and_is_not_the_answer_is_explained():
     found = ranking(
         report(row(2.0, "coulomb_friction", answer=True), row(1.9, "coulomb_friction", "backlash"))
     )
-    assert "more numbers" in found[1]["said"]
+    assert "more numbers" in found[1]["note"]
 
 
 def test_nothing_in_a_report_becomes_markup():
