@@ -20,7 +20,7 @@ from sqlalchemy import text
 
 from tests.http.test_http import move
 from tests.support.forks import run
-from tests.support.gates import in_force
+from tests.support.gates import declare_lenient
 from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT, Service, command
 from tests.support.storage import embedded
@@ -132,7 +132,7 @@ def test_a_witness_sees_the_log_grow_and_refuses_one_that_was_rewritten(told, lo
     witness = Witness(tmp_path / "seen.json")
     first = client.witness(witness)
     rules = [{"rule": "one_step_no_worse", "slack": 3.0}]
-    in_force(client, "p", rules=rules)
+    declare_lenient(client, "p", rules=rules)
     second = client.witness(Witness(tmp_path / "seen.json"))
     assert second.size == first.size + 1
     for size, root in (
@@ -498,7 +498,7 @@ def test_a_server_signs_no_log_shorter_than_the_one_it_published(tmp_path):
 
 def test_a_number_that_is_written_like_an_integer_stays_verifiable(told, kept):
     rules = [{"rule": "one_step_no_worse", "slack": 1e17}]
-    in_force(told[2], "p", rules=rules)
+    declare_lenient(told[2], "p", rules=rules)
     assert found(kept) == []
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.http.test_http import accepted, problem, request
 from tests.support.forks import run
-from tests.support.hostile import EVIL, OBEYED, hostile
+from tests.support.hostile import CONTROLS, EVIL, hostile
 from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT
 from trueup.gate.evidence import SCHEMA
@@ -116,7 +116,7 @@ def test_nothing_that_a_terminal_obeys_comes_out_of_a_command(filled, tmp_path, 
     )
     said = done.stdout + done.stderr
     said = OURS.sub("", said) if terminal else said
-    assert not OBEYED & set(said)
+    assert not CONTROLS & set(said)
     assert "\\x1b[2J[red]x" in said, "it is there, seen, and no markup"
     assert done.returncode == COMMANDS[line]
 
@@ -133,7 +133,7 @@ def test_nothing_that_a_terminal_obeys_comes_out_of_a_command(filled, tmp_path, 
 def test_what_is_misused_is_shown_and_not_obeyed(words):
     done = run("trueup_cli.main", words, {**os.environ, "NO_COLOR": "1", "COLUMNS": "200"}, ROOT)
     assert done.returncode != 0
-    assert not OBEYED & set(done.stdout + done.stderr)
+    assert not CONTROLS & set(done.stdout + done.stderr)
 
 
 @pytest.mark.parametrize("service", ["embedded"], indirect=True)
@@ -141,7 +141,7 @@ def test_what_is_misused_is_shown_and_not_obeyed(words):
 def test_json_is_ascii_and_holds_what_others_wrote(filled, tmp_path, line):
     said = told(filled, tmp_path, line, "--json").stdout
     assert said.isascii()
-    assert not OBEYED & set(said)
+    assert not CONTROLS & set(said)
     assert any(EVIL in text for text in texts(json.loads(said)))
 
 
@@ -200,7 +200,7 @@ def test_a_line_of_the_log_is_one_line_of_ascii():
     )
     line = JsonLines().format(record)
     assert line.isascii()
-    assert not OBEYED & set(line)
+    assert not CONTROLS & set(line)
     assert "\n" not in line
     assert json.loads(line)["path"] == EVIL
 
@@ -209,4 +209,4 @@ def test_an_error_that_nobody_expected_is_printed_whole_and_quotes_nothing_as_it
     assert print_traceback(ValueError(EVIL)) == 1
     said = capsys.readouterr().err
     assert "ValueError: \\x1b[2J[red]x[/]" in said
-    assert not OBEYED & set(said)
+    assert not CONTROLS & set(said)
