@@ -167,8 +167,8 @@ def test_a_download_that_is_given_up_leaves_the_next_answer_whole(service, plant
             for _ in range(50):
                 parts = client.episode_parts(plant, digest)
                 await anext(parts)
-                found, _ = await asyncio.gather(client.plant(plant), parts.aclose())
-                assert found["name"] == plant
+                record, _ = await asyncio.gather(client.plant(plant), parts.aclose())
+                assert record["name"] == plant
 
     asyncio.run(go())
 

@@ -60,7 +60,7 @@ def test_every_pinned_package_is_asked_for():
         for line in (ROOT / name).read_text().splitlines()
         if "==" in line
     }
-    found = advisories.look_up(ROOT)
-    assert not found or len({p["name"].lower().replace("_", "-") for p in found}) >= 0.8 * len(
-        pinned
-    )  # others are for other platforms
+    packages = advisories.look_up(ROOT)
+    assert not packages or len(
+        {p["name"].lower().replace("_", "-") for p in packages}
+    ) >= 0.8 * len(pinned)  # others are for other platforms

@@ -63,14 +63,14 @@ def record(
 def test_a_log_is_surveyed_in_every_encoding(tmp_path, encoding):
     path = record(tmp_path / "bag.mcap", 0, encoding=encoding)
     with path.open("rb") as file:
-        found = survey(file, path.stat().st_size)
-    told = {s.topic: s for s in found.found}
-    assert set(told) == {"/robot/joint_states", "/robot/effort_command"}
-    assert told["/robot/joint_states"].joints == ("hinge",)
-    assert told["/robot/joint_states"].fields == (Field.POSITION, Field.VELOCITY)
-    assert told["/robot/effort_command"].fields == (Field.EFFORT,)
-    assert told["/robot/joint_states"].period_s == pytest.approx(0.05)
-    assert (told["/robot/joint_states"].messages, found.role) == (600, None)
+        surveyed = survey(file, path.stat().st_size)
+    topics = {s.topic: s for s in surveyed.found}
+    assert set(topics) == {"/robot/joint_states", "/robot/effort_command"}
+    assert topics["/robot/joint_states"].joints == ("hinge",)
+    assert topics["/robot/joint_states"].fields == (Field.POSITION, Field.VELOCITY)
+    assert topics["/robot/effort_command"].fields == (Field.EFFORT,)
+    assert topics["/robot/joint_states"].period_s == pytest.approx(0.05)
+    assert (topics["/robot/joint_states"].messages, surveyed.role) == (600, None)
 
 
 def test_a_bag_of_several_files_becomes_a_case(tmp_path):
