@@ -78,6 +78,7 @@ bench: $(DEV) ## measure, and print the figures beside their targets
 docs: $(RUN) ## write the pages that are made from the code
 	@$(BIN)/python docs/make_settings.py
 	@$(BIN)/python docs/make_effects.py
+	@$(BIN)/python docs/make_tuning.py
 	@PYTHONPATH=. $(BIN)/python docs/effect_pictures.py
 	@$(BIN)/python docs/make_access.py
 	@$(BIN)/python docs/make_commands.py

@@ -23,13 +23,14 @@ import numpy as np
 from bench.peers.case import TERMS
 from bench.peers.environment import HERE, peers_python
 from tests.support.simulated import episode_of, episodes_of, plant_of
-from trueup.blindtrial.tally import Answer, judge
-from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import penalised, selection_criteria, total
+from trueup.blindtrial.scoring import Answer, score_answer
+from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.explore import explore
 from trueup.diagnose.filtering import corrected
-from trueup.diagnose.twins import twins
+from trueup.diagnose.indistinguishable import aliases
+from trueup.diagnose.model_selection import penalised
+from trueup.diagnose.problem_setup import Recordings
 from trueup.episode.role import Role
 from trueup.model.effect import effects
 from trueup.model.hypothesis import Hypothesis
@@ -135,23 +136,23 @@ def house(machine: Hidden) -> dict[str, Given]:
         )
     }
     began = time.monotonic()
-    admission = admit(plant, adaptation)
-    criteria = selection_criteria(plant, [*adaptation, *validation])
-    search, admission = explore(plant, admission, adaptation, validation, criteria, lambda *_: None)
+    recordings = Recordings.of(plant, [*adaptation, *validation])
+    search, quality = explore(recordings, assess(plant, adaptation), lambda *_: None)
     took = time.monotonic() - began
-    candidates = [c for c in search if np.isfinite(total(c))]
-    spread = max(min(map(total, candidates)), 0.5)
+    candidates = [c for c in search if np.isfinite(c.total)]
+    spread = max(min(c.total for c in candidates), 0.5)
     counted = [e["effect"] for e in found.document["effects"] if effects()[e["effect"]].counted]
     rules = {
         "BIC on our fits": min(candidates, key=lambda c: penalised(c, spread)),
-        "lowest held-out error": min(candidates, key=lambda c: c.misfit),
+        "lowest held-out error": min(candidates, key=lambda c: c.reduced_chi_square),
         "always Coulomb": search.found[Hypothesis(("coulomb_friction",))],
     }
     for name, c in rules.items():
-        predictor = corrected(plant, admission, c.fit, search.problem.scheme, adaptation)
+        predictor = corrected(plant, quality, c.fit, search.problem.scheme, adaptation)
         names = [*c.hypothesis.effects, *counted]
         others = [
-            [*c.hypothesis.without(e).effects, twin, *counted] for e, twin in twins(c.hypothesis)
+            [*c.hypothesis.without(e).effects, alias, *counted]
+            for e, alias in aliases(c.hypothesis)
         ]  # no rule could part them: each is credited
         given[name] = Given(_named(names, others), positions(predictor, machine.tests), took)
     return given
@@ -222,7 +223,7 @@ def _write(file: Path, m: Hidden) -> None:
 def closed(m: Hidden, predicted: np.ndarray) -> float:
     """The part of the nominal model's gap in position that is closed on the test recordings."""
     seen = np.concatenate([e.observations[:, 0] for e in m.tests])
-    noise = admit(m.plant, [e for e in m.episodes if e.role is Role.ADAPTATION]).noise[0] ** 2
+    noise = assess(m.plant, [e for e in m.episodes if e.role is Role.ADAPTATION]).noise[0] ** 2
     before = float(np.mean((positions(Nominal(m.plant), m.tests) - seen) ** 2))
     with np.errstate(over="ignore", invalid="ignore"):
         after = float(np.mean((predicted - seen) ** 2))
@@ -281,7 +282,7 @@ def main() -> None:
 
 
 def _line(found: list[Hidden], answers: dict[str, Given]) -> list[str]:
-    exact = {m.name: bool(judge(m.label, answers[m.name].answer)["exact"]) for m in found}
+    exact = {m.name: bool(score_answer(m.label, answers[m.name].answer)["exact"]) for m in found}
 
     def share(chosen) -> str:
         return f"{sum(exact[m.name] for m in chosen)}/{len(chosen)}"

@@ -22,11 +22,11 @@ from trueup.episode.role import Role
 from trueup.monitor.achieved import poisson_interval
 from trueup.monitor.detector import detectors
 from trueup.monitor.monitor import Monitor, calibrate
-from trueup.monitor.residuals import missed
+from trueup.monitor.residuals import unscaled_residuals
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, Run, run
 from trueup.simulate.magnitude import as_large_as, shape_of
-from trueup.simulate.trial import CATALOGUE, Bench, Plan, _seen, _sizes, draw_bench
+from trueup.simulate.trial import CATALOGUE, JointBench, Plan, _seen, _sizes, draw_bench
 
 SEED = 20261
 TIERS = ("A0", "A1", "B1", "B2")
@@ -42,7 +42,7 @@ ON_INERTIA = ("sensor_bias", "sensor_drift")  # nothing there shows them
 class Robot:
     """A healthy machine and how it is recorded."""
 
-    bench: Bench
+    bench: JointBench
     machine: Machine
     sigma: tuple[float, float]
     size: dict[str, float]
@@ -77,7 +77,7 @@ class Robot:
         )
 
 
-def _whole(bench: Bench, rng: np.random.Generator) -> np.ndarray:
+def _whole(bench: JointBench, rng: np.random.Generator) -> np.ndarray:
     """An episode's commands: one series of each shape, in any order."""
     parts = [
         _series(bench, str(shape), rng)[: round(bench.duration_s / bench.timestep_s)]
@@ -86,7 +86,7 @@ def _whole(bench: Bench, rng: np.random.Generator) -> np.ndarray:
     return np.concatenate([parts[0][: bench.warm_up + 1], *parts])
 
 
-def _series(bench: Bench, shape: str, rng: np.random.Generator) -> np.ndarray:
+def _series(bench: JointBench, shape: str, rng: np.random.Generator) -> np.ndarray:
     return bench.reach * planned(
         shape, round(bench.duration_s / bench.timestep_s) + 1 + bench.warm_up, bench.timestep_s, rng
     )
@@ -141,7 +141,8 @@ def error(predictor, episodes) -> float:
             np.mean(
                 np.concatenate(
                     [
-                        (missed(predictor, e).values * predictor.plant.scales / motion) ** 2
+                        (unscaled_residuals(predictor, e).values * predictor.plant.scales / motion)
+                        ** 2
                         for e in episodes
                     ]
                 )

@@ -33,8 +33,9 @@ from tests.support.storage import Storage, embedded, scaled
 from trueup.episode.role import Role
 from trueup_client import Client
 from trueup_client.problem import ClientError
-from trueup_service.registry.blobs import FolderBlobs
-from trueup_service.registry.store import writing
+from trueup_service.actor_context import ActorContext
+from trueup_service.registry.folder_blobs import FolderBlobs
+from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 
 KILLS, USERS, SEED = int(os.environ.get("KILLS", "500")), 3, 99
@@ -238,11 +239,10 @@ def _planted(history: History, parts: Parts) -> str:
             text("UPDATE episodes SET digest = :d WHERE plant = :p AND digest = 'gone'"), where
         )
         connection.commit()
-    with writing(parts.database) as writer:
-        writer.append_audit(
-            at="2026-01-01T00:00:00.000000Z",
-            kind="episode:ingested",
-            actor="bench",
+    with writing(parts.database) as tx:
+        tx.log.append(
+            ActorContext("bench", "2026-01-01T00:00:00.000000Z"),
+            "episode:ingested",
             plant=plant,
             subject=digest,
             facts={},

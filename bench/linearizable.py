@@ -18,7 +18,7 @@ from tests.support.service import Service
 from tests.support.storage import Storage, scaled
 from trueup.ledger.verification import verify
 from trueup_client import Client
-from trueup_service.kept import Kept
+from trueup_service.installation import Installation
 
 SEEDS, THREADS, OPERATIONS, GENERATIONS = int(os.environ.get("SEEDS", "50")), 12, 150, 400
 
@@ -52,7 +52,7 @@ def main() -> None:
                         f"seed {seed}: {len(told) - 1} moves, {time.monotonic() - began:.0f} s",
                         flush=True,
                     )
-            problems = verify(Kept(parts.database, parts.blobs)).findings
+            problems = verify(Installation(parts.database, parts.blobs)).findings
         finally:
             parts.close()
             for server in servers:

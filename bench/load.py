@@ -41,12 +41,12 @@ from trueup.simulate.machine import Machine
 from trueup.simulate.machine import run as simulated
 from trueup_service.actions.add_monitor import add_monitor
 from trueup_service.actions.register_plant import register_plant
-from trueup_service.actions.stamp import Stamp
 from trueup_service.actions.tokens import issue_token
-from trueup_service.identity import new_token
+from trueup_service.actor_context import ActorContext
+from trueup_service.authentication import new_token
 from trueup_service.registry.records import Role as Of
 from trueup_service.registry.records import TokenRecord
-from trueup_service.registry.store import writing
+from trueup_service.registry.transaction import writing
 from trueup_service.settings import Settings
 from trueup_service.wiring import Parts, build
 
@@ -56,7 +56,7 @@ CLOSED_S, FLEET_S, DRAIN_S = 5.0, float(os.environ.get("FLEET_S", "60")), 120.0
 CONFIGURATIONS = ((1, 1), (1, 2), (2, 1), (2, 2))  # servers, workers
 WORN = 0.15  # friction of a robot that wears
 REFERENCE, PROMISE_H, RUNS = 40, 1.0, 24
-STAMP = Stamp("bench", "2026-01-01T00:00:00.000000Z")
+CONTEXT = ActorContext("bench", "2026-01-01T00:00:00.000000Z")
 
 
 def main() -> None:
@@ -300,18 +300,20 @@ def recorded(friction: float, number: int, rng: np.random.Generator) -> Recorded
 
 def _commissioned(parts: Parts, monitor: Monitor, name: str, *, wears: bool) -> Robot:
     token, prefix, secret = new_token()
-    with writing(parts.database) as writer:
-        record, _ = register_plant(writer, plant_document(name), STAMP)
+    with writing(parts.database) as tx:
+        record, _ = register_plant(tx, plant_document(name), CONTEXT)
         artifact = nominal_artifact(Plant.from_document(plant_document(name))).digest
         mine = replace(monitor, plant=record.digest, artifact=artifact)
         kept = {detector: list(state) for detector, state in mine.begin().items()}
         add_monitor(
-            writer, name, json.loads(json.dumps(mine.document())), kept, None, STAMP.now, STAMP
+            tx, name, json.loads(json.dumps(mine.document())), kept, None, CONTEXT.now, CONTEXT
         )
         issue_token(
-            writer,
-            TokenRecord(prefix, secret, name, [Of.ROBOT], None, name, STAMP.now, STAMP.actor, None),
-            STAMP,
+            tx,
+            TokenRecord(
+                prefix, secret, name, [Of.ROBOT], None, name, CONTEXT.now, CONTEXT.actor, None
+            ),
+            CONTEXT,
         )
     return Robot(name, token, wears)
 

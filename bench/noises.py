@@ -19,20 +19,20 @@ import numpy as np
 
 from bench.report import Figure, publish, show
 from tests.support.simulated import episodes_of, plant_of
-from trueup.blindtrial.tally import Answer, judge
+from trueup.blindtrial.scoring import Answer, score_answer
 from trueup.diagnose.diagnosis import diagnose
-from trueup.fit.rollout_fit import warm
-from trueup.simulate.noise import Noise
+from trueup.fit.fitter import warm
+from trueup.simulate.noise import NoiseModel
 from trueup.simulate.trial import CATALOGUE, draw, draw_bench
 
 LAWS = {
-    "white": Noise(),
-    "AR(0.5)": Noise(0.5),
-    "AR(0.7)": Noise(0.7),
-    "AR(0.9)": Noise(0.9),
-    "t with 3": Noise(0.0, 3.0),
-    "AR(0.9), t with 4": Noise(0.9, 4.0),
-    "AR(0.5), t with 3": Noise(0.5, 3.0),
+    "white": NoiseModel(),
+    "AR(0.5)": NoiseModel(0.5),
+    "AR(0.7)": NoiseModel(0.7),
+    "AR(0.9)": NoiseModel(0.9),
+    "t with 3": NoiseModel(0.0, 3.0),
+    "AR(0.9), t with 4": NoiseModel(0.9, 4.0),
+    "AR(0.5), t with 3": NoiseModel(0.5, 3.0),
 }
 COUNTED = ("sensor_quantization", "dropped_frames")
 NO_SPRING = (
@@ -135,7 +135,7 @@ def _row(law: str, i: int, names: list[str]) -> Row:
         "moved": True,
         "bait": None,
     }
-    right = bool(judge(label, Answer(found, None, took))["exact"])
+    right = bool(score_answer(label, Answer(found, None, took))["exact"])
     m, told = trial.machine, found["parameters"]
     truth = {"k": m.k, "c": m.c, "b": m.b}
     held = (

@@ -22,16 +22,16 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
 from trueup_service.actions.declare_gate import declare_gate
 from trueup_service.actions.record_decision import record_decision
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import ArtifactRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 from trueup_service.settings import Settings
 from trueup_service.wiring import build
 
 CONNECTIONS, SECONDS, ROUNDS = 16, 3.0, 3
 VERSIONS, MOVES = 9000, 120
 MANY, FEW, PAIRS = 100_000, 10, 11
-STAMP = Stamp("bench", "2026-01-01T00:00:00.000000Z")
+CONTEXT = ActorContext("bench", "2026-01-01T00:00:00.000000Z")
 
 
 def main() -> None:
@@ -160,8 +160,8 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
     serving = call(port, "GET", f"/v1/plants/{name}/serving")["artifact"]
     parts, requests = build(Settings(data_dir=data)), []
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        declare_gate(writer, name, None, STAMP)
+        tx = Transaction(connection)
+        declare_gate(tx, name, None, CONTEXT)
         for generation in range(1, MOVES + 1):
             candidate = artifacts[generation % 2].digest
             document = {
@@ -173,7 +173,7 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
                 "episodes": [episode],
                 "plant": plant.digest,
             }
-            record_decision(writer, name, document, None, STAMP)
+            record_decision(tx, name, document, None, CONTEXT)
             body = json.dumps(
                 {"decision": digest_of(document), "expected_generation": generation}
             ).encode()
@@ -190,9 +190,9 @@ def _resolve(port: int, data: Path) -> float:
         call(port, "POST", "/v1/plants", plant_document(name))
         parts = build(Settings(data_dir=data))
         with parts.database.write() as connection:
-            writer = Writer(connection)
+            tx = Transaction(connection)
             for version in range(2, versions + 1):
-                writer.add_artifact(
+                tx.artifacts.add(
                     ArtifactRecord(
                         name,
                         version,
@@ -201,7 +201,7 @@ def _resolve(port: int, data: Path) -> float:
                         "{}",
                         None,
                         None,
-                        STAMP.now,
+                        CONTEXT.now,
                         "bench",
                     )
                 )

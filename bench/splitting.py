@@ -18,13 +18,13 @@ from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.excitation import Excitation, Setting, splitting
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
-from trueup.diagnose.probe import DETECTABLE
+from trueup.diagnose.next_experiment import DETECTABLE
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.model.plant import Plant
 from trueup.simulate.machine import run
-from trueup.simulate.trial import CATALOGUE, Bench, Trial, draw, draw_bench
+from trueup.simulate.trial import CATALOGUE, JointBench, SimulatedTrial, draw, draw_bench
 
 MACHINES, SECONDS, DRAWN = 20, 8.0, 400
 SHORT = {"duration_s": 2.5, "noise": 0.05}
@@ -78,7 +78,9 @@ def main() -> None:
     show("Splitting alternatives", figures)
 
 
-def _undecided(rng: np.random.Generator) -> tuple[Bench, str, Plant, Trial, list[Episode]]:
+def _undecided(
+    rng: np.random.Generator,
+) -> tuple[JointBench, str, Plant, SimulatedTrial, list[Episode]]:
     """A machine, its effect, and short recordings."""
     bench = replace(draw_bench(str(rng.choice(["A1", "B1"])), rng), **SHORT)
     effect = str(rng.choice([name for name in CATALOGUE if name not in LEFT_OUT]))
@@ -90,7 +92,9 @@ def _undecided(rng: np.random.Generator) -> tuple[Bench, str, Plant, Trial, list
     return bench, effect, plant, trial, episodes_of(plant, trial)
 
 
-def _designed(plant: Plant, play: InPlay, trial: Trial, rng: np.random.Generator) -> Excitation:
+def _designed(
+    plant: Plant, play: InPlay, trial: SimulatedTrial, rng: np.random.Generator
+) -> Excitation:
     setting = Setting(play, Bounds.of(plant, SECONDS), trial.sigma, np.zeros(2), np.zeros(1))
     made = splitting(setting, rng, effort=0.25)
     if made.information.least < DETECTABLE:  # type: ignore[attr-defined]
@@ -103,9 +107,9 @@ def _random(plant: Plant, made: Excitation, rng: np.random.Generator) -> np.ndar
 
 
 def _again(
-    bench: Bench,
+    bench: JointBench,
     plant: Plant,
-    trial: Trial,
+    trial: SimulatedTrial,
     episodes: list[Episode],
     commands: list[np.ndarray],
     rng: np.random.Generator,

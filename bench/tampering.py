@@ -14,7 +14,7 @@ from tests.support.storage import embedded
 from tests.support.tampering import cut, flip, promoted
 from trueup.ledger.verification import verify
 from trueup_client import Client
-from trueup_service.kept import Kept, published
+from trueup_service.installation import Installation, published
 from trueup_service.signed_log import open_log
 from trueup_service.wiring import Parts
 
@@ -37,7 +37,7 @@ def main() -> None:
 
 
 def _found(parts: Parts) -> bool:
-    return bool(verify(Kept(parts.database, parts.blobs)).findings or published(parts))
+    return bool(verify(Installation(parts.database, parts.blobs)).findings or published(parts))
 
 
 def _flips(parts: Parts) -> Figure:
@@ -62,7 +62,7 @@ def _flips(parts: Parts) -> Figure:
 
 def _cuts(parts: Parts) -> Figure:
     open_log(parts.settings, parts.database).publish()
-    entries = list(Kept(parts.database, parts.blobs).entries(0, 10**9))
+    entries = list(Installation(parts.database, parts.blobs).entries(0, 10**9))
     found = 0
     for size in reversed(range(len(entries))):
         cut(parts, entries, size)

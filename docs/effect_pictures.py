@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from trueup.model.effect import Effect, Port, effects
 from trueup.model.families.inertia import Inertia
-from trueup.model.stepping import Joint
+from trueup.model.joint_step import Joint
 from trueup_cli.pictures.drawing import (
     PALE,
     SERIES,

@@ -56,10 +56,10 @@ def module(document):
 def record(name, schema):
     """Returns one record as a class."""
     description = schema.get("description") or f"{name}, as the service keeps it."
-    doc = textwrap.fill(" ".join(description.split()), 88)
-    doc = doc.replace("\n", "\n    ") + ("\n    " if "\n" in doc else "")
+    docstring = textwrap.fill(" ".join(description.split()), 90)
+    docstring = docstring.replace("\n", "\n    ") + ("\n    " if "\n" in docstring else "")
     fields = [f"    {key}: {kind(value)}" for key, value in schema["properties"].items()]
-    return f'\n\nclass {name}(TypedDict):\n    """{doc}"""\n\n' + "\n".join(fields) + "\n"
+    return f'\n\nclass {name}(TypedDict):\n    """{docstring}"""\n\n' + "\n".join(fields) + "\n"
 
 
 def kind(schema):

@@ -53,7 +53,7 @@ def _parts() -> Iterator[Parts]:
 
 
 def _now() -> str:
-    from trueup_service.actions.stamp import time_text
+    from trueup_service.actor_context import time_text
 
     return time_text(datetime.now(UTC))
 
@@ -143,7 +143,7 @@ def import_(
     source
         the folder or file that `trueup export` wrote
     """
-    from trueup_service.actions.stamp import Stamp
+    from trueup_service.actor_context import ActorContext
     from trueup_service.archives import import_plant
 
     with (
@@ -152,7 +152,9 @@ def import_(
         progress("importing") as bar,
     ):
         actor = os.environ.get("TRUEUP_ACTOR") or getpass.getuser()
-        plant = import_plant(parts, archive, project, Stamp(f"command for {actor}", _now()), bar)
+        plant = import_plant(
+            parts, archive, project, ActorContext(f"command for {actor}", _now()), bar
+        )
     log = archive.config["checkpoint"].splitlines()[0]
     as_json({"plant": plant, "from": log}) if as_json_ else say(
         "plant [bold]{}[/] is here, from {}", plant, log
@@ -161,12 +163,13 @@ def import_(
 
 @contextmanager
 def _verified_archive(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]:
-    """Opens an archive whose seal a trusted key signed, and verifies it against that seal.
+    """Opens an archive whose manifest a trusted key signed, and verifies it against the manifest.
 
-    The seal is checked before anything else is read. Raises KeyNotGiven, NotSigned, NotWhole,
+    The signature is checked before anything else is read. Raises KeyNotGiven, NotSigned, NotWhole,
     BadArchive.
     """
-    from trueup.ledger.archive import Archive, Seal, statement_of
+    from trueup.ledger.archive import Archive, ManifestSignature
+    from trueup.ledger.archive_layout import statement_of
     from trueup_client.problem import NotSigned
     from trueup_client.proof import Checkpoint, Key, includes
     from trueup_service.archives import require_whole
@@ -186,9 +189,9 @@ def _verified_archive(source: Path, key: str | None, *, any_key: bool) -> Iterat
         first = named_key or own
         return [] if first is None else [first, *first.followed(endorsements)]
 
-    def is_signed(seal: Seal) -> bool:
-        statement = statement_of(f"sha256:{seal.digest}")
-        return any(k.signed(seal.signature, statement) for k in signers(seal.endorsements))
+    def is_signed(by: ManifestSignature) -> bool:
+        statement = statement_of(f"sha256:{by.digest}")
+        return any(k.signed(by.signature, statement) for k in signers(by.endorsements))
 
     archive = Archive(source, is_signed)
     try:
@@ -229,11 +232,11 @@ def gc(
 
     What was registered is never removed.
     """
-    from trueup_service.leftovers import remove_leftovers
+    from trueup_service.garbage_collection import collect_garbage
 
     with _parts() as parts, progress("looking for bytes that no row names") as bar:
-        removed: dict[str, Any] = remove_leftovers(
-            parts, older_than_h * 3600.0, dry_run=dry_run, told=bar
+        removed: dict[str, Any] = collect_garbage(
+            parts, older_than_h * 3600.0, dry_run=dry_run, progress=bar
         )
     if as_json_:
         as_json({**removed, "dry_run": dry_run})

@@ -128,12 +128,12 @@ def verify(
 
     If anything differs it is listed, and the exit code is 4.
     """
-    from trueup.ledger.gate_lines import GateLines
+    from trueup.ledger.gate_lines import GateLineCheck
     from trueup.ledger.verification import verify as verify_log
 
     client, witness = connect_with_witness(url)
     with progress("verifying") as bar:
-        labels, gate_lines = _LabelCheck(), GateLines()
+        labels, gate_lines = _LabelCheck(), GateLineCheck()
         verified = verify_log(
             _RemoteLog(client, witness),
             lambda share, stage: bar(0.5 * share if replays else share, stage),
@@ -154,7 +154,7 @@ def verify(
             "rows": verified.rows,
             "bytes": verified.bytes,
         }
-        as_json({**figures, "findings": wrong, "notes": gate_lines.notes})
+        as_json({**figures, "findings": wrong, "notes": gate_lines.remarks})
     elif wrong:
         table("", ["where", "what does not agree"], wrong)
     else:
@@ -170,10 +170,10 @@ def verify(
             verified.bytes / 1e6,
             replayed,
         )
-    if gate_lines.notes and not as_json_:
+    if gate_lines.remarks and not as_json_:
         say("[bold]notes[/]: gates and decisions that were made after candidates had been judged")
-        for note in gate_lines.notes:
-            say("  {}", note)
+        for remark in gate_lines.remarks:
+            say("  {}", remark)
     if wrong:
         _disagree(f"{len(wrong)} things are not as the log says")
 
@@ -227,7 +227,7 @@ class _LabelCheck:
         self._committed: dict[str, list[list[str]]] = {}
 
     def __call__(self, entry: Any) -> list[Any]:
-        from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
+        from trueup.blindtrial.commitment import CommitmentMismatch, require_commitments
         from trueup.ledger.verification import Finding
 
         if entry.kind == "blindtrial:committed":
@@ -237,8 +237,8 @@ class _LabelCheck:
         # a worker that takes over a trial draws and commits anew: one of the commitments must hold
         for commitments in self._committed.get(entry.subject, []):
             try:
-                require_as_committed(entry.facts["result"]["report"], commitments)
-            except NotAsCommitted:
+                require_commitments(entry.facts["result"]["report"], commitments)
+            except CommitmentMismatch:
                 continue
             return []
         return [Finding(f"entry {entry.sequence}", "opens labels that nobody committed")]

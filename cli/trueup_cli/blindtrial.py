@@ -93,15 +93,15 @@ def run(
 
 
 def _verify(trial: Path) -> str:
-    """Verifies a trial's report, and returns what holds. Raises BrokenChain, NotAsCommitted."""
-    from trueup.blindtrial.seal import NotAsCommitted, require_as_committed
+    """Verifies a trial's report, and returns what holds. Raises BrokenChain, CommitmentMismatch."""
+    from trueup.blindtrial.commitment import CommitmentMismatch, require_commitments
     from trueup.errors import BrokenChain
     from trueup.ledger.audit import AuditEntry, append
     from trueup.ledger.merkle import NOTHING
 
     report, log = trial / "report.json", trial / "audit.jsonl"
     if not (report.is_file() and log.is_file()):
-        raise NotAsCommitted(
+        raise CommitmentMismatch(
             f"{trial} holds no report.json with an audit.jsonl",
             hint="Name the folder that a trial of a case was written to.",
         )
@@ -111,7 +111,7 @@ def _verify(trial: Path) -> str:
         entries = [AuditEntry(**line) for line in lines]
         document = json.loads(report.read_text())
     except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise NotAsCommitted(
+        raise CommitmentMismatch(
             f"{trial} holds a report or a log that was damaged: {error}"
         ) from error
     tree = NOTHING
@@ -122,7 +122,7 @@ def _verify(trial: Path) -> str:
                 f"entry {entry.sequence} is not what was written", sequence=entry.sequence
             )
     committed = entries[0].facts.get("commitments", []) if entries else []
-    require_as_committed(document, list(committed))  # type: ignore[arg-type]
+    require_commitments(document, list(committed))  # type: ignore[arg-type]
     return (
         f"{len(document['rows'])} labels are those committed at {moment(entries[0].at)}, "
         "before the first diagnosis."

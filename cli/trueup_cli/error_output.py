@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from trueup.errors import TrueupError
 from trueup_cli.exits import DISAGREES, REFUSED, UNREACHABLE
 from trueup_cli.show import as_json, err, lines, say
-from trueup_client.problem import ClientError, NotSigned, Problem, Rewritten, Untrue
+from trueup_client.problem import ClientError, DigestMismatch, LogForked, NotSigned, Problem
 
 UNTRUE_HINT = (
     "The bytes are not what their digest names: the stored copy is damaged, or was changed."
@@ -57,9 +57,9 @@ def print_error(error: Exception) -> int | None:
         noun = str(error.facts.get("noun", ""))
         facts = {name: value for name, value in error.facts.items() if name != "noun"}
         message = error.code, error.detail, HINTS.get((error.code, noun), error.hint)
-    elif isinstance(error, Untrue):
+    elif isinstance(error, DigestMismatch):
         message, code = ("untrue", str(error), UNTRUE_HINT), DISAGREES
-    elif isinstance(error, NotSigned | Rewritten):
+    elif isinstance(error, NotSigned | LogForked):
         name = "not-signed" if isinstance(error, NotSigned) else "rewritten"
         message, code = (name, str(error), REWRITTEN_HINT), DISAGREES
     elif isinstance(error, ClientError):

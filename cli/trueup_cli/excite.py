@@ -24,9 +24,9 @@ from trueup.collect.excitation import (
     splitting,
 )
 from trueup.collect.goal import Separation
-from trueup.diagnose.admission import admit
 from trueup.diagnose.case import read_episodes, read_plant
-from trueup.diagnose.twins import how_to_part
+from trueup.diagnose.data_quality import assess
+from trueup.diagnose.indistinguishable import how_to_part
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
@@ -216,7 +216,7 @@ def _noise(plant: Plant, episodes: list[Episode], report: dict[str, Any]) -> Arr
         return np.asarray(misfit * np.where(np.isfinite(noise) & (noise > 0.0), noise, quiet))
     if not episodes:
         return quiet
-    measured = admit(plant, episodes).noise[plant.state_columns]
+    measured = assess(plant, episodes).noise[plant.state_columns]
     return np.where(np.isfinite(measured) & (measured > 0.0), measured, quiet)
 
 

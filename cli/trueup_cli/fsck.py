@@ -16,13 +16,19 @@ def fsck(*, as_json_: Json = False) -> None:
     such as a mounted snapshot, is read as it is.
     """
     from trueup.ledger.verification import verify
-    from trueup_service.kept import Kept, lost_jobs, published, signing, unnamed
+    from trueup_service.installation import (
+        Installation,
+        lost_jobs,
+        published,
+        signing,
+        unnamed_blobs,
+    )
     from trueup_service.registry.schema import altered
     from trueup_service.settings import Settings
-    from trueup_service.wiring import reading
+    from trueup_service.wiring import build_to_read
 
-    with reading(Settings()) as parts, progress("checking") as bar:
-        verified = verify(Kept(parts.database, parts.blobs, signing(parts)), bar)
+    with build_to_read(Settings()) as parts, progress("checking") as bar:
+        verified = verify(Installation(parts.database, parts.blobs, signing(parts)), bar)
         wrong = [
             (f.where, f.what)
             for f in [
@@ -32,7 +38,7 @@ def fsck(*, as_json_: Json = False) -> None:
                 *altered(parts.database),
             ]
         ]
-        unnamed_blobs = unnamed(parts)
+        unnamed = unnamed_blobs(parts)
     if as_json_:
         as_json(
             {
@@ -40,7 +46,7 @@ def fsck(*, as_json_: Json = False) -> None:
                 "rows": verified.rows,
                 "bytes": verified.bytes,
                 "findings": wrong,
-                "unnamed_blobs": len(unnamed_blobs),
+                "unnamed_blobs": len(unnamed),
             }
         )
     elif wrong:
@@ -52,13 +58,13 @@ def fsck(*, as_json_: Json = False) -> None:
             verified.rows,
             verified.bytes / 1e6,
         )
-    if unnamed_blobs and not as_json_:
+    if unnamed and not as_json_:
         say(
             (
                 "{} blobs are named by no row: uploads under way, or left over; `trueup gc` "
                 "removes old ones."
             ),
-            len(unnamed_blobs),
+            len(unnamed),
         )
     if wrong:
         say(

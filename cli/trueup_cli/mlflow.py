@@ -34,7 +34,7 @@ from trueup.model.predictor import Identified, Nominal
 from trueup_cli.exits import VERIFIES, exit_codes
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect_witnessed
 from trueup_cli.show import Bar, as_json, progress, say
-from trueup_client import Client, Untrue
+from trueup_client import Client, DigestMismatch
 from trueup_client.records import Artifact as Registered
 
 app = App(
@@ -281,7 +281,10 @@ def key(name: str) -> str:
 def _download(
     mlflow: ModuleType, model: str, folder: Path
 ) -> tuple[dict[str, JsonValue], Artifact | None]:
-    """Returns what MLflow knows of a model, and the artifact in it, if any. Raises Untrue."""
+    """Returns what MLflow knows of a model, and the artifact in it, if any.
+
+    Raises DigestMismatch.
+    """
     version = _version(mlflow, model)
     uri = f"models:/{version.name}/{version.version}"
     mlflow.artifacts.download_artifacts(f"{uri}/{FILE}", dst_path=str(folder))
@@ -290,7 +293,9 @@ def _download(
     known, artifact = _read_folder(folder)
     registered = (version.tags or {}).get(DIGEST_TAG)
     if artifact is not None and registered not in (None, artifact.digest):
-        raise Untrue(f"{uri} is registered as {registered[:12]} and holds {artifact.digest[:12]}")
+        raise DigestMismatch(
+            f"{uri} is registered as {registered[:12]} and holds {artifact.digest[:12]}"
+        )
     return {
         **known,
         "source": uri,
@@ -302,7 +307,7 @@ def _download(
 def _read_folder(folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
     """Returns what a model's MLmodel file says, and the artifact in its folder, if any.
 
-    Raises NotImportable, Untrue.
+    Raises NotImportable, DigestMismatch.
     """
     document = _read(folder / FILE)
     known: dict[str, JsonValue] = {
@@ -323,7 +328,9 @@ def _read_folder(folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
     artifact = Artifact(manifest.read_bytes(), arrays.read_bytes() if arrays.is_file() else b"")
     named = artifact_of(document)
     if named != artifact.digest:
-        raise Untrue(f"{FILE} names artifact {str(named)[:12]} and holds {artifact.digest[:12]}")
+        raise DigestMismatch(
+            f"{FILE} names artifact {str(named)[:12]} and holds {artifact.digest[:12]}"
+        )
     return known, artifact
 
 

@@ -61,7 +61,7 @@ PlantName = Annotated[str, Parameter(completer=complete_plants, help="Name of th
 def connect_with_witness(url: str) -> tuple[Client, Witness]:
     """Returns a client and this user's witness, once the log extends its last checkpoint.
 
-    Raises NotSigned, Rewritten.
+    Raises NotSigned, LogForked.
     """
     client, pinned = connect(url), os.environ.get("TRUEUP_LOG_KEY")
     witness = Witness(witness_file(url), pinned)

@@ -33,9 +33,9 @@ def serve(
     port
         port to listen on; TRUEUP_PORT, else 8321
     """
+    from trueup_service.authentication import first_admin
     from trueup_service.http.serve import listen
     from trueup_service.http.serve import serve as run
-    from trueup_service.identity import first_admin
     from trueup_service.logs import configure_logs
     from trueup_service.settings import Settings
     from trueup_service.wiring import build
@@ -146,7 +146,7 @@ def migrate(*, as_json_: Json = False) -> None:
 
 def kernels(*, as_json_: Json = False) -> None:
     """Compile the rollout kernels into the cache, so that the first rollout is quick."""
-    from trueup.fit.rollout_fit import warm
+    from trueup.fit.fitter import warm
     from trueup.model.family_kernel import compile_all
 
     with progress("compiling"):
@@ -168,7 +168,7 @@ def keygen(name: str, *, as_json_: Json = False) -> None:
     name
         name of the log, such as registry.example.com/robots; it stands in every checkpoint
     """
-    from trueup.ledger.note import Signer
+    from trueup.ledger.signed_note import Signer
     from trueup_service.signed_log import new_signer
 
     signer = Signer.from_text(new_signer(name).text)

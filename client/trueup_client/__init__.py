@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from trueup_client.client import Client
 from trueup_client.freshness import Ages, Freshness
-from trueup_client.problem import NotSigned, Problem, Rewritten, Unreachable, Untrue
+from trueup_client.problem import DigestMismatch, LogForked, NotSigned, Problem, Unreachable
 from trueup_client.records import Serving
 from trueup_client.robot import Robot
 from trueup_client.witness import Witness
@@ -25,14 +25,14 @@ __all__ = [
     "Ages",
     "AsyncClient",
     "Client",
+    "DigestMismatch",
     "Freshness",
+    "LogForked",
     "NotSigned",
     "Problem",
-    "Rewritten",
     "Robot",
     "Serving",
     "Unreachable",
-    "Untrue",
     "Witness",
 ]
 

@@ -1,11 +1,11 @@
 """What can go wrong, from the caller's side.
 
 ClientError
-├── Unreachable    nobody answered
-├── Untrue         the bytes are not what their digest names
-├── NotSigned      a checkpoint or an envelope is not signed by the log's key
-├── Rewritten      the log does not extend the one that was seen before
-└── Problem        the service refused; `code` is stable, `hint` says what to do next
+├── Unreachable     nobody answered
+├── DigestMismatch  the bytes are not what their digest names
+├── NotSigned       a checkpoint or an envelope is not signed by the log's key
+├── LogForked       the log does not extend the one that was seen before
+└── Problem         the service refused; `code` is stable, `hint` says what to do next
 """
 
 from __future__ import annotations
@@ -21,15 +21,16 @@ class Unreachable(ClientError):
     """The service did not answer."""
 
 
-class Untrue(ClientError):
-    """The bytes received are not those that the digest names; they were thrown away."""
+class DigestMismatch(ClientError):
+    """What was received is not what its digest names, or is a list that has no end; it was thrown
+    away."""
 
 
 class NotSigned(ClientError):
     """What was received is not signed by the key of the log."""
 
 
-class Rewritten(ClientError):
+class LogForked(ClientError):
     """The log or the pointer was rewritten.
 
     The log does not extend the one that this client has seen, or the pointer went back without a

@@ -23,7 +23,7 @@ class Serving:
 
 
 class Plant(TypedDict):
-    """Plant, as the service keeps it."""
+    """A registered plant with its description."""
 
     name: str
     digest: str
@@ -34,7 +34,7 @@ class Plant(TypedDict):
 
 
 class Episode(TypedDict):
-    """Episode, as the service keeps it."""
+    """An ingested episode."""
 
     plant: str
     digest: str
@@ -46,7 +46,9 @@ class Episode(TypedDict):
 
 
 class EpisodeContext(TypedDict):
-    """An episode joined to what was serving while it was recorded, and how often it was used."""
+    """An episode with what was serving while it was recorded, and how many jobs of each kind
+    have read it.
+    """
 
     plant: str
     digest: str
@@ -60,7 +62,7 @@ class EpisodeContext(TypedDict):
 
 
 class Artifact(TypedDict):
-    """Artifact, as the service keeps it."""
+    """A version of a plant's model."""
 
     plant: str
     version: int
@@ -73,7 +75,9 @@ class Artifact(TypedDict):
 
 
 class Gate(TypedDict):
-    """A gate. A plant's last one judges; its document names the one that it follows, and why."""
+    """A gate. The last one of a plant judges, and its document names the gate that it follows
+    and why.
+    """
 
     plant: str
     digest: str
@@ -83,15 +87,15 @@ class Gate(TypedDict):
 
 
 class LooserThan(TypedDict):
-    """A gate before another one, and what is looser in that, in words."""
+    """An earlier gate, and in words what is looser in the later one."""
 
     gate: str
     looser: list[str]
 
 
 class GateInLine(TypedDict):
-    """A gate in its plant's line, in force or not, and what is looser in it than in the one
-    before, in words; and than in every one.
+    """A gate with its place among the gates of its plant: whether it is in force, and in words
+    what is looser in it than in the gate before and in each earlier one.
     """
 
     plant: str
@@ -115,7 +119,7 @@ class Output(TypedDict):
 
 
 class Job(TypedDict):
-    """`progress` runs from 0 to 1. `result` is what came of it, or a problem with `code`,
+    """A job. `progress` runs from 0 to 1. `result` is the result, or a problem with `code`,
     `detail` and `hint`. `operation` says whether it monitors, identifies parameters or
     corrects a model; nothing here adapts a control policy.
     """
@@ -135,7 +139,9 @@ class Job(TypedDict):
 
 
 class JobWithReads(TypedDict):
-    """A job, the digest of everything it has read, and the files that it left behind."""
+    """A job, the digests of everything that it has read and for what, and the files that it left
+    behind.
+    """
 
     id: str
     plant: str
@@ -154,7 +160,7 @@ class JobWithReads(TypedDict):
 
 
 class Decision(TypedDict):
-    """Decision, as the service keeps it."""
+    """A decision of a gate on a candidate, with every figure in `document`."""
 
     digest: str
     plant: str
@@ -171,7 +177,7 @@ class Decision(TypedDict):
 
 
 class Approval(TypedDict):
-    """Approval, as the service keeps it."""
+    """An approval of a decision for promotion."""
 
     plant: str
     decision: str
@@ -182,7 +188,7 @@ class Approval(TypedDict):
 
 
 class Evidence(TypedDict):
-    """What was found of an artifact at a stage, with its scope."""
+    """Evidence of an artifact at a stage of the test ladder, with its scope."""
 
     plant: str
     digest: str
@@ -196,7 +202,7 @@ class Evidence(TypedDict):
 
 
 class Channel(TypedDict):
-    """Channel, as the service keeps it."""
+    """A channel of serving, and the stages whose passed evidence it requires."""
 
     plant: str
     name: str
@@ -206,7 +212,7 @@ class Channel(TypedDict):
 
 
 class ChannelPosition(TypedDict):
-    """What a channel serves, and the evidence that it rests on."""
+    """What a channel serves, and the evidence that allowed it."""
 
     plant: str
     channel: str
@@ -219,7 +225,9 @@ class ChannelPosition(TypedDict):
 
 
 class Policy(TypedDict):
-    """What may happen without a person, from `created_at` on until the next one."""
+    """An update policy: what may happen without a person. It is in force from `created_at` until
+    the next one.
+    """
 
     plant: str
     sequence: int
@@ -230,8 +238,8 @@ class Policy(TypedDict):
 
 
 class Monitor(TypedDict):
-    """A calibrated monitor: its detectors with their levels, and what they were measured to
-    keep.
+    """A calibrated monitor: its detectors with their levels, and the promise that they were
+    measured to keep.
     """
 
     plant: str
@@ -244,8 +252,8 @@ class Monitor(TypedDict):
 
 
 class Watch(TypedDict):
-    """What a monitor saw in one episode: of each detector its highest statistic, of each
-    channel its error in healthy spreads.
+    """What a monitor saw in one episode: the highest statistic of each detector, and the error
+    of each channel in healthy spreads.
     """
 
     sequence: int
@@ -255,8 +263,8 @@ class Watch(TypedDict):
 
 
 class Alarm(TypedDict):
-    """`document` says which detectors alarmed, since when, and what changed; `job` is the
-    diagnosis that it opened, once it could, `trial` the gate that judged what that made.
+    """An alarm. `document` says which detectors alarmed, since when, and what changed. `job` is
+    the diagnosis that it opened, and `trial` the trial of the model that the diagnosis made.
     """
 
     id: str
@@ -274,8 +282,8 @@ class Alarm(TypedDict):
 
 
 class MonitorState(TypedDict):
-    """Whether somebody watches. `watches` is false where no monitor was calibrated for what
-    serves now: `hint` says what to do.
+    """Whether a monitor watches the model that serves. Where none was calibrated for it,
+    `watches` is false and `hint` says what to do.
     """
 
     plant: str
@@ -288,7 +296,7 @@ class MonitorState(TypedDict):
 
 
 class Project(TypedDict):
-    """Project, as the service keeps it."""
+    """A project."""
 
     name: str
     created_at: str
@@ -296,7 +304,7 @@ class Project(TypedDict):
 
 
 class Token(TypedDict):
-    """Token, as the service keeps it."""
+    """A token, without its secret. It sees one project or plant, or all where these are null."""
 
     prefix: str
     name: str
@@ -311,7 +319,7 @@ class Token(TypedDict):
 
 
 class IssuedToken(TypedDict):
-    """IssuedToken, as the service keeps it."""
+    """A token that was issued now, with its secret."""
 
     prefix: str
     name: str
@@ -327,7 +335,7 @@ class IssuedToken(TypedDict):
 
 
 class Identity(TypedDict):
-    """Who asks, and what there is for them: null for all projects, or all plants."""
+    """Who asks, with which roles, and which project or plant the token sees, null for all."""
 
     name: str
     roles: list[str]
@@ -336,7 +344,7 @@ class Identity(TypedDict):
 
 
 class AuditEntry(TypedDict):
-    """AuditEntry, as the service keeps it."""
+    """An entry of the audit log: who did what to which subject, when."""
 
     sequence: int
     at: str

@@ -27,7 +27,7 @@ from typing import Any
 
 from trueup_client.client import Client
 from trueup_client.files import is_whole, sync_folder
-from trueup_client.problem import NotSigned, Rewritten
+from trueup_client.problem import LogForked, NotSigned
 from trueup_client.proof import Key
 from trueup_client.records import Envelope
 from trueup_client.witness import Witness
@@ -171,7 +171,7 @@ class Robot:
     def _require_later(self, answer: Answer) -> None:
         """Raises NotSigned if an answer has expired.
 
-        Raises Rewritten if it is older than one that was seen, or names another artifact under the
+        Raises LogForked if it is older than one that was seen, or names another artifact under the
         same generation.
         """
         if not answer.is_current(self._clock()):
@@ -182,7 +182,7 @@ class Robot:
         if answer.generation < generation or (
             answer.generation == generation and answer.artifact != artifact
         ):
-            raise Rewritten(
+            raise LogForked(
                 f"generation {answer.generation} was answered after generation {generation}"
             )
 

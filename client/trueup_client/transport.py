@@ -14,7 +14,7 @@ from urllib.parse import quote, urlencode
 
 from trueup_client.connection import Connection
 from trueup_client.files import sync_folder
-from trueup_client.problem import Unreachable, Untrue
+from trueup_client.problem import DigestMismatch, Unreachable
 from trueup_client.records import Document
 
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.2, 5.0  # of a watch whose service is away
@@ -49,7 +49,7 @@ class Transport:
     def _pages(self, path: str, cursor: str, **query: str | None) -> Iterator[Any]:
         """Yields the items of a list, page by page; `cursor` names the parameter that takes `next`.
 
-        Raises Untrue if a page leads back to one that was read.
+        Raises DigestMismatch if a page leads back to one that was read.
         """
         wanted = {name: value for name, value in query.items() if value is not None}
         followed: set[str] = set()
@@ -60,7 +60,7 @@ class Transport:
                 return
             wanted[cursor] = page["next"]
             if wanted[cursor] in followed:
-                raise Untrue(
+                raise DigestMismatch(
                     f"the pages of {path} lead back to one that was read: a list has an end"
                 )
             followed.add(wanted[cursor])
@@ -95,7 +95,7 @@ class Transport:
     def _save(self, path: str, digest: str, target: Path) -> None:
         """Saves an answer as a file, which gets its name only once its bytes are verified.
 
-        Raises Untrue if they are not what the digest names.
+        Raises DigestMismatch if they are not what the digest names.
         """
         partial = target.with_name(f"{target.name}.{uuid.uuid4().hex}.part")
         sha256 = hashlib.sha256()
@@ -107,7 +107,7 @@ class Transport:
                 file.flush()
                 os.fsync(file.fileno())
             if sha256.hexdigest() != digest:
-                raise Untrue(f"{path} gave {sha256.hexdigest()}")
+                raise DigestMismatch(f"{path} gave {sha256.hexdigest()}")
             partial.replace(target)
             sync_folder(target.parent)
         finally:

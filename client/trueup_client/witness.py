@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TypeAlias, TypeVar
 
-from trueup_client.problem import NotSigned, Problem, Rewritten
+from trueup_client.problem import LogForked, NotSigned, Problem
 from trueup_client.proof import Checkpoint, Key, extends
 
 T = TypeVar("T")
@@ -83,7 +83,7 @@ class Witness:
         """Records a checkpoint that is signed and extends the last one, and returns it.
 
         An older one of the same log changes nothing, so that answers may overtake each other.
-        Raises NotSigned, Rewritten.
+        Raises NotSigned, LogForked.
         """
         seen, last = self.believed(lambda key: Checkpoint.of(note, key), endorsements), self.last
         if last is not None:
@@ -93,12 +93,12 @@ class Witness:
             except Problem as error:
                 if error.status != BAD_REQUEST:
                     raise  # the service cannot answer now
-                raise Rewritten(
+                raise LogForked(
                     f"a log of {new.size} entries was seen, and is not there any more "
                     f"({self._path})"
                 ) from error
             if not extends(old.size, old.root, new.size, new.root, proof):
-                raise Rewritten(
+                raise LogForked(
                     f"a log of {new.size} entries does not extend the one of {old.size}; "
                     f"what was seen is in {self._path}"
                 )

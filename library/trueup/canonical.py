@@ -17,10 +17,8 @@ from trueup.errors import TrueupError
 
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 
-EXACT, LARGEST_PLAIN = (
-    2**53 - 1,
-    10**21,
-)  # integers that JSON holds exactly, and what is written without an exponent
+# integers that JSON holds exactly, and what is written without an exponent
+EXACT, LARGEST_PLAIN = (2**53 - 1, 10**21)
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 
 

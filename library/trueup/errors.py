@@ -30,9 +30,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-MESSAGE_CHARACTERS = (
-    500  # a message may quote what somebody sent, and not more of it than one reads
-)
+# a message may quote what somebody sent, and not more of it than one reads
+MESSAGE_CHARACTERS = 500
 
 
 class TrueupError(Exception):

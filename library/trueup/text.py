@@ -1,4 +1,4 @@
-"""What of a text is seen: characters that show nothing make no other name, and no reason."""
+"""The visible part of a text: invisible characters make no other name, and no reason."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ FILLERS = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u2800\u3164\uffa0") | {
 
 
 def seen(text: str) -> str:
-    """A text without the characters that show nothing, its spaces folded; empty where nothing of it
-    is seen."""
+    """A text without invisible characters, its spaces folded; empty where nothing of it is
+    visible."""
     return " ".join(
         "".join(
             c

@@ -29,7 +29,7 @@ def sentence(document: Mapping[str, Any]) -> str:
     """Returns the result in a sentence or two."""
     if document["leak"]["void"]:
         return (
-            f"Void: {document['leak']['taken']} of {document['leak']['baits']} baits were "
+            f"Void: {document['leak']['taken']} of {document['leak']['baits']} decoys were "
             "taken, so the diagnosis has seen what was hidden."
         )
     single = document["kinds"].get("single")

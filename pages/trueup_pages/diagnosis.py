@@ -9,7 +9,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from trueup.diagnose import words
+from trueup.diagnose import summary_text
+from trueup.diagnose.summary_text import percent
 from trueup_pages import drawing
 from trueup_pages.rendering import render
 
@@ -46,10 +47,10 @@ def view(
     where = report["where"]
     return {
         "d": report,
-        "answer": words.sentence(report),
+        "answer": summary_text.sentence(report),
         "figures": figures,
         **recordings_of(figures, MODELS),
-        "parts": words.waterfall(report),
+        "parts": summary_text.waterfall(report),
         "ranked": ranking(report),
         "listed": _listed,
         "command_file": command_file,
@@ -58,35 +59,36 @@ def view(
             (
                 r["region"],
                 r["share"],
-                (
-                    f"{words.percent(r['share'])} of the residual in "
-                    f"{words.percent(r['of_time'])} of the time"
-                ),
+                (f"{percent(r['share'])} of the residual in {percent(r['of_time'])} of the time"),
             )
             for r in where["regions"]
         ],
         "port_rows": [
-            (p["port"], p["share"], f"{words.percent(p['share'])} by {words.name(p['by'])}")
+            (
+                p["port"],
+                p["share"],
+                f"{percent(p['share'])} by {summary_text.name(p['by'])}",
+            )
             for p in where["ports"]
         ],
         "band_rows": [
             (
                 b["band"],
                 b["share"],
-                f"{words.percent(b['share'])}, {words.percent(b['of_motion'])} of the motion",
+                f"{percent(b['share'])}, {percent(b['of_motion'])} of the motion",
             )
             for b in where["bands"]
         ],
         "channel_rows": [
-            (c["channel"], c["share"], words.percent(c["share"])) for c in where["channels"]
+            (c["channel"], c["share"], percent(c["share"])) for c in where["channels"]
         ],
         "joint_rows": [
             (
                 j["joint"],
                 j["force"],
                 (
-                    f"{words.percent(j['force'])} of the residual force, "
-                    f"{words.percent(j['acceleration'])} of the acceleration"
+                    f"{percent(j['force'])} of the residual force, "
+                    f"{percent(j['acceleration'])} of the acceleration"
                 ),
             )
             for j in where.get("joints", [])
@@ -148,7 +150,9 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
         closer = least is not None and value < least and not h.get("in_set")
         ranked.append(
             {
-                "name": words.composition(h["effects"], f"{h['parameters']} parameters alone"),
+                "name": summary_text.composition(
+                    h["effects"], f"{h['parameters']} parameters alone"
+                ),
                 "misfit": h["misfit"],
                 "validation": value,
                 "in_set": bool(h.get("in_set")),
@@ -192,4 +196,4 @@ def ramp() -> Markup:
 
 def _listed(x: float | list[float] | None) -> Markup:
     values = x if isinstance(x, list) else [x]
-    return Markup("<br>").join(words.short(v) for v in values)
+    return Markup("<br>").join(summary_text.short(v) for v in values)

@@ -12,7 +12,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from trueup.diagnose.words import percent, short, unit
+from trueup.diagnose.summary_text import percent, short, unit
 
 LEVELS = 11  # colours of a map; odd, so that the middle one is zero
 LEFT, BOTTOM, CELL_AREA = 66, 36, (300, 200)

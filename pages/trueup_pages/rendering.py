@@ -11,7 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from trueup.diagnose import words
+from trueup.diagnose import summary_text
 from trueup_pages import drawing
 from trueup_pages.assets import text_of, url_of
 from trueup_pages.timeline import timeline
@@ -27,10 +27,10 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.filters.update(
-        short=words.short,
-        unit=words.unit,
-        named=words.name,
-        percent=words.percent,
+        short=summary_text.short,
+        unit=summary_text.unit,
+        named=summary_text.name,
+        percent=summary_text.percent,
         moment=moment,
         plain=lambda text: text.replace("_", " "),
     )
@@ -38,7 +38,7 @@ def _environment() -> Environment:
         asset=url_of,
         inlined=lambda name: Markup(text_of(name)),
         drawing=drawing,
-        words=words,
+        words=summary_text,
         timeline=timeline,
     )
     return environment

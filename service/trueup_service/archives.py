@@ -1,8 +1,8 @@
-"""Take a registry, or a plant of it, out as an archive, and bring it in again.
+"""Export a registry or one plant as an archive, and restore or import it.
 
-Rows come from one snapshot; bytes are named by digest and never removed while a row names them: so
-an archive made while the service runs is of one moment. What comes in is verified before anything
-of it is kept.
+Rows come from one snapshot, and bytes are named by digest and never removed while a row names them.
+So an archive that is made while the service runs shows one moment. An archive is verified before
+anything of it is stored.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ from sqlalchemy import Table
 from sqlalchemy.exc import IntegrityError
 
 from trueup.canonical import Json
-from trueup.ledger.archive import (
+from trueup.ledger.archive import Archive, Includes, dangling_rows, foreign_rows, unproven
+from trueup.ledger.archive_layout import (
     ARRAYS,
     ENTRIES,
     EPISODE,
     OUTPUT,
     ROWS,
-    Archive,
-    ArchiveWriter,
-    Includes,
-    dangling,
     entry_line,
     lines,
-    of_others,
-    unproven,
 )
+from trueup.ledger.archive_writer import ArchiveWriter
 from trueup.ledger.merkle import inclusion, prove
-from trueup.ledger.rows import KEPT_APART, KEYS, blobs, must_be_named
+from trueup.ledger.rows import KEYS, NOT_OF_A_PLANT, blobs, must_be_named
 from trueup.ledger.verification import verify, verify_part
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import Conflict, NotEmpty, NotWhole
 from trueup_service.registry import tables as t
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ImportRecord
-from trueup_service.registry.store import Reader, Writer, writing
+from trueup_service.registry.transaction import ReadTransaction, Transaction, reading, writing
 from trueup_service.signed_log import SignedLog
 from trueup_service.wiring import Parts
 
 AT_ONCE = 1000
-BESIDE = ("audit_key", "job_reads", "idempotency")  # of a whole registry, beside what the log names
+WITHOUT_ENTRIES = (
+    "audit_key",
+    "job_reads",
+    "idempotency",
+)  # archived of a whole registry, though the log does not name them
 NAMES = {
     EPISODE: "episodes/{}.mcap",
     ARRAYS: "arrays/{}.safetensors",
@@ -56,37 +56,37 @@ NAMES = {
     OUTPUT: "outputs/{}",
 }
 KINDS = {"episodes": EPISODE, "artifacts": ARRAYS, "imports": ENTRIES, "outputs": OUTPUT}
-Told = Callable[[float, str], None]
+Progress = Callable[[float, str], None]
 
 
 def export(
-    parts: Parts, log: SignedLog, path: Path, plant: str | None, now: str, told: Told
+    parts: Parts, log: SignedLog, path: Path, plant: str | None, now: str, progress: Progress
 ) -> str:
-    """Write an archive of a registry, or of one plant; its digest. Raises NotFound."""
+    """Write an archive of a registry, or of one plant, and return its digest. Raises NotFound."""
     with parts.database.snapshot() as connection, ArchiveWriter(path) as archive:
-        reader = Reader(connection)
-        tree = reader.audit_tree()
+        tx = ReadTransaction(connection)
+        tree = tx.log.tree()
         if plant is not None:
-            find.plant_digest(reader, plant)
+            find.plant_digest(tx, plant)
         named: dict[str, str] = {}
         for count, table in enumerate(KEYS):
-            told(0.2 * count / len(KEYS), table)
-            if plant is not None and table in KEPT_APART:
+            progress(0.2 * count / len(KEYS), table)
+            if plant is not None and table in NOT_OF_A_PLANT:
                 continue
             rows = [
                 row
-                for row in _rows(reader, t.metadata.tables[table], plant)
+                for row in _rows(tx, t.metadata.tables[table], plant)
                 if plant is None or must_be_named(table, row)
             ]
             archive.add(f"rows/{table}.jsonl", ROWS, lines(rows))
             named |= {digest: KINDS[table] for row in rows for digest in blobs(table, row)}
-        for table in BESIDE if plant is None else ():
+        for table in WITHOUT_ENTRIES if plant is None else ():
             archive.add(
-                f"beside/{table}.jsonl", ROWS, lines(_rows(reader, t.metadata.tables[table], None))
+                f"beside/{table}.jsonl", ROWS, lines(_rows(tx, t.metadata.tables[table], None))
             )
-        archive.add("log/entries.jsonl", ENTRIES, lines(_entries(reader, plant, tree.size)))
+        archive.add("log/entries.jsonl", ENTRIES, lines(_entries(tx, plant, tree.size)))
         for count, (digest, kind) in enumerate(sorted(named.items()), 1):
-            told(0.2 + 0.8 * count / len(named), f"blob {digest[:12]}")
+            progress(0.2 + 0.8 * count / len(named), f"blob {digest[:12]}")
             size = sum(map(len, parts.blobs.stream(digest)))
             archive.add_parts(
                 NAMES[kind].format(digest), kind, digest, size, parts.blobs.stream(digest)
@@ -94,45 +94,44 @@ def export(
         config = {
             "plant": plant,
             "key": log.signer.verifier,
-            "endorsements": [key.endorsement for key in reader.audit_keys() if key.endorsement],
-            "checkpoint": log.checkpoint_of(reader, tree),
+            "endorsements": [key.endorsement for key in tx.log.signing_keys() if key.endorsement],
+            "checkpoint": log.checkpoint_of(tx, tree),
             "created_at": now,
         }
         return archive.close(config, log.signer.note)
 
 
-def _rows(reader: Reader, table: Table, plant: str | None) -> Iterator[dict[str, Json]]:
+def _rows(tx: ReadTransaction, table: Table, plant: str | None) -> Iterator[dict[str, Json]]:
     after: list[Any] = []
     while True:
-        found = reader.rows(table, after, AT_ONCE, plant)
-        yield from found
-        if len(found) < AT_ONCE:
+        rows = tx.rows.page(table, after, AT_ONCE, plant)
+        yield from rows
+        if len(rows) < AT_ONCE:
             return
         after = [
-            column.type.python_type(found[-1][column.name]) for column in table.primary_key.columns
+            column.type.python_type(rows[-1][column.name]) for column in table.primary_key.columns
         ]
 
 
-def _entries(reader: Reader, plant: str | None, size: int) -> Iterator[dict[str, Json]]:
+def _entries(tx: ReadTransaction, plant: str | None, size: int) -> Iterator[dict[str, Json]]:
     """All entries, or those of a plant, each with the proof that it is in the log of this size."""
     after = 0
-    while found := reader.audit_entries(after, AT_ONCE, plant):
-        for entry in found:
+    while entries := tx.log.entries(after, AT_ONCE, plant):
+        for entry in entries:
             plan = [] if plant is None else inclusion(entry.sequence - 1, size)
             yield entry_line(
-                entry,
-                prove(plan, reader.audit_nodes([n for part in plan for n in part])) if plan else (),
+                entry, prove(plan, tx.log.nodes([n for part in plan for n in part])) if plan else ()
             )
-        after = found[-1].sequence
+        after = entries[-1].sequence
 
 
-def require_whole(archive: Archive, includes: Includes, told: Told) -> None:
-    """Hold an archive against its own log; whoever calls has verified the signature of its head.
+def require_whole(archive: Archive, includes: Includes, progress: Progress) -> None:
+    """Hold an archive against its own log. The caller has verified the signature of the log's head.
     Raises NotWhole, BadArchive."""
     if archive.plant is None:
-        findings = verify(archive, told).findings
+        findings = verify(archive, progress).findings
     else:
-        missing, others = unproven(archive, includes), of_others(archive)
+        missing, others = unproven(archive, includes), foreign_rows(archive)
         if missing:
             raise NotWhole(
                 (
@@ -141,7 +140,7 @@ def require_whole(archive: Archive, includes: Includes, told: Told) -> None:
                 ),
                 entries=missing[:10],
             )
-        hanging = dangling(archive)
+        hanging = dangling_rows(archive)
         if hanging:
             raise NotWhole(
                 f"{len(hanging)} rows name what the archive does not hold, {hanging[0]} among them",
@@ -151,7 +150,9 @@ def require_whole(archive: Archive, includes: Includes, told: Told) -> None:
             raise NotWhole(
                 f"{len(others)} rows are of another plant, {others[0]} among them", rows=others[:10]
             )
-        findings = verify_part(archive, (entry for entry, _ in archive.proven()), told).findings
+        findings = verify_part(
+            archive, (entry for entry, _ in archive.entries_with_proofs()), progress
+        ).findings
     if findings:
         first = findings[0]
         raise NotWhole(
@@ -159,63 +160,72 @@ def require_whole(archive: Archive, includes: Includes, told: Told) -> None:
         )
 
 
-def restore(parts: Parts, archive: Archive, told: Told) -> int:
-    """Bring a whole registry back into an empty one, as it was; the number of jobs that go on.
-    Raises NotEmpty, NotWhole."""
+def restore(parts: Parts, archive: Archive, progress: Progress) -> int:
+    """Restore a whole registry into an empty one. Returns the number of unfinished jobs, which go
+    on. Raises NotEmpty, NotWhole."""
     if archive.plant is not None:
         raise NotWhole("this is an archive of one plant", hint="`trueup import` takes it.")
-    with parts.database.read() as connection:
-        if Reader(connection).audit_tree().size:
+    with reading(parts.database) as tx:
+        if tx.log.tree().size:
             raise NotEmpty
-    _take_blobs(parts, archive, told)
+    _take_blobs(parts, archive, progress)
     parts.queue.prepare()
-    with writing(parts.database) as writer:
+    with writing(parts.database) as tx:
         for table in t.metadata.sorted_tables:
-            if table.name in (*KEYS, *BESIDE):
+            if table.name in (*KEYS, *WITHOUT_ENTRIES):
                 for row in archive.documents(
-                    f"{'beside' if table.name in BESIDE else 'rows'}/{table.name}.jsonl"
+                    f"{'beside' if table.name in WITHOUT_ENTRIES else 'rows'}/{table.name}.jsonl"
                 ):
-                    writer.put_row(table, row)
-        writer.put_log(archive.entries(0, archive.head()[0]))
-        jobs = writer.jobs_under_way()
+                    tx.rows.restore_row(table, row)
+        tx.log.restore(archive.entries(0, archive.head()[0]))
+        jobs = tx.jobs.unfinished()
         for job in jobs:
-            found = find.job(writer, job)
-            parts.queue.enqueue(writer.connection, job, found.kind, found.plant)
+            record = find.job(tx, job)
+            parts.queue.enqueue(tx.connection, job, record.kind, record.plant)
     return len(jobs)
 
 
 def import_plant(
-    parts: Parts, archive: Archive, project: str | None, stamp: Stamp, told: Told
+    parts: Parts, archive: Archive, project: str | None, context: ActorContext, progress: Progress
 ) -> str:
-    """Bring a plant in with its whole history; its name. Raises Conflict, NotFound, NotWhole."""
+    """Import a plant with its whole history, and return its name. Raises Conflict, NotFound,
+    NotWhole."""
     plant = archive.plant
     if plant is None:
         raise NotWhole("this is an archive of a whole registry", hint="`trueup restore` takes it.")
     entries = archive.layer("log/entries.jsonl")
     if entries is None:
         raise NotWhole("the archive has no log")
-    _take_blobs(parts, archive, told)
+    _take_blobs(parts, archive, progress)
     _take(parts.blobs, parts.spool, entries, archive.part(entries))
     note = str(archive.config["checkpoint"])
-    with _taking_over(plant), writing(parts.database) as writer:
-        writer.lock_name(f"plant {plant}")
+    with _taking_over(plant), writing(parts.database) as tx:
+        tx.lock_name(f"plant {plant}")
         if project is not None:
-            find.project(writer, project)
-        if writer.plant(plant) is not None:
+            find.project(tx, project)
+        if tx.plants.get(plant) is not None:
             raise Conflict(
                 f"there is a plant {plant!r} already",
                 hint="A plant is imported once, where there is none of its name.",
             )
         for table in t.metadata.sorted_tables:
-            if table.name not in KEYS or table.name in (*KEPT_APART, t.imports.name):
+            if table.name not in KEYS or table.name in (*NOT_OF_A_PLANT, t.imports.name):
                 continue
             for row in archive.rows(table.name):
                 if must_be_named(table.name, row):
-                    writer.add_row(table, {**row, "project": project} if table is t.plants else row)
-                    _note_uses(writer, table, row)
-        writer.add_import(
+                    tx.rows.import_row(
+                        table, {**row, "project": project} if table is t.plants else row
+                    )
+                    _note_uses(tx, table, row)
+        tx.imports.add(
             ImportRecord(
-                plant, archive.digest, note.split("\n", 1)[0], note, entries, stamp.now, stamp.actor
+                plant=plant,
+                archive=archive.digest,
+                origin=note.split("\n", 1)[0],
+                checkpoint=note,
+                entries=entries,
+                at=context.now,
+                actor=context.actor,
             )
         )
         facts: dict[str, Json] = {
@@ -224,21 +234,14 @@ def import_plant(
             "key": str(archive.config["key"]),
             "entries": entries,
         }
-        writer.append_audit(
-            at=stamp.now,
-            kind="plant:imported",
-            actor=stamp.actor,
-            plant=plant,
-            subject=archive.digest,
-            facts=facts,
-        )
+        tx.log.append(context, "plant:imported", plant=plant, subject=archive.digest, facts=facts)
     return plant
 
 
 @contextmanager
 def _taking_over(plant: str) -> Iterator[None]:
-    """Say it in words where a row of the archive has the key of one that is here, as a job of
-    another plant."""
+    """Turns an IntegrityError into Conflict: a row of the archive has the key of a row that is
+    here, such as a job of another plant."""
     try:
         yield
     except IntegrityError as error:
@@ -248,25 +251,27 @@ def _taking_over(plant: str) -> Iterator[None]:
         ) from error
 
 
-def _note_uses(writer: Writer, table: Table, row: Mapping[str, Any]) -> None:
-    """What a gate has judged on elsewhere counts here, too."""
+def _note_uses(tx: Transaction, table: Table, row: Mapping[str, Any]) -> None:
+    """Count the episodes that a gate or a comparison has used elsewhere."""
     if table is t.jobs and row["kind"] in ("gate", "compare"):
-        writer.add_reads(str(row["id"]), orjson.loads(row["request"])["episodes"], str(row["kind"]))
+        tx.jobs.add_reads(
+            str(row["id"]), orjson.loads(row["request"])["episodes"], str(row["kind"])
+        )
 
 
-def _take_blobs(parts: Parts, archive: Archive, told: Told) -> None:
+def _take_blobs(parts: Parts, archive: Archive, progress: Progress) -> None:
     digests = archive.blobs()
     for count, digest in enumerate(digests, 1):
-        told(count / len(digests), f"blob {digest[:12]}")
+        progress(count / len(digests), f"blob {digest[:12]}")
         _take(parts.blobs, parts.spool, digest, archive.blob(digest))
 
 
-def _take(blobs: Blobs, spool: Path, digest: str, found: Iterator[bytes]) -> None:
-    """Keep bytes, hashed on the way. Raises NotWhole."""
+def _take(blobs: Blobs, spool: Path, digest: str, parts: Iterator[bytes]) -> None:
+    """Store bytes, which are hashed on the way. Raises NotWhole where their digest is another."""
     path, hashed = spool / uuid.uuid4().hex, hashlib.sha256()
     try:
         with path.open("xb") as file:
-            for part in found:
+            for part in parts:
                 hashed.update(part)
                 file.write(part)
         if hashed.hexdigest() != digest:

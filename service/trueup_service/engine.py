@@ -1,9 +1,9 @@
-"""The job engine, with one door of its shut: it never unpickles.
+"""The job engine, changed so that it never unpickles.
 
-The engine reads a row as its column `serialization` says, whatever serializer it was given; a row
-that says `py_pickle` would run code in whoever reads it. Ours are portable JSON alone. So nothing
-else imports the engine, and here its pickling serializer is made to refuse before anything is read:
-whoever can write a row cannot run code by it.
+The engine reads a row as its column `serialization` says, whatever serializer it was configured
+with, and a row that says `py_pickle` would run code in its reader. This service writes portable
+JSON alone. So this module is the only one that imports the engine, and it makes the pickling
+serializer refuse before anything is read: whoever can write a row cannot run code by it.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ class TooLargeUpload(TrueupError):
     hint = "Split the recording, or raise TRUEUP_UPLOAD_LIMIT_BYTES."
 
 
-class Kept(TrueupError):
+class CannotBeDeleted(TrueupError):
     """What was registered is kept: it serves, a decision names it, or somebody may have to
     recompute from it."""
 

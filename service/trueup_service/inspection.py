@@ -1,8 +1,8 @@
-"""Inspect an upload in a process of its own, with limits: a child of the inspector, which has
-loaded what that needs.
+"""Inspection of uploads in a process of their own with limits, a child of the inspector, which has
+loaded what inspections need.
 
-No recording and no arrays are read into the server's own memory as they come in: so many
-inspections at once, with so much memory each, bound what all of them take.
+The server does not read recordings or arrays into its own memory. The number of inspections at once
+and the memory limit of each bound what all of them take.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from trueup.canonical import Json
 from trueup.errors import BadArtifact, BadEpisode, TrueupError
 from trueup_service.errors import InspectionFailed
 
-LENGTH = "!Q"  # before a request
+LENGTH = "!Q"  # of a request, in front of it
 CPU_MARGIN_S = 1
 REFUSALS: dict[str, type[TrueupError]] = {"episode": BadEpisode, "artifact": BadArtifact}
-ENDING_S = 5.0  # for the inspector to end by itself
+ENDING_S = 5.0  # for the inspector to end by itself [s]
 
 
 @dataclass(frozen=True, slots=True)
 class Inspected:
-    """What an upload holds."""
+    """What an inspected recording holds."""
 
     digest: str
     role: str
@@ -43,22 +43,22 @@ class Inspected:
 
 
 @dataclass(frozen=True, slots=True)
-class Against:
-    """What an upload is held against: the plant's description, and where the model that serves was
-    fitted, as its manifest tells."""
+class PlantContext:
+    """What a recording of a plant is inspected against: the plant's description, and the coverage
+    on which the model that serves was fitted, from its manifest."""
 
     plant: dict[str, Json]
     coverage: list[Json]
 
 
-def as_mcap(path: Path) -> Path:
-    """Where a batch of telemetry becomes an episode."""
+def mcap_path(path: Path) -> Path:
+    """The path at which a batch of telemetry becomes an MCAP file."""
     return path.with_suffix(".mcap")
 
 
 class Inspector:
-    """Inspects uploads, so many at once; its process is started when it is first asked, and again
-    should it die."""
+    """Inspects uploads, up to a number at once. Its process is started with the first inspection,
+    and again where it died."""
 
     def __init__(self, at_once: int, memory_bytes: int, timeout_s: float) -> None:
         self._slots = asyncio.Semaphore(at_once)
@@ -66,53 +66,55 @@ class Inspector:
         self._process: subprocess.Popen[bytes] | None = None
         self._control: socket.socket | None = None
 
-    async def inspect(self, path: Path, against: Against, *, telemetry: bool = False) -> Inspected:
-        """What the file holds as an episode of a plant; a batch of telemetry becomes the MCAP file
-        `as_mcap(path)`.
+    async def inspect(
+        self, path: Path, against: PlantContext, *, telemetry: bool = False
+    ) -> Inspected:
+        """Inspect a file as an episode of a plant. A batch of telemetry becomes the MCAP file
+        `mcap_path(path)`.
 
-        Raises BadEpisode with the child's code and facts, InspectionFailed at a limit.
+        Raises BadEpisode with the child's code and facts, and InspectionFailed at a limit.
         """
         return Inspected(
-            **await self._answer(
+            **await self._reply(
                 {**asdict(against), "path": str(path.absolute()), "telemetry": telemetry}
             )
         )
 
     async def try_artifact(self, manifest: bytes, arrays: Path | None) -> None:
-        """Load an artifact from its manifest and the file of its arrays, and have it answer its
+        """Load an artifact from its manifest and the file of its arrays, and let it answer its
         probe.
 
-        Raises BadArtifact with the child's code and facts, InspectionFailed at a limit.
+        Raises BadArtifact with the child's code and facts, and InspectionFailed at a limit.
         """
-        await self._answer(
+        await self._reply(
             {
                 "manifest": manifest.decode(),
                 "arrays": None if arrays is None else str(arrays.absolute()),
             }
         )
 
-    async def _answer(self, asked: Mapping[str, Json]) -> dict[str, Any]:
-        """What a child says to a request."""
+    async def _reply(self, question: Mapping[str, Json]) -> dict[str, Any]:
+        """The reply of a child of the inspector to a request. Raises what `inspect` raises."""
         limits = {"memory_bytes": self._memory_bytes, "cpu_s": int(self._timeout_s) + CPU_MARGIN_S}
-        request = orjson.dumps({**asked, **limits})
+        request = orjson.dumps({**question, **limits})
         async with self._slots:
             reader, writer = await asyncio.open_connection(sock=self._child())
             try:
                 writer.write(struct.pack(LENGTH, len(request)) + request)
-                answer = await asyncio.wait_for(reader.read(), self._timeout_s)
+                reply = await asyncio.wait_for(reader.read(), self._timeout_s)
             except TimeoutError as error:
                 raise InspectionFailed(
                     f"the inspection took longer than {self._timeout_s:g} s",
                     limit="inspection_timeout_s",
                 ) from error
             except OSError:
-                answer = b""  # it died before it had read
+                reply = b""  # the child died before it had read
             finally:
-                writer.close()  # whoever still works on it dies of that
-        return _told(answer)
+                writer.close()  # a child that still works on it dies then
+        return _parsed(reply)
 
     def close(self) -> None:
-        """Let the process end."""
+        """End the inspector's process."""
         if self._process is not None and self._control is not None:
             self._control.close()
             try:
@@ -123,12 +125,12 @@ class Inspector:
         self._process = self._control = None
 
     def _child(self) -> socket.socket:
-        """A connection to a fresh child of the inspector."""
+        """A connection to a new child of the inspector."""
         ours, theirs = socket.socketpair()
         with theirs:
             try:
                 socket.send_fds(self._started(), [b"?"], [theirs.fileno()])
-            except OSError:  # it died: another one
+            except OSError:  # the inspector died: start another one
                 self.close()
                 socket.send_fds(self._started(), [b"?"], [theirs.fileno()])
         return ours
@@ -143,25 +145,25 @@ class Inspector:
                     env={
                         **os.environ,
                         "OPENBLAS_NUM_THREADS": "1",
-                    },  # a pool for each core would eat the address space
+                    },  # a thread pool for each core would use up the address space
                 )
         return self._control
 
 
-def _told(answer: bytes) -> dict[str, Any]:
+def _parsed(answer: bytes) -> dict[str, Any]:
     try:
-        found = orjson.loads(answer)
+        reply = orjson.loads(answer)
     except orjson.JSONDecodeError as error:
         raise InspectionFailed(
             "the inspection died of what it read", limit="inspection_memory_bytes"
         ) from error
-    if "limit" in found:
-        raise InspectionFailed("the inspection met a limit", limit=found["limit"])
-    if "problem" in found:
-        problem = found["problem"]
+    if "limit" in reply:
+        raise InspectionFailed("the inspection met a limit", limit=reply["limit"])
+    if "problem" in reply:
+        problem = reply["problem"]
         refused = REFUSALS[problem["of"]](
             problem["message"], hint=problem["hint"], **problem["facts"]
         )
         refused.code = problem["code"]
         raise refused
-    return dict(found)
+    return dict(reply)

@@ -1,11 +1,12 @@
-"""The process that inspects uploads: it loads what that needs once, and forks a child for each.
+"""The process that inspects uploads: it loads what inspections need once, and forks a child for
+each.
 
     python -m trueup_service.inspector < SOCKET
 
-Standard input is a socket on which each message brings another one: from that the child reads what
-is wanted, as a length and as much JSON, and there it answers with one JSON document and ends. A
-child that meets its limits, or whose asker hangs up, dies alone. Telemetry it writes as MCAP first,
-beside the file.
+Standard input is a socket. Each message on it brings another socket, from which the child reads its
+request, as a length and that many bytes of JSON, and on which it replies with one JSON document. A
+child that meets a limit, or whose caller hangs up, dies alone. Telemetry is first written as an
+MCAP file beside the received one.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from trueup.episode.telemetry import telemetry_to_mcap
 from trueup.episode.writer import write_episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
-from trueup_service.inspection import LENGTH, Against, Inspected, as_mcap
+from trueup_service.inspection import LENGTH, Inspected, PlantContext, mcap_path
 
 REHEARSED_SAMPLES = 200
 REHEARSED: dict[str, Json] = {
@@ -54,8 +55,8 @@ REHEARSED: dict[str, Json] = {
 }
 
 
-def inspect_file(path: Path, against: Against) -> Inspected:
-    """What a file holds as an episode of a plant. Raises BadEpisode, BadPlant."""
+def inspect_file(path: Path, against: PlantContext) -> Inspected:
+    """Inspect a file as an episode of a plant. Raises BadEpisode, BadPlant."""
     described = Plant.from_document(against.plant)
     with path.open("rb") as file:
         episode = read_episode_stream(file, path.stat().st_size, described.layout)
@@ -68,19 +69,21 @@ def inspect_file(path: Path, against: Against) -> Inspected:
 
 
 def convert_file(path: Path, plant: dict[str, Json]) -> Path:
-    """A batch of telemetry as an MCAP file beside it. Raises BadEpisode, BadPlant."""
-    with as_mcap(path).open("xb") as file:
+    """Write a batch of telemetry as an MCAP file beside it, and return its path. Raises BadEpisode,
+    BadPlant."""
+    with mcap_path(path).open("xb") as file:
         telemetry_to_mcap(path.read_bytes(), Plant.from_document(plant).layout, file)
-    return as_mcap(path)
+    return mcap_path(path)
 
 
 def try_artifact(manifest: bytes, arrays: Path | None) -> None:
-    """Load an artifact and have it answer its probe. Raises BadArtifact, BadPlant."""
+    """Load an artifact and let it answer its probe. Raises BadArtifact, BadPlant."""
     unpack(Artifact(manifest, b"" if arrays is None else arrays.read_bytes()))
 
 
 def answer(request: dict[str, Any]) -> dict[str, Any]:
-    """What a request's file holds, its problem, or that there was too little memory for it."""
+    """The reply to a request: what its file holds, the problem with it, or that memory was too
+    small."""
     of = "artifact" if "manifest" in request else "episode"
     try:
         if of == "artifact":
@@ -91,7 +94,7 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
             return {}
         path = Path(request["path"])
         held = convert_file(path, request["plant"]) if request["telemetry"] else path
-        return asdict(inspect_file(held, Against(request["plant"], request["coverage"])))
+        return asdict(inspect_file(held, PlantContext(request["plant"], request["coverage"])))
     except TrueupError as error:
         return {
             "problem": {
@@ -123,17 +126,17 @@ def _until_hung_up(asked: socket.socket) -> None:
 
 
 def _exactly(asked: socket.socket, count: int) -> bytes:
-    found = b""
-    while len(found) < count:
-        part = asked.recv(min(count - len(found), 1 << 20))
+    data = b""
+    while len(data) < count:
+        part = asked.recv(min(count - len(data), 1 << 20))
         if not part:
             os._exit(0)
-        found += part
-    return found
+        data += part
+    return data
 
 
 def rehearse() -> None:
-    """Inspect a small episode, so that what is loaded on first use is loaded here and not by every
+    """Inspect a small episode, so that what is loaded on first use is loaded here and not in every
     child."""
     plant = Plant.from_document(REHEARSED)
     t, one = np.arange(REHEARSED_SAMPLES), np.ones((REHEARSED_SAMPLES, 1))
@@ -151,17 +154,17 @@ def rehearse() -> None:
             conditions={},
         )
         file.flush()
-        inspect_file(path, Against(dict(plant.document), []))
+        inspect_file(path, PlantContext(dict(plant.document), []))
     nominal = nominal_artifact(plant)
     try_artifact(nominal.manifest, None)
     gc.collect()
-    gc.freeze()  # what children share with us is not to be touched by their collector
+    gc.freeze()  # keeps a child's collector from touching the memory that it shares
 
 
 def main() -> None:
-    """Fork children until whoever started this is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever serves decides
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for a child
+    """Fork children until the process that started this one is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the server decides when this process ends
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # no child is waited for
     rehearse()
     with socket.socket(fileno=sys.stdin.fileno()) as control:
         while True:
@@ -182,8 +185,8 @@ def _in_child(handle: int) -> NoReturn:
             _child(asked)
         code = 0
     except BrokenPipeError:
-        code = 0  # whoever asked is gone
-    except Exception:  # noqa: BLE001  (told, and the process ends)
+        code = 0  # the caller is gone
+    except Exception:  # noqa: BLE001  (it is reported, and the process ends)
         sys.excepthook(*sys.exc_info())
     finally:
         os._exit(code)

@@ -1,7 +1,7 @@
-"""The job engine behind a few calls: enqueue in our own transaction, ask others to help, and what a
-worker needs to run and to take over.
+"""The job queue: a few calls to the job engine, which enqueue in the caller's transaction and share
+parts of a running job among workers.
 
-DBOS keeps its queue in the same database as the registry, so that a job and its engine entry commit
+DBOS keeps its queue in the database of the registry, so that a job and its engine entry commit
 together. It is imported on first use: a server that only serves never loads it.
 """
 
@@ -20,19 +20,17 @@ if TYPE_CHECKING:
     from trueup_service.engine import DBOSClient, EnqueueOptions
 
 QUEUE = "trueup"
-WATCHING = (
-    "trueup.watching"  # looks at new episodes take milliseconds, and must not wait for a diagnosis
-)
+# Looks at new episodes take milliseconds, and must not wait for a diagnosis.
+WATCHING = "trueup.watching"
 WORKFLOW = "trueup.job"
 HELP = "trueup.help"
-AFTER_JOBS = 1  # the priority of help: a job that waits is begun first
-ENGINE_VERSION = (
-    "1"  # of what is queued, not of the code: a new release must pick up what an old one queued
-)
+AFTER_JOBS = 1  # the priority of parts of jobs: a waiting job is begun first
+# Of what is queued, not of the code: a new release must take up what an old one queued.
+ENGINE_VERSION = "1"
 
 
 class Helped(StrEnum):
-    """How far a part of a job is."""
+    """The state of a part of a job."""
 
     WAITING = "waiting"
     TAKEN = "taken"
@@ -41,7 +39,7 @@ class Helped(StrEnum):
 
     @staticmethod
     def of(status: str) -> Helped:
-        """The same by the engine's word."""
+        """The state for a status of the engine."""
         known = {
             "ENQUEUED": Helped.WAITING,
             "DELAYED": Helped.WAITING,
@@ -53,28 +51,28 @@ class Helped(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Help:
-    """One part of a job as it stands, with what its worker answered."""
+    """One part of a job as it stands, with the result of its worker."""
 
     state: Helped
     answer: str | None
 
 
 class JobQueue:
-    """Hands jobs to the engine."""
+    """Hands jobs and parts of jobs to the engine."""
 
     def __init__(self, url: str, engine: Engine) -> None:
         self._url, self._engine = url, engine
         self._lock = threading.Lock()
 
     def prepare(self) -> None:
-        """Load the engine and bring its tables up to date; outside any transaction, for it takes
-        its own."""
+        """Load the engine and bring its tables up to date. This takes transactions of its own, so
+        it is called outside of any."""
         with self._lock:
             self._client  # noqa: B018
 
     def enqueue(self, connection: Connection, job: str, kind: str, plant: str) -> None:
-        """Queue a job in the caller's transaction; the job's id is the workflow's, so a second time
-        changes nothing."""
+        """Queue a job in the caller's transaction. The id of the job is that of the workflow, so a
+        second call changes nothing."""
         options: EnqueueOptions = {
             "workflow_name": WORKFLOW,
             "queue_name": queue_of(kind),
@@ -92,9 +90,8 @@ class JobQueue:
         )
 
     def ask_for_help(self, job: str, parcels: Mapping[str, str]) -> None:
-        """Queue parts of a running job, each by a name of its own, for workers that have nothing
-        else to do; one known already stays as it is.
-        """
+        """Queue parts of a running job by name, for workers that have nothing else to do. A part
+        that is queued already stays as it is."""
         with self._engine.begin() as connection:
             for name, parcel in parcels.items():
                 options: EnqueueOptions = {
@@ -107,22 +104,22 @@ class JobQueue:
                 self._client.enqueue_in_transaction(connection, options, job, parcel)
 
     def help(self, names: Sequence[str]) -> dict[str, Help]:
-        """How far each of the parts is; one that is missing was withdrawn."""
-        found = self._client.list_workflows(workflow_ids=list(names), load_input=False)
-        return {w.workflow_id: Help(Helped.of(w.status), w.output) for w in found}
+        """The parts of these names as they stand. A part that is missing was withdrawn."""
+        workflows = self._client.list_workflows(workflow_ids=list(names), load_input=False)
+        return {w.workflow_id: Help(Helped.of(w.status), w.output) for w in workflows}
 
     def withdraw(self, names: Sequence[str]) -> None:
-        """Take back what nobody needs to do any more."""
+        """Cancel parts that are not needed any more."""
         if names:
             self._client.cancel_workflows(list(names))
 
     def forget(self, prefix: str) -> None:
-        """Remove every part whose name begins so."""
+        """Delete every part whose name begins with a prefix."""
         if names := self.names(prefix):
             self._client.delete_workflows(names)
 
     def names(self, prefix: str) -> list[str]:
-        """Everything whose name begins so."""
+        """The names of all parts that begin with a prefix."""
         return [
             w.workflow_id
             for w in self._client.list_workflows(
@@ -141,13 +138,13 @@ class JobQueue:
 
 
 def queue_of(kind: str) -> str:
-    """Where jobs of a kind wait."""
+    """The queue of the jobs of a kind."""
     return WATCHING if kind == "watch" else QUEUE
 
 
 def alone_with(kind: str, plant: str) -> str | None:
-    """What no two jobs of a kind do at once: two looks at one plant would both read what only one
-    may count."""
+    """The key under which no two jobs of a kind run at once, None where any may: two looks at one
+    plant would both count the same episodes."""
     return plant if kind == "watch" else None
 
 
@@ -162,6 +159,6 @@ def migrate_engine(url: str) -> None:
 
 
 def plain_url(url: str) -> str:
-    """The URL as the engine wants it: without a driver."""
+    """A database URL without its driver, as the engine takes it."""
     parsed = make_url(url)
     return parsed.set(drivername=parsed.get_backend_name()).render_as_string(hide_password=False)

@@ -1,4 +1,4 @@
-"""Locks that the operating system frees when their holder dies, however it dies."""
+"""File locks that the operating system releases when their holder dies."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ _held: list[int] = []  # file descriptors of locks that live as long as this pro
 
 
 def try_lock(path: Path) -> int | None:
-    """A descriptor that holds the lock until it is closed, or None if somebody else holds it."""
+    """Acquire a lock. Returns a descriptor that holds it until it is closed, None where somebody
+    else holds it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
@@ -24,7 +25,7 @@ def try_lock(path: Path) -> int | None:
 
 
 def own_folder(parent: Path) -> Path:
-    """A folder for this process alone; those of processes that are gone are removed."""
+    """Make a folder for this process alone, and remove those of processes that are gone."""
     parent.mkdir(parents=True, exist_ok=True)
     for lock in parent.glob("*.lock"):
         handle = try_lock(lock)

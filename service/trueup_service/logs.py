@@ -1,5 +1,5 @@
-"""Logs as JSON in ASCII, one object a line, on standard error: nothing that somebody sends ends a
-line or reaches a terminal as it is."""
+"""Logs on standard error as JSON in ASCII, one object per line. Text from others cannot end a line,
+and reaches a terminal escaped."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ _PLAIN = set(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName
 
 
 class JsonLines(logging.Formatter):
-    """Time, level, logger, message, whatever was given as `extra`, and the traceback if there is
-    one."""
+    """Formats the time, level, logger and message of a record, its `extra` fields, and its
+    traceback."""
 
     def format(self, record: logging.LogRecord) -> str:
         line = {
@@ -29,11 +29,11 @@ class JsonLines(logging.Formatter):
 
 
 def configure_logs(level: str) -> None:
-    """Send every logger's records through here."""
+    """Send the records of every logger through JsonLines."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines())
     logging.basicConfig(level=level, handlers=[handler], force=True)
     for quiet in ("alembic", "dbos"):
         logging.getLogger(quiet).setLevel(logging.WARNING)
-    engine = logging.getLogger("dbos")  # would print in a form of its own
+    engine = logging.getLogger("dbos")  # it would print in its own format
     engine.handlers, engine.propagate = [handler], False

@@ -1,5 +1,5 @@
-"""Every setting of the service and the worker, from the environment (`TRUEUP_…`), typed, with its
-unit."""
+"""Every setting of the service and the worker, read from the environment (`TRUEUP_…`), typed, with
+its unit."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 
 class Settings(BaseSettings):
-    """What may be set. The defaults are embedded storage: SQLite and a folder, one server, one
-    worker beside it."""
+    """The settings. The defaults are embedded storage, SQLite and a folder, with one server and one
+    worker."""
 
     model_config = SettingsConfigDict(env_prefix="TRUEUP_", frozen=True, extra="forbid")
 
@@ -192,12 +192,12 @@ class Settings(BaseSettings):
 
     @cached_property
     def sqlalchemy_url(self) -> str:
-        """URL of the database."""
+        """The URL of the database."""
         return self.database_url or f"sqlite:///{self.sqlite_file}"
 
     @property
     def sqlite_file(self) -> Path | None:
-        """The embedded database, if that is where things are kept."""
+        """The file of the embedded database, None where the database is another one."""
         return (self.data_dir / "trueup.sqlite").absolute() if self.embedded else None
 
     @property

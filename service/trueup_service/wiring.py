@@ -1,4 +1,4 @@
-"""Build the parts of the service from the settings; nothing else does."""
+"""Build the parts of the service from the settings. Only this module does."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from pathlib import Path
 from trueup.canonical import digest_of_bytes
 from trueup_service.jobs import JobQueue
 from trueup_service.locks import own_folder
-from trueup_service.private import private_folder
-from trueup_service.registry.blobs import Blobs, FolderBlobs, S3Blobs
-from trueup_service.registry.database import Database, copied
+from trueup_service.permissions import make_private
+from trueup_service.registry.blobs import Blobs
+from trueup_service.registry.database import Database, copy_sqlite
+from trueup_service.registry.folder_blobs import FolderBlobs
 from trueup_service.registry.schema import migrate
 from trueup_service.settings import Settings
 
-STORE_RETRIES = 3  # of a request; the caller is told, and repeats it with its key
+STORE_RETRIES = 3  # of a request; then the caller repeats it with its idempotency key
 STORE_CONNECT, STORE_PATIENCE = timedelta(seconds=5), timedelta(seconds=15)
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What the server and the worker are made of."""
+    """The parts that the server and the worker are made of."""
 
     settings: Settings
     database: Database
@@ -35,13 +36,13 @@ class Parts:
     spool: Path
 
     def close(self) -> None:
-        """Let go of every connection."""
+        """Close every connection."""
         self.database.close()
 
 
 def build(settings: Settings) -> Parts:
-    """The parts, with the schema up to date and a spool folder of this process."""
-    private_folder(settings.data_dir, settings.sqlite_file)
+    """Build the parts, with an up-to-date schema and a spool folder of this process."""
+    make_private(settings.data_dir, settings.sqlite_file)
     database = Database(settings.sqlalchemy_url, settings.database_pool)
     migrate(database)
     return Parts(
@@ -54,11 +55,9 @@ def build(settings: Settings) -> Parts:
 
 
 @contextmanager
-def reading(settings: Settings) -> Iterator[Parts]:
-    """The parts for who reads alone. Where the data folder cannot be written, such as a snapshot
-    that is mounted to be looked at, they are over a copy of its database, and nothing is written
-    there.
-    """
+def build_to_read(settings: Settings) -> Iterator[Parts]:
+    """Build the parts for a process that only reads. Where the data folder cannot be written, such
+    as a mounted snapshot, they are over a copy of its database, and nothing is written there."""
     with ExitStack() as ended:
         if os.access(settings.data_dir, os.W_OK) or not settings.data_dir.is_dir():
             parts = build(settings)
@@ -67,7 +66,7 @@ def reading(settings: Settings) -> Iterator[Parts]:
             url = (
                 settings.sqlalchemy_url
                 if settings.sqlite_file is None
-                else f"sqlite:///{copied(settings.sqlite_file, folder)}"
+                else f"sqlite:///{copy_sqlite(settings.sqlite_file, folder)}"
             )
             database = Database(url, settings.database_pool)
             migrate(database)
@@ -83,7 +82,7 @@ def reading(settings: Settings) -> Iterator[Parts]:
 
 
 def keep_bytes(parts: Parts, data: bytes) -> str:
-    """Put bytes into the blob store; their digest. Repeating it changes nothing."""
+    """Put bytes into the blob store, and return their digest. Repeating it changes nothing."""
     digest, path = digest_of_bytes(data), parts.spool / uuid.uuid4().hex
     path.write_bytes(data)
     try:
@@ -98,14 +97,16 @@ def _blobs(settings: Settings) -> Blobs:
         return FolderBlobs(settings.data_dir / "blobs")
     from obstore.store import S3Store  # noqa: PLC0415  (only a scaled installation has a store)
 
-    given = {
+    from trueup_service.registry.s3_blobs import S3Blobs  # noqa: PLC0415
+
+    options = {
         "endpoint": settings.s3_endpoint,
         "region": settings.s3_region,
         "access_key_id": settings.s3_access_key,
         "secret_access_key": settings.s3_secret_key and settings.s3_secret_key.get_secret_value(),
     }
     is_plain = bool(settings.s3_endpoint and settings.s3_endpoint.startswith("http:"))
-    config = {key: value for key, value in given.items() if value is not None}
+    config = {key: value for key, value in options.items() if value is not None}
     store = S3Store(
         settings.s3_bucket,
         prefix=settings.s3_prefix,

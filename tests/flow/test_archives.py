@@ -24,16 +24,16 @@ from tests.support.service import ROOT, Service, command, kill
 from tests.support.storage import embedded, scaled
 from tests.support.tampering import promoted
 from trueup.episode.role import Role
-from trueup.ledger.archive import SIGNATURE, statement_of
-from trueup.ledger.note import Signer
+from trueup.ledger.archive_layout import SIGNATURE, statement_of
+from trueup.ledger.signed_note import Signer
 from trueup_client import Client, Problem
 from trueup_client.calls import plants
 from trueup_service.actions.register_plant import register_plant
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord, JobState
-from trueup_service.registry.store import writing
+from trueup_service.registry.transaction import writing
 
-STAMP = Stamp("tester", "2026-01-01T00:00:00.000000Z")
+CONTEXT = ActorContext("tester", "2026-01-01T00:00:00.000000Z")
 VERIFIER = ROOT / "tools" / "verify_archive.py"
 
 
@@ -184,9 +184,9 @@ def test_a_plant_whose_job_has_the_name_of_another_ones_is_refused_whole(site, t
         job = next(job["id"] for job in client.jobs("p") if job["state"] == "succeeded")
     there = embedded(tmp_path / "there")
     parts = there.build()
-    with writing(parts.database) as writer:
-        register_plant(writer, plant_document("other"), STAMP)
-        writer.add_job(
+    with writing(parts.database) as tx:
+        register_plant(tx, plant_document("other"), CONTEXT)
+        tx.jobs.add(
             JobRecord(
                 job,
                 "other",
@@ -196,9 +196,9 @@ def test_a_plant_whose_job_has_the_name_of_another_ones_is_refused_whole(site, t
                 0.0,
                 "queued",
                 None,
-                STAMP.now,
+                CONTEXT.now,
                 "tester",
-                STAMP.now,
+                CONTEXT.now,
             )
         )
     parts.close()
@@ -338,7 +338,7 @@ def test_gc_removes_what_nothing_names_and_nothing_else(site, tmp_path):
 
 
 def test_what_is_put_while_it_is_being_removed_stays(tmp_path):
-    from trueup_service.registry.blobs import FolderBlobs
+    from trueup_service.registry.folder_blobs import FolderBlobs
 
     blobs, data = FolderBlobs(tmp_path / "blobs"), b"left over"
     source = save(tmp_path, "source", data)
@@ -347,7 +347,7 @@ def test_what_is_put_while_it_is_being_removed_stays(tmp_path):
     assert blobs.remove(digest, 3600, dry_run=False) is None
     assert blobs.remove(digest, 0, dry_run=False) == len(data)
     assert not blobs.holds(digest)
-    blobs.bring_back(digest)
+    blobs.restore(digest)
     assert blobs.get(digest) == data
     old = blobs._path(digest)
     os.utime(old, (0, 0))

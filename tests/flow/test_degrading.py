@@ -16,8 +16,8 @@ from tests.support.storage import Storage, scaled
 from tests.support.tcp_proxy import TcpProxy
 from trueup_client import Client, Problem
 from trueup_service.actions.register_plant import register_plant
-from trueup_service.actions.stamp import Stamp
-from trueup_service.registry.store import Reader, writing
+from trueup_service.actor_context import ActorContext
+from trueup_service.registry.transaction import ReadTransaction, writing
 
 FAST = {"TRUEUP_TAKEOVER_INTERVAL_S": "0.2", "TRUEUP_DATABASE_POOL": "8"}
 
@@ -119,22 +119,20 @@ def test_a_clock_that_goes_back_changes_no_order(storage):
 
     parts = storage.build()
     late, early = (
-        Stamp("t", "2030-01-01T00:00:00.000000Z"),
-        Stamp("t", "2020-01-01T00:00:00.000000Z"),
+        ActorContext("t", "2030-01-01T00:00:00.000000Z"),
+        ActorContext("t", "2020-01-01T00:00:00.000000Z"),
     )
-    with writing(parts.database) as writer:
-        register_plant(writer, plant_document("p"), late)
-    with writing(parts.database) as writer:
+    with writing(parts.database) as tx:
+        register_plant(tx, plant_document("p"), late)
+    with writing(parts.database) as tx:
         digest = "1" * 64
-        writer.add_artifact(
+        tx.artifacts.add(
             ArtifactRecord("p", 2, digest, "identified", "{}", None, None, early.now, "t")
         )
-        moved = promote_decision(writer, "p", decide(writer, "p", digest), 1, {}, early)
+        moved = promote_decision(tx, "p", decide(tx, "p", digest), 1, {}, early)
     assert (moved.generation, moved.at) == (2, late.now)
     with parts.database.read() as connection:
-        reader = Reader(connection)
-        assert reader.served_at("p", late.now).generation == 2
-        assert [e.sequence for e in reader.audit_entries(0, 99)] == list(
-            range(1, reader.audit_tree().size + 1)
-        )
+        tx = ReadTransaction(connection)
+        assert tx.serving.at_time("p", late.now).generation == 2
+        assert [e.sequence for e in tx.log.entries(0, 99)] == list(range(1, tx.log.tree().size + 1))
     parts.close()

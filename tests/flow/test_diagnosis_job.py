@@ -9,7 +9,7 @@ import pytest
 from tests.support.made import T0_NS
 from tests.support.service import command
 from tests.support.simulated import recorded_twice as recorded
-from trueup.blindtrial.seal import require_as_committed
+from trueup.blindtrial.commitment import require_commitments
 from trueup.episode.writer import write_episode
 
 
@@ -69,6 +69,6 @@ def test_a_blind_trial_is_committed_before_it_is_diagnosed_and_opened_at_its_end
     )
     assert committed["sequence"] < opened["sequence"]
     assert opened["facts"]["result"]["report"] == report
-    require_as_committed(report, committed["facts"]["commitments"])
+    require_commitments(report, committed["facts"]["commitments"])
     assert (out / "report.html").read_text().startswith("<!doctype html>")
     command(service, "audit", "verify")

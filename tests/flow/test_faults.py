@@ -14,7 +14,7 @@ from tests.support.made import episode_bytes, plant_document
 from tests.support.service import Service, kill
 from trueup.ledger.verification import verify
 from trueup_client import Client
-from trueup_service.kept import Kept, lost_jobs
+from trueup_service.installation import Installation, lost_jobs
 
 FAULTY = "tests.support.faults"
 JSON = {"Content_Type": "application/json"}
@@ -63,7 +63,7 @@ class Faulty:
         """Whether the log tells all that there is, and no more, in an installation that is looked
         at beside the server."""
         parts = self.storage.build()
-        found = verify(Kept(parts.database, parts.blobs)).findings + lost_jobs(parts)
+        found = verify(Installation(parts.database, parts.blobs)).findings + lost_jobs(parts)
         parts.close()
         return found == []
 

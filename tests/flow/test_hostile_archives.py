@@ -18,17 +18,17 @@ from tests.support.made import episode_bytes, plant_document, save
 from tests.support.service import ROOT, Service
 from tests.support.storage import embedded
 from trueup.episode.role import Role
-from trueup.ledger.archive import (
+from trueup.ledger.archive import dangling_rows
+from trueup.ledger.archive_layout import (
     ARTIFACT,
     ENDORSEMENTS,
     ENTRIES,
     MANIFEST,
     SIGNATURE,
-    ArchiveWriter,
-    dangling,
     statement_of,
 )
-from trueup.ledger.note import Signer
+from trueup.ledger.archive_writer import ArchiveWriter
+from trueup.ledger.signed_note import Signer
 from trueup_client import Client
 
 LIMIT_BYTES = 2 << 30  # of address space, for a program that holds an archive of a few kilobytes
@@ -247,10 +247,12 @@ class Rows:
 
 def test_a_row_that_hangs_on_another_plants_job_is_found():
     output = {"plant": "q", "job": "of p", "name": "report"}
-    assert dangling(Rows(outputs=[output])) == ["outputs/of p/report"]
-    assert dangling(Rows(outputs=[output], jobs=[{"id": "of p"}])) == []
+    assert dangling_rows(Rows(outputs=[output])) == ["outputs/of p/report"]
+    assert dangling_rows(Rows(outputs=[output], jobs=[{"id": "of p"}])) == []
     move = {"plant": "q", "generation": 2, "decision": "e"}
-    assert dangling(Rows(decisions=[{"digest": "d", "job": None}], moves=[move])) == ["moves/q/2"]
+    assert dangling_rows(Rows(decisions=[{"digest": "d", "job": None}], moves=[move])) == [
+        "moves/q/2"
+    ]
 
 
 ODD = [

@@ -7,7 +7,7 @@ from tests.support.service import ADMIN, Service
 from tests.support.storage import Storage, scaled
 from trueup.ledger.verification import verify
 from trueup_client import Client
-from trueup_service.kept import Kept
+from trueup_service.installation import Installation
 
 
 def test_the_pointer_is_one_register_over_two_servers(postgres, s3, tmp_path):
@@ -27,7 +27,7 @@ def test_the_pointer_is_one_register_over_two_servers(postgres, s3, tmp_path):
         assert violations(found, told) == []
         assert len(told) > 5
         assert {o.kind for o in found if o.generation} == {"read", "promote", "rollback"}
-        assert verify(Kept(parts.database, parts.blobs)).findings == []
+        assert verify(Installation(parts.database, parts.blobs)).findings == []
     finally:
         parts.close()
         for server in servers:

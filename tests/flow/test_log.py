@@ -25,14 +25,14 @@ from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT, Service, command
 from tests.support.storage import embedded
 from tests.support.tampering import cut, flip, promoted
-from trueup.ledger.note import Signer
+from trueup.ledger.signed_note import Signer
 from trueup.ledger.verification import verify
-from trueup_client import Client, NotSigned, Problem, Rewritten, Robot, Witness
+from trueup_client import Client, LogForked, NotSigned, Problem, Robot, Witness
 from trueup_client.proof import Checkpoint, Key, includes, leaf_hash
 from trueup_service.archives import export
 from trueup_service.errors import LogRewound, OtherKey
-from trueup_service.kept import Kept, lost_jobs, published, signing, unnamed
-from trueup_service.registry.store import Reader
+from trueup_service.installation import Installation, lost_jobs, published, signing, unnamed_blobs
+from trueup_service.registry.transaction import ReadTransaction
 from trueup_service.settings import Settings
 from trueup_service.signed_log import open_log
 from trueup_service.wiring import build
@@ -139,12 +139,12 @@ def test_a_witness_sees_the_log_grow_and_refuses_one_that_was_rewritten(told, lo
         (second.size, bytes(32)),
         (second.size + 1, bytes(32)),
     ):  # whoever has the key tells another story
-        with pytest.raises(Rewritten):
+        with pytest.raises(LogForked):
             Witness(tmp_path / "seen.json").see(
                 signer(told).checkpoint(size, root), client.consistency
             )
     forged = Witness(tmp_path / "seen.json")
-    with pytest.raises(Rewritten):
+    with pytest.raises(LogForked):
         forged.see(signer(told).checkpoint(second.size + 1, bytes(32)), lambda *_: [bytes(32)] * 4)
     assert client.witness(Witness(tmp_path / "seen.json")).size == second.size
 
@@ -158,7 +158,7 @@ def test_a_witness_refuses_a_log_whose_tail_was_cut(told, log, tmp_path):
     seen = Checkpoint.of(client.checkpoint(), key)
     witness = Witness(tmp_path / "seen.json", client.audit_key())
     witness.see(signer(told).checkpoint(seen.size + 5, bytes(32)), client.consistency)
-    with pytest.raises(Rewritten):
+    with pytest.raises(LogForked):
         client.witness(witness)
 
 
@@ -227,7 +227,7 @@ def test_a_robot_refuses_an_older_generation_a_forged_answer_and_one_for_another
     robot.refresh()
     moved = move(client, "p", 1.3)
     assert robot.refresh().answer.generation == moved.generation
-    with pytest.raises(Rewritten):
+    with pytest.raises(LogForked):
         robot._require_later(robot._opened(old, robot._witness.key)[0])
     payload = json.loads(base64.b64decode(old["payload"]))
     with pytest.raises(NotSigned):
@@ -344,7 +344,7 @@ def test_a_key_takes_over_only_from_the_one_that_signs_and_for_the_same_log(tmp_
         opened(first, second)  # what was taken out of use stays out
     assert opened(third, second) == third.verifier
     with parts.database.read() as connection:
-        keys = Reader(connection).audit_keys()
+        keys = ReadTransaction(connection).log.signing_keys()
     parts.close()
     notes = [key.endorsement for key in keys if key.endorsement]
     pinned = Key.from_text(first.verifier)
@@ -401,13 +401,15 @@ def kept(told):
 
 
 def found(parts):
-    return verify(Kept(parts.database, parts.blobs, signing(parts))).findings or published(parts)
+    return verify(Installation(parts.database, parts.blobs, signing(parts))).findings or published(
+        parts
+    )
 
 
 def test_what_was_not_touched_holds(kept, told):
     assert found(kept) == []
     assert lost_jobs(kept) == []
-    assert unnamed(kept) == []
+    assert unnamed_blobs(kept) == []
     assert "whole" in run_fsck(told).stdout
 
 
@@ -451,7 +453,7 @@ def test_every_cut_tail_is_found_however_well_it_is_cut(kept, tmp_path):
     """Entries, tree and head are cut alike, so that what is left is a sound log; only the published
     head shows it."""
     open_log(kept.settings, kept.database).publish()
-    entries = list(Kept(kept.database, kept.blobs).entries(0, 10**6))
+    entries = list(Installation(kept.database, kept.blobs).entries(0, 10**6))
     shutil.copytree(kept.settings.data_dir, tmp_path / "copy")
     copy = build(embedded(tmp_path / "copy").settings())
     for size in reversed(range(len(entries))):
@@ -459,7 +461,7 @@ def test_every_cut_tail_is_found_however_well_it_is_cut(kept, tmp_path):
         assert [f.where for f in published(copy)] == ["log"]
         assert not [
             f
-            for f in verify(Kept(copy.database, copy.blobs)).findings
+            for f in verify(Installation(copy.database, copy.blobs)).findings
             if f.where in ("log", "tree")
         ]
     copy.close()
@@ -576,7 +578,7 @@ def test_a_published_head_that_none_of_the_kept_keys_signed_is_found_without_the
             text("UPDATE audit_key SET verifier = :forged"), {"forged": FORGED.verifier}
         )
     try:
-        assert verify(Kept(kept.database, kept.blobs)).findings == []  # nobody can say
+        assert verify(Installation(kept.database, kept.blobs)).findings == []  # nobody can say
         assert [f.where for f in published(kept)] == ["audit_key"]
     finally:
         with kept.database.write() as connection:
@@ -597,7 +599,7 @@ def test_a_robot_keeps_the_highest_generation_that_it_saw_though_it_could_not_fe
         robot.refresh()
     assert robot.current() == before
     again = Robot(service.url, "p", tmp_path / "robot")
-    with pytest.raises(Rewritten):
+    with pytest.raises(LogForked):
         again._require_later(again._opened(old, again._witness.key)[0])
     late = Robot(
         service.url, "p", tmp_path / "other", clock=lambda: datetime.now(UTC) + timedelta(days=2)

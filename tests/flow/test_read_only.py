@@ -12,11 +12,11 @@ import pytest
 from tests.support.service import ROOT, Service, command, kill
 from tests.support.storage import embedded
 from tests.support.tampering import promoted
-from trueup.ledger.note import Signer
+from trueup.ledger.signed_note import Signer
 from trueup.ledger.verification import verify
 from trueup_client import Client
 from trueup_service import wiring
-from trueup_service.kept import Kept, lost_jobs, published
+from trueup_service.installation import Installation, lost_jobs, published
 
 NAMESPACES = (["unshare", "--mount"], ["unshare", "--user", "--map-root-user", "--mount"])
 
@@ -57,8 +57,8 @@ def test_it_is_read_from_a_copy_and_nothing_is_written(site, shared, monkeypatch
         (copy / "trueup.sqlite-shm").unlink(missing_ok=True)
     monkeypatch.setattr(wiring.os, "access", lambda path, mode: False)
     before = fingerprint(copy)
-    with wiring.reading(embedded(copy).settings()) as parts:
-        found = verify(Kept(parts.database, parts.blobs))
+    with wiring.build_to_read(embedded(copy).settings()) as parts:
+        found = verify(Installation(parts.database, parts.blobs))
         assert (found.findings, published(parts), lost_jobs(parts)) == ([], [], [])
         assert found.size > 5
     assert fingerprint(copy) == before

@@ -14,7 +14,7 @@ from tests.support.storage import embedded
 from trueup.episode.role import Role
 from trueup.ledger.verification import verify
 from trueup_client import Client, Problem
-from trueup_service.kept import Kept
+from trueup_service.installation import Installation
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +69,7 @@ def edited(told):
 def findings(service):
     """What the verification finds, in this process."""
     parts = service.storage.build()
-    found = verify(Kept(parts.database, parts.blobs)).findings
+    found = verify(Installation(parts.database, parts.blobs)).findings
     parts.close()
     return found
 

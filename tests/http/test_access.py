@@ -12,11 +12,11 @@ from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT, Service, command
 from tests.support.storage import embedded
 from trueup_client import Client, Problem
+from trueup_service.authentication import Authenticator, first_admin, new_token
 from trueup_service.errors import Unauthenticated
 from trueup_service.http.access import ACCESS
 from trueup_service.http.app import PAGES, ROUTERS
 from trueup_service.http.guard import Guarded
-from trueup_service.identity import Identities, first_admin, new_token
 from trueup_service.registry.records import Role
 from trueup_service.settings import Settings
 from trueup_service.wiring import build
@@ -251,15 +251,15 @@ def test_another_server_refuses_a_revoked_token_once_it_asks_again(tmp_path):
     assert path.stat().st_mode & 0o777 == 0o600
     token, one, other = (
         path.read_text().strip(),
-        *(Identities(parts.settings, parts.database, lambda: clock[0]) for _ in range(2)),
+        *(Authenticator(parts.settings, parts.database, lambda: clock[0]) for _ in range(2)),
     )
     assert one.by_token(token) == other.by_token(token) == other.remembered(token)
-    from trueup_service.actions.stamp import Stamp
     from trueup_service.actions.tokens import revoke_token
-    from trueup_service.registry.store import writing
+    from trueup_service.actor_context import ActorContext
+    from trueup_service.registry.transaction import writing
 
-    with writing(parts.database) as writer:
-        revoke_token(writer, token.split("_")[1], Stamp("tester", "2026-01-01T00:00:00.000000Z"))
+    with writing(parts.database) as tx:
+        revoke_token(tx, token.split("_")[1], ActorContext("tester", "2026-01-01T00:00:00.000000Z"))
     one.forget()
     with pytest.raises(Unauthenticated):
         one.by_token(token)
@@ -491,16 +491,16 @@ def test_a_token_of_one_plant_registers_none_and_is_of_a_plant_of_its_project(se
 def test_a_session_that_was_begun_with_an_old_admins_token_ends_with_it(tmp_path):
     parts = build(Settings(data_dir=tmp_path, admin_token="a" * 40))
     old, new = (
-        Identities(
+        Authenticator(
             Settings(data_dir=tmp_path, admin_token=c * 40, token_memory_s=0), parts.database
         )
         for c in "ab"
     )
-    from trueup_service.identity import digest_of_secret
-    from trueup_service.registry.store import writing
+    from trueup_service.authentication import digest_of_secret
+    from trueup_service.registry.transaction import writing
 
-    with writing(parts.database) as writer:
-        writer.add_session(digest_of_secret("cookie"), old.by_token("a" * 40).token, "2026", "9999")
+    with writing(parts.database) as tx:
+        tx.sessions.begin(digest_of_secret("cookie"), old.by_token("a" * 40).token, "2026", "9999")
     assert old.by_session("cookie").name == "admin"
     with pytest.raises(Unauthenticated):
         new.by_session("cookie")

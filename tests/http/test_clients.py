@@ -16,7 +16,7 @@ import pytest
 from tests.support.made import episode_bytes, plant_document, save
 from tests.support.service import ROOT
 from trueup_client import AsyncClient, Client, Problem, Unreachable
-from trueup_client.problem import Untrue
+from trueup_client.problem import DigestMismatch
 
 sys.path.insert(0, str(ROOT / "tools"))
 import make_async_client
@@ -213,6 +213,6 @@ def test_a_token_whose_answer_was_lost_is_not_issued_twice(service, monkeypatch)
 def test_a_list_whose_pages_never_end_is_not_followed_for_ever(monkeypatch):
     client = Client("http://127.0.0.1:9")
     monkeypatch.setattr(client, "_get", lambda _path: {"items": [1], "next": "again"})
-    with pytest.raises(Untrue, match="a list has an end"):
+    with pytest.raises(DigestMismatch, match="a list has an end"):
         list(client.plants())
     client.close()

@@ -24,7 +24,7 @@ from trueup.chapter.data import PLANT as CHAPTER
 from trueup.episode.role import Role
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, LinearMap, Residual
-from trueup_client import Client, Problem, Untrue
+from trueup_client import Client, DigestMismatch, Problem
 from trueup_service.http.serve import listen
 
 
@@ -560,6 +560,6 @@ def test_a_wrong_plant_is_refused_at_its_field(service):
 def test_a_damaged_download_is_thrown_away(client, plant, tmp_path, monkeypatch):
     serving = client.serving(plant)
     monkeypatch.setattr(client._connection, "parts", lambda path: iter([b"damaged"]))
-    with pytest.raises(Untrue):
+    with pytest.raises(DigestMismatch):
         client.fetch(plant, serving.artifact, tmp_path / "m")
     assert list((tmp_path / "m").iterdir()) == []

@@ -18,7 +18,7 @@ from tests.support.service import Service
 from tests.support.storage import Storage, embedded
 from tests.unit.episode.test_clocks import relogged
 from trueup_client import Client
-from trueup_service.http.tidying import tidy
+from trueup_service.expiry import remove_expired
 
 JSON = {"Content_Type": "application/json"}
 
@@ -121,8 +121,8 @@ def test_a_tokens_oldest_answers_go_beyond_those_that_are_kept_and_no_others(few
             200,
             201,
         )
-    tidy(parts)
-    tidy(parts)
+    remove_expired(parts)
+    remove_expired(parts)
     for key in keys[3:]:
         assert problem(service, "POST", path, gate(99), Idempotency_Key=key, **JSON)[:2] == (
             409,
@@ -151,9 +151,9 @@ def test_answers_go_by_their_age_and_no_sooner(few):
     service, parts, _ = few
     path, key = "/v1/plants/p/gates", uuid.uuid4().hex
     assert request(service, "POST", path, gate(0), Idempotency_Key=key, **JSON)[0] == 201
-    tidy(parts, datetime.now(UTC) + timedelta(days=6.9))
+    remove_expired(parts, datetime.now(UTC) + timedelta(days=6.9))
     assert problem(service, "POST", path, gate(1), Idempotency_Key=key, **JSON)[0] == 409
-    tidy(parts, datetime.now(UTC) + timedelta(days=7.1))
+    remove_expired(parts, datetime.now(UTC) + timedelta(days=7.1))
     assert request(service, "POST", path, gate(1), Idempotency_Key=key, **JSON)[0] == 201
 
 
@@ -220,7 +220,7 @@ def test_an_upload_goes_by_its_age_and_no_sooner(small, tmp_path):
     now = datetime.now(UTC).timestamp()
     for path, days in zip(held, (6.9, 7.1), strict=True):
         os.utime(path, (now - days * 86_400,) * 2)
-    tidy(parts)
+    remove_expired(parts)
     assert [path.exists() for path in held] == [True, False]
 
 

@@ -17,9 +17,9 @@ from tests.support.made import identified, plant_document
 from tests.support.service import Service
 from trueup.canonical import canonical_bytes
 from trueup_client import Client
+from trueup_service.authentication import Principal
 from trueup_service.errors import MemoryFull, TooLargeUpload
-from trueup_service.http.limiting import FORM_BYTES, Limiting
-from trueup_service.identity import Who
+from trueup_service.http.body_limit import FORM_BYTES, BodyLimit
 
 LARGE = 96 << 20
 ROOM = 4 << 20
@@ -103,8 +103,10 @@ def asked(size, token="t", path="/v1/plants"):
     async def receive():
         return {"type": "http.request", "body": bytes(size), "more_body": False}
 
-    who = {} if token is None else {"who": Who(token, token, frozenset(), None, None)}
-    return {"type": "http", "path": path, **who}, receive
+    principal = (
+        {} if token is None else {"principal": Principal(token, token, frozenset(), None, None)}
+    )
+    return {"type": "http", "path": path, **principal}, receive
 
 
 def test_one_token_leaves_room_for_others_and_who_has_none_takes_no_room():
@@ -116,7 +118,7 @@ def test_one_token_leaves_room_for_others_and_who_has_none_takes_no_room():
             await go_on.wait()
 
     async def all_of_them():
-        limiting = Limiting(app, 4 * ROOM)
+        limiting = BodyLimit(app, 4 * ROOM)
         greedy = [
             asyncio.create_task(limiting(*asked(4 << 20, "greedy", "/held"), None))
             for _ in range(2)
@@ -128,7 +130,7 @@ def test_one_token_leaves_room_for_others_and_who_has_none_takes_no_room():
         go_on.set()
         await asyncio.gather(*greedy)
         await limiting(*asked(1 << 20, "greedy"), None)
-        full = Limiting(app, ROOM)
+        full = BodyLimit(app, ROOM)
         full._room = 0
         await full(*asked(FORM_BYTES, None, "/v1/session"), None)
         with pytest.raises(TooLargeUpload):
@@ -150,7 +152,7 @@ def test_bodies_have_a_limit_all_together_and_room_comes_back():
         await go_on.wait()
 
     async def both():
-        limiting = Limiting(app, ROOM)
+        limiting = BodyLimit(app, ROOM)
         first = asyncio.create_task(limiting(*asked(3 << 20), None))
         await reading.wait()
         await limiting(*asked(2 << 20), None)

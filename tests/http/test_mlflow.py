@@ -22,7 +22,7 @@ from trueup.errors import BadArtifact, MlflowRefused, NotImportable, NotInstalle
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
 from trueup_cli import mlflow as passing
-from trueup_client import Client, Problem, Untrue
+from trueup_client import Client, DigestMismatch, Problem
 
 pytestmark = [
     pytest.mark.parametrize("service", ["embedded"], indirect=True),
@@ -269,7 +269,7 @@ def test_what_was_changed_in_the_registry_is_not_taken_for_what_it_was(
     kept(unpack(identified(plant)), tmp_path / "m" / "artifact")
     write_mlflow_model(tmp_path / "m", None, "2026-01-02T03:04:05Z")
     kept(unpack(identified(plant, k=99.0)), tmp_path / "m" / "artifact")
-    with pytest.raises(Untrue, match="names artifact"):
+    with pytest.raises(DigestMismatch, match="names artifact"):
         passing.import_(str(tmp_path / "m"), plant, url=service.url)
     (tmp_path / "m" / "artifact" / "manifest.json").unlink()
     with pytest.raises(NotImportable, match="there is none"):

@@ -17,8 +17,9 @@ from trueup.checks import (
     rule_laws,
 )
 from trueup.checks.law import LawBroken
+from trueup.fit.fitter import Fitter
+from trueup.fit.free_numbers import Directions
 from trueup.fit.residual import fit_blind, fit_conditioned, fit_residual
-from trueup.fit.rollout_fit import Directions, Fitter
 from trueup.gate.rule import Rule, Verdict, rules
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledFamily, CompiledTree
@@ -26,11 +27,11 @@ from trueup.model.effect import Effect, Number, Port, Scale, effects
 from trueup.model.family import Family, Param, families
 from trueup.model.hypothesis import Hypothesis, Scales, switches
 from trueup.model.kinds import KINDS
-from trueup.model.known import Known
 from trueup.model.mjcf import tree_of
 from trueup.model.predictor import Identified, Nominal
 from trueup.model.series import Scheme
 from trueup.model.tree import FRICTION, JOINT, LINK
+from trueup.model.velocity_prior import VelocityPrior
 from trueup.monitor.detector import detectors
 from trueup.monitor.detectors.quantile import QuantileRun
 
@@ -56,7 +57,7 @@ def _corrected():
         [Scales(0.6, 0.5, 0.7, 1.0)],
         np.ones(2),
     )
-    values = fitter.with_effect(fitter.begin((1.2, 0.6, 0.8)), "coulomb_friction", (0.2,))
+    values = fitter.with_effect(fitter.initial_values((1.2, 0.6, 0.8)), "coulomb_friction", (0.2,))
     values = fitter.with_effect(values, "actuator_lag", (0.1,))
     both = Hypothesis() | "coulomb_friction" | "actuator_lag"
     return Corrected(
@@ -65,7 +66,7 @@ def _corrected():
         tuple(map(float, values)),
         Scheme(0.5, 2),
         ((0.5, 0.0, 0.2, 0.6, 0.0, 0.0, 0.0, 0.0), (0.2, 0.0, 0.1, 0.3, 0.0, 0.5, 0.0, 0.1)),
-        Known(np.array([[0.1, 0.2, 0.3], [0.4, -0.5, 0.6], [-0.7, 0.8, 0.9]]), 2),
+        VelocityPrior(np.array([[0.1, 0.2, 0.3], [0.4, -0.5, 0.6], [-0.7, 0.8, 0.9]]), 2),
     )
 
 
@@ -125,7 +126,7 @@ def test_an_effect_that_is_not_what_it_says_is_caught(law, monkeypatch):
         ),
     )
     monkeypatch.setattr(
-        "trueup.fit.rollout_fit.switches",
+        "trueup.fit.rollouts.switches",
         lambda h, joints: np.zeros((len(effects()), joints), np.uint8),
     )
     try:
@@ -359,16 +360,18 @@ class _Late(QuantileRun):
     name = "late"
 
     def follow(self, state, residuals):
-        found = super().follow(state, residuals)
-        return replace(found, alarm=None if found.alarm is None else len(found.statistic) - 1)
+        followed = super().follow(state, residuals)
+        return replace(
+            followed, alarm=None if followed.alarm is None else len(followed.statistic) - 1
+        )
 
 
 class _Foreseeing(QuantileRun):
     name = "foreseeing"
 
     def follow(self, state, residuals):
-        found = super().follow(state, residuals)
-        return replace(found, statistic=np.maximum.accumulate(found.statistic[::-1])[::-1])
+        followed = super().follow(state, residuals)
+        return replace(followed, statistic=np.maximum.accumulate(followed.statistic[::-1])[::-1])
 
 
 class _Nervous(QuantileRun):

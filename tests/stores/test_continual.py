@@ -17,11 +17,11 @@ from trueup_service.actions.declare_policy import declare_policy
 from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.record_watch import Followed, record_watch
 from trueup_service.actions.register_plant import register_plant
-from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.actions.submit_job import submit_gate
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.errors import Conflict, HeldOutSpent, NotFound
 from trueup_service.registry.records import ArtifactRecord, EpisodeRecord, JobState, Watch
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import ReadTransaction, Transaction
 from trueup_worker.schedule import submit_due
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
@@ -31,8 +31,8 @@ FOUND = {
 }
 
 
-def at(second: float) -> Stamp:
-    return Stamp("tester", time_text(NOW + timedelta(seconds=second)))
+def at(second: float) -> ActorContext:
+    return ActorContext("tester", time_text(NOW + timedelta(seconds=second)))
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def parts(storage):
     found = storage.build()
     found.queue.prepare()
     with found.database.write() as connection:
-        register_plant(Writer(connection), plant_document("p"), at(0))
+        register_plant(Transaction(connection), plant_document("p"), at(0))
     yield found
     found.close()
 
@@ -49,7 +49,7 @@ def add_episode(parts, name: str, role: str, second: float, start_ns: int = 0) -
     digest = name * 64
     summary = {"conditions": {}, "ranges": {}, "period_s": 0.1}
     with parts.database.write() as connection:
-        Writer(connection).add_episode(
+        Transaction(connection).episodes.add(
             EpisodeRecord(
                 "p", digest, 1, role, start_ns, start_ns, summary, at(second).now, "robot"
             )
@@ -60,36 +60,36 @@ def add_episode(parts, name: str, role: str, second: float, start_ns: int = 0) -
 def add_monitor_of(parts, artifact: str, second: float) -> str:
     document = {"artifact": artifact, "promise_h": 1.0, "made": second}
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        add_monitor(writer, "p", document, {"detector": [0.0]}, None, at(second).now, at(second))
-        return writer.watching("p").monitor
+        tx = Transaction(connection)
+        add_monitor(tx, "p", document, {"detector": [0.0]}, None, at(second).now, at(second))
+        return tx.watches.current("p").monitor
 
 
 def serving(parts) -> str:
     with parts.database.read() as connection:
-        return Reader(connection).serving("p").artifact
+        return ReadTransaction(connection).serving.now("p").artifact
 
 
-def serving_of(writer: Writer) -> str:
-    return writer.serving("p").artifact
+def serving_of(tx: Transaction) -> str:
+    return tx.serving.now("p").artifact
 
 
 def jobs(parts) -> list[str]:
     with parts.database.read() as connection:
-        return [j.kind for j in Reader(connection).jobs("p", "9999", 100)]
+        return [j.kind for j in ReadTransaction(connection).jobs.page("p", "9999", 100)]
 
 
 def go_on(parts, second: float) -> None:
     ids = iter(f"{i:032x}" for i in range(int(second * 100), 10**9))
     with parts.database.write() as connection:
-        Cycle(Writer(connection), parts.queue, lambda: next(ids), at(second)).go_on("p")
+        Cycle(Transaction(connection), parts.queue, lambda: next(ids), at(second)).go_on("p")
 
 
 def finish(parts, kind: str, **result: object) -> None:
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        job = writer.last_job("p", kind)
-        writer.update_job(job.id, now=at(0).now, state=JobState.SUCCEEDED, result=result)
+        tx = Transaction(connection)
+        job = tx.jobs.last("p", kind)
+        tx.jobs.update(job.id, now=at(0).now, state=JobState.SUCCEEDED, result=result)
 
 
 def test_a_monitor_moves_on_once_over_what_it_has_not_seen(parts):
@@ -101,35 +101,33 @@ def test_a_monitor_moves_on_once_over_what_it_has_not_seen(parts):
     )
     add_episode(parts, "d", "test", 5)
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        before = writer.watching("p")
-        assert [e.digest for e in writer.unwatched(before, WATCHED, 10)] == [earlier, later]
+        tx = Transaction(connection)
+        before = tx.watches.current("p")
+        assert [e.digest for e in tx.episodes.unwatched(before, WATCHED, 10)] == [earlier, later]
         seen = [
             Watch("p", monitor, i + 1, d, {"seconds": 1.0}, at(6).now)
             for i, d in enumerate([earlier, later])
         ]
         followed = Followed(before, {"detector": [1.5]}, seen, None)
-        assert record_watch(writer, followed, "0" * 32, at(6))
-        assert not record_watch(writer, followed, "1" * 32, at(6))
-        now = writer.watching("p")
+        assert record_watch(tx, followed, "0" * 32, at(6))
+        assert not record_watch(tx, followed, "1" * 32, at(6))
+        now = tx.watches.current("p")
         assert (now.sequence, now.kept) == (2, {"detector": [1.5]})
-        assert writer.unwatched(now, WATCHED, 10) == []
-        assert [w.episode for w in writer.watches("p", monitor, 1, 10)] == [later]
+        assert tx.episodes.unwatched(now, WATCHED, 10) == []
+        assert [w.episode for w in tx.watches.page("p", monitor, 1, 10)] == [later]
 
 
 def test_while_an_alarm_is_open_no_other_is_raised(parts):
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        first = raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(1))
-        assert raise_alarm(writer, "1" * 32, "p", None, serving_of(writer), FOUND, at(2)) is None
-        close_alarm(writer, "p", first.id, "mended", at(3))
+        tx = Transaction(connection)
+        first = raise_alarm(tx, "0" * 32, "p", None, serving_of(tx), FOUND, at(1))
+        assert raise_alarm(tx, "1" * 32, "p", None, serving_of(tx), FOUND, at(2)) is None
+        close_alarm(tx, "p", first.id, "mended", at(3))
         with pytest.raises(Conflict):
-            close_alarm(writer, "p", first.id, "again", at(4))
-        assert (
-            raise_alarm(writer, "2" * 32, "p", None, serving_of(writer), FOUND, at(5)) is not None
-        )
+            close_alarm(tx, "p", first.id, "again", at(4))
+        assert raise_alarm(tx, "2" * 32, "p", None, serving_of(tx), FOUND, at(5)) is not None
         with pytest.raises(NotFound):
-            close_alarm(writer, "q", first.id, "another's", at(6))
+            close_alarm(tx, "q", first.id, "another's", at(6))
 
 
 def test_a_look_is_asked_for_once_and_not_of_a_monitor_of_another_model(parts):
@@ -151,7 +149,7 @@ def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_
     add_episode(parts, "a", "adaptation", 1, start_ns=-5)  # from before the change
     with parts.database.write() as connection:
         raise_alarm(
-            writer := Writer(connection), "0" * 32, "p", None, serving_of(writer), FOUND, at(2)
+            tx := Transaction(connection), "0" * 32, "p", None, serving_of(tx), FOUND, at(2)
         )
     add_episode(parts, "b", "adaptation", 3, start_ns=1)
     go_on(parts, 4)
@@ -168,10 +166,8 @@ def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_
     go_on(parts, 11)
     assert jobs(parts) == ["diagnose"] * 2
     with parts.database.read() as connection:
-        reader = Reader(connection)
-        assert reader.job(reader.open_alarm("p").job).request["episodes"] == [
-            d * 64 for d in "bcde"
-        ]
+        tx = ReadTransaction(connection)
+        assert tx.jobs.get(tx.alarms.open("p").job).request["episodes"] == [d * 64 for d in "bcde"]
     finish(parts, "diagnose", report={"verdict": "effect"}, artifact="f" * 64)
     for i, d in enumerate("0123"):
         add_episode(parts, d, "validation", 12 + i, start_ns=6 + i)
@@ -181,14 +177,14 @@ def test_an_alarm_is_diagnosed_once_there_is_something_to_diagnose_and_again_at_
 
 def test_a_policy_that_asks_leaves_every_step_to_a_person(parts):
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        gate, _ = declare_gate(writer, "p", None, at(1))
+        tx = Transaction(connection)
+        gate, _ = declare_gate(tx, "p", None, at(1))
         held, new = declare_policy(
-            writer, "p", UpdatePolicy(gate.digest, on_alarm="ask").document(), at(2)
+            tx, "p", UpdatePolicy(gate.digest, on_alarm="ask").document(), at(2)
         )
         assert new
-        assert not declare_policy(writer, "p", held.document, at(3))[1]
-        raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(4))
+        assert not declare_policy(tx, "p", held.document, at(3))[1]
+        raise_alarm(tx, "0" * 32, "p", None, serving_of(tx), FOUND, at(4))
     add_episode(parts, "b", "adaptation", 5)
     add_episode(parts, "c", "validation", 6)
     go_on(parts, 7)
@@ -197,7 +193,7 @@ def test_a_policy_that_asks_leaves_every_step_to_a_person(parts):
 
 def test_a_policy_names_a_gate_that_was_declared(parts):
     with parts.database.write() as connection, pytest.raises(NotFound):
-        declare_policy(Writer(connection), "p", UpdatePolicy("a" * 64).document(), at(1))
+        declare_policy(Transaction(connection), "p", UpdatePolicy("a" * 64).document(), at(1))
 
 
 def test_a_spent_held_out_episode_is_not_judged_on_again(parts):
@@ -206,29 +202,27 @@ def test_a_spent_held_out_episode_is_not_judged_on_again(parts):
         add_episode(parts, "b", "validation", 2),
     )
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        default, _ = declare_gate(writer, "p", None, at(3))
-        gate, _ = declare_gate(writer, "p", {**default.document, "held_out_uses": 1}, at(3))
-        candidate = writer.serving("p").artifact
+        tx = Transaction(connection)
+        default, _ = declare_gate(tx, "p", None, at(3))
+        gate, _ = declare_gate(tx, "p", {**default.document, "held_out_uses": 1}, at(3))
+        candidate = tx.serving.now("p").artifact
         request = {"candidate": candidate, "gate": gate.digest}
-        submit_gate(writer, parts.queue, "1" * 32, "p", {**request, "episodes": [spent]}, at(4))
-        left = submit_gate(writer, parts.queue, "2" * 32, "p", request, at(5))
+        submit_gate(tx, parts.queue, "1" * 32, "p", {**request, "episodes": [spent]}, at(4))
+        left = submit_gate(tx, parts.queue, "2" * 32, "p", request, at(5))
         assert (left.request["episodes"], left.request["spent"]) == ([fresh], [spent])
         with pytest.raises(HeldOutSpent, match="2 held-out episodes were used 1 times"):
             submit_gate(
-                writer, parts.queue, "3" * 32, "p", {**request, "episodes": [spent, fresh]}, at(6)
+                tx, parts.queue, "3" * 32, "p", {**request, "episodes": [spent, fresh]}, at(6)
             )
         with pytest.raises(HeldOutSpent):
-            submit_gate(writer, parts.queue, "4" * 32, "p", request, at(7))
+            submit_gate(tx, parts.queue, "4" * 32, "p", request, at(7))
 
 
 def test_validation_is_due_without_any_alarm_and_not_before_its_time(parts):
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        gate, _ = declare_gate(writer, "p", None, at(1))
-        declare_policy(
-            writer, "p", UpdatePolicy(gate.digest, validate_every_h=1.0).document(), at(2)
-        )
+        tx = Transaction(connection)
+        gate, _ = declare_gate(tx, "p", None, at(1))
+        declare_policy(tx, "p", UpdatePolicy(gate.digest, validate_every_h=1.0).document(), at(2))
     assert (
         submit_due(parts, NOW + timedelta(seconds=3)) == []
     )  # nothing was held out since the model serves
@@ -270,50 +264,50 @@ def test_a_monitor_that_watches_again_goes_on_counting_where_it_was(parts):
     monitor = add_monitor_of(parts, serving(parts), 1)
     add_episode(parts, "a", "telemetry", 2)
     with parts.database.write() as connection:
-        writer = Writer(connection)
+        tx = Transaction(connection)
         seen = [Watch("p", monitor, 1, "a" * 64, {"seconds": 1.0}, at(3).now)]
-        record_watch(writer, Followed(writer.watching("p"), {}, seen, None), "0" * 32, at(3))
+        record_watch(tx, Followed(tx.watches.current("p"), {}, seen, None), "0" * 32, at(3))
     assert add_monitor_of(parts, serving(parts), 1) == monitor
     with parts.database.read() as connection:
-        reader = Reader(connection)
-        assert reader.watching("p").sequence == 1
-        assert reader.unwatched(reader.watching("p"), WATCHED, 10) == []
+        tx = ReadTransaction(connection)
+        assert tx.watches.current("p").sequence == 1
+        assert tx.episodes.unwatched(tx.watches.current("p"), WATCHED, 10) == []
 
 
 def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policys_gate(parts):
     with parts.database.write() as connection:
-        writer = Writer(connection)
+        tx = Transaction(connection)
         strict_document = default_gate(2.0).document()
         meant = {
             "rules": [{"rule": "rollout_improves", "ratio": 1e9}],
             "vacuous": True,
             "because": "any serves",
         }
-        lax, _ = declare_gate(writer, "p", {**strict_document, **meant}, at(1))
-        strict, _ = declare_gate(writer, "p", strict_document, at(1))
+        lax, _ = declare_gate(tx, "p", {**strict_document, **meant}, at(1))
+        strict, _ = declare_gate(tx, "p", strict_document, at(1))
         declare_policy(
-            writer, "p", UpdatePolicy(strict.digest, on_acceptance="promote").document(), at(2)
+            tx, "p", UpdatePolicy(strict.digest, on_acceptance="promote").document(), at(2)
         )
-        raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(3))
+        raise_alarm(tx, "0" * 32, "p", None, serving_of(tx), FOUND, at(3))
     for i, role in enumerate(["adaptation", "validation", "validation"]):
         add_episode(parts, "bcd"[i], role, 4 + i, start_ns=1 + i)
     go_on(parts, 8)
     candidate = "f" * 64
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        writer.add_artifact(
+        tx = Transaction(connection)
+        tx.artifacts.add(
             ArtifactRecord("p", 2, candidate, "corrected", "{}", None, None, at(9).now, "worker")
         )
-        cycle = Cycle(writer, parts.queue, lambda: "3" * 32, at(9))
-        cycle.diagnosed(writer.last_job("p", "diagnose"), candidate, "effect")
-        trial = writer.job(writer.open_alarm("p").trial)
+        cycle = Cycle(tx, parts.queue, lambda: "3" * 32, at(9))
+        cycle.diagnosed(tx.jobs.last("p", "diagnose"), candidate, "effect")
+        trial = tx.jobs.get(tx.alarms.open("p").trial)
         assert (trial.kind, trial.request["gate"], trial.request["episodes"]) == (
             "gate",
             strict.digest,
             ["c" * 64, "d" * 64],
         )
         by_hand = submit_gate(
-            writer,
+            tx,
             parts.queue,
             "9" * 32,
             "p",
@@ -327,8 +321,8 @@ def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policy
         (trial, strict, 2),
     ):
         with parts.database.write() as connection:
-            writer = Writer(connection)
-            now = writer.serving("p")
+            tx = Transaction(connection)
+            now = tx.serving.now("p")
             against = {
                 "incumbent": now.artifact,
                 "generation": now.generation,
@@ -341,30 +335,30 @@ def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policy
                 "by": job.id,
                 **against,
             }
-            made = record_decision(writer, "p", document, job.id, at(11))
-            Cycle(writer, parts.queue, lambda: "8" * 32, at(12)).judged(job, made, {"seconds": 0.0})
-            assert writer.serving("p").generation == promoted
+            made = record_decision(tx, "p", document, job.id, at(11))
+            Cycle(tx, parts.queue, lambda: "8" * 32, at(12)).judged(job, made, {"seconds": 0.0})
+            assert tx.serving.now("p").generation == promoted
     with parts.database.read() as connection:
-        assert Reader(connection).open_alarm("p") is None
+        assert ReadTransaction(connection).alarms.open("p") is None
 
 
 def test_a_refused_trial_is_tried_again_with_twice_as_much(parts):
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        gate, _ = declare_gate(writer, "p", None, at(1))
-        declare_policy(writer, "p", UpdatePolicy(gate.digest).document(), at(2))
-        raise_alarm(writer, "0" * 32, "p", None, serving_of(writer), FOUND, at(3))
+        tx = Transaction(connection)
+        gate, _ = declare_gate(tx, "p", None, at(1))
+        declare_policy(tx, "p", UpdatePolicy(gate.digest).document(), at(2))
+        raise_alarm(tx, "0" * 32, "p", None, serving_of(tx), FOUND, at(3))
     add_episode(parts, "b", "adaptation", 4, start_ns=1)
     add_episode(parts, "c", "validation", 5, start_ns=2)
     go_on(parts, 6)
     finish(parts, "diagnose", report={"verdict": "effect"}, artifact="f" * 64)
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        writer.add_artifact(
+        tx = Transaction(connection)
+        tx.artifacts.add(
             ArtifactRecord("p", 2, "f" * 64, "corrected", "{}", None, None, at(7).now, "worker")
         )
-        Cycle(writer, parts.queue, lambda: "7" * 32, at(7)).diagnosed(
-            writer.last_job("p", "diagnose"), "f" * 64, "effect"
+        Cycle(tx, parts.queue, lambda: "7" * 32, at(7)).diagnosed(
+            tx.jobs.last("p", "diagnose"), "f" * 64, "effect"
         )
     add_episode(parts, "d", "adaptation", 8, start_ns=3)
     add_episode(parts, "e", "validation", 9, start_ns=4)

@@ -3,7 +3,7 @@
 import hashlib
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 from sqlalchemy import text
@@ -15,18 +15,19 @@ from trueup.ledger.audit import rebuild
 from trueup.ledger.pointer import NothingToRollBackTo
 from trueup_migrations import HEAD
 from trueup_service.actions.declare_gate import declare_gate
+from trueup_service.actions.idempotency import IdempotencyKey, run_once_in
 from trueup_service.actions.move_pointer import promote_decision, roll_back_pointer
-from trueup_service.actions.once import Key, once
 from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.register_plant import register_plant
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import Conflict, KeyReused, NotWhole
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import ArtifactRecord, JobRecord, JobState
+from trueup_service.registry.repository import Repository
 from trueup_service.registry.schema import current, migrate
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import ReadTransaction, Transaction
 
-STAMP = Stamp("tester", "2026-01-01T00:00:00.000000Z")
+CONTEXT = ActorContext("tester", "2026-01-01T00:00:00.000000Z")
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def parts(storage):
 @pytest.fixture
 def plant(parts):
     with parts.database.write() as connection:
-        register_plant(Writer(connection), plant_document("p"), STAMP)
+        register_plant(Transaction(connection), plant_document("p"), CONTEXT)
     return "p"
 
 
@@ -47,22 +48,24 @@ def read(parts):
     return parts.database.read()
 
 
-def at(second: int) -> Stamp:
-    return Stamp("tester", f"2026-01-01T00:00:{second:02d}.000000Z")
+def at(second: int) -> ActorContext:
+    return ActorContext("tester", f"2026-01-01T00:00:{second:02d}.000000Z")
 
 
-def add_version(writer: Writer, plant: str, version: int) -> str:
+def add_version(tx: Transaction, plant: str, version: int) -> str:
     digest = hashlib.sha256(f"{plant}{version}".encode()).hexdigest()
-    writer.add_artifact(
-        ArtifactRecord(plant, version, digest, "identified", "{}", None, None, STAMP.now, "tester")
+    tx.artifacts.add(
+        ArtifactRecord(
+            plant, version, digest, "identified", "{}", None, None, CONTEXT.now, "tester"
+        )
     )
     return digest
 
 
-def decide(writer: Writer, plant: str, candidate: str) -> str:
+def decide(tx: Transaction, plant: str, candidate: str) -> str:
     """An accepted decision against what serves."""
-    serving = writer.serving(plant)
-    gate, _ = declare_gate(writer, plant, None, STAMP)
+    serving = tx.serving.now(plant)
+    gate, _ = declare_gate(tx, plant, None, CONTEXT)
     against = {"incumbent": serving.artifact, "generation": serving.generation}
     document = {
         "gate": gate.digest,
@@ -71,16 +74,16 @@ def decide(writer: Writer, plant: str, candidate: str) -> str:
         "episodes": [],
         **against,
     }
-    record_decision(writer, plant, document, None, STAMP)
+    record_decision(tx, plant, document, None, CONTEXT)
     return digest_of(document)
 
 
 def promote(parts, plant, version, second):
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        decision = decide(writer, plant, add_version(writer, plant, version))
+        tx = Transaction(connection)
+        decision = decide(tx, plant, add_version(tx, plant, version))
         return promote_decision(
-            writer, plant, decision, writer.serving(plant).generation, {}, at(second)
+            tx, plant, decision, tx.serving.now(plant).generation, {}, at(second)
         )
 
 
@@ -100,33 +103,45 @@ def test_a_database_that_says_another_schema_than_it_has_is_refused_in_words(par
 
 def test_registering_makes_the_nominal_model_serve_at_generation_1(parts, plant):
     with read(parts) as connection:
-        serving = Reader(connection).serving(plant)
+        serving = ReadTransaction(connection).serving.now(plant)
         assert (serving.generation, serving.version, serving.kind, serving.decision) == (
             1,
             1,
             "registered",
             None,
         )
-        assert Reader(connection).artifact(plant, serving.artifact).kind == "nominal"
+        assert ReadTransaction(connection).artifacts.get(plant, serving.artifact).kind == "nominal"
 
 
 def test_registering_the_same_again_is_no_change_and_another_is_a_conflict(parts, plant):
     with parts.database.write() as connection:
-        assert register_plant(Writer(connection), plant_document("p"), STAMP)[1] is False
+        assert register_plant(Transaction(connection), plant_document("p"), CONTEXT)[1] is False
     other = plant_document("p") | {"evaluation": {"horizon_s": 3.0}}
     with pytest.raises(Conflict), parts.database.write() as connection:
-        register_plant(Writer(connection), other, STAMP)
+        register_plant(Transaction(connection), other, CONTEXT)
     with read(parts) as connection:
-        assert Reader(connection).audit_tree().size == 1
+        assert ReadTransaction(connection).log.tree().size == 1
+
+
+@pytest.mark.parametrize("kind", Repository.__subclasses__(), ids=lambda kind: kind.__name__)
+def test_the_fields_of_a_record_are_the_columns_of_its_table(kind):
+    assert {f.name for f in fields(kind.record)} == {c.name for c in kind.table.columns}
+
+
+def test_a_transaction_that_reads_refuses_to_write(parts, plant):
+    with read(parts) as connection:
+        tx = ReadTransaction(connection)
+        with pytest.raises(TypeError, match="only reads"):
+            tx.plants.add(tx.plants.get(plant))
 
 
 def test_an_error_leaves_nothing_behind(parts):
     with pytest.raises(RuntimeError), parts.database.write() as connection:
-        register_plant(Writer(connection), plant_document("p"), STAMP)
+        register_plant(Transaction(connection), plant_document("p"), CONTEXT)
         raise RuntimeError
     with read(parts) as connection:
-        reader = Reader(connection)
-        assert (reader.plant("p"), reader.serving("p"), reader.audit_tree().size) == (None, None, 0)
+        tx = ReadTransaction(connection)
+        assert (tx.plants.get("p"), tx.serving.now("p"), tx.log.tree().size) == (None, None, 0)
 
 
 def test_the_pointer_goes_forward_and_back_like_a_stack(parts, plant):
@@ -137,26 +152,34 @@ def test_the_pointer_goes_forward_and_back_like_a_stack(parts, plant):
     for generation in (3, 4):
         with parts.database.write() as connection:
             versions.append(
-                roll_back_pointer(Writer(connection), plant, generation, {}, at(generation)).version
+                roll_back_pointer(
+                    Transaction(connection), plant, generation, {}, at(generation)
+                ).version
             )
     assert versions == [2, 1]
     with pytest.raises(NothingToRollBackTo), parts.database.write() as connection:
-        roll_back_pointer(Writer(connection), plant, 5, {}, at(9))
+        roll_back_pointer(Transaction(connection), plant, 5, {}, at(9))
     with read(parts) as connection:
-        assert [m.version for m in Reader(connection).moves(plant, 0, 99)] == [1, 2, 3, 2, 1]
+        assert [m.version for m in ReadTransaction(connection).serving.history(plant, 0, 99)] == [
+            1,
+            2,
+            3,
+            2,
+            1,
+        ]
 
 
 def test_history_says_what_was_live_at_a_time(parts, plant):
     promote(parts, plant, 2, 10)
     promote(parts, plant, 3, 20)
     with read(parts) as connection:
-        reader = Reader(connection)
+        tx = ReadTransaction(connection)
         live = {
-            second: reader.served_at(plant, at(second).now).version
+            second: tx.serving.at_time(plant, at(second).now).version
             for second in (0, 9, 10, 19, 20, 59)
         }
         assert live == {0: 1, 9: 1, 10: 2, 19: 2, 20: 3, 59: 3}
-        assert reader.served_at(plant, "2025-12-31T23:59:59.999999Z") is None
+        assert tx.serving.at_time(plant, "2025-12-31T23:59:59.999999Z") is None
 
 
 def test_a_move_is_never_before_the_one_it_follows_whatever_the_clock_does(parts, plant):
@@ -166,8 +189,8 @@ def test_a_move_is_never_before_the_one_it_follows_whatever_the_clock_does(parts
 
 def test_of_many_racing_promotions_one_wins(parts, plant):
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        decision = decide(writer, plant, add_version(writer, plant, 2))
+        tx = Transaction(connection)
+        decision = decide(tx, plant, add_version(tx, plant, 2))
     gate = threading.Barrier(8)
 
     def race(_):
@@ -175,7 +198,7 @@ def test_of_many_racing_promotions_one_wins(parts, plant):
         try:
             with parts.database.write() as connection:
                 return promote_decision(
-                    Writer(connection), plant, decision, 1, {}, STAMP
+                    Transaction(connection), plant, decision, 1, {}, CONTEXT
                 ).generation
         except PointerMoved:
             return None
@@ -185,7 +208,13 @@ def test_of_many_racing_promotions_one_wins(parts, plant):
     assert sorted(outcomes, key=str) == [2, *[None] * 7]
     with read(parts) as connection:
         assert (
-            len([e for e in Reader(connection).audit_entries(0, 99) if e.kind == "pointer:moved"])
+            len(
+                [
+                    e
+                    for e in ReadTransaction(connection).log.entries(0, 99)
+                    if e.kind == "pointer:moved"
+                ]
+            )
             == 1
         )
 
@@ -193,10 +222,9 @@ def test_of_many_racing_promotions_one_wins(parts, plant):
 def test_the_audit_tree_holds_under_concurrent_writers(parts):
     def write(n):
         with parts.database.write() as connection:
-            Writer(connection).append_audit(
-                at=STAMP.now,
-                kind="thing:done",
-                actor=f"a{n}",
+            Transaction(connection).log.append(
+                ActorContext(f"a{n}", CONTEXT.now),
+                "thing:done",
                 plant=None,
                 subject=str(n),
                 facts={"n": n},
@@ -205,20 +233,20 @@ def test_the_audit_tree_holds_under_concurrent_writers(parts):
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(write, range(40)))
     with read(parts) as connection:
-        reader = Reader(connection)
-        entries = reader.audit_entries(0, 99)
-        assert rebuild(entries) == reader.audit_tree()
+        tx = ReadTransaction(connection)
+        entries = tx.log.entries(0, 99)
+        assert rebuild(entries) == tx.log.tree()
     assert sorted(int(e.subject) for e in entries) == list(range(40))
 
 
 def test_an_audit_entry_is_bound_to_its_transaction(parts):
     with pytest.raises(RuntimeError), parts.database.write() as connection:
-        Writer(connection).append_audit(
-            at=STAMP.now, kind="thing:done", actor="a", plant=None, subject="s", facts={}
+        Transaction(connection).log.append(
+            ActorContext("a", CONTEXT.now), "thing:done", plant=None, subject="s", facts={}
         )
         raise RuntimeError
     with read(parts) as connection:
-        assert Reader(connection).audit_entries(0, 9) == []
+        assert ReadTransaction(connection).log.entries(0, 9) == []
 
 
 def test_an_idempotency_key_repeats_its_answer_and_refuses_another_request(parts):
@@ -230,7 +258,9 @@ def test_an_idempotency_key_repeats_its_answer_and_refuses_another_request(parts
 
     def send(request):
         with parts.database.write() as connection:
-            return once(Writer(connection), Key("s", "k", request), STAMP.now, act)
+            return run_once_in(
+                Transaction(connection), IdempotencyKey("s", "k", request), CONTEXT.now, act
+            )
 
     assert send("a" * 64) == send("a" * 64) == {"n": 1}
     with pytest.raises(KeyReused):
@@ -240,35 +270,55 @@ def test_an_idempotency_key_repeats_its_answer_and_refuses_another_request(parts
 
 def test_a_finished_job_never_changes(parts, plant):
     job = JobRecord(
-        "0" * 32, plant, "fit", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "t", STAMP.now
+        "0" * 32,
+        plant,
+        "fit",
+        {},
+        JobState.QUEUED,
+        0.0,
+        "queued",
+        None,
+        CONTEXT.now,
+        "t",
+        CONTEXT.now,
     )
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        writer.add_job(job)
-        assert writer.update_job(job.id, now=STAMP.now, state=JobState.SUCCEEDED, result={"a": 1})
-        assert not writer.update_job(job.id, now=STAMP.now, state=JobState.RUNNING, progress=0.1)
-        assert writer.job(job.id) == replace(job, state="succeeded", result={"a": 1})
+        tx = Transaction(connection)
+        tx.jobs.add(job)
+        assert tx.jobs.update(job.id, now=CONTEXT.now, state=JobState.SUCCEEDED, result={"a": 1})
+        assert not tx.jobs.update(job.id, now=CONTEXT.now, state=JobState.RUNNING, progress=0.1)
+        assert tx.jobs.get(job.id) == replace(job, state="succeeded", result={"a": 1})
 
 
 def test_reads_of_a_job_are_noted_once(parts, plant):
     job = JobRecord(
-        "0" * 32, plant, "fit", {}, JobState.QUEUED, 0.0, "queued", None, STAMP.now, "t", STAMP.now
+        "0" * 32,
+        plant,
+        "fit",
+        {},
+        JobState.QUEUED,
+        0.0,
+        "queued",
+        None,
+        CONTEXT.now,
+        "t",
+        CONTEXT.now,
     )
     with parts.database.write() as connection:
-        writer = Writer(connection)
-        writer.add_job(job)
-        writer.add_reads(job.id, ["a" * 64, "b" * 64], "fit")
-        writer.add_reads(job.id, ["b" * 64], "fit")
-        assert writer.job_reads(job.id) == {"a" * 64: "fit", "b" * 64: "fit"}
-        assert (writer.uses("b" * 64, "fit"), writer.uses("b" * 64, "gate")) == (1, 0)
+        tx = Transaction(connection)
+        tx.jobs.add(job)
+        tx.jobs.add_reads(job.id, ["a" * 64, "b" * 64], "fit")
+        tx.jobs.add_reads(job.id, ["b" * 64], "fit")
+        assert tx.jobs.reads(job.id) == {"a" * 64: "fit", "b" * 64: "fit"}
+        assert (tx.jobs.count_uses("b" * 64, "fit"), tx.jobs.count_uses("b" * 64, "gate")) == (1, 0)
 
 
 def test_the_serving_pointer_alone_reads_no_other_version(parts, plant):
     """The query behind GET serving touches one row of two tables by their keys."""
     with parts.database.write() as connection:
-        writer = Writer(connection)
+        tx = Transaction(connection)
         for version in range(2, 40):
-            add_version(writer, plant, version)
+            add_version(tx, plant, version)
     if parts.database.is_sqlite:
         query = (
             "EXPLAIN QUERY PLAN SELECT * FROM moves JOIN serving USING (plant, generation) "
@@ -323,13 +373,16 @@ class TestBlobs:
 def test_documents_are_canonical_text_whose_digest_is_the_plants(parts, plant):
     with read(parts) as connection:
         kept = connection.scalar(text("SELECT document FROM plants"))
-        assert hashlib.sha256(kept.encode()).hexdigest() == Reader(connection).plant(plant).digest
+        assert (
+            hashlib.sha256(kept.encode()).hexdigest()
+            == ReadTransaction(connection).plants.get(plant).digest
+        )
 
 
 def test_a_registry_from_before_the_tree_is_migrated_and_holds(storage):
     from trueup.ledger.verification import verify
     from trueup_migrations import upgrade
-    from trueup_service.kept import Kept
+    from trueup_service.installation import Installation
     from trueup_service.registry.database import Database
 
     settings = storage.settings()
@@ -337,7 +390,7 @@ def test_a_registry_from_before_the_tree_is_migrated_and_holds(storage):
     old = Database(settings.sqlalchemy_url, 2)
     with old.write() as connection:
         upgrade(connection, "0002")
-        when = {"at": STAMP.now, "by": "tester", "d": digest_of({}), "doc": "{}"}
+        when = {"at": CONTEXT.now, "by": "tester", "d": digest_of({}), "doc": "{}"}
         connection.execute(text("INSERT INTO plants VALUES ('p', :d, :doc, :at, :by)"), when)
         connection.execute(
             text(
@@ -349,6 +402,6 @@ def test_a_registry_from_before_the_tree_is_migrated_and_holds(storage):
         connection.execute(text("UPDATE audit_head SET sequence = 1"))
     old.close()
     parts = storage.build()
-    found = verify(Kept(parts.database, parts.blobs))
+    found = verify(Installation(parts.database, parts.blobs))
     assert (found.findings, found.size, found.rows) == ([], 2, 1)
     parts.close()

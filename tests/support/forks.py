@@ -25,7 +25,7 @@ PRELOADED = [
     "cyclopts", "dbos", "fastapi", "numba", "obstore", "psycopg", "rich.console", "rich.progress",
     "rich.table", "uvicorn", "uvloop",
     "trueup.gate.recompute", "trueup_client", "trueup_service.http.app",
-    "trueup_service.http.serve", "trueup_service.identity",
+    "trueup_service.http.serve", "trueup_service.authentication",
     "trueup_service.logs", "trueup_worker.main",
 ]  # fmt: skip
 _context = multiprocessing.get_context("forkserver")

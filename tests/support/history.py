@@ -10,9 +10,9 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from trueup.ledger.verification import verify
-from trueup_service.kept import Kept, lost_jobs
+from trueup_service.installation import Installation, lost_jobs
 from trueup_service.registry.records import FINAL
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import ReadTransaction
 from trueup_service.wiring import Parts
 
 KINDS_ONCE = (
@@ -51,22 +51,23 @@ class History:
 def problems(history: History, parts: Parts) -> list[str]:
     """Returns what is lost, torn, doubled or never ended."""
     wrong = [
-        f"torn: {f.where}: {f.what}" for f in verify(Kept(parts.database, parts.blobs)).findings
+        f"torn: {f.where}: {f.what}"
+        for f in verify(Installation(parts.database, parts.blobs)).findings
     ]
     wrong += [f"lost: {f.where}: {f.what}" for f in lost_jobs(parts)]
     with parts.database.read() as connection:
-        reader = Reader(connection)
-        wrong += [f"lost: episode {e}" for e in history.episodes if reader.episode(*e) is None]
-        wrong += [f"lost: gate {g}" for g in history.gates if reader.gate(*g) is None]
+        tx = ReadTransaction(connection)
+        wrong += [f"lost: episode {e}" for e in history.episodes if tx.episodes.get(*e) is None]
+        wrong += [f"lost: gate {g}" for g in history.gates if tx.gates.get(*g) is None]
         for job in history.jobs:
-            record = reader.job(job)
+            record = tx.jobs.get(job)
             if record is None or record.state not in FINAL:
                 wrong.append(f"lost: job {job} is {record and record.state}")
         for plant, generation, artifact in history.moves:
-            move = reader.move(plant, generation)
+            move = tx.serving.at_generation(plant, generation)
             if move is None or move.artifact != artifact:
                 wrong.append(f"lost: move {generation} of {plant}")
-        entries = reader.audit_entries(0, 10**9)
+        entries = tx.log.entries(0, 10**9)
     counted = Counter((e.kind, e.plant, e.subject) for e in entries if e.kind in KINDS_ONCE)
     wrong += [f"doubled: {key}" for key, times in counted.items() if times > 1]
     generations = Counter(

@@ -19,8 +19,8 @@ from tests.support.made import episode_bytes, identified, plant_document, save
 from trueup.episode.role import Role
 from trueup_client import Client, Problem, Serving
 from trueup_service.actions.record_decision import record_decision
-from trueup_service.actions.stamp import Stamp
-from trueup_service.registry.store import writing
+from trueup_service.actor_context import ActorContext
+from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 
 
@@ -56,7 +56,7 @@ def prepare(parts: Parts, client: Client, plant: str, folder: Path, generations:
     gate, episode = client.declare_gate(plant)["digest"], next(client.episodes(plant))["digest"]
     versions = [a["digest"] for a in client.artifacts(plant)]
     recorded = {}
-    with writing(parts.database) as writer:
+    with writing(parts.database) as tx:
         for generation in range(1, generations + 1):
             for incumbent, other in (versions, versions[::-1]):
                 document: dict[str, Any] = {
@@ -66,9 +66,9 @@ def prepare(parts: Parts, client: Client, plant: str, folder: Path, generations:
                     "generation": generation,
                 }
                 document |= {"accepted": True, "episodes": [episode], "figures": {}, "verdicts": []}
-                stamp = Stamp("bench", "2026-01-01T00:00:00.000000Z")
+                context = ActorContext("bench", "2026-01-01T00:00:00.000000Z")
                 recorded[generation, incumbent] = record_decision(
-                    writer, plant, document, None, stamp
+                    tx, plant, document, None, context
                 ).digest
     return recorded
 

@@ -11,11 +11,11 @@ from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.plant import Plant
 from trueup.simulate.machine import Run
-from trueup.simulate.noise import WHITE, Noise
-from trueup.simulate.trial import Bench, Trial, draw, draw_bench
+from trueup.simulate.noise import WHITE, NoiseModel
+from trueup.simulate.trial import JointBench, SimulatedTrial, draw, draw_bench
 
 
-def plant_of(bench: Bench, *, velocity: bool = True) -> Plant:
+def plant_of(bench: JointBench, *, velocity: bool = True) -> Plant:
     """Returns the plant of a bench, with or without the velocity among its observations."""
     parameters = {"k": bench.k, "c": bench.c, "b": bench.b}
     if bench.kind == "inertia":
@@ -37,7 +37,7 @@ def plant_of(bench: Bench, *, velocity: bool = True) -> Plant:
     )
 
 
-def episodes_of(plant: Plant, trial: Trial, runs: int | None = None) -> list[Episode]:
+def episodes_of(plant: Plant, trial: SimulatedTrial, runs: int | None = None) -> list[Episode]:
     """Returns a trial's episodes: the first `runs` of each role, or all."""
     roles = Role.ADAPTATION, Role.VALIDATION
     return [
@@ -69,9 +69,9 @@ def recorded(
     *,
     shifted: bool = True,
     velocity: bool = True,
-    law: Noise = WHITE,
+    law: NoiseModel = WHITE,
     runs: int | None = None,
-) -> tuple[Plant, list[Episode], Trial]:
+) -> tuple[Plant, list[Episode], SimulatedTrial]:
     """Draws a machine of a tier with these effects, and records it.
 
     Returns its plant, its episodes, and the trial that holds the truth.

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tests.support.postgres import Postgres
 from tests.support.s3 import S3
-from trueup.ledger.note import Signer
+from trueup.ledger.signed_note import Signer
 from trueup_service.settings import Settings
 from trueup_service.wiring import Parts, build
 

@@ -14,7 +14,7 @@ from cyclopts import App
 from tests.support.service import ROOT
 from trueup_cli import exits, main, show
 from trueup_cli.error_output import print_error
-from trueup_client.problem import NotSigned, Problem, Unreachable, Untrue
+from trueup_client.problem import DigestMismatch, NotSigned, Problem, Unreachable
 
 FOR_PEOPLE = {
     "serve",
@@ -79,7 +79,7 @@ def test_exit_codes_are_what_they_are_told_to_be(tmp_path):
         "predict", "--model", str(tmp_path), "--episode", "x", "--horizon", "1", "--out", "y"
     )
     assert (refused.returncode, refused.stderr.split()[0]) == (exits.REFUSED, "bad-artifact")
-    assert print_error(Untrue("x")) == print_error(NotSigned("x")) == exits.DISAGREES
+    assert print_error(DigestMismatch("x")) == print_error(NotSigned("x")) == exits.DISAGREES
     assert (
         print_error(Unreachable("x")),
         print_error(Problem(409, {})),

@@ -64,7 +64,7 @@ def test_a_log_is_surveyed_in_every_encoding(tmp_path, encoding):
     path = record(tmp_path / "bag.mcap", 0, encoding=encoding)
     with path.open("rb") as file:
         surveyed = survey(file, path.stat().st_size)
-    topics = {s.topic: s for s in surveyed.found}
+    topics = {s.topic: s for s in surveyed.topics}
     assert set(topics) == {"/robot/joint_states", "/robot/effort_command"}
     assert topics["/robot/joint_states"].joints == ("hinge",)
     assert topics["/robot/joint_states"].fields == (Field.POSITION, Field.VELOCITY)

@@ -13,9 +13,9 @@ import pytest
 from tests.support.made import episode_bytes, plant_document, save
 from trueup.errors import BadEpisode
 from trueup_service.errors import InspectionFailed
-from trueup_service.inspection import Against, Inspector, as_mcap
+from trueup_service.inspection import Inspector, PlantContext, mcap_path
 
-HELD = Against(plant_document("p"), [])
+HELD = PlantContext(plant_document("p"), [])
 MEMORY = 1 << 30
 
 
@@ -94,7 +94,7 @@ def test_a_batch_of_telemetry_becomes_an_episode_beside_it(tmp_path):
             return await inspector.inspect(path, HELD, telemetry=True)
 
     assert asyncio.run(one()).role == "telemetry"
-    assert as_mcap(path).is_file()
+    assert mcap_path(path).is_file()
 
 
 def test_a_killed_inspector_is_started_again(sound):

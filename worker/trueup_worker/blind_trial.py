@@ -1,11 +1,11 @@
-"""Conduct a blind trial: draw faults, commit to them, have them diagnosed in isolation, open them.
+"""Conduct a blind trial: draw, commit, diagnose in isolated processes, open.
 
-lots        the hidden faults, drawn with a secret that exists in this process alone
-recordings  case folders on disk, which are checked not to spell their labels
-commitment  published before the first diagnosis
-rooms       isolated processes that receive a folder and nothing else
-opening     labels, salts and the secret: anybody can check them against the commitments, or draw
-            the trial again
+specification  what is hidden, drawn by a secret that exists in this process alone
+recordings     case folders on disk, searched for what is hidden: nothing in them may spell it
+commitment     published before the first diagnosis
+diagnosis      in isolated processes that are given a folder and nothing else
+opening        labels, salts and the secret, so that anybody can compare them with the commitments,
+               or draw it all again
 """
 
 from __future__ import annotations
@@ -26,19 +26,29 @@ from numpy.typing import NDArray
 
 import trueup
 from trueup.artifact.artifact import Artifact, unpack
-from trueup.blindtrial.bench import bench_of
-from trueup.blindtrial.lot import draw_lots, label_of, machine_of, spelled_out
-from trueup.blindtrial.recording import case_files, conditions_of, tests
-from trueup.blindtrial.seal import commitment, require_silent, salt_of
-from trueup.blindtrial.tally import Answer, answer_words, intervals, judge, tally
+from trueup.blindtrial.commitment import commitment, require_no_leak, salt_of
+from trueup.blindtrial.recording import case_files, conditions_of, held_out_episodes
+from trueup.blindtrial.scoring import (
+    Answer,
+    answer_words,
+    score_answer,
+    score_intervals,
+    summarise,
+)
+from trueup.blindtrial.specification import (
+    absorbed_effects,
+    draw_specifications,
+    draw_trial,
+    label_of,
+)
+from trueup.blindtrial.trial_plant import TrialPlant, trial_plant
 from trueup.canonical import Json, digest_of_bytes
 from trueup.diagnose.measure import closed_on
 from trueup.episode.episode import Episode
 from trueup.errors import TrueupError
 from trueup.model.plant import Plant
-from trueup.simulate.robot_trial import RobotBench
 from trueup.simulate.trial import Bench
-from trueup_worker.blind_room import NO_ANSWER, Room
+from trueup_worker.isolated_process import NO_ANSWER, IsolatedProcess
 
 SCHEMA = "trueup.blindtrial/1"
 SECRET_BYTES = 32
@@ -48,7 +58,7 @@ Diagnose = Callable[[Path], Mapping[str, Any]]
 Progress = Callable[[str, float], None]
 
 
-class NoRoom(TrueupError):
+class NoIsolatedProcess(TrueupError):
     """No isolated process could be started to diagnose in."""
 
     code = "no-room"
@@ -59,14 +69,14 @@ class NoRoom(TrueupError):
 
 
 @dataclass(frozen=True)
-class Sealed:
-    """One trial before it is opened. A room receives its folder alone."""
+class CommittedTrial:
+    """One trial before it is opened; its folder is all that a diagnosing process is given."""
 
     folder: Path
     label: Mapping[str, Json]
     salt: str
     commitment: str
-    tests: Sequence[Episode]
+    held_out: Sequence[Episode]
     sigma: NDArray[np.float64]
 
 
@@ -77,102 +87,130 @@ def conduct(
     secret: bytes | None,
     commit: Callable[[list[str]], None],
     progress: Progress,
-    rooms: Sequence[Diagnose] | None = None,
+    processes: Sequence[Diagnose] | None = None,
     keep: Path | None = None,
 ) -> dict[str, Any]:
-    """Returns the report of `count` trials modelled on a user's plant and episodes.
+    """Returns the report of `count` trials like a user's plant and episodes.
 
     With the `secret` of an opened trial it draws that trial again; without one it draws a new
-    secret. `commit` is called with the commitments before the first diagnosis. `keep` is a folder
-    for the cases, made when the first is written; without one they are removed. Raises
-    NotIdentifiable, LabelLeaked, NoRoom.
+    secret. `commit` is called with
+    the commitments before the first diagnosis. Cases are diagnosed by `processes`, or else by one
+    isolated process for each core. `keep` is a folder for the cases, made when the first is
+    written; without one they are removed. Raises NotIdentifiable, LabelLeaked, NoIsolatedProcess.
     """
-    bench, hidden = bench_of(plant, episodes), secret or os.urandom(SECRET_BYTES)
+    source, own_secret = trial_plant(plant), secret or os.urandom(SECRET_BYTES)
+    bench = source.bench(episodes)
     with tempfile.TemporaryDirectory(prefix="blind-") as temporary:
-        sealed = []
-        for trial in _drawn(
-            plant, bench, conditions_of(episodes), count, hidden, keep or Path(temporary)
+        committed = []
+        for trial in _draw(
+            source, bench, conditions_of(episodes), count, own_secret, keep or Path(temporary)
         ):
-            sealed.append(trial)
-            progress("drawing machines and recording them", DRAWING * len(sealed) / count)
-        commit([s.commitment for s in sealed])
-        answers = []
-        for answer in _diagnosed([s.folder for s in sealed], rooms):
-            answers.append(answer)
-            progress("diagnosing", DRAWING + (1.0 - DRAWING) * len(answers) / count)
-    if all(str(a.get("problem", "")).startswith(NO_ANSWER) for a in answers):
-        raise NoRoom("no diagnosing process ever answered: " + str(answers[0]["problem"]))
-    judged = [Answer(a.get("report"), a.get("problem"), float(a["seconds"])) for a in answers]
+            committed.append(trial)
+            progress("drawing machines and recording them", DRAWING * len(committed) / count)
+        commit([c.commitment for c in committed])
+        responses = []
+        for response in _diagnose_all([c.folder for c in committed], processes):
+            responses.append(response)
+            progress("diagnosing", DRAWING + (1.0 - DRAWING) * len(responses) / count)
+    if all(str(r.get("problem", "")).startswith(NO_ANSWER) for r in responses):
+        raise NoIsolatedProcess(
+            "no diagnosing process ever answered: " + str(responses[0]["problem"])
+        )
+    answers = [Answer(r.get("report"), r.get("problem"), float(r["seconds"])) for r in responses]
     rows = [
-        _row(i, plant, *parts) for i, parts in enumerate(zip(sealed, answers, judged, strict=True))
+        _row(i, *parts) for i, parts in enumerate(zip(committed, responses, answers, strict=True))
     ]
     return {
         "schema": SCHEMA,
         "plant": plant.name,
         "trials": count,
-        **tally(rows, judged),
+        **summarise(rows, answers),
         "rows": list(rows),
-        "bench": {
-            "episodes": [
-                {"sha256": e.digest, "role": str(e.role)}
-                for e in sorted(episodes, key=lambda e: e.digest)
-            ],
-            "period_s": bench.timestep_s,
-            "fine_step_s": bench.timestep_s / bench.parts,
-            "sigma": [float(x) for x in bench.sigma] if bench.sigma is not None else [],
-            "feedback": {k: np.ravel(v).tolist() for k, v in asdict(bench.feedback).items()}
-            if bench.feedback
-            else None,
-            "robot": isinstance(bench, RobotBench),
-            "left_out": spelled_out(plant),
-        },
-        "opening": {"secret": hidden.hex(), "redrawn": secret is not None},
+        "bench": _bench_document(source, bench, episodes),
+        "opening": {"secret": own_secret.hex(), "redrawn": secret is not None},
         "version": trueup.__version__,
     }
 
 
-def _drawn(
-    plant: Plant,
-    bench: Bench | RobotBench,
+def _bench_document(
+    source: TrialPlant, bench: Bench, episodes: Sequence[Episode]
+) -> dict[str, Json]:
+    """Returns how the machines were simulated, for the report."""
+    return {
+        "episodes": [
+            {"sha256": e.digest, "role": str(e.role)}
+            for e in sorted(episodes, key=lambda e: e.digest)
+        ],
+        "period_s": bench.timestep_s,
+        "fine_step_s": bench.timestep_s / bench.parts,
+        "sigma": [float(x) for x in bench.sigma] if bench.sigma is not None else [],
+        "feedback": {k: np.ravel(v).tolist() for k, v in asdict(bench.feedback).items()}
+        if bench.feedback
+        else None,
+        "robot": bench.robot,
+        "left_out": absorbed_effects(source),
+    }
+
+
+def _draw(
+    source: TrialPlant,
+    bench: Bench,
     conditions: Mapping[str, str],
     count: int,
     secret: bytes,
     where: Path,
-) -> Iterator[Sealed]:
+) -> Iterator[CommittedTrial]:
+    """Draws machines, records them into folders under `where`, and commits their labels.
+
+    Raises LabelLeaked.
+    """
+    plant = source.plant
     rng = np.random.default_rng(int.from_bytes(bytes.fromhex(digest_of_bytes(secret + b"/lots"))))
     own: Json = [dict(plant.document), dict(conditions)]
-    for i, lot in enumerate(draw_lots(plant, count, rng)):
-        trial = machine_of(plant, bench, lot, rng)
-        label, salt = label_of(plant, lot, trial), salt_of(secret, i)
+    for i, specification in enumerate(draw_specifications(source, count, rng)):
+        trial = draw_trial(source, bench, specification, rng)
+        label, salt = label_of(plant, specification, trial), salt_of(secret, i)
         files = case_files(plant, trial, conditions)
-        require_silent(files, label, salt, own)
+        require_no_leak(files, label, salt, own)
         folder = where / f"{i:04d}"
         folder.mkdir(parents=True)
         for name, data in files.items():
             (folder / name).write_bytes(data)
-            os.utime(folder / name, (0, 0))  # times could tell how long a machine took to draw
+            os.utime(folder / name, (0, 0))  # the time that drawing took might reveal the machine
         os.utime(folder, (0, 0))
-        yield Sealed(folder, label, salt, commitment(label, salt), tests(plant, trial), trial.sigma)
+        yield CommittedTrial(
+            folder,
+            label,
+            salt,
+            commitment(label, salt),
+            held_out_episodes(plant, trial),
+            trial.sigma,
+        )
 
 
-def _diagnosed(
-    folders: Sequence[Path], rooms: Sequence[Diagnose] | None
+def _diagnose_all(
+    folders: Sequence[Path], processes: Sequence[Diagnose] | None
 ) -> Iterator[Mapping[str, Any]]:
-    """Yields every folder's answer, in order. Without `rooms` each core gets one."""
+    """Yields every folder's response, in order.
+
+    Asks `processes`, or else one isolated process for each core.
+    """
     with ExitStack() as stack:
-        rooms = rooms or [stack.enter_context(Room(core)) for core in _cores()]
+        workers: Sequence[Diagnose] = processes or [
+            stack.enter_context(IsolatedProcess(core)) for core in _cores()
+        ]
         free: SimpleQueue[Diagnose] = SimpleQueue()
-        for room in rooms:
-            free.put(room)
+        for worker in workers:
+            free.put(worker)
 
         def ask(folder: Path) -> Mapping[str, Any]:
-            room = free.get()
+            worker = free.get()
             try:
-                return room(folder)
+                return worker(folder)
             finally:
-                free.put(room)
+                free.put(worker)
 
-        with ThreadPoolExecutor(len(rooms)) as pool:
+        with ThreadPoolExecutor(len(workers)) as pool:
             yield from pool.map(ask, folders)
 
 
@@ -185,25 +223,27 @@ def _cores() -> list[int]:
 
 
 def _row(
-    index: int, plant: Plant, sealed: Sealed, answer: Mapping[str, Any], judged: Answer
+    index: int, committed: CommittedTrial, response: Mapping[str, Any], answer: Answer
 ) -> dict[str, Json]:
+    """Returns one opened trial, as a row of the report."""
     closed = None
-    if "manifest" in answer:
-        model = Artifact(answer["manifest"].encode(), b64decode(answer["arrays"]))
-        closed = closed_on(unpack(model), sealed.tests, sealed.sigma)
+    if "manifest" in response:
+        model = Artifact(response["manifest"].encode(), b64decode(response["arrays"]))
+        closed = closed_on(unpack(model), committed.held_out, committed.sigma)
+    report = answer.report
     return {
         "index": index,
-        "label": sealed.label,
-        "salt": sealed.salt,
-        "commitment": sealed.commitment,
-        "verdict": judged.verdict,
-        "problem": judged.problem,
-        "answer": answer_words(judged),
-        "indistinguishable": judged.report["indistinguishable"] if judged.report else [],
+        "label": committed.label,
+        "salt": committed.salt,
+        "commitment": committed.commitment,
+        "verdict": answer.verdict,
+        "problem": answer.problem,
+        "answer": answer_words(answer),
+        "indistinguishable": report["indistinguishable"] if report else [],
         "closed": closed,
-        "unexplained": judged.report["evidence"]["unexplained"] if judged.report else None,
-        "intervals": intervals(sealed.label, judged),
-        "reported_closed": judged.report["gap"]["closed"] if judged.report else None,
-        "seconds": judged.seconds,
-        **judge(sealed.label, judged),
+        "unexplained": report["evidence"]["unexplained"] if report else None,
+        "intervals": score_intervals(committed.label, answer),
+        "reported_closed": report["gap"]["closed"] if report else None,
+        "seconds": answer.seconds,
+        **score_answer(committed.label, answer),
     }

@@ -20,9 +20,9 @@ from typing import Any
 
 from trueup.canonical import digest_of_bytes
 from trueup.cores import cores
-from trueup.diagnose.parcel import pack_tasks, unpack_answers
-from trueup.diagnose.problem import Problem
-from trueup.diagnose.task import Share, Task, get_ready
+from trueup.diagnose.search_problem import SearchProblem
+from trueup.diagnose.task_batch import pack_tasks, unpack_answers
+from trueup.diagnose.tasks import Share, Task, get_ready
 from trueup_service.jobs import Helped, JobQueue
 from trueup_worker.compute_fingerprint import compute_fingerprint
 
@@ -57,7 +57,7 @@ class FanOut:
     ) -> None:
         self._queue.forget(f"{PREFIX}{self._job}.")
 
-    def __call__(self, problem: Problem, tasks: Sequence[Task], progress: Share) -> list[Any]:
+    def __call__(self, problem: SearchProblem, tasks: Sequence[Task], progress: Share) -> list[Any]:
         """Returns the answers of the tasks, in order.
 
         Calls `progress` with the share that is done, and ends with what it raises.
@@ -95,7 +95,7 @@ class FanOut:
 class _Step:
     """The tasks of one step, some of which threads of this process solve."""
 
-    def __init__(self, problem: Problem, tasks: Sequence[Task], ours: Sequence[int]) -> None:
+    def __init__(self, problem: SearchProblem, tasks: Sequence[Task], ours: Sequence[int]) -> None:
         self._problem, self._tasks = problem, tasks
         self._ours, self._changed = deque(ours), threading.Condition()
         self._running, self._ends = 0, False

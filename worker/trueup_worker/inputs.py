@@ -16,14 +16,14 @@ from trueup.model.predictor import Predictor
 from trueup_service.actions import find
 from trueup_service.actions.switchback import load_artifact
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 
 
 def read_plant(parts: Parts, job: JobRecord) -> Plant:
     """Returns the job's plant."""
-    with parts.database.read() as connection:
-        return Plant.from_document(find.plant(Reader(connection), job.plant).document)
+    with reading(parts.database) as tx:
+        return Plant.from_document(find.plant(tx, job.plant).document)
 
 
 def read_episodes(
@@ -39,8 +39,8 @@ def read_episodes(
     what their digest names.
     """
     digests: Any = job.request["episodes"]
-    with writing(parts.database) as writer:
-        writer.add_reads(job.id, digests, job.kind)
+    with writing(parts.database) as tx:
+        tx.jobs.add_reads(job.id, digests, job.kind)
     episodes = []
     for count, digest in enumerate(digests):
         episode = read_episode(parts.blobs.get(digest), plant.layout).require(*roles)
@@ -57,9 +57,9 @@ def read_episodes(
 
 def read_predictor(parts: Parts, job: JobRecord, digest: str) -> Predictor:
     """Returns a predictor by its artifact's digest."""
-    with writing(parts.database) as writer:
-        record = find.artifact(writer, job.plant, digest)
-        writer.add_reads(job.id, [digest], "artifact")
+    with writing(parts.database) as tx:
+        record = find.artifact(tx, job.plant, digest)
+        tx.jobs.add_reads(job.id, [digest], "artifact")
     return unpack(load_artifact(parts.blobs, record), digest)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from trueup.artifact.artifact import Artifact
 from trueup.canonical import Json
 from trueup_service.registry.records import JobRecord, OutputRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts, keep_bytes
 
 
@@ -33,7 +33,7 @@ def keep_file(parts: Parts, name: str, media_type: str, content: bytes) -> dict[
     }
 
 
-def add_files(writer: Writer, job: JobRecord, files: Sequence[dict[str, Any]]) -> None:
+def add_files(tx: Transaction, job: JobRecord, files: Sequence[dict[str, Any]]) -> None:
     """Writes the rows of a job's files."""
     for file in files:
-        writer.add_output(OutputRecord(plant=job.plant, job=job.id, **file))
+        tx.outputs.add(OutputRecord(plant=job.plant, job=job.id, **file))

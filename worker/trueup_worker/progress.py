@@ -6,9 +6,9 @@ import time
 from datetime import UTC, datetime
 
 from trueup.errors import TrueupError
-from trueup_service.actions.stamp import time_text
+from trueup_service.actor_context import time_text
 from trueup_service.registry.records import JobRecord, JobState
-from trueup_service.registry.store import writing
+from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 
 WRITE_INTERVAL_S = 0.2  # often enough to watch, rare enough not to slow other writers
@@ -45,10 +45,10 @@ class Progress:
             return
         self._written = time.monotonic()
         done = self._begin + share * (self._end - self._begin)
-        with writing(self._parts.database) as writer:
-            writer.update_job(
+        with writing(self._parts.database) as tx:
+            tx.jobs.update(
                 self._job.id, now=time_text(datetime.now(UTC)), progress=done, stage=self._stage
             )
-            job = writer.job(self._job.id)
+            job = tx.jobs.get(self._job.id)
         if job is None or job.state in (JobState.CANCELLING, JobState.CANCELLED):
             raise Cancelled

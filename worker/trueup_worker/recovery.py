@@ -15,12 +15,12 @@ from sqlalchemy.exc import IntegrityError
 
 from trueup.canonical import Json
 from trueup_service.actions.finish_job import finish_job
-from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.engine import DBOS, SetWorkflowID
 from trueup_service.jobs import ENGINE_VERSION, QUEUE, alone_with, queue_of
 from trueup_service.registry.database import Database
 from trueup_service.registry.records import FINAL, JobRecord, JobState
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 from trueup_worker.liveness import Liveness
 
 log = logging.getLogger("trueup.worker")
@@ -60,8 +60,8 @@ def retry_given_up(database: Database) -> list[str]:
     given_up = DBOS.list_workflows(status="ERROR", load_input=False, load_output=False)
     retried = []
     for job_id in sorted({w.workflow_id.split(ATTEMPT_SEPARATOR)[0] for w in given_up}):
-        with database.read() as connection:
-            job = Reader(connection).job(job_id)
+        with reading(database) as tx:
+            job = tx.jobs.get(job_id)
         if job is None or job.state in FINAL:
             continue
         attempts = DBOS.list_workflows(
@@ -104,9 +104,9 @@ def _fail(database: Database, job: JobRecord) -> None:
         "detail": f"the job engine gave up {ATTEMPTS} times",
         "hint": "Read the worker's log, then submit the job again.",
     }
-    stamp = Stamp(job.created_by, time_text(datetime.now(UTC)))
-    with writing(database) as writer:
-        finish_job(writer, job, JobState.FAILED, {"problem": problem}, stamp)
+    context = ActorContext(job.created_by, time_text(datetime.now(UTC)))
+    with writing(database) as tx:
+        finish_job(tx, job, JobState.FAILED, {"problem": problem}, context)
     log.error("given up", extra={"job": job.id})
 
 

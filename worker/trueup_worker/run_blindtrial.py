@@ -8,9 +8,9 @@ from typing import Any
 
 from trueup.canonical import Json
 from trueup.episode.role import Role
-from trueup_service.actions.stamp import time_text
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Writer, writing
+from trueup_service.registry.transaction import Transaction, writing
 from trueup_service.wiring import Parts
 from trueup_worker.blind_trial import conduct
 from trueup_worker.inputs import read_episodes, read_plant
@@ -35,11 +35,10 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     request: dict[str, Any] = dict(job.request)
 
     def commit(commitments: list[str]) -> None:
-        with writing(parts.database) as writer:
-            writer.append_audit(
-                at=time_text(datetime.now(UTC)),
-                kind="blindtrial:committed",
-                actor=job.created_by,
+        with writing(parts.database) as tx:
+            tx.log.append(
+                ActorContext(job.created_by, time_text(datetime.now(UTC))),
+                "blindtrial:committed",
                 plant=job.plant,
                 subject=job.id,
                 facts={"operation": job.operation, "commitments": commitments},
@@ -59,7 +58,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def effects(
-    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: object
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: object
 ) -> None:
     """Has none: the result holds what was opened."""
 

@@ -8,9 +8,9 @@ from trueup.canonical import Json, digest_of
 from trueup.episode.role import HEALTHY
 from trueup.monitor.monitor import calibrate
 from trueup_service.actions.add_monitor import add_monitor
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
 from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
@@ -43,13 +43,11 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def effects(
-    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
     """Adds the monitor, which watches from the time of the job's submission."""
-    add_monitor(
-        writer, job.plant, outcome["monitor"], outcome["kept"], job.id, job.created_at, stamp
-    )
-    cycle_of(parts, writer, stamp).go_on(job.plant)
+    add_monitor(tx, job.plant, outcome["monitor"], outcome["kept"], job.id, job.created_at, context)
+    cycle_of(parts, tx, context).go_on(job.plant)
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

@@ -15,9 +15,9 @@ from trueup.diagnose.traces import predicted
 from trueup.episode.overlay import write_overlay
 from trueup.episode.role import Role
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
 from trueup_worker.outputs import add_files, keep_file
@@ -39,10 +39,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     files = [keep_file(parts, COMPARISON_FILE, "application/json", canonical_bytes(compared))]
     if len(episodes) == 1:
         progress.stage("writing the overlay", 0.8, 1.0)(0.0)
-        with parts.database.read() as connection:
-            reader = Reader(connection)
+        with reading(parts.database) as tx:
             names = {
-                f"v{find.artifact(reader, job.plant, request[which]).version}": which
+                f"v{find.artifact(tx, job.plant, request[which]).version}": which
                 for which in ("first", "second")
             }
         models = {"first": first, "second": second}
@@ -60,10 +59,10 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def effects(
-    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
     """Adds the job's files."""
-    add_files(writer, job, outcome["files"])
+    add_files(tx, job, outcome["files"])
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

@@ -11,12 +11,12 @@ from trueup.collect.coverage import coverage_of
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.figures import FIGURES_FILE, figures
 from trueup.diagnose.report import COMMAND_FILE
-from trueup.diagnose.words import sentence
+from trueup.diagnose.summary_text import sentence
 from trueup.episode.role import Role
 from trueup_service.actions.add_artifact import add_artifact
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
 from trueup_worker.code_identity import code_identity
 from trueup_worker.cycle import cycle_of
@@ -81,13 +81,13 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def effects(
-    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
     """Adds the corrected model as the plant's next version, and judges it if a policy says so."""
-    add_files(writer, job, outcome.get("files", ()))
+    add_files(tx, job, outcome.get("files", ()))
     artifact = Artifact(outcome["manifest"].encode(), b"")
-    add_artifact(writer, job.plant, artifact, job.id, stamp)
-    cycle_of(parts, writer, stamp).diagnosed(job, artifact.digest, outcome["report"]["verdict"])
+    add_artifact(tx, job.plant, artifact, job.id, context)
+    cycle_of(parts, tx, context).diagnosed(job, artifact.digest, outcome["report"]["verdict"])
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

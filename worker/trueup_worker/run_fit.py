@@ -14,9 +14,9 @@ from trueup.fit.residual import RIDGE, fit_residual
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
 from trueup_service.actions.add_artifact import add_artifact
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
 from trueup_worker.code_identity import code_identity
 from trueup_worker.inputs import read_episodes, read_plant, sources
@@ -77,10 +77,10 @@ def _provenance(
 
 
 def effects(
-    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
     """Adds the candidate as the plant's next version."""
-    add_artifact(writer, job.plant, Artifact(outcome["manifest"].encode(), b""), job.id, stamp)
+    add_artifact(tx, job.plant, Artifact(outcome["manifest"].encode(), b""), job.id, context)
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

@@ -19,10 +19,10 @@ from trueup_service.actions import find
 from trueup_service.actions.add_evidence import add_evidence
 from trueup_service.actions.gate_line import known_at
 from trueup_service.actions.record_decision import record_decision
-from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.actions.switchback import rehearse
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
 from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
@@ -33,10 +33,10 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     """Scores the candidate and the incumbent, and judges the candidate."""
     request: dict[str, Any] = job.request
     plant = read_plant(parts, job)
-    with parts.database.read() as connection:
-        declared = find.gate(Reader(connection), job.plant, request["gate"])
+    with reading(parts.database) as tx:
+        declared = find.gate(tx, job.plant, request["gate"])
         known = request.get("known") or known_at(
-            Reader(connection), job.plant, declared, request["candidate"], request["episodes"]
+            tx, job.plant, declared, request["candidate"], request["episodes"]
         )
     gate = Gate.from_document(declared.document)
     candidate, incumbent, copy = (
@@ -84,11 +84,10 @@ def _rehearse(
 ) -> dict[str, Json]:
     """Tries the switch back to the incumbent, before anything is promoted."""
     request: dict[str, Any] = job.request
-    with parts.database.read() as connection:
-        reader = Reader(connection)
+    with reading(parts.database) as tx:
         back, registered = (
-            find.artifact(reader, job.plant, request["incumbent"]),
-            find.plant_digest(reader, job.plant),
+            find.artifact(tx, job.plant, request["incumbent"]),
+            find.plant_digest(tx, job.plant),
         )
     return rehearse(
         parts.blobs,
@@ -102,14 +101,14 @@ def _rehearse(
 
 
 def effects(
-    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
     """Records the decision, and promotes its candidate if a policy says so."""
-    decision = record_decision(writer, job.plant, outcome["decision"], job.id, stamp)
+    decision = record_decision(tx, job.plant, outcome["decision"], job.id, context)
     closed_loop: Any = outcome["decision"]["figures"].get("closed_loop")
     if closed_loop is not None:
-        add_evidence(writer, job.plant, _evidence(outcome["decision"], closed_loop), job.id, stamp)
-    cycle_of(parts, writer, stamp).judged(job, decision, outcome["rehearsed"])
+        add_evidence(tx, job.plant, _evidence(outcome["decision"], closed_loop), job.id, context)
+    cycle_of(parts, tx, context).judged(job, decision, outcome["rehearsed"])
 
 
 def _evidence(decision: dict[str, Any], closed_loop: dict[str, Any]) -> dict[str, Any]:

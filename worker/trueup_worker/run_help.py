@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import threading
 
-from trueup.diagnose.help import Helper
+from trueup.diagnose.task_worker import TaskWorker
 from trueup.episode.role import Role
 from trueup_service.actions import find
 from trueup_service.registry.records import FINAL
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 from trueup_worker.compute_fingerprint import compute_fingerprint
 from trueup_worker.inputs import read_episodes, read_plant
@@ -24,7 +24,7 @@ class Helping:
     def __init__(self, parts: Parts) -> None:
         self._parts = parts
         self._lock = threading.Lock()
-        self._last: tuple[str, Helper] | None = None
+        self._last: tuple[str, TaskWorker] | None = None
 
     def answer(self, job: str, offer: str) -> str:
         """Returns the packed answers of a batch, offered as fingerprint and text.
@@ -48,15 +48,15 @@ class Helping:
             log.exception("could not help", extra={"job": job})
             return DECLINED
 
-    def _helper(self, job_id: str) -> Helper | None:
+    def _helper(self, job_id: str) -> TaskWorker | None:
         """Returns the helper of a job's diagnosis; None if the job is over."""
-        with self._parts.database.read() as connection:
-            job = find.job(Reader(connection), job_id)
+        with reading(self._parts.database) as tx:
+            job = find.job(tx, job_id)
         if job.state in FINAL:
             return None
         if self._last is None or self._last[0] != job_id:
             plant = read_plant(self._parts, job)
             roles = Role.ADAPTATION, Role.VALIDATION
             episodes = read_episodes(self._parts, job, plant, roles, lambda _: None)
-            self._last = job_id, Helper(plant, episodes)
+            self._last = job_id, TaskWorker(plant, episodes)
         return self._last[1]

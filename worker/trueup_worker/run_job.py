@@ -18,9 +18,9 @@ from trueup.canonical import Json
 from trueup.errors import TrueupError
 from trueup_service.actions import find
 from trueup_service.actions.finish_job import finish_job
-from trueup_service.actions.stamp import Stamp, time_text
+from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.registry.records import FINAL, JobRecord, JobState
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 from trueup_worker import (
     run_blindtrial,
@@ -52,10 +52,10 @@ KINDS: dict[str, ModuleType] = {
 
 def compute(parts: Parts, job_id: str) -> dict[str, Json]:
     """Computes a job, and returns its final state with the outcome or the problem, as JSON."""
-    with writing(parts.database) as writer:
-        job = find.job(writer, job_id)
+    with writing(parts.database) as tx:
+        job = find.job(tx, job_id)
         if job.state == JobState.QUEUED:
-            writer.update_job(job_id, now=_now(), state=JobState.RUNNING, stage="starting")
+            tx.jobs.update(job_id, now=_now(), state=JobState.RUNNING, stage="starting")
     if job.state in FINAL:
         return {"state": job.state}
     try:
@@ -86,54 +86,54 @@ def compute(parts: Parts, job_id: str) -> dict[str, Json]:
 
 def finish(parts: Parts, job_id: str, computed: dict[str, Any]) -> str:
     """Closes a job with what `compute` returned, and returns its final state."""
-    with parts.database.read() as connection:
-        job = find.job(Reader(connection), job_id)
-    stamp, state = Stamp(job.created_by, _now()), JobState(computed["state"])
+    with reading(parts.database) as tx:
+        job = find.job(tx, job_id)
+    context, state = ActorContext(job.created_by, _now()), JobState(computed["state"])
     if "outcome" not in computed:
-        _close(parts, job, state, computed.get("problem", {}), stamp)
+        _close(parts, job, state, computed.get("problem", {}), context)
         return state
     try:
-        _finish(parts, job, state, computed["outcome"], stamp)
+        _finish(parts, job, state, computed["outcome"], context)
     except SQLAlchemyError as error:
         if not isinstance(error, DataError):
             raise  # the database, not the job: the engine tries this step again
-        state = _failed(parts, job, error, stamp)
+        state = _failed(parts, job, error, context)
     except Exception as error:  # noqa: BLE001  (the job must end)
-        state = _failed(parts, job, error, stamp)
+        state = _failed(parts, job, error, context)
     return state
 
 
-def _failed(parts: Parts, job: JobRecord, error: Exception, stamp: Stamp) -> JobState:
+def _failed(parts: Parts, job: JobRecord, error: Exception, context: ActorContext) -> JobState:
     """Closes a job whose outcome cannot be stored, and returns its state."""
     log.error(
         "the job could not be closed with what came of it", extra={"job": job.id}, exc_info=error
     )
     if not isinstance(error, TrueupError):
         error = TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
-    _close(parts, job, JobState.FAILED, _problem(error), stamp)
+    _close(parts, job, JobState.FAILED, _problem(error), context)
     return JobState.FAILED
 
 
 def _finish(
-    parts: Parts, job: JobRecord, state: JobState, outcome: dict[str, Any], stamp: Stamp
+    parts: Parts, job: JobRecord, state: JobState, outcome: dict[str, Any], context: ActorContext
 ) -> None:
     kind = KINDS[job.kind]
-    with writing(parts.database) as writer:
+    with writing(parts.database) as tx:
         finish_job(
-            writer,
+            tx,
             job,
             state,
             kind.result(outcome),
-            stamp,
-            lambda w: kind.effects(parts, w, job, outcome, stamp),
+            context,
+            lambda w: kind.effects(parts, w, job, outcome, context),
         )
 
 
 def _close(
-    parts: Parts, job: JobRecord, state: JobState, problem: dict[str, Json], stamp: Stamp
+    parts: Parts, job: JobRecord, state: JobState, problem: dict[str, Json], context: ActorContext
 ) -> None:
-    with writing(parts.database) as writer:
-        finish_job(writer, job, state, {"problem": problem}, stamp)
+    with writing(parts.database) as tx:
+        finish_job(tx, job, state, {"problem": problem}, context)
 
 
 def _problem(error: TrueupError) -> dict[str, Json]:

@@ -10,7 +10,7 @@ from trueup.errors import BrokenChain
 from trueup.gate.recompute import differences, models, recompute
 from trueup_service.actions import find
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
 from trueup_worker.progress import Progress
@@ -21,11 +21,10 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
     Raises BrokenChain if the recorded document is not the one that its digest names.
     """
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        decision = find.decision(reader, job.plant, str(job.request["decision"]))
-        gate = find.gate(reader, job.plant, decision.gate).document
-        registered = find.plant_digest(reader, job.plant)
+    with reading(parts.database) as tx:
+        decision = find.decision(tx, job.plant, str(job.request["decision"]))
+        gate = find.gate(tx, job.plant, decision.gate).document
+        registered = find.plant_digest(tx, job.plant)
     recorded: dict[str, Any] = decision.document
     if digest_of(recorded) != decision.digest:
         raise BrokenChain(
@@ -51,7 +50,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def effects(
-    parts: Parts, writer: object, job: JobRecord, outcome: dict[str, Any], stamp: object
+    parts: Parts, tx: object, job: JobRecord, outcome: dict[str, Any], context: object
 ) -> None:
     """Has none."""
 

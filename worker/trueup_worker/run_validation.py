@@ -17,9 +17,9 @@ from trueup.fit.score import EVERY, Scoring, score
 from trueup.gate.cells import cells_of
 from trueup_service.actions import find
 from trueup_service.actions.alarms import raise_alarm
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
 from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
@@ -50,9 +50,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     # only conditions that occur before and since: the error of another task says nothing
     comparable = np.array([c in both for c in cells]) if both else np.ones(len(cells), np.bool_)
     before, now = errors[~new & comparable], errors[new & comparable]
-    with parts.database.read() as connection:
+    with reading(parts.database) as tx:
         first = min(
-            (find.episode(Reader(connection), job.plant, d) for d in request["new"]),
+            (find.episode(tx, job.plant, d) for d in request["new"]),
             key=lambda e: e.start_ns,
         )
     return {
@@ -86,12 +86,12 @@ def _compared(before: Array, now: Array) -> dict[str, Json]:
 
 
 def effects(
-    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
     """Raises an alarm, as a monitor does, if the model has become worse."""
     validation = outcome["validation"]
-    if validation["worse"] and find.serving(writer, job.plant).artifact == outcome["artifact"]:
-        writer.lock_plant(job.plant)
+    if validation["worse"] and find.serving(tx, job.plant).artifact == outcome["artifact"]:
+        tx.plants.lock(job.plant)
         ratio = validation["ratio"]
         words = (
             "the model runs away"
@@ -106,15 +106,15 @@ def effects(
             "change": {"words": [words]},
         }
         raise_alarm(
-            writer,
+            tx,
             uuid.uuid4().hex,
             job.plant,
             None,
             outcome["artifact"],
             {"episode": outcome["first"], "document": document},
-            stamp,
+            context,
         )
-        cycle_of(parts, writer, stamp).go_on(job.plant)
+        cycle_of(parts, tx, context).go_on(job.plant)
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

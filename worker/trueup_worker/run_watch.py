@@ -22,10 +22,10 @@ from trueup.monitor.change import Before, changed, onset
 from trueup.monitor.monitor import Monitor
 from trueup_service.actions import find
 from trueup_service.actions.record_watch import Followed, record_watch
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.blobs import BlobMissing
 from trueup_service.registry.records import EpisodeRecord, JobRecord, Watch, Watching
-from trueup_service.registry.store import Reader, Writer, writing
+from trueup_service.registry.transaction import Transaction, reading, writing
 from trueup_service.wiring import Parts
 from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_plant, read_predictor
@@ -37,9 +37,8 @@ HISTORY = 1000  # episodes before an alarm in which the onset of the change is s
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
     """Follows the episodes that the monitor has not seen."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        watching = reader.watching(job.plant)
+    with reading(parts.database) as tx:
+        watching = tx.watches.current(job.plant)
         if watching is None or watching.monitor != job.request["monitor"]:
             return {
                 "monitor": job.request["monitor"],
@@ -48,13 +47,13 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
                 "kept": {},
                 "alarm": None,
             }
-        monitor = Monitor.from_document(find.monitor(reader, job.plant, watching.monitor).document)
-        waiting = reader.unwatched(watching, WATCHED, AT_ONCE)
-        history = reader.watches(
+        monitor = Monitor.from_document(find.monitor(tx, job.plant, watching.monitor).document)
+        waiting = tx.episodes.unwatched(watching, WATCHED, AT_ONCE)
+        history = tx.watches.page(
             job.plant, watching.monitor, max(watching.sequence - HISTORY, 0), HISTORY
         )
-    with writing(parts.database) as writer:
-        writer.add_reads(job.id, [e.digest for e in waiting], job.kind)
+    with writing(parts.database) as tx:
+        tx.jobs.add_reads(job.id, [e.digest for e in waiting], job.kind)
     plant, predictor = read_plant(parts, job), read_predictor(parts, job, monitor.artifact)
     channels = [c.name for c in plant.layout.observations]
     states: Mapping[str, Sequence[float]] = watching.kept  # type: ignore[assignment]
@@ -98,9 +97,8 @@ def _alarm(
     """Returns an alarm: which detectors, since which episode, and what is different since then."""
     rms = np.array([[seen["channels"][c]["rms"] for c in channels] for _, seen in rows])
     first = onset(rms, monitor.usual)
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        episodes = [find.episode(reader, plant, digest) for digest, _ in rows[first:]]
+    with reading(parts.database) as tx:
+        episodes = [find.episode(tx, plant, digest) for digest, _ in rows[first:]]
     now = Before.of_summaries([e.summary for e in episodes])
     change = changed(monitor.before, {c: rms[first:, i] for i, c in enumerate(channels)}, now)
     alarm: dict[str, Json] = {
@@ -114,25 +112,31 @@ def _alarm(
 
 
 def effects(
-    parts: Parts, writer: Writer, job: JobRecord, outcome: dict[str, Any], stamp: Stamp
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
     """Moves the monitor on, raises the alarm, and submits the job that follows."""
     if outcome["from"] is not None:
-        before = Watching(job.plant, outcome["monitor"], outcome["since"], outcome["from"], {})
+        before = Watching(
+            plant=job.plant,
+            monitor=outcome["monitor"],
+            since=outcome["since"],
+            sequence=outcome["from"],
+            kept={},
+        )
         seen = [
             Watch(
-                job.plant,
-                before.monitor,
-                before.sequence + 1 + i,
-                s["episode"],
-                s["seen"],
-                stamp.now,
+                plant=job.plant,
+                monitor=before.monitor,
+                sequence=before.sequence + 1 + i,
+                episode=s["episode"],
+                seen=s["seen"],
+                at=context.now,
             )
             for i, s in enumerate(outcome["seen"])
         ]
         followed = Followed(before, outcome["kept"], seen, outcome["alarm"])
-        record_watch(writer, followed, uuid.uuid4().hex, stamp)
-    cycle_of(parts, writer, stamp).go_on(job.plant)
+        record_watch(tx, followed, uuid.uuid4().hex, context)
+    cycle_of(parts, tx, context).go_on(job.plant)
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:

@@ -9,9 +9,9 @@ from datetime import UTC, datetime, timedelta
 
 from trueup.errors import TrueupError
 from trueup.gate.policy import UpdatePolicy
-from trueup_service.actions.stamp import Stamp, time_text
 from trueup_service.actions.submit_job import submit_validation
-from trueup_service.registry.store import Reader, writing
+from trueup_service.actor_context import ActorContext, time_text
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 
 log = logging.getLogger("trueup.worker")
@@ -32,10 +32,9 @@ def submit_due(parts: Parts, now: datetime) -> list[str]:
 
     Returns the plants' names.
     """
-    with parts.database.read() as connection:
+    with reading(parts.database) as tx:
         policies = [
-            (p.plant, UpdatePolicy.from_document(p.document))
-            for p in Reader(connection).policies_that_hold()
+            (p.plant, UpdatePolicy.from_document(p.document)) for p in tx.policies.all_in_force()
         ]
     due = [
         (plant, policy.validate_every_h)
@@ -55,14 +54,14 @@ def _try_submit(parts: Parts, plant: str, every_h: float, now: datetime) -> bool
 
 
 def _submit_if_due(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
-    stamp = Stamp(SCHEDULE, time_text(now))
-    with writing(parts.database) as writer:
-        writer.lock_plant(plant)  # another worker may look at the same time
-        last = writer.last_job(plant, "validate")
+    context = ActorContext(SCHEDULE, time_text(now))
+    with writing(parts.database) as tx:
+        tx.plants.lock(plant)  # another worker may look at the same time
+        last = tx.jobs.last(plant, "validate")
         if last is not None and last.created_at > time_text(now - timedelta(hours=every_h)):
             return False
         try:
-            submit_validation(writer, parts.queue, uuid.uuid4().hex, plant, {}, stamp)
+            submit_validation(tx, parts.queue, uuid.uuid4().hex, plant, {}, context)
         except TrueupError:
             return False  # nothing was held out since then
         return True

@@ -40,7 +40,7 @@ class AsyncArtifactCalls(Pooled):
     async def fetch(self, plant: str, digest: str, folder: str | os.PathLike[str]) -> Path:
         """Fetches an artifact into a folder as manifest.json and arrays.safetensors.
 
-        Returns the folder. Raises Untrue if any byte is not what the digest names.
+        Returns the folder. Raises DigestMismatch if any byte is not what the digest names.
         """
         return await self._pool.run(ArtifactCalls.fetch, plant, digest, folder)
 

@@ -42,7 +42,7 @@ class AsyncAuditCalls(Pooled):
         return await self._pool.run(AuditCalls.inclusion, sequence, size)
 
     async def witness(self, witness: Witness) -> Checkpoint:
-        """Shows a witness the log as it is now. Raises NotSigned, Rewritten."""
+        """Shows a witness the log as it is now. Raises NotSigned, LogForked."""
         return await self._pool.run(AuditCalls.witness, witness)
 
     def rows(self, table: str) -> AsyncIterator[Document]:

@@ -51,7 +51,7 @@ class AsyncPlantCalls(Pooled):
         return await self._pool.run(PlantCalls.episode, plant, digest)
 
     async def download_episode(self, plant: str, digest: str, path: str | os.PathLike[str]) -> None:
-        """Saves an episode's bytes. Raises Untrue if they are not what the digest names."""
+        """Saves an episode's bytes. Raises DigestMismatch if they are not what the digest names."""
         return await self._pool.run(PlantCalls.download_episode, plant, digest, path)
 
     def episode_parts(self, plant: str, digest: str) -> AsyncIterator[bytes]:

@@ -57,7 +57,7 @@ class ArtifactCalls(Transport):
     def fetch(self, plant: str, digest: str, folder: str | os.PathLike[str]) -> Path:
         """Fetches an artifact into a folder as manifest.json and arrays.safetensors.
 
-        Returns the folder. Raises Untrue if any byte is not what the digest names.
+        Returns the folder. Raises DigestMismatch if any byte is not what the digest names.
         """
         target = Path(folder)
         target.mkdir(parents=True, exist_ok=True)

@@ -41,7 +41,7 @@ class AuditCalls(Transport):
         return _hashes(self._get(url_path("audit", "inclusion", sequence=sequence, size=size)))
 
     def witness(self, witness: Witness) -> Checkpoint:
-        """Shows a witness the log as it is now. Raises NotSigned, Rewritten."""
+        """Shows a witness the log as it is now. Raises NotSigned, LogForked."""
         if witness.key is None:
             witness.pin(self.audit_key())
         return witness.see(self.checkpoint(), self.consistency, self.endorsements)

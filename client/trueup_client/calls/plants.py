@@ -102,7 +102,7 @@ class PlantCalls(Transport):
         return self._get(url_path("plants", plant, "episodes", digest))
 
     def download_episode(self, plant: str, digest: str, path: str | os.PathLike[str]) -> None:
-        """Saves an episode's bytes. Raises Untrue if they are not what the digest names."""
+        """Saves an episode's bytes. Raises DigestMismatch if they are not what the digest names."""
         self._save(url_path("plants", plant, "episodes", digest, "content"), digest, Path(path))
 
     def episode_parts(self, plant: str, digest: str) -> Iterator[bytes]:

@@ -1,8 +1,8 @@
 """Arrays to safetensors bytes and back, bit for bit.
 
 Two traps of the format's writer are avoided here: it stores strided and Fortran-ordered arrays
-wrongly without a word, and orders metadata at random. So arrays are made C-contiguous, no metadata
-is written, and what was written is read back.
+wrongly without an error, and orders metadata at random. So arrays are made C-contiguous, no
+metadata is written, and the written bytes are read back.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ def arrays_to_bytes(arrays: Mapping[str, Array]) -> bytes:
 
 
 def arrays_from_bytes(data: bytes) -> dict[str, Array]:
-    """The arrays. Raises BadArtifact for anything that is no float64 safetensors file."""
+    """The arrays of safetensors bytes. Raises BadArtifact for anything that is no float64
+    safetensors file."""
     if not data:
         return {}
     try:

@@ -2,7 +2,7 @@
 
 The manifest is canonical JSON and names the arrays file (safetensors) by digest; so one digest
 names every byte. Nothing in it can be executed. `probe` holds inputs with the outputs that the
-predictor gave when it was made: whoever loads it can see that it still gives them.
+predictor gave when it was made, so loading can check that it still gives them.
 """
 
 from __future__ import annotations
@@ -26,9 +26,8 @@ from trueup.model.predictor import Nominal, Predictor
 Array = NDArray[np.float64]
 SCHEMA = "trueup.artifact/1"
 PROBES = 8
-PROBE_TOLERANCE = (
-    1e-9  # relative: matrix products differ by some 1e-13 between processors and their libraries
-)
+# relative: matrix products differ by some 1e-13 between processors and their libraries
+PROBE_TOLERANCE = 1e-9
 MANIFEST_BYTES = 4 << 20
 
 
@@ -41,14 +40,12 @@ class Artifact:
 
     @staticmethod
     def of(manifest: bytes, arrays: Callable[[Mapping[str, Json]], bytes]) -> Artifact:
-        """An artifact by its manifest and whatever fetches the arrays that its document names.
-        Raises BadArtifact."""
+        """An artifact by its manifest and a function that fetches the arrays which its document
+        names. Raises BadArtifact."""
         document = read_manifest(manifest)
-        found = Artifact(manifest, arrays(document))
-        found.__dict__["document"] = (
-            document  # read once: it is what the cached property would give
-        )
-        return found
+        artifact = Artifact(manifest, arrays(document))
+        artifact.__dict__["document"] = document  # what the cached property would read again
+        return artifact
 
     @cached_property
     def digest(self) -> str:
@@ -76,7 +73,7 @@ def read_manifest(manifest: bytes) -> Mapping[str, Json]:
 
 
 def pack(predictor: Predictor, provenance: Mapping[str, Json]) -> Artifact:
-    """A predictor and where it comes from, as data. The same predictor and provenance give the same
+    """A predictor and its provenance, as data. Equal predictors with equal provenance give equal
     bytes."""
     arrays = arrays_to_bytes(predictor.arrays())
     document: dict[str, Json] = {
@@ -96,8 +93,8 @@ def pack(predictor: Predictor, provenance: Mapping[str, Json]) -> Artifact:
 
 
 def unpack(artifact: Artifact, digest: str | None = None) -> Predictor:
-    """The predictor, once every digest holds and it answers its own probe. Raises BadArtifact,
-    BadPlant."""
+    """The predictor of an artifact, after every digest and its probe were checked. Raises
+    BadArtifact, BadPlant."""
     if digest is not None and artifact.digest != digest:
         raise BadArtifact(
             "the manifest is not the one that this digest names",
@@ -132,10 +129,10 @@ def _plant(document: bytes) -> Plant:
 
 def _require_arrays(declared: Any, arrays: bytes) -> None:
     expected = None if declared is None else declared["sha256"]
-    found = digest_of_bytes(arrays) if arrays else None
-    if expected != found:
+    digest = digest_of_bytes(arrays) if arrays else None
+    if expected != digest:
         raise BadArtifact(
-            "the arrays are not those that the manifest names", expected=expected, found=found
+            "the arrays are not those that the manifest names", expected=expected, found=digest
         )
 
 
@@ -156,15 +153,14 @@ def _probe(predictor: Predictor) -> dict[str, Json]:
 
 def _answers(predictor: Predictor, probe: Mapping[str, Json]) -> bool:
     states, issued, after = (np.array(probe[key], float) for key in ("states", "issued", "after"))
-    found = predictor.predict_batch(states, issued)
-    return found.shape == after.shape and bool(
+    answers = predictor.predict_batch(states, issued)
+    return answers.shape == after.shape and bool(
         np.allclose(
-            found, after, rtol=PROBE_TOLERANCE, atol=PROBE_TOLERANCE * float(np.abs(after).max())
+            answers, after, rtol=PROBE_TOLERANCE, atol=PROBE_TOLERANCE * float(np.abs(after).max())
         )
     )
 
 
 def nominal_artifact(plant: Plant) -> Artifact:
-    """The plant's declared model as an artifact: what serves until something better has earned
-    it."""
+    """The plant's declared model as an artifact: it serves until a candidate is promoted."""
     return pack(Nominal(plant), {"origin": "registration"})

@@ -37,7 +37,7 @@ TIME = "t_s"
 
 @dataclass(frozen=True)
 class Loaded:
-    """What `mlflow.pyfunc.load_model` gives: predictions of a recording, window by window, from its
+    """What `mlflow.pyfunc.load_model` returns. It predicts a recording, window by window, from its
     past alone."""
 
     model: Model
@@ -61,16 +61,13 @@ class Loaded:
 
 
 def _load_pyfunc(path: str) -> Loaded:
-    """What MLflow calls with the path that its file names as data."""
+    """The entry point that MLflow calls with the path that its MLmodel file names as data."""
     return Loaded(load(path))
 
 
 def write_mlflow_model(folder: Path, run: str | None, created: str) -> Model:
-    """Make a folder whose `artifact/` was fetched an MLflow model, which came from a run; the model
-    that it holds.
-
-    `created` says when the artifact was, in UTC. Raises BadArtifact.
-    """
+    """Make a folder with a fetched `artifact/` an MLflow model of a `run`, and return the model.
+    `created` is when the artifact was made, in UTC. Raises BadArtifact."""
     model = load(folder / ARTIFACT)
     flavors: dict[str, Json] = {
         "python_function": {
@@ -107,19 +104,19 @@ def write_mlflow_model(folder: Path, run: str | None, created: str) -> Model:
 def holds_artifact(document: Mapping[str, Any]) -> bool:
     """Whether an MLmodel document says that an artifact is in its folder."""
     flavors = document.get("flavors")
-    found = flavors.get("python_function") if isinstance(flavors, Mapping) else None
+    flavor = flavors.get("python_function") if isinstance(flavors, Mapping) else None
     return (
-        isinstance(found, Mapping)
-        and found.get("loader_module") == __name__
-        and found.get("data") == ARTIFACT
+        isinstance(flavor, Mapping)
+        and flavor.get("loader_module") == __name__
+        and flavor.get("data") == ARTIFACT
     )
 
 
 def artifact_of(document: Mapping[str, Any]) -> object:
     """The digest that an MLmodel document gives the artifact in its folder."""
     metadata = document.get("metadata")
-    told = metadata.get("trueup") if isinstance(metadata, Mapping) else None
-    return told.get("artifact") if isinstance(told, Mapping) else None
+    ours = metadata.get("trueup") if isinstance(metadata, Mapping) else None
+    return ours.get("artifact") if isinstance(ours, Mapping) else None
 
 
 def _signature(model: Model) -> dict[str, Json]:

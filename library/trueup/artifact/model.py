@@ -28,7 +28,7 @@ from trueup.errors import BadArtifact
 from trueup.model.dynamics import CompiledFamily
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor, predict_episode
-from trueup.model.stepper import Stepper
+from trueup.model.step_function import StepFunction
 
 Array = NDArray[np.float64]
 TWO = 2
@@ -43,17 +43,17 @@ class Model:
 
     @property
     def plant(self) -> Plant:
-        """The machine as it was declared."""
+        """The plant as it was declared."""
         return self.predictor.plant
 
     @property
     def observations(self) -> tuple[Channel, ...]:
-        """What is predicted, in the order of columns."""
+        """Names of the predicted observations, in the order of columns."""
         return self.plant.layout.observations
 
     @property
     def commands(self) -> tuple[Channel, ...]:
-        """What drives it, in the order of columns."""
+        """Names of the commands, in the order of columns."""
         return self.plant.layout.commands
 
     @property
@@ -83,10 +83,12 @@ class Model:
                 )
             state[columns[name]] = x
         if isinstance(self.plant.dynamics, CompiledFamily):
-            found = self._stepped(state, issued[:, :, 0])
+            predicted = self._stepped(state, issued[:, :, 0])
         else:
-            found = np.stack([self.plant.observe(self.predictor.run(state, one)) for one in issued])
-        return found if np.ndim(commands) == 3 else found[0]  # noqa: PLR2004
+            predicted = np.stack(
+                [self.plant.observe(self.predictor.run(state, one)) for one in issued]
+            )
+        return predicted if np.ndim(commands) == 3 else predicted[0]  # noqa: PLR2004
 
     def predict(
         self,
@@ -116,42 +118,39 @@ class Model:
 
     def _stepped(self, state: Array, u: Array) -> Array:
         """Observations of one joint from a state `(2,)` under many commands `(n, samples)`."""
-        stepper = Stepper.of(self.predictor)
-        now, found = (
-            stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), u[:, 0]),
-            [],
-        )
-        with np.errstate(
-            over="ignore", invalid="ignore"
-        ):  # running away is an answer: it ends as inf or nan
+        stepper = StepFunction.of(self.predictor)
+        samples = []
+        now = stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), u[:, 0])
+        # A model that runs away answers with inf or nan.
+        with np.errstate(over="ignore", invalid="ignore"):
             for i in range(u.shape[1]):
                 seen, now = stepper.step(now, u[:, i])
-                found.append(np.stack(seen, axis=1))
-        return np.stack(found, axis=1)
+                samples.append(np.stack(seen, axis=1))
+        return np.stack(samples, axis=1)
 
     def _issued(self, commands: ArrayLike) -> Array:
         """Commands as `(n, samples, commands)`."""
-        given, width = np.array(commands, float), len(self.commands)
-        given = given[:, None] if given.ndim == 1 and width == 1 else given
-        if given.ndim not in (2, 3) or given.shape[-1] != width or given.shape[-2] == 0:
+        array, width = np.array(commands, float), len(self.commands)
+        array = array[:, None] if array.ndim == 1 and width == 1 else array
+        if array.ndim not in (2, 3) or array.shape[-1] != width or array.shape[-2] == 0:
             raise ValueError(
-                f"commands are (samples, {width}) or (n, samples, {width}), these are {given.shape}"
+                f"commands are (samples, {width}) or (n, samples, {width}), these are {array.shape}"
             )
-        return given if given.ndim == 3 else given[None]  # noqa: PLR2004
+        return array if array.ndim == 3 else array[None]  # noqa: PLR2004
 
 
 def _columns(what: str, values: ArrayLike, samples: int, width: int) -> Array:
     """Columns `(samples, width)`; a single one may be `(samples,)`."""
-    given = np.array(values, float)
-    given = given[:, None] if given.ndim == 1 and width == 1 else given
-    if given.shape != (samples, width):
-        raise ValueError(f"{what} are ({samples}, {width}), these are {given.shape}")
-    return given
+    array = np.array(values, float)
+    array = array[:, None] if array.ndim == 1 and width == 1 else array
+    if array.shape != (samples, width):
+        raise ValueError(f"{what} are ({samples}, {width}), these are {array.shape}")
+    return array
 
 
 def load(folder: str | PathLike[str], digest: str | None = None) -> Model:
-    """The model in a folder that was fetched into, every digest held and its probe answered. Raises
-    BadArtifact."""
+    """The model in a folder that `trueup fetch` wrote, after every digest and its probe were
+    checked. Raises BadArtifact."""
     manifest, arrays = Path(folder) / "manifest.json", Path(folder) / "arrays.safetensors"
     if not manifest.is_file():
         raise BadArtifact(

@@ -1,13 +1,13 @@
-"""ONNX: a predictor of one joint as a graph that any runtime steps, written down by running its own
-step on symbols.
+"""ONNX: a predictor of one joint as a graph that any runtime can step. It is recorded by running
+the predictor's step on symbols.
 
     inputs   state (n, states), command (n, 1)
-    outputs  observation (n, observations) at the sample of the state, next_state (n, states) one
-             declared period later
+    outputs  observation (n, observations) at the sample of the state,
+             next_state (n, states) one declared period later
 
-The numbers are float64, and the operations those of the step itself, in its order. What the graph's
-columns are, in which units, how often it steps and how a state begins is told by the model's
-metadata. Source of the format: ONNX 1.12 (IR 8, operator set 17), which runtimes since 2022 read.
+The numbers are float64, and the operations those of the step itself, in its order. The model's
+metadata says what the columns are, their units, the period, and how a state begins. Source of the
+format: ONNX 1.12 (IR 8, operator set 17), which runtimes since 2022 read.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 from trueup.canonical import Json
 from trueup.errors import NotExportable, NotInstalled
 from trueup.model.predictor import Predictor
-from trueup.model.stepper import Stepper
+from trueup.model.step_function import StepFunction
 
 IR_VERSION, OPERATOR_SET = 8, 17
 SCHEMA = "trueup.onnx/1"
@@ -39,12 +39,11 @@ COMPARISONS = ("Greater", "Less", "GreaterOrEqual", "LessOrEqual", "Equal")
 
 
 def to_onnx(predictor: Predictor, artifact: str) -> bytes:
-    """A predictor's step as an ONNX model; `artifact` is the digest that it says it comes from.
-
-    Raises NotExportable for a robot given as MJCF, NotInstalled without the package onnx.
-    """
+    """A predictor's step as an ONNX model; its metadata names the artifact by the digest
+    `artifact`. Raises NotExportable for a robot given as MJCF, NotInstalled without the package
+    onnx."""
     onnx = _package()
-    stepper = Stepper.of(predictor)
+    stepper = StepFunction.of(predictor)
     graph = Graph(onnx)
     names = stepper.names
     state = {name: graph.column("state", i) for i, name in enumerate(names)}
@@ -69,7 +68,7 @@ def to_onnx(predictor: Predictor, artifact: str) -> bytes:
         opset_imports=[onnx.helper.make_opsetid("", OPERATOR_SET)],
         producer_name="trueup",
     )
-    onnx.helper.set_model_props(model, _told(stepper, artifact))
+    onnx.helper.set_model_props(model, _metadata(stepper, artifact))
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
 
@@ -84,14 +83,14 @@ def _package() -> ModuleType:
         ) from error
 
 
-def _told(stepper: Stepper, artifact: str) -> dict[str, str]:
-    """What the columns are, as metadata. A state begins with the position, the velocity and the
-    first command (limited), or at 0."""
+def _metadata(stepper: StepFunction, artifact: str) -> dict[str, str]:
+    """The metadata of the columns. A state begins with the position, the velocity and the first
+    command (limited), or at 0."""
     layout, (low, high) = stepper.plant.layout, (float(bound[0]) for bound in stepper.plant.limits)
     u = high if high != 0.0 else low
     q, v = 1e3 * abs(u) + 1.0, 1e3 * abs(u) + 2.0  # three numbers that are not one another, nor 0
     marks = {q: "position", v: "velocity", u: "command within its limits", 0.0: "0"}
-    told: dict[str, Json] = {
+    metadata: dict[str, Json] = {
         "schema": SCHEMA,
         "plant": stepper.plant.name,
         "artifact": artifact,
@@ -104,12 +103,13 @@ def _told(stepper: Stepper, artifact: str) -> dict[str, str]:
         "observation": [{"name": c.name, "unit": c.unit} for c in layout.observations],
     }
     return {
-        name: value if isinstance(value, str) else json.dumps(value) for name, value in told.items()
+        name: value if isinstance(value, str) else json.dumps(value)
+        for name, value in metadata.items()
     }
 
 
 class Graph:
-    """Nodes in the order in which they were written down; constants by their value."""
+    """Nodes in the order in which they were recorded, and constants by value."""
 
     def __init__(self, onnx: ModuleType) -> None:
         self._onnx, self._nodes, self._constants = onnx, list[Any](), dict[str, Any]()
@@ -121,7 +121,7 @@ class Graph:
         )
 
     def whole(self, x: Any, state: Mapping[str, Symbol]) -> Symbol:
-        """A result as a column, where it is one number for all."""
+        """A result as a column, where it is one number for all rows."""
         return x if isinstance(x, Symbol) else next(iter(state.values())) * 0.0 + x
 
     def stack(self, columns: list[Symbol], name: str) -> None:
@@ -134,16 +134,16 @@ class Graph:
         )
 
     def apply(self, operator: str, inputs: list[Any], **attributes: Any) -> Symbol:
-        """What an operator makes of symbols and numbers."""
-        given = [x if isinstance(x, Symbol) else self._constant(np.float64(x)) for x in inputs]
-        if operator != "Cast" and not (operator == "Equal" and all(x.is_truth for x in given)):
-            given = [
+        """The result of an operator on symbols and numbers."""
+        operands = [x if isinstance(x, Symbol) else self._constant(np.float64(x)) for x in inputs]
+        if operator != "Cast" and not (operator == "Equal" and all(x.is_truth for x in operands)):
+            operands = [
                 self.apply("Cast", [x], to=self._onnx.TensorProto.DOUBLE) if x.is_truth else x
-                for x in given
+                for x in operands
             ]
         name = f"x{len(self._nodes)}"
         self._nodes.append(
-            self._onnx.helper.make_node(operator, [x.name for x in given], [name], **attributes)
+            self._onnx.helper.make_node(operator, [x.name for x in operands], [name], **attributes)
         )
         return Symbol(self, name, is_truth=operator in COMPARISONS)
 
@@ -153,22 +153,22 @@ class Graph:
         return Symbol(self, name)
 
     def needed(self, outputs: tuple[str, ...]) -> list[Any]:
-        """The nodes on which outputs rest; constants that nothing rests on are forgotten."""
-        wanted, kept = set(outputs), []
+        """The nodes that outputs depend on; constants that no node needs are removed."""
+        wanted, nodes = set(outputs), []
         for node in reversed(self._nodes):
             if wanted.intersection(node.output):
                 wanted.update(node.input)
-                kept.append(node)
+                nodes.append(node)
         self._constants = {name: x for name, x in self._constants.items() if name in wanted}
-        return kept[::-1]
+        return nodes[::-1]
 
     def initializers(self) -> list[Any]:
-        """The constants."""
+        """The constants as ONNX initializers."""
         return list(self._constants.values())
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """A value that the graph will have: what numpy's functions do with it is written down."""
+    """A value that the graph will have. numpy functions on it are recorded as nodes."""
 
     def __init__(self, graph: Graph, name: str, *, is_truth: bool = False) -> None:
         self.graph, self.name, self.is_truth = graph, name, is_truth

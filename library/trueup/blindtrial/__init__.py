@@ -1,2 +1,2 @@
-"""Blind trials: effects hidden by lot in another simulator, their labels committed before the
-diagnosis runs."""
+"""Blind trials: randomly drawn effects hidden in another simulator, their labels committed before
+the diagnosis runs."""

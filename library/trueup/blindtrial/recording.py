@@ -1,5 +1,5 @@
-"""Recording: a machine's runs as the case folder that a diagnosis is given, and as the episodes
-that it never sees."""
+"""Recording: a machine's runs as the files of a case for the diagnosis, and as test episodes that
+it never sees."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
 from trueup.model.plant import Plant
 from trueup.simulate.machine import Run
-from trueup.simulate.trial import Trial
+from trueup.simulate.trial import SimulatedTrial
 
 
-def case_files(plant: Plant, trial: Trial, conditions: Mapping[str, str]) -> dict[str, bytes]:
-    """plant.json and the adaptation and validation recordings, by file name; uncompressed, so that
-    whoever doubts can read them."""
+def case_files(
+    plant: Plant, trial: SimulatedTrial, conditions: Mapping[str, str]
+) -> dict[str, bytes]:
+    """plant.json and the adaptation and validation recordings, by file name. The recordings are not
+    compressed, so that their bytes can be searched for a leaked label."""
     files = {"plant.json": canonical_bytes(dict(plant.document))}
     for role in (Role.ADAPTATION, Role.VALIDATION):
         for i, run in enumerate(trial.of(role)):
@@ -44,24 +46,21 @@ def _mcap(plant: Plant, run: Run, role: Role, conditions: Mapping[str, str]) -> 
     return stream.getvalue()
 
 
-def tests(plant: Plant, trial: Trial) -> list[Episode]:
-    """The recordings that only measure."""
-    found = []
-    for i, run in enumerate(trial.of("test")):
-        seen = run.observed[:, plant.state_columns].copy()
-        found.append(
-            Episode(
-                run.t_s.copy(),
-                _commands(plant, run),
-                seen,
-                plant.layout,
-                Role.TEST,
-                {},
-                0,
-                f"test-{i}",
-            )
+def held_out_episodes(plant: Plant, trial: SimulatedTrial) -> list[Episode]:
+    """The test recordings: they measure a correction, and no diagnosis sees them."""
+    return [
+        Episode(
+            run.t_s.copy(),
+            _commands(plant, run),
+            run.observed[:, plant.state_columns].copy(),
+            plant.layout,
+            Role.TEST,
+            {},
+            0,
+            f"test-{i}",
         )
-    return found
+        for i, run in enumerate(trial.of("test"))
+    ]
 
 
 def _commands(plant: Plant, run: Run) -> NDArray[np.float64]:
@@ -71,8 +70,8 @@ def _commands(plant: Plant, run: Run) -> NDArray[np.float64]:
 
 
 def conditions_of(episodes: Sequence[Episode]) -> dict[str, str]:
-    """The collection conditions that all of the user's episodes share: the trial declares the
-    same."""
+    """The collection conditions that all of the user's episodes share. A trial's recordings declare
+    them too."""
     shared = dict(episodes[0].conditions)
     for e in episodes[1:]:
         shared = {k: v for k, v in shared.items() if e.conditions.get(k) == v}

@@ -1,2 +1,2 @@
-"""The experiment that trueup grew from: "Sim-to-Real Deployment and Continual Correction", World
-Models Handbook."""
+"""The experiment of "Sim-to-Real Deployment and Continual Correction", World Models Handbook, which
+trueup grew from."""

@@ -1,4 +1,4 @@
-"""The chapter's plant and data, drawn in its order from its seeds."""
+"""The chapter's plant and data, drawn from the chapter's seeds in its order."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ PLANT = Plant.from_document(
 
 @dataclass(frozen=True, slots=True)
 class ChapterData:
-    """Everything that the chapter draws before it decides anything."""
+    """All data that the chapter draws."""
 
     pooled: PooledTransitions
     adaptation: Episode

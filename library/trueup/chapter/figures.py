@@ -23,7 +23,7 @@ from trueup.chapter.data import (
     excitation,
 )
 from trueup.control.estimator import Estimator
-from trueup.control.loop import Deployed, Run, run_loop
+from trueup.control.loop import Deployed, LoopRun, run_loop
 from trueup.control.planner import RandomShooting
 from trueup.control.watchdog import inject_sensor_failure
 from trueup.fit.identify import Identification, identify
@@ -41,14 +41,8 @@ PLANNER_SEED, MONITOR_SEED = 7, 4242
 TICKS = 200
 REFERENCE = 0.55 * np.sin(2.0 * np.pi * 0.15 * (DT_S * np.arange(TICKS))[:, None])
 DELAYS = (0, 1, 2, 3, 5, 8)
-IRREGULAR = (
-    3,
-    0,
-    5,
-    2,
-    8,
-    1,
-)  # delays in turn: what is seen comes late, irregularly and out of order
+# delays in turn: what is seen comes late, irregularly and out of order
+IRREGULAR = (3, 0, 5, 2, 8, 1)
 HORIZONS = (1, 10, 50, 200)
 
 
@@ -64,14 +58,14 @@ def run_chapter(progress: Callable[[str, float], None] = lambda _what, _share: N
     """Every table of the chapter, unrounded."""
     progress("data and fits", 0.0)
     data = draw()
-    identified, found = identify(PLANT, [data.adaptation])
+    identified, identification = identify(PLANT, [data.adaptation])
     predictors: dict[str, Predictor] = {
         "nominal": Nominal(PLANT),
         "blind": fit_blind(PLANT, data.pooled),
         "conditioned": fit_conditioned(PLANT, data.pooled, identified.parameters),
         "residual": fit_residual(PLANT, [data.adaptation])[0],
     }
-    tables = [_data(data), _membership(data), _identification(found), _stability()]
+    tables = [_data(data), _membership(data), _identification(identification), _stability()]
     steps: list[tuple[str, Callable[[], list[Table]]]] = [
         ("closed loop", lambda: _closed_loop(predictors)),
         ("delay sweep", lambda: [_delay_sweep(predictors)]),
@@ -111,10 +105,16 @@ def _inside(parameters: tuple[float, ...], box: Mapping[str, tuple[float, float]
     return all(box[name][0] <= x <= box[name][1] for name, x in zip("kcb", parameters, strict=True))
 
 
-def _identification(found: Identification) -> Table:
+def _identification(identification: Identification) -> Table:
     return Table(
         "Identification",
-        {"deployment": {**found.parameters, "rank": found.rank, "condition": found.condition}},
+        {
+            "deployment": {
+                **identification.parameters,
+                "rank": identification.rank,
+                "condition": identification.condition,
+            }
+        },
     )
 
 
@@ -134,7 +134,7 @@ def _loop(
     *delays: int,
     u_max: float = U_MAX,
     forward: bool = False,
-) -> Run:
+) -> LoopRun:
     return run_loop(
         Deployed(PLANT, parameters, u_max),
         RandomShooting(predictor, u_max),
@@ -280,12 +280,12 @@ def _gate(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
 
 
 def _watchdog() -> Table:
-    found = inject_sensor_failure(
+    failure = inject_sensor_failure(
         control_s=0.010, sensor_s=0.050, timeout_s=0.12, ticks=400, dies_at=200
     )
     row: dict[str, Value] = {
-        "first trip [s]": found.first_trip_s or float("nan"),
-        "forced commands": found.forced,
-        "peak age [s]": found.peak_age_s,
+        "first trip [s]": failure.first_trip_s or float("nan"),
+        "forced commands": failure.forced,
+        "peak age [s]": failure.peak_age_s,
     }
     return Table("Watchdog", {"sensor stops at tick 200": row})

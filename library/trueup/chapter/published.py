@@ -1,4 +1,4 @@
-"""The digits that the chapter prints, to hold a run against. Nothing is computed from them."""
+"""The digits that the chapter prints, to compare a run with. Nothing is computed from them."""
 
 from __future__ import annotations
 

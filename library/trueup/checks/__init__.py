@@ -1,2 +1,2 @@
-"""The laws that families, predictors and rules obey. They find their subjects, so that none is
-forgotten."""
+"""The laws that effects, families, rules, detectors and predictors obey. They discover their
+subjects, so that none is left out."""

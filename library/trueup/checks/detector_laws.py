@@ -1,5 +1,5 @@
-"""Laws of a detector: the same residuals, the same answer; nothing looks ahead; what is healthy is
-rarely an alarm, what is broken is."""
+"""Laws of a detector: it is deterministic, it looks only back, and it alarms rarely on healthy
+residuals and reliably on broken ones."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ def calibrated(kind: type[Detector]) -> Detector:
 
 
 def the_same_residuals_give_the_same_answer(detector: Detector) -> None:
-    """Following depends on what is handed in alone, and a detector that was written down follows as
-    it did."""
+    """Following depends on its arguments alone, and a detector that is restored from its document
+    follows like the original."""
     rng, state = np.random.default_rng(3), detector.begin()
     again = type(detector).restore(detector.document())
     for _ in range(PATIENCE):
@@ -69,7 +69,8 @@ def the_same_residuals_give_the_same_answer(detector: Detector) -> None:
 
 
 def an_alarm_is_where_the_statistic_first_passes_the_level(detector: Detector) -> None:
-    """It is declared there, and nowhere else; what led to it has a name."""
+    """An alarm is declared at the first sample beyond the level, and nowhere else; its leading
+    statistic has a label."""
     rng, state, law = (
         np.random.default_rng(4),
         detector.begin(),
@@ -79,16 +80,16 @@ def an_alarm_is_where_the_statistic_first_passes_the_level(detector: Detector) -
         [f"c{i}" for i in range(CHANNELS)], [f"s{i}" for i in range(SIGNATURES)]
     )
     for i in range(PATIENCE):
-        found = detector.follow(state, healthy(rng, 1.0 + i / 10.0))
-        beyond = np.flatnonzero(found.statistic > detector.level)
-        require(found.alarm == (int(beyond[0]) if len(beyond) else None), law, detector.name)
-        require((found.leading is None) == (found.alarm is None), law, detector.name)
-        require(found.leading is None or bool(labels[found.leading]), law, detector.name)
-        state = found.state
+        followed = detector.follow(state, healthy(rng, 1.0 + i / 10.0))
+        beyond = np.flatnonzero(followed.statistic > detector.level)
+        require(followed.alarm == (int(beyond[0]) if len(beyond) else None), law, detector.name)
+        require((followed.leading is None) == (followed.alarm is None), law, detector.name)
+        require(followed.leading is None or bool(labels[followed.leading]), law, detector.name)
+        state = followed.state
 
 
 def it_looks_only_back(detector: Detector) -> None:
-    """What comes later in an episode changes nothing before it."""
+    """Later samples of an episode change nothing before them."""
     rng = np.random.default_rng(5)
     for _ in range(PATIENCE):
         episode = healthy(rng)
@@ -106,7 +107,8 @@ def it_looks_only_back(detector: Detector) -> None:
 
 
 def healthy_episodes_alarm_no_more_often_than_promised(detector: Detector) -> None:
-    """On fresh healthy episodes, within what a short reference can say."""
+    """On fresh healthy episodes alarms are as rare as promised, within the uncertainty of a short
+    reference."""
     alarms, hours = _alarms(detector, [1.0] * FRESH)
     require(
         alarms / hours <= SLACK / PROMISE_H,
@@ -117,7 +119,7 @@ def healthy_episodes_alarm_no_more_often_than_promised(detector: Detector) -> No
 
 
 def what_is_broken_alarms(detector: Detector) -> None:
-    """Residuals several times as large are found."""
+    """Residuals several times as large raise alarms."""
     alarms, _ = _alarms(detector, [BROKEN] * PATIENCE)
     require(alarms > 0, "what is broken alarms", detector.name)
 
@@ -125,8 +127,8 @@ def what_is_broken_alarms(detector: Detector) -> None:
 def _alarms(detector: Detector, sizes: Sequence[float]) -> tuple[int, float]:
     rng, state, alarms = np.random.default_rng(6), detector.begin(), 0
     for size in sizes:
-        found = detector.follow(state, healthy(rng, size))
-        state, alarms = found.state, alarms + (found.alarm is not None)
+        followed = detector.follow(state, healthy(rng, size))
+        state, alarms = followed.state, alarms + (followed.alarm is not None)
     return alarms, len(sizes) * WINDOWS * HORIZON_S / 3600.0
 
 

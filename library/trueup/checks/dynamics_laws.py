@@ -1,6 +1,5 @@
-"""Laws of dynamics, whoever made them: the compiled rollout is the numpy step again and again, lane
-by lane, and time that stands still moves nothing.
-"""
+"""Laws of dynamics: the compiled rollout is the repeated numpy step, lane by lane; a step of no
+length changes no state; inertia resists every force."""
 
 from __future__ import annotations
 
@@ -10,9 +9,8 @@ from trueup.checks.law import require
 from trueup.model.dynamics import Array, Dynamics
 
 VECTORS, WINDOWS, SAMPLES, H_S = 21, 3, 40, 0.01
-ROUNDING = (
-    1e-9  # compiled code may order additions otherwise; a robot's motion multiplies the difference
-)
+# compiled code may order additions otherwise; a robot's motion multiplies the difference
+ROUNDING = 1e-9
 
 
 def compiled_equals_numpy(dynamics: Dynamics, parameters: Array, name: str) -> None:
@@ -24,11 +22,13 @@ def compiled_equals_numpy(dynamics: Dynamics, parameters: Array, name: str) -> N
         rng.normal(size=(WINDOWS, SAMPLES, dynamics.joints)),
     )
     steps = rng.integers(1, 3, (WINDOWS, SAMPLES))
-    found = dynamics.rollout(parameters, initial, applied, np.full((WINDOWS, SAMPLES), H_S), steps)
+    rolled_out = dynamics.rollout(
+        parameters, initial, applied, np.full((WINDOWS, SAMPLES), H_S), steps
+    )
     for vector in range(VECTORS):
         states = initial.copy()
         for i in range(SAMPLES):
-            same = np.allclose(found[vector, :, i], states, rtol=ROUNDING, atol=ROUNDING)
+            same = np.allclose(rolled_out[vector, :, i], states, rtol=ROUNDING, atol=ROUNDING)
             require(same, "compiled equals numpy", name, f"sample {i}, vector {vector}")
             for step in range(int(steps[:, i].max())):
                 runs = steps[:, i] > step

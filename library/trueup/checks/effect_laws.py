@@ -1,7 +1,6 @@
-"""Laws of an effect: it vanishes at its null, every number of it matters, it means the same
-everywhere, it looks only back, its value is found again, and it says where it comes from and what
-cannot show it.
-"""
+"""Laws of an effect: it vanishes at its null, every number of it matters, compiled and numpy agree,
+it looks only back, a fit recovers its value, and its docstring states its equation, source and
+blind spot."""
 
 from __future__ import annotations
 
@@ -14,7 +13,8 @@ from numpy.typing import NDArray
 from trueup.checks.law import require
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
-from trueup.fit.rollout_fit import Directions, Fitter
+from trueup.fit.fitter import Fitter
+from trueup.fit.free_numbers import Directions
 from trueup.model.block import BLOCK
 from trueup.model.corrected import Corrected
 from trueup.model.effect import Effect, Port
@@ -53,7 +53,7 @@ def _episode(commands: Array, observations: Array | None = None) -> Episode:
 
 
 def _commands(seed: int = 0) -> Array:
-    """Steps, waves of many rates and rests: something for every effect to act on."""
+    """Commands that excite every effect: steps, waves of many rates, and rests."""
     t = np.arange(SAMPLES) * PERIOD_S
     waves = 0.5 * np.sin(2.0 * np.pi * 0.35 * t) + 0.1 * np.sin(2.0 * np.pi * 1.7 * t)
     steps = np.repeat(np.random.default_rng(seed).uniform(-1.0, 1.0, SAMPLES // 25), 25)
@@ -64,17 +64,19 @@ def _values(effect: type[Effect], start: int) -> Array:
     fitter = Fitter(
         PLANT.form, Directions.of_family(PLANT.dynamics.parameter_names), [SCALES], np.ones(2)
     )
-    return fitter.with_effect(fitter.begin(PLANT.parameters), effect.name, _strong(effect, start))
+    return fitter.with_effect(
+        fitter.initial_values(PLANT.parameters), effect.name, _strong(effect, start)
+    )
 
 
 def _usual(effect: type[Effect]) -> int:
-    """A start of middling size."""
+    """An effect's start of middling size."""
     return min(len(effect.starts) // 2, 8)
 
 
 def _strong(effect: type[Effect], start: int) -> tuple[float, ...]:
-    """One of the effect's own starts, all its numbers asked for; those that are made to be weak are
-    made visible."""
+    """One of the effect's own starts, with every number set; those that are weak on purpose are
+    enlarged."""
     asked = dict(zip(effect.optional, effect.tries[0], strict=True)) if effect.tries else {}
     chosen = [
         asked.get(n.name, x) for n, x in zip(effect.params, effect.starts[start], strict=True)
@@ -99,7 +101,8 @@ def _rolled(
 
 
 def vanishes_at_its_null(effect: type[Effect]) -> None:
-    """With its parameters at their nulls an effect changes no bit, under either scheme."""
+    """With its parameters at their nulls an effect changes no bit, under either integration
+    scheme."""
     values = PLANT.block.nulls.copy()
     values[: len(PLANT.parameters)] = PLANT.parameters
     for scheme in (DECLARED, SYMMETRIC):
@@ -110,7 +113,7 @@ def vanishes_at_its_null(effect: type[Effect]) -> None:
 
 
 def every_parameter_matters(effect: type[Effect]) -> None:
-    """From some start on, changing any one parameter changes what is observed."""
+    """There is a start from which changing any one parameter changes the observations."""
     for row, number in zip(PLANT.block.rows(effect.name), effect.params, strict=True):
         seen = 0.0
         for start in range(len(effect.starts)):
@@ -137,14 +140,14 @@ def compiled_equals_numpy(effect: type[Effect]) -> None:
         for _ in range(20):
             state, u = rng.normal(size=2) * 0.6, rng.uniform(-1.0, 1.0)
             expected = model.predict_batch(state[None], np.array([[u]]))[0]
-            found = _rolled(
+            compiled = _rolled(
                 values, effect, single, np.array([u, u]), (float(state[0]), float(state[1]))
             )[1]
             require(
-                np.allclose(found, expected, atol=ROUNDING),
+                np.allclose(compiled, expected, atol=ROUNDING),
                 "compiled equals numpy",
                 effect.name,
-                f"{found} for {expected}",
+                f"{compiled} for {expected}",
             )
 
 
@@ -165,13 +168,12 @@ def looks_only_back(effect: type[Effect]) -> None:
 
 
 def its_value_is_found_again(effect: type[Effect]) -> None:
-    """A fit that begins a fifth off finds the value with which a log was made, from the noise-free
-    log alone."""
+    """A fit that begins a fifth off recovers the value from a noise-free log."""
     values = _values(effect, _usual(effect))
     number, row = effect.params[0], PLANT.block.rows(effect.name)[0]
     log = _rolled(values, effect, SYMMETRIC, _commands())
     if effect.counted:
-        return  # found as the lattice of the values, not by a fit
+        return  # its value is the lattice of the log's values, and no fit's
     s: Series = whole(PLANT, _episode(_commands(), log), SYMMETRIC, np.array([0]))
     fitter = Fitter(
         PLANT.form,
@@ -191,9 +193,9 @@ def its_value_is_found_again(effect: type[Effect]) -> None:
             for factor in np.linspace(0.9, 1.1, 81)
         ]
         tried = [fitter.fit([s], Hypothesis((effect.name,)), b, iterations=0) for b in begins]
-        found = min(tried, key=lambda f: f.cost)
+        fit = min(tried, key=lambda f: f.cost)
     else:
-        found = fitter.fit(
+        fit = fitter.fit(
             [s],
             Hypothesis((effect.name,)),
             begin,
@@ -201,14 +203,14 @@ def its_value_is_found_again(effect: type[Effect]) -> None:
             fixed=[*others, *family],
             tolerance=1e-12,
         )
-    off = abs(found.values[row] - values[row]) / max(
+    off = abs(fit.values[row] - values[row]) / max(
         abs(values[row]), FOUND * SCALES.of(number.scale)
     )
     require(
         off < FOUND,
         "its value is found again",
         effect.name,
-        f"{number.name} {found.values[row]:g} for {values[row]:g}",
+        f"{number.name} {fit.values[row]:g} for {values[row]:g}",
     )
 
 

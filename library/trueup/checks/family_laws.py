@@ -1,5 +1,5 @@
-"""Laws of a family: its regressors are its derivative, every parameter matters, and it says where
-it comes from."""
+"""Laws of a family: its regressors are its derivative, every parameter matters, and its docstring
+states equation and source."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Laws of a predictor: rows are independent, it never writes to its inputs, and as an artifact it
-is the same predictor, bit for bit."""
+"""Laws of a predictor: rows are independent, it never writes to its inputs, and packing it as an
+artifact changes no bit."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def inputs_stay_as_they_are(predictor: Predictor) -> None:
 
 
 def it_survives_as_an_artifact(predictor: Predictor) -> None:
-    """Packed and unpacked it predicts the same bits, and packs to the same digest."""
+    """A predictor that is packed and unpacked predicts the same bits, and packs to the same
+    digest."""
     artifact = pack(predictor, {"origin": "law"})
     back = unpack(artifact, artifact.digest)
     inputs = _inputs(predictor)

@@ -1,5 +1,5 @@
-"""Laws of a gate rule: it answers, always the same, never passes what is no number, and never
-punishes a smaller error."""
+"""Laws of a gate rule: it answers deterministically, never passes not-a-number, and never refuses
+because of a smaller error."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _trials() -> Iterator[Trial]:
 
 
 def _trial(candidate: Score, incumbent: Score, names: tuple[str, ...]) -> Trial:
-    """A trial whose runs in closed loop go as its rollouts do."""
+    """A trial whose closed-loop errors are its rollout errors."""
     return Trial(
         candidate,
         incumbent,
@@ -41,7 +41,7 @@ def the_same_trial_gives_the_same_verdict(rule: Rule) -> None:
 
 
 def what_is_no_number_never_passes(rule: Rule) -> None:
-    """One nan anywhere in the figures that a rule judges refuses; all nan always does."""
+    """One nan among the figures that a rule judges is refused, and all nan too."""
     nan = np.full(EPISODES, np.nan)
     for trial in _trials():
         for candidate in (
@@ -71,14 +71,14 @@ def a_smaller_error_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
             trial.candidate.rollout * rng.uniform(0.1, 1.0, EPISODES),
             trial.candidate.one_step * rng.uniform(0.1, 1.0, EPISODES),
         )
-        kept = (
+        law_holds = (
             not rule(trial).passed or rule(_trial(better, trial.incumbent, trial.episodes)).passed
         )
-        require(kept, "a smaller error never turns a pass into a refusal", rule.name)
+        require(law_holds, "a smaller error never turns a pass into a refusal", rule.name)
 
 
 def it_can_refuse_and_it_can_pass(rule: Rule) -> None:
-    """A rule that always gives one answer is none."""
+    """A rule refuses some trial and passes some other."""
     trial = next(_trials())
     far, near = (
         Score(f * trial.incumbent.rollout, f * trial.incumbent.one_step) for f in (10.0, 0.1)
@@ -90,17 +90,17 @@ def it_can_refuse_and_it_can_pass(rule: Rule) -> None:
 
 
 def a_larger_bound_never_turns_a_pass_into_a_refusal(rule: Rule) -> None:
-    """What is looser is known by its number: bounds are compared when one gate follows another."""
+    """A looser rule has a larger number: bounds are compared when one gate follows another."""
     bound = next(f.name for f in fields(rule))  # type: ignore[arg-type]
     larger = replace(rule, **{bound: 1.5 * getattr(rule, bound)})  # type: ignore[type-var]
     for trial in _trials():
-        kept = not rule(trial).passed or larger(trial).passed
-        require(kept, "a larger bound never turns a pass into a refusal", rule.name)
+        law_holds = not rule(trial).passed or larger(trial).passed
+        require(law_holds, "a larger bound never turns a pass into a refusal", rule.name)
 
 
 def requiring_the_bound_is_stricter(rule: Rule) -> None:
-    """What passes at the bound of its interval passes at the mean, and says what its interval
-    was."""
+    """A trial that passes at the bound of its interval passes at the mean, and the verdict holds
+    the interval."""
     strict = replace(rule, require=BOUND)  # type: ignore[type-var]
     for trial in _trials():
         at_bound = strict(trial)

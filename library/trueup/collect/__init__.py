@@ -1,2 +1,2 @@
-"""How to record what is missing: excitations that stay inside the envelope, and what a recording
-covers."""
+"""How to record what is missing: excitations that stay inside the envelope, and the coverage of a
+recording."""

@@ -1,7 +1,7 @@
-"""Bounds: what an excitation must keep, of command, rate, travel, speed, band and time.
+"""Bounds on an excitation: of command, rate, travel, speed, band and time.
 
-Travel is bounded by the envelope that plant.json declares, and where it declares none by what was
-recorded; speed and the rate of a command by what was recorded, unless they are given.
+Travel is bounded by the envelope that plant.json declares, and where it declares none, by the
+recorded ranges; speed and the rate of a command by what was recorded, unless they are given.
 """
 
 from __future__ import annotations
@@ -19,21 +19,18 @@ from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
 SMOOTHED = 0.85  # of a random excitation, from sample to sample: at 0.05 s the chapter's
-DECLARED, RECORDED, GIVEN, BAND, UNBOUNDED = (
-    "declared",
-    "recorded",
-    "given",
-    "band",
-    "unbounded",
-)  # where a bound comes from
+# where a bound comes from
+DECLARED, RECORDED, GIVEN, BAND, UNBOUNDED = ("declared", "recorded", "given", "band", "unbounded")
 LONGEST_S = 3600.0  # of an excitation
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What a machine has done: `ranges` `(2 x joints, 2)` of positions and velocities, nan where
-    not observed, and `rate` `(joints,)`, the fastest change of each command [command/s]. Velocities
-    are bounded alike in both directions.
+    """The range of a machine's recorded motion: `ranges` `(2 x joints, 2)` of positions and
+    velocities, nan where not observed, and `rate` `(joints,)`, the fastest change of each command
+    [command/s].
+
+    Velocities are bounded alike in both directions.
     """
 
     ranges: Array
@@ -41,7 +38,7 @@ class Recorded:
 
     @staticmethod
     def of(plant: Plant, episodes: Sequence[Episode]) -> Recorded:
-        """From recordings, of which there may be none."""
+        """The range of motion in recordings, of which there may be none."""
         joints = len(plant.joints)
         ranges, rate = np.full((2 * joints, 2), np.nan), np.full(joints, np.nan)
         for episode in episodes:
@@ -57,12 +54,12 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """What an excitation must keep.
+    """The bounds on an excitation: `low` and `high` of the command `(joints,)`, `rate` [command/s]
+    `(joints,)`, `envelope` `(2 x joints, 2)` of positions and velocities less its `margin`,
+    `band_hz`, `duration_s` [s] without the hold at the end.
 
-    `low` and `high` of the command `(joints,)`, `rate` [command/s] `(joints,)`, `envelope` `(2 x
-    joints, 2)` of positions and velocities with its `margin` taken off, `band_hz`, `duration_s` [s]
-    without the hold at the end. `sources` `(2 x joints,)` says where each row of the envelope comes
-    from, `rate_sources` `(joints,)` where each rate does.
+    `sources` `(2 x joints,)` says where each row of the envelope comes from, `rate_sources`
+    `(joints,)` where each rate does.
     """
 
     low: Array
@@ -86,10 +83,10 @@ class Bounds:
         speed: float | None = None,
         recorded: Recorded | None = None,
     ) -> Bounds:
-        """A plant's own, and where it declares none what was `recorded`. No command crosses its
-        range faster than in a fifth of the band's shortest period.
+        """The plant's declared bounds, and where it declares none, those of its `recorded` motion.
 
-        Raises BadPlant, and NotIdentifiable where nothing bounds the travel of a joint.
+        No command crosses its range faster than in a fifth of the band's shortest period. Raises
+        BadPlant, and NotIdentifiable where nothing bounds the travel of a joint.
         """
         if not 0.0 <= margin < 1.0 or not 0.0 < duration_s <= LONGEST_S:
             raise BadPlant(
@@ -138,8 +135,8 @@ class Bounds:
 
     def used(self, paths: Array, start: Array) -> float:
         """The largest part of the room between a state `start` `(2 x joints,)` and the envelope
-        less its margin that paths `(members, samples, 2 x joints)` take: above 1 one leaves it.
-        """
+        less its margin that paths `(members, samples, 2 x joints)` take. Above 1, a path leaves
+        it."""
         low, high = self.envelope.T
         with np.errstate(invalid="ignore", divide="ignore"):
             parts = [
@@ -165,7 +162,7 @@ class Bounds:
         return _widened(self.envelope, 1.0 / (1.0 - self.margin))
 
     def random(self, hold: Array, like: Array, rng: np.random.Generator) -> Array:
-        """Smoothed noise about a command `hold` `(joints,)`, of the energy of another one
+        """Smoothed noise about a command `hold` `(joints,)`, with the energy of the command `like`
         `(samples, joints)`, within the limits."""
         x = np.zeros_like(like)
         for i in range(1, len(x)):
@@ -183,7 +180,8 @@ def _bounded(ranges: Array) -> NDArray[np.bool_]:
 
 
 def _widened(ranges: Array, by: float) -> Array:
-    """Ranges `(n, 2)` about their middles, so many times as wide; what is unbounded stays so."""
+    """Ranges `(n, 2)` widened about their middles by a factor; an unbounded range stays
+    unbounded."""
     bounded = _bounded(ranges)[:, None]
     kept = np.where(bounded, ranges, 0.0)
     middle, half = kept.mean(axis=1, keepdims=True), by * np.diff(kept, axis=1) / 2.0
@@ -197,7 +195,7 @@ def _ranges(plant: Plant, been: Recorded, speed: float | None) -> tuple[Array, t
     and where it comes from."""
     joints, known = len(plant.joints), _bounded(been.ranges)
     ranges = np.where(known[:, None], been.ranges, [-np.inf, np.inf])
-    sources = [RECORDED if found else UNBOUNDED for found in known]
+    sources = [RECORDED if is_known else UNBOUNDED for is_known in known]
     for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
         if channel.name in plant.envelope:
             declared = np.array(plant.envelope[channel.name])

@@ -1,5 +1,5 @@
 """Checklist: what a person must check before a designed command is played on a machine, and the
-command as it is handed over."""
+command as a CSV file."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ SPEED_WHENCE = {**WHENCE, RECORDED: "as recorded"}
 RATE_WHENCE = {RECORDED: "as recorded", GIVEN: "as asked for", BAND: "by the band alone"}
 
 
-def checks(plant: Plant, found: Excitation, *, diagnosed: bool) -> list[str]:
-    """Sentences, the one that comes first in time first; `diagnosed` is whether the models in play
-    are those that a diagnosis left."""
+def checks(plant: Plant, excitation: Excitation, *, diagnosed: bool) -> list[str]:
+    """The checks as sentences, in the order of time. `diagnosed` says that the models in play are
+    those that a diagnosis left."""
     return [
-        _begin(plant, found),
-        *_travel(plant, found),
-        *_speed(plant, found),
-        *_command(plant, found),
-        _end(plant, found),
+        _begin(plant, excitation),
+        *_travel(plant, excitation),
+        *_speed(plant, excitation),
+        *_command(plant, excitation),
+        _end(plant, excitation),
         _models(diagnosed),
     ]
 
@@ -62,71 +62,76 @@ def command_table(plant: Plant, t_s: Array, command: Array, first: Sequence[str]
     return text.getvalue()
 
 
-def _begin(plant: Plant, found: Excitation) -> str:
-    held = ", ".join(
-        f"{c.name} = {found.hold[plant.joint_of(c)]:.4g} {c.unit}" for c in plant.layout.commands
+def _begin(plant: Plant, excitation: Excitation) -> str:
+    hold = ", ".join(
+        f"{c.name} = {excitation.hold[plant.joint_of(c)]:.4g} {c.unit}"
+        for c in plant.layout.commands
     )
     return (
-        f"Bring the machine to rest at {begins_at(plant, found.start)}, under the command "
-        f"{held}: the design begins there."
+        f"Bring the machine to rest at {begins_at(plant, excitation.start)}, under the command "
+        f"{hold}: the design begins there."
     )
 
 
-def _travel(plant: Plant, found: Excitation) -> list[str]:
-    said = []
-    for j in range(len(found.hold)):
-        (low, high), whence = found.bounds.whole()[j], WHENCE[found.bounds.sources[j]]
-        free, position = 100 * found.bounds.margin, _position(plant, j)
-        said.append(
+def _travel(plant: Plant, excitation: Excitation) -> list[str]:
+    sentences = []
+    for j in range(len(excitation.hold)):
+        (low, high), whence = excitation.bounds.whole()[j], WHENCE[excitation.bounds.sources[j]]
+        free, position = 100 * excitation.bounds.margin, _position(plant, j)
+        sentences.append(
             f"See that {position.name} may go from {low:.4g} to {high:.4g} {position.unit} "
             f"({whence}); {free:.0f} % of it is kept free."
         )
-    return said
+    return sentences
 
 
-def _speed(plant: Plant, found: Excitation) -> list[str]:
-    joints, said = len(found.hold), []
+def _speed(plant: Plant, excitation: Excitation) -> list[str]:
+    joints, sentences = len(excitation.hold), []
     for j in range(joints):
-        low, high = found.bounds.whole()[joints + j]
+        low, high = excitation.bounds.whole()[joints + j]
         of = f"The speed of {plant.joint_name(j)}"
-        if found.bounds.sources[joints + j] == UNBOUNDED:
-            said.append(f"{of} is not bounded: none is recorded or declared; --speed bounds it.")
+        if excitation.bounds.sources[joints + j] == UNBOUNDED:
+            sentences.append(
+                f"{of} is not bounded: none is recorded or declared; --speed bounds it."
+            )
         else:
-            whence = SPEED_WHENCE[found.bounds.sources[joints + j]]
-            said.append(
+            whence = SPEED_WHENCE[excitation.bounds.sources[joints + j]]
+            sentences.append(
                 f"{of} stays between {low:.4g} and {high:.4g} {_position(plant, j).unit}/s "
                 f"({whence})."
             )
-    return said
+    return sentences
 
 
-def _command(plant: Plant, found: Excitation) -> list[str]:
-    said = []
+def _command(plant: Plant, excitation: Excitation) -> list[str]:
+    sentences = []
     for channel in plant.layout.commands:
         j = plant.joint_of(channel)
-        low, high = found.command[:, j].min(), found.command[:, j].max()
-        whence = RATE_WHENCE[found.bounds.rate_sources[j]]
-        said.append(
+        low, high = excitation.command[:, j].min(), excitation.command[:, j].max()
+        whence = RATE_WHENCE[excitation.bounds.rate_sources[j]]
+        sentences.append(
             f"The command {channel.name} goes from {low:.4g} to {high:.4g} {channel.unit} "
             "and changes by at most "
-            f"{found.bounds.rate[j]:.4g} {channel.unit}/s ({whence})."
+            f"{excitation.bounds.rate[j]:.4g} {channel.unit}/s ({whence})."
         )
-    return said
+    return sentences
 
 
-def _end(plant: Plant, found: Excitation) -> str:
+def _end(plant: Plant, excitation: Excitation) -> str:
     speeds = ", ".join(
-        f"{x:.2g} {_position(plant, j).unit}/s" for j, x in enumerate(found.speed_at_end)
+        f"{x:.2g} {_position(plant, j).unit}/s" for j, x in enumerate(excitation.speed_at_end)
     )
-    if found.rests:
-        part = 100 * float((found.speed_at_end / np.maximum(found.largest_speed, LEAST)).max())
-        models = f"every one of {len(found.paths)} models"
+    if excitation.rests:
+        part = 100 * float(
+            (excitation.speed_at_end / np.maximum(excitation.largest_speed, LEAST)).max()
+        )
+        models = f"every one of {len(excitation.paths)} models"
         return (
             f"It ends at rest under {models}: none is faster than {speeds}, {part:.1f} % of "
             "the largest speed."
         )
     return (
-        f"It does NOT end at rest: under one of {len(found.paths)} models the machine still "
+        f"It does NOT end at rest: under one of {len(excitation.paths)} models the machine still "
         f"moves at {speeds}. Be ready to stop it."
     )
 

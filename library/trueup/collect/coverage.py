@@ -1,15 +1,15 @@
-"""Coverage: does an episode stay where a model has been? Of each joint its position, velocity and
-applied command.
+"""Coverage: does an episode stay where a model has been fitted? For each joint, its position,
+velocity and applied command are compared.
 
-box      inside the range of each of the three by itself, as recorded when the model was fitted (the
-         sample box)
-hull     inside the convex hull of what was recorded: corners of the box that were never visited are
-         outside
-density  near enough to a recorded sample: a hole inside the hull is outside
-The declared envelope and limits are another box, of what may be visited; an episode
-can be inside that and outside all of these.
-Source: membership by conditional gradients: M. Frank, P. Wolfe, Naval Research Logistics Quarterly
-  3 (1956).
+    box      inside the range of each of the three by itself, as recorded when the model was fitted
+             (the sample box)
+    hull     inside the convex hull of what was recorded: corners of the box that were never visited
+             are outside
+    density  near enough to a recorded sample: a hole inside the hull is outside
+
+The declared envelope and limits are another box, of what may be visited; an episode can be inside
+that and outside all of these. Source: membership by conditional gradients: M. Frank, P. Wolfe,
+Naval Research Logistics Quarterly 3 (1956).
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ ASKED = 240  # samples of an episode that are looked at
 STEPS = 120  # of the search for the nearest point of a hull
 TOUCH = 0.02  # of a range: as near to the hull is inside
 NEAR = 0.99  # of the recorded samples are as near to a kept one
-TOLD = 0.05  # of an episode outside: worth a warning
+WARNED = 0.05  # of an episode outside: worth a warning
 LEAST = 1e-12  # of a range, to divide by
 DIGITS = 6  # of the numbers that are kept
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Coverage:
-    """Where one joint has been: ranges `(3,)`, corners of the hull `(corners, 3)`, samples
-    `(samples, 3)`, and how near is near.
+    """The region of one joint's recorded motion: ranges `(3,)`, corners of the hull `(corners, 3)`,
+    samples `(samples, 3)`, and the distance `near` that counts as near.
 
     Corners and samples are in units of the ranges.
     """
@@ -65,19 +65,19 @@ class Coverage:
         }
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The coverage as JSON."""
         rows = {
             name: [[round(float(x), DIGITS) for x in row] for row in getattr(self, name)]
             for name in ("corners", "samples")
         }
-        told: dict[str, Json] = {
+        ranges: dict[str, Json] = {
             name: [float(x) for x in getattr(self, name)] for name in ("low", "high")
         }
-        return {"joint": self.joint, **told, **rows, "near": self.near}
+        return {"joint": self.joint, **ranges, **rows, "near": self.near}
 
     @staticmethod
     def from_document(document: Mapping[str, Any]) -> Coverage:
-        """Read it back. Raises KeyError, TypeError, ValueError."""
+        """Read what `document` returned. Raises KeyError, TypeError, ValueError."""
         low, high, corners, samples = (
             np.array(document[name], np.float64) for name in ("low", "high", "corners", "samples")
         )
@@ -87,40 +87,40 @@ class Coverage:
 
 
 def coverage_of(plant: Plant, episodes: Sequence[Episode]) -> list[Coverage]:
-    """Where each joint has been in the episodes that a model is fitted on."""
-    found = []
+    """The coverage of each joint in the episodes that a model is fitted on."""
+    coverages = []
     for joint in range(len(plant.joints)):
         triples = np.concatenate([_triples(plant, e, joint) for e in episodes])
         low, high = triples.min(axis=0), triples.max(axis=0)
         x = (triples - low) / np.maximum(high - low, LEAST)
         corners = x[np.unique((x @ _directions().T).argmax(axis=0))]
-        kept = x[:: -(-len(x) // SAMPLES)]
+        chosen = x[:: -(-len(x) // SAMPLES)]
         between = x[
             len(x) // (2 * SAMPLES) :: -(-len(x) // SAMPLES)
-        ]  # as far from kept ones as samples can be
-        near = float(np.quantile(_from_samples(kept, between), NEAR)) + TOUCH
-        found.append(Coverage(plant.joint_name(joint), low, high, corners, kept, near))
-    return found
+        ]  # as far from chosen ones as samples can be
+        near = float(np.quantile(_from_samples(chosen, between), NEAR)) + TOUCH
+        coverages.append(Coverage(plant.joint_name(joint), low, high, corners, chosen, near))
+    return coverages
 
 
 def compared(
     plant: Plant, episode: Episode, fitted_on: Sequence[Coverage], warnings: list[str]
 ) -> dict[str, Json]:
-    """Of each joint the share of the episode outside of what a model was fitted on; what is worth a
-    warning is added in words."""
-    told: dict[str, Json] = {}
+    """For each joint, the share of the episode outside the coverage of a model's fit. What deserves
+    a warning is added to `warnings` in words."""
+    outside: dict[str, Json] = {}
     for joint, been in enumerate(fitted_on):
         triples = _triples(plant, episode, joint)
         shares = been.outside(triples[:: -(-len(triples) // ASKED)])
-        told[been.joint] = {**shares}
-        if shares["hull"] > TOLD:
+        outside[been.joint] = {**shares}
+        if shares["hull"] > WARNED:
             warnings.append(
                 f"{100 * shares['hull']:.0f} % of {been.joint} lies outside of what the "
                 "serving model was fitted on (convex hull of "
                 f"position, velocity and command; {100 * shares['box']:.0f} % outside of "
                 "its ranges)"
             )
-    return told
+    return outside
 
 
 def _triples(plant: Plant, episode: Episode, joint: int) -> Array:

@@ -1,4 +1,4 @@
-"""Ensemble: every model still in play, so that what is safe for one is asked of all.
+"""Ensemble: every model still in play, so that a command is safe only if it is safe for all.
 
 Members differ in the numbers that are not known: within a spread about the declared ones, or as a
 diagnosis left them.
@@ -27,8 +27,8 @@ LEAST = 1e-6  # of a number: a spread that rounding does not lose
 
 @dataclass(frozen=True)
 class Ensemble:
-    """Models of one plant: `centre` `(rows,)` of its block, and of each unknown number its name,
-    row and standard deviation."""
+    """Models of one plant: `centre` `(rows,)`, the parameters of the central one, and for each
+    unknown number its name, row and standard deviation."""
 
     plant: Plant
     hypothesis: Hypothesis
@@ -41,8 +41,8 @@ class Ensemble:
 
     @staticmethod
     def prior(plant: Plant, spread: float) -> Ensemble:
-        """The nominal model with each of its numbers within `spread` of itself, as a 95 %
-        interval."""
+        """The nominal model; the 95 % interval of each number is `spread` times the number, to
+        either side."""
         centre = plant.block.nulls.copy()
         centre[: len(plant.parameters)] = plant.parameters
         chosen = [(i, n, v) for i, (n, v) in enumerate(plant.nominal.items()) if v != 0.0]
@@ -68,16 +68,16 @@ class Ensemble:
         rows: list[int] = []
         sizes: list[float] = []
         order = plant.dynamics.parameter_names
-        for name, found in report["parameters"].items():
+        for name, parameter in report["parameters"].items():
             names.append(name)
             rows.append(order.index(name))
-            sizes.append(_deviation(found["ci95"]))
+            sizes.append(_deviation(parameter["ci95"]))
         smooth = Hypothesis(
             tuple(t for t in model.hypothesis.effects if not kind(t).counted)
         )  # what rounds is in the noise
         for term in smooth.effects:
             where = plant.joint_name(joint(term))
-            told = next(
+            entry = next(
                 (
                     e
                     for e in report["effects"]
@@ -86,13 +86,13 @@ class Ensemble:
                 None,
             )
             for number, row in plant.block.rows_of(term).items():
-                estimate = told["estimate"].get(number) if told else None
+                estimate = entry["estimate"].get(number) if entry else None
                 if estimate and estimate["value"]:
                     names.append(f"{_written(plant, term)} {number}")
                     rows.append(row)
                     sizes.append(
                         abs(_deviation(estimate["ci95"]) / estimate["value"] * centre[row])
-                    )  # whatever unit it is told in
+                    )  # the report's unit cancels out
         spread = np.maximum(np.array(sizes), LEAST * np.abs(centre[rows]))
         return Ensemble(
             plant,
@@ -107,8 +107,8 @@ class Ensemble:
 
     @staticmethod
     def alternatives(plant: Plant, report: Mapping[str, Any]) -> tuple[Ensemble, ...]:
-        """Those that a diagnosis could not tell from its answer, each as it was fitted. Raises
-        KeyError, TypeError, ValueError."""
+        """The ensembles of the alternatives that a diagnosis could not tell from its answer, each
+        as it was fitted. Raises KeyError, TypeError, ValueError."""
         left = report["evidence"].get("alternatives", [])
         return tuple(
             Ensemble.posterior(
@@ -119,7 +119,7 @@ class Ensemble:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Its effects, each with its joint where there are several."""
+        """The effects of the hypothesis, each with its joint where there are several."""
         return tuple(_written(self.plant, t) for t in self.hypothesis.effects)
 
     def drawn(self, count: int, rng: np.random.Generator) -> Array:
@@ -132,8 +132,8 @@ class Ensemble:
         return members
 
     def moved(self, members: Array, by: Array) -> Array:
-        """Members `(rows, …)` with their unknown numbers moved `by` `(numbers, …)` spreads, none
-        over zero."""
+        """Members `(rows, …)` with their unknown numbers moved by `by` `(numbers, …)` spreads; none
+        changes its sign."""
         rows, wide = list(self.rows), (-1, *(1,) * (by.ndim - 1))
         sign = np.where(self.centre[rows] < 0.0, -1.0, 1.0).reshape(wide)
         moved = members.copy()
@@ -143,8 +143,8 @@ class Ensemble:
         return moved
 
     def nudged(self, member: Array) -> Array:
-        """A member `(rows,)` and the same with each unknown number a little more, `(rows, 1 +
-        numbers)`."""
+        """A member `(rows,)`, and copies of it with one unknown number each increased a little,
+        `(rows, 1 + numbers)`."""
         lanes = np.repeat(member[:, None], 1 + len(self.rows), axis=1)
         for lane, (row, size) in enumerate(zip(self.rows, self.spread, strict=True), 1):
             lanes[row, lane] += NUDGE * size
@@ -170,11 +170,9 @@ class Ensemble:
     def fisher(
         self, member: Array, t_s: Array, command: Array, start: Array, noise: Array
     ) -> Array:
-        """What a command tells of a member's unknown numbers, each in units of its own spread,
-        `(numbers, numbers)`.
-
-        `noise` `(observations,)` is the standard deviation of each observation's noise.
-        """
+        """The Fisher information of a command about a member's unknown numbers, each in units of
+        its own spread, `(numbers, numbers)`. `noise` `(observations,)` is the standard deviation of
+        each observation's noise."""
         states = self.responses(self.nudged(member), t_s, command, start)[
             :, :, self.plant.state_columns
         ]
@@ -184,19 +182,19 @@ class Ensemble:
 
 @dataclass(frozen=True)
 class InPlay:
-    """Ensembles of one plant: those of an answer and of every alternative that nothing has ruled
-    out."""
+    """The ensembles in play of one plant: of a diagnosis' answer, and of every alternative that is
+    not ruled out."""
 
     ensembles: tuple[Ensemble, ...]
 
     def drawn(self, count: int, rng: np.random.Generator) -> tuple[Array, ...]:
-        """Members of each, `(rows, members)`, at least `count` together."""
+        """Random members of each ensemble, `(rows, members)`, at least `count` together."""
         return tuple(e.drawn(-(-count // len(self.ensembles)), rng) for e in self.ensembles)
 
     def responses(
         self, members: tuple[Array, ...], t_s: Array, command: Array, start: Array
     ) -> Array:
-        """States of all of them, `(members, samples, 2 x joints)`."""
+        """States of the members of all ensembles, `(members, samples, 2 x joints)`."""
         return np.concatenate(
             [
                 e.responses(m, t_s, command, start)
@@ -206,7 +204,7 @@ class InPlay:
 
 
 def _written(plant: Plant, term: str) -> str:
-    """A term's effect, with its joint where there are several."""
+    """A term's effect in words, with its joint where there are several."""
     return (
         f"{kind(term).name} at {plant.joint_name(joint(term))}"
         if len(plant.joints) > 1

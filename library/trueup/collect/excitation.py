@@ -1,8 +1,9 @@
-"""Excitation: the bounded command that serves a goal best, safe under every model still in play.
+"""Excitation: the bounded command that serves a goal best and is safe under every model still in
+play.
 
-Of many waves the one is chosen, and then improved, that is worth most for the goal, each as large
-as is safe; the final one is checked under members drawn anew, and compared with random excitations
-of the same energy.
+Of many waves, each as large as is safe, the one of greatest value for the goal is chosen, and then
+improved. The final one is checked under members drawn anew, and compared with random excitations of
+the same energy.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
-from trueup.collect.goal import Goal, Identification, Splitting, Told
+from trueup.collect.goal import Evaluation, Goal, IdentificationGoal, SplittingGoal
 from trueup.collect.wave import AT_REST, LONG, LONGEST, STILL, Held, Maker, Wave
 from trueup.errors import NotIdentifiable
 
@@ -24,27 +25,23 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 MEMBERS, JUDGED = 48, 3  # that bound a wave, and that its worth is a mean over
 TRIED, IMPROVED = 160, 240  # waves drawn, and changes of the best
-SETTLED_S, SETTLED = (
-    60.0,
-    1e-3,
-)  # within which time, and to which part of the largest speed, a machine is at rest
+# within which time, and to which part of the largest speed, a machine is at rest
+SETTLED_S, SETTLED = (60.0, 1e-3)
 SMALLEST = 0.01  # of the command's reach: less is no excitation
 SHRINK = 0.97
 CHECKED = 1000  # members drawn anew, under each of which the final command must hold
 DETECTABLE = 4.0  # standard errors between two predictions, over the whole experiment
 ALONE = 0.3  # of the effort, to see whether anything parts an alternative
 RANDOM = 20  # random excitations of the same energy to compare with
-SHARE = (
-    0.45  # of the limit: root mean square of a random excitation to compare with while designing
-)
+# of the limit: root mean square of a random excitation to compare with while designing
+SHARE = 0.45
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is excited: the models in play, its bounds, each observation's noise `(observations,)`
-    as a standard deviation, and the state `start` `(2 x joints,)` in which it rests under the
-    command `hold` `(joints,)`.
-    """
+    """The setting of an excitation: the models in play, its bounds, each observation's noise
+    `(observations,)` as a standard deviation, and the state `start` `(2 x joints,)` in which the
+    machine rests under the command `hold` `(joints,)`."""
 
     play: InPlay
     bounds: Bounds
@@ -53,20 +50,21 @@ class Setting:
     hold: Array
 
     def maker(self, rng: np.random.Generator) -> Maker:
-        """What makes waves that are safe in it."""
+        """A maker of waves that are safe in this setting."""
         return Maker(self.play, self.bounds, self.start, self.hold, self.play.drawn(MEMBERS, rng))
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """A designed command `(samples, joints)` at `t_s` [s], from the state `start`, with what it
-    promises.
+    """A designed command `(samples, joints)` at `t_s` [s], from the state `start`, with its
+    promised value.
 
     It begins from rest under the command `hold` `(joints,)`. `paths` `(members, samples, 2 x
-    joints)` are the motions under members drawn anew, of which `central` says where those of each
-    composition begin, its central one first; `breaches` is how many leave the envelope, `used` the
-    largest part of it that one takes, `rests` whether every one is at rest at the end;
-    `information` is what it tells, `random` what random excitations of the same energy do.
+    joints)` are the motions under members drawn anew; `central` says where those of each
+    composition begin, its central one first. `breaches` is how many leave the envelope, `used` the
+    largest part of the envelope that one takes, `rests` whether every one is at rest at the end.
+    `information` is the command's value for the goal, `random` that of random excitations of the
+    same energy.
     """
 
     title: str
@@ -74,8 +72,8 @@ class Excitation:
     command: Array
     start: Array
     hold: Array
-    information: Told
-    random: Told
+    information: Evaluation
+    random: Evaluation
     paths: Array
     central: dict[str, int]
     breaches: int
@@ -85,12 +83,12 @@ class Excitation:
 
     @property
     def speed_at_end(self) -> Array:
-        """Of each joint `(joints,)`, the largest under any member."""
+        """The largest final speed of each joint under any member, `(joints,)`."""
         return self._speeds(self.paths[:, -1:])
 
     @property
     def largest_speed(self) -> Array:
-        """Of each joint `(joints,)`, under any member at any time."""
+        """The largest speed of each joint under any member at any time, `(joints,)`."""
         return self._speeds(self.paths)
 
     @staticmethod
@@ -98,7 +96,7 @@ class Excitation:
         return np.asarray(np.abs(paths[:, :, paths.shape[2] // 2 :]).max(axis=(0, 1)))
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON, without the samples."""
+        """The excitation as JSON, without the samples."""
         return {
             "samples": len(self.t_s),
             "duration_s": float(self.t_s[-1]),
@@ -118,12 +116,12 @@ class Excitation:
 def resting(
     ensemble: Ensemble, bounds: Bounds, candidates: Sequence[tuple[Array, Array]]
 ) -> tuple[Array, Array]:
-    """Where to begin: of `candidates`, each a command to hold `(joints,)` and a state to seek rest
-    from `(2 x joints,)`, the one whose rest has the most room within the envelope; its command and
-    that rest.
+    """The command to hold and the rest to begin from. Of `candidates`, each a command to hold
+    `(joints,)` and a state to seek rest from `(2 x joints,)`, it is the one whose rest has the most
+    room within the envelope.
 
-    Raises NotIdentifiable where it comes to rest under none of them, or under none inside the
-    envelope.
+    Raises NotIdentifiable where the machine comes to rest under none of them, or under none inside
+    the envelope.
     """
     best: tuple[float, Array, Array] | None = None
     refused: NotIdentifiable | None = None
@@ -180,18 +178,15 @@ def identification(
     progress: Progress = lambda _stage, _part: None,
     effort: float = 1.0,
 ) -> Excitation:
-    """The excitation that tells the numbers of the first ensemble; `effort` scales how many waves
-    are tried.
-
-    Raises NotIdentifiable where no wave is safe.
-    """
+    """The excitation that determines the numbers of the first ensemble best; `effort` scales how
+    many waves are tried. Raises NotIdentifiable where no wave is safe."""
     maker, bounds, hold = setting.maker(rng), setting.bounds, setting.hold
     t_s = np.asarray(
         np.arange(round(bounds.duration_s / maker.period_s) + 1) * maker.period_s, np.float64
     )
     even = np.tile(hold + SHARE * np.minimum(bounds.high - hold, hold - bounds.low), (len(t_s), 1))
     drawn = [bounds.random(hold, even, rng) for _ in range(RANDOM)]
-    goal = Identification.of(
+    goal = IdentificationGoal.of(
         setting.play.ensembles[0],
         setting.noise,
         setting.start,
@@ -208,14 +203,14 @@ def splitting(
     progress: Progress = lambda _stage, _part: None,
     effort: float = 1.0,
 ) -> Excitation:
-    """The same, to tell the first ensemble from each of the others, whichever is right.
+    """The excitation that separates the first ensemble from each of the others, whichever is right.
 
-    An alternative that no command parts by DETECTABLE standard errors is told, and does not keep
-    the others from being parted.
+    An alternative that no command separates by DETECTABLE standard errors is reported, and does not
+    keep the others from being separated. Raises NotIdentifiable where no wave is safe.
     """
     maker, every = (
         setting.maker(rng),
-        Splitting(setting.play.ensembles, setting.noise, setting.start),
+        SplittingGoal(setting.play.ensembles, setting.noise, setting.start),
     )
     least, wave = _best(maker, every, rng, progress, effort)
     answer, *others = setting.play.ensembles
@@ -240,8 +235,8 @@ def splitting(
 def _best(
     maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress, effort: float
 ) -> tuple[float, Wave]:
-    """What the best wave that was found is worth for a goal, and the wave. Raises NotIdentifiable
-    where none is safe or tells anything."""
+    """The value of the best wave for a goal, and the wave. Raises NotIdentifiable where none is
+    safe or has any value."""
     best: tuple[float, Wave] | None = None
     tried, improved = max(1, round(effort * TRIED)), round(effort * IMPROVED)
     for i in range(tried):
@@ -275,11 +270,9 @@ def _worth(maker: Maker, goal: Goal, wave: Wave, above: float) -> float:
 def _checked(
     maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, progress: Progress
 ) -> Excitation:
-    """The wave, made a little smaller until not one of CHECKED members drawn anew breaches the
-    envelope's margin.
-
-    Those get as long a hold as they need to come to rest, if there is one.
-    """
+    """The wave as an excitation, made a little smaller until none of CHECKED members drawn anew
+    breaches the envelope's margin. Those get as long a hold as they need to come to rest, if there
+    is one."""
     made = maker.made(wave)
     assert made is not None
     size, fresh = made[2], maker.play.drawn(CHECKED, rng)
@@ -301,7 +294,8 @@ def _checked(
     used = float((np.abs(held.paths[:, :, bounded] - middle) / half).max())
     progress("comparing with random ones", 0.9)
     others = [maker.bounds.random(maker.hold, held.command, rng) for _ in range(RANDOM)]
-    told, random = goal.told(held.t_s, [held.command]), goal.told(held.t_s, others)
+    information = goal.evaluate(held.t_s, [held.command])
+    random = goal.evaluate(held.t_s, others)
     begins = np.cumsum([0, *(m.shape[1] for m in fresh)])
     central = {
         " + ".join(e.effects) or "no effect": int(first)
@@ -313,7 +307,7 @@ def _checked(
         command=held.command,
         start=maker.start,
         hold=maker.hold,
-        information=told,
+        information=information,
         random=random,
         paths=held.paths,
         central=central,

@@ -1,10 +1,10 @@
-"""Goal: what an excitation is for, to tell a model's numbers or to tell two models apart, and what
-any command is worth for it.
+"""Goal: what an excitation is for, and the value of any command for it.
 
-Of numbers that is the width of their intervals; of two models the distance of what they predict, in
-standard errors of the noise, once the numbers and the start of the wrong one have given way to it.
-Sources: L. Pronzato, Automatica 44 (2008), on optimal experiments; W. G. Hunter, A. M. Reiner,
-Technometrics 7 (1965), on designs for discriminating between rival models.
+A goal is to determine a model's numbers, or to separate two models. For numbers, the value is the
+width of their intervals; for two models, the distance of their predictions in standard errors of
+the noise, after the numbers and the start of the wrong one were fitted to the other. Sources: L.
+Pronzato, Automatica 44 (2008), on optimal experiments; W. G. Hunter, A. M. Reiner, Technometrics 7
+(1965), on designs for discriminating between rival models.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ GAIN = 1e-3  # of the distance: a step that brings less is the last
 NOTHING = 1e-300
 
 
-class Told(ABC):
-    """What commands tell."""
+class Evaluation(ABC):
+    """The value of commands for a goal."""
 
     @abstractmethod
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The value as JSON."""
 
     @abstractmethod
     def rows(self) -> list[tuple[str, float]]:
-        """The same for a table: what, and how much."""
+        """The rows of a table: a name and a number each."""
 
 
 class Goal(ABC):
@@ -49,19 +49,18 @@ class Goal(ABC):
 
     @abstractmethod
     def value(self, t_s: Array, command: Array, above: float = -np.inf) -> float:
-        """How good a command is, as a logarithm; minus infinity where it tells nothing. Once it is
-        known not to be `above` something, any value that is not is as good.
-        """
+        """The value of a command, as a logarithm; minus infinity where it has none. Of a value that
+        is not `above` a bound, only that is exact."""
 
     @abstractmethod
-    def told(self, t_s: Array, commands: Sequence[Array]) -> Told:
-        """What commands tell, on the mean."""
+    def evaluate(self, t_s: Array, commands: Sequence[Array]) -> Evaluation:
+        """The mean value of commands, in the goal's own figures."""
 
 
 @dataclass(frozen=True, slots=True)
-class Information(Told):
-    """What an excitation would tell of each unknown number: the half-width of its 95 % interval, in
-    its own unit."""
+class Information(Evaluation):
+    """The half-width of each unknown number's 95 % interval after an excitation, in its own
+    unit."""
 
     rank: int
     condition: float
@@ -69,7 +68,8 @@ class Information(Told):
 
     @staticmethod
     def of(ensemble: Ensemble, fisher: Array) -> Information:
-        """From an information matrix on the numbers of an ensemble, each in units of its spread."""
+        """The half-widths from an information matrix on the numbers of an ensemble, each in units
+        of its spread."""
         size = np.sqrt(np.maximum(np.diag(fisher), 1e-300))
         powers = np.linalg.eigvalsh(fisher / size[:, None] / size)
         rank = int((powers > RANK * max(powers[-1], 1e-300)).sum())
@@ -80,7 +80,7 @@ class Information(Told):
         )
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON; what is not determined is null."""
+        """The half-widths as JSON; null for a number that is not determined."""
         wide: dict[str, Json] = {
             n: w if np.isfinite(w) else None for n, w in self.half_widths.items()
         }
@@ -95,12 +95,12 @@ class Information(Told):
 
 
 @dataclass(frozen=True)
-class Identification(Goal):
-    """To tell the numbers of an ensemble: how many times fewer samples than a random one a command
-    needs.
+class IdentificationGoal(Goal):
+    """To determine the numbers of an ensemble. The value is how many times fewer samples a command
+    needs than a random one.
 
-    `judged` `(rows, members)` are those it is a mean over, `random` their numbers' widths from one
-    sample of a random excitation.
+    `judged` `(rows, members)` are the members that it is a mean over, `random` the widths of their
+    numbers from one sample of a random excitation.
     """
 
     ensemble: Ensemble
@@ -118,40 +118,41 @@ class Identification(Goal):
         judged: Array,
         t_s: Array,
         commands: Sequence[Array],
-    ) -> Identification:
-        """Beside the random `commands`; noise `(observations,)` is a standard deviation."""
-        goal = Identification(
+    ) -> IdentificationGoal:
+        """The goal, compared with the random `commands`; noise `(observations,)` is a standard
+        deviation."""
+        goal = IdentificationGoal(
             ensemble, noise, start, judged, np.ones((judged.shape[1], len(ensemble.rows)))
         )
         random = np.array([widths(goal._mean(m, t_s, commands) / len(t_s)) for m in judged.T])
-        return Identification(
+        return IdentificationGoal(
             ensemble, noise, start, judged, np.where(np.isfinite(random), random, 1.0)
         )
 
     def value(self, t_s: Array, command: Array, above: float = -np.inf) -> float:
-        """For the number that gains least, on the mean over members."""
+        """The value for the number that gains least, on the mean over members."""
         ratios = [
             widths(self._fisher(m, t_s, command) / len(t_s)) / by
             for m, by in zip(self.judged.T, self.random, strict=True)
         ]
         return -2.0 * float(rounded(np.mean(np.log(np.max(ratios, axis=1)))))
 
-    def told(self, t_s: Array, commands: Sequence[Array]) -> Information:
+    def evaluate(self, t_s: Array, commands: Sequence[Array]) -> Information:
         return Information.of(self.ensemble, self._mean(self.ensemble.centre, t_s, commands))
 
     def _mean(self, member: Array, t_s: Array, commands: Sequence[Array]) -> Array:
         """The mean information of those commands under which the member does not run away,
         `(numbers, numbers)`."""
-        found = [f for u in commands if np.isfinite(f := self._fisher(member, t_s, u)).all()]
-        return np.mean(found, axis=0) if found else np.zeros((len(self.ensemble.rows),) * 2)
+        finite = [f for u in commands if np.isfinite(f := self._fisher(member, t_s, u)).all()]
+        return np.mean(finite, axis=0) if finite else np.zeros((len(self.ensemble.rows),) * 2)
 
     def _fisher(self, member: Array, t_s: Array, command: Array) -> Array:
         return self.ensemble.fisher(member, t_s, command, self.start, self.noise)
 
 
 @dataclass(frozen=True, slots=True)
-class Separation(Told):
-    """How far the predictions of an answer are from those of each of its alternatives, in standard
+class Separation(Evaluation):
+    """The distance of an answer's predictions from those of each of its alternatives, in standard
     errors over the whole experiment."""
 
     alternatives: tuple[tuple[str, ...], ...]
@@ -159,12 +160,12 @@ class Separation(Told):
 
     @property
     def least(self) -> float:
-        """That of the alternative which is told worst."""
+        """The distance from the nearest alternative."""
         return min(self.standard_errors)
 
     def document(self) -> dict[str, Json]:
-        told = zip(self.alternatives, self.standard_errors, strict=True)
-        return {"separation": [{"from": list(names), "standard_errors": x} for names, x in told]}
+        pairs = zip(self.alternatives, self.standard_errors, strict=True)
+        return {"separation": [{"from": list(names), "standard_errors": x} for names, x in pairs]}
 
     def rows(self) -> list[tuple[str, float]]:
         return [
@@ -174,8 +175,8 @@ class Separation(Told):
 
 
 @dataclass(frozen=True)
-class Splitting(Goal):
-    """To tell a diagnosis' answer, the first of `ensembles`, from each of its alternatives,
+class SplittingGoal(Goal):
+    """To separate a diagnosis' answer, the first of `ensembles`, from each of its alternatives,
     whichever is right."""
 
     ensembles: tuple[Ensemble, ...]
@@ -184,7 +185,7 @@ class Splitting(Goal):
     title = "Standard errors from the answer"
 
     def value(self, t_s: Array, command: Array, above: float = -np.inf) -> float:
-        """Of the alternative that is told worst."""
+        """The value for the alternative that is separated least."""
         least = np.inf
         for truth, rival in self._pairs():
             least = min(least, self._apart(truth, rival, t_s, command, float(np.exp(above))))
@@ -192,15 +193,15 @@ class Splitting(Goal):
                 break
         return float(np.log(max(least, NOTHING)))
 
-    def told(self, t_s: Array, commands: Sequence[Array]) -> Separation:
-        found = np.mean(
+    def evaluate(self, t_s: Array, commands: Sequence[Array]) -> Separation:
+        distances = np.mean(
             [[self._apart(t, r, t_s, u) for t, r in self._pairs()] for u in commands], axis=0
         )
-        least = found.reshape(-1, 2).min(axis=1)
+        least = distances.reshape(-1, 2).min(axis=1)
         return Separation(tuple(e.effects for e in self.ensembles[1:]), tuple(map(float, least)))
 
     def _pairs(self) -> list[tuple[int, int]]:
-        """Which may be the truth, and which is then the rival: for each alternative both."""
+        """The pairs of a true ensemble and its rival: for each alternative, both ways."""
         return list(
             chain.from_iterable(((0, other), (other, 0)) for other in range(1, len(self.ensembles)))
         )
@@ -209,11 +210,11 @@ class Splitting(Goal):
     def _apart(
         self, truth: int, rival: int, t_s: Array, command: Array, enough: float = 0.0
     ) -> float:
-        """The distance from the central model of one, after the other's numbers and start were
-        fitted to it; or one that is `enough`.
+        """The distance of the rival from the central model of `truth`, after the rival's numbers
+        and start were fitted to it; once it is below `enough`, an upper bound of it.
 
-        Levenberg's and Marquardt's steps: the shape of a law bends the way, and undamped ones stop
-        far from its end. Where a model runs away nothing is known, and the distance is none.
+        The steps are damped (Levenberg-Marquardt): a law's shape bends the way, and undamped steps
+        stop far from its end. Where a model runs away nothing is known, and the distance is 0.
         """
         ensemble = self.ensembles[rival]
         seen = self._seen(truth, self.ensembles[truth].centre[:, None], t_s, command)[0]

@@ -1,8 +1,8 @@
-"""Measured: under which conditions an episode was collected, whether it kept the envelope, and what
-it can tell.
+"""Measured: the conditions under which an episode was collected, whether it kept the envelope, and
+what it can determine.
 
-Nothing here refuses an episode: a recording that went wrong is worth keeping. What is amiss is said
-in words.
+No episode is refused here: a recording that went wrong is worth keeping. Warnings say what is
+wrong.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ STILL = 0.05  # of the command's range: less is hardly an excitation
 
 
 def measured(plant: Plant, episode: Episode, fitted_on: Sequence[Coverage] = ()) -> dict[str, Json]:
-    """Conditions, envelope, excitation, how much of it lies where the serving model was
+    """Conditions, envelope, excitation, how much of the episode lies where the serving model was
     `fitted_on`, and warnings in words."""
     off = off_step(episode.period_s, plant.timestep_s)
     warnings = [*([off] if off else []), *episode.clock_doubts]
-    found: dict[str, Json] = {
+    record: dict[str, Json] = {
         "conditions": _conditions(episode, warnings),
         "envelope": _envelope(plant, episode, warnings),
         "excitation": _excitation(plant, episode, warnings),
         "outside": compared(plant, episode, fitted_on, warnings) if fitted_on else None,
     }
-    return {**found, "warnings": list(warnings)}
+    return {**record, "warnings": list(warnings)}
 
 
 def _conditions(episode: Episode, warnings: list[str]) -> dict[str, Json]:
-    """What is declared of how the episode was collected, and what is not."""
+    """The declared collection conditions, and those that are not declared."""
     declared = {name: episode.conditions[name] for name in CONDITIONS if name in episode.conditions}
     stage = declared.get("stage")
     if stage is None:
@@ -69,7 +69,7 @@ def _conditions(episode: Episode, warnings: list[str]) -> dict[str, Json]:
 
 
 def _envelope(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str, Json]:
-    """Of each channel with a declared range the samples outside it: how many, the first [s], and
+    """For each channel with a declared range, the samples outside it: how many, the first [s], and
     how far the worst is."""
     breaches: dict[str, Json] = {}
     for channel, values in zip(plant.layout.observations, episode.observations.T, strict=True):
@@ -107,13 +107,13 @@ def _excitation(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str
         warnings.append(
             f"{', '.join(still)} hardly moves: {100 * float(used.min()):.1f} % of the range"
         )
-    told: dict[str, Json] = {
+    record: dict[str, Json] = {
         "range_used": {
             c.name: float(part) for c, part in zip(plant.layout.commands, used, strict=True)
         }
     }
     if not isinstance(plant.dynamics, CompiledFamily):
-        return {**told, "rank": None, "condition": None, "numbers": None}
+        return {**record, "rank": None, "condition": None, "numbers": None}
     states = smoothed_states(plant, episode)
     columns = np.stack(
         plant.dynamics.family.regressors(states[:, 0], states[:, 1], applied[:, 0]), axis=1
@@ -128,10 +128,10 @@ def _excitation(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str
             )
         elif condition > WEAK:
             warnings.append(
-                f"the numbers {', '.join(names)} are told apart poorly: condition {condition:.0f}"
+                f"the numbers {', '.join(names)} are record apart poorly: condition {condition:.0f}"
             )
     return {
-        **told,
+        **record,
         "rank": rank,
         "condition": condition if np.isfinite(condition) else None,
         "numbers": len(names),

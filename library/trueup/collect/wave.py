@@ -1,10 +1,10 @@
 """Wave: a multisine made into a command that is bounded, safe under every model in play, and ends
 at rest.
 
-Cut off at the command's limits and slowed to its rate, it rises from rest, ends in a brake that is
-fitted to the members, and a hold until every one of them is at rest; it is as large as the
-envelope, less a margin, allows under every member. Source: J. Swevers et al., IEEE Transactions on
-Robotics and Automation 13 (1997), on periodic excitation of robots.
+The multisine is clipped to the command's limits and slowed to its rate. The command rises from
+rest, and ends in a brake that is fitted to the members and a hold until every one of them is at
+rest. It is as large as the envelope, less a margin, allows under every member. Source: J. Swevers
+et al., IEEE Transactions on Robotics and Automation 13 (1997), on periodic excitation of robots.
 """
 
 from __future__ import annotations
@@ -29,18 +29,12 @@ BRAKED = 3  # times it is fitted, for its limits cut some of it off
 NUDGED = 1e-3  # of the command's reach: how much a tent is pushed to see what it moves
 CUT = (1.0, 2.0, 4.0)  # times the limit before a wave is cut off there
 SIZES = 8  # that are tried of a wave
-ALMOST, ENOUGH = (
-    0.96,
-    0.9,
-)  # of the room: what the next size is aimed at, and what the largest size takes of it
+# of the room: what the next size is aimed at, and what the largest size takes of it
+ALMOST, ENOUGH = (0.96, 0.9)
 LEAST = 1e-9  # of the room, to divide by: a machine that sticks takes none
-AT_REST, STILL = (
-    0.05,
-    0.01,
-    # of the largest speed under any member: what counts as rest, and what is waited for if that is
-    # not
-    # LONG
-)
+# of the largest speed under any member: what counts as rest, and what a hold waits for unless that
+# takes longer than LONG
+AT_REST, STILL = (0.05, 0.01)
 LONG, LONGEST = 1.0, 3.0  # times the excitation: how long a hold may be
 CHANGED = 0.3  # of the lines, at once
 TOUCH = 1e-9  # of a command: it is the hold
@@ -48,8 +42,8 @@ TOUCH = 1e-9  # of a command: it is the hold
 
 @dataclass(frozen=True)
 class Wave:
-    """Lines `(joints, LINES)` of a multisine: frequencies [Hz], phases, sizes; and where it is cut
-    off, in limits."""
+    """A multisine of `(joints, LINES)` lines: frequencies [Hz], phases, sizes; and where it is
+    clipped, in limits."""
 
     hertz: Array
     phases: Array
@@ -57,7 +51,7 @@ class Wave:
     cut: float
 
     def changed(self, rng: np.random.Generator, by: float) -> Wave:
-        """The same, a little different."""
+        """A wave a little different from this one."""
         some = rng.random(self.phases.shape) < CHANGED
         return Wave(
             self.hertz,
@@ -87,8 +81,7 @@ def followed(wanted, begin, step):  # type: ignore[no-untyped-def]
 class Held:
     """A command `(samples, joints)` at `t_s` with a hold at its end, the motions `paths` `(members,
     samples, 2 x joints)` under it, the part of the room that they have `used`, and whether every
-    member `rests` when it is over.
-    """
+    member `rests` at the end."""
 
     t_s: Array
     command: Array
@@ -115,11 +108,11 @@ class Maker:
 
     @property
     def period_s(self) -> float:
-        """From sample to sample [s]."""
+        """The sampling period [s]."""
         return self.play.ensembles[0].plant.timestep_s
 
     def draw(self, rng: np.random.Generator) -> Wave:
-        """A wave by chance."""
+        """A random wave."""
         low, high = self.bounds.band_hz
         joints = len(self.hold)
         lines = np.linspace(low, high, LINES)[None, :] * np.ones((joints, 1))
@@ -134,19 +127,19 @@ class Maker:
         """Times, the largest safe command, and its size; None where even the smallest leaves the
         envelope.
 
-        Motions grow about as the command does, so a size tells the next one to try.
+        Motions grow about as the command does, so each size suggests the next one to try.
         """
         low, high, size = 0.0, np.inf, 1.0
-        found: Held | None = None
+        best: Held | None = None
         for _ in range(SIZES):
             held = self.sized(wave, size)
             good = held.safe and held.rests
-            low, high, found = (size, high, held) if good else (low, size, found)
+            low, high, best = (size, high, held) if good else (low, size, best)
             if good and (size == 1.0 or held.used > ENOUGH):
                 break
             guess = size * ALMOST / max(held.used, LEAST) if good or not held.safe else 0.0
             size = guess if low < guess < high else (low + min(high, 1.0)) / 2.0
-        return None if found is None else (found.t_s, found.command, low)
+        return None if best is None else (best.t_s, best.command, low)
 
     def sized(self, wave: Wave, size: float) -> Held:
         """The command of one size with its brake and a hold."""
@@ -200,8 +193,8 @@ class Maker:
         return command
 
     def _ends(self, members: tuple[Array, ...], t: Array, command: Array) -> Array:
-        """How far members end from where they began, velocities in the time of the brake, `(members
-        x 2 x joints,)`."""
+        """The distance of members' ends from their beginnings, velocities in the time of the brake,
+        `(members x 2 x joints,)`."""
         joints = len(self.hold)
         last = self.play.responses(members, t, command, self.start)[:, -1] - self.start
         last[:, joints:] *= BRAKE * self.bounds.duration_s / 3.0
@@ -211,8 +204,7 @@ class Maker:
         self, t: Array, command: Array, members: tuple[Array, ...], rest: float, longest: float
     ) -> Held:
         """The command with as long a hold as these members need to come to `rest`, a part of their
-        largest speed, and at the `longest` so many times the excitation.
-        """
+        largest speed; at the `longest`, so many times the excitation."""
         more = round(longest * self.bounds.duration_s / self.period_s)
         times = np.asarray(np.arange(len(t) + more) * self.period_s, np.float64)
         whole = self._slowed(np.concatenate([command, np.repeat(self.hold[None, :], more, axis=0)]))

@@ -1,2 +1,2 @@
-"""Closed loops: a planner, the loop around a plant, the remedy for delayed observations, and the
+"""Closed loops: a planner, the loop around a plant, an estimator for delayed observations, and a
 watchdog."""

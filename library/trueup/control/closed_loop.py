@@ -1,10 +1,9 @@
-"""Closed loop: does a better prediction track better? A fixed planner drives a simulated machine
-with one model and with another.
+"""Closed loop: does a better prediction track better?
 
-Both drive the same machine, follow the same references, and draw the same: what differs is the
-model that the planner rolls out. Stage MIL: it shows what the models do to this planner on this
-machine as simulated, and nothing of hardware, of time on a computer, or of what the simulated
-machine leaves out.
+A fixed planner drives a simulated machine with one model and with another. Both runs have the same
+machine, references and random draws; they differ in the model that the planner rolls out. Stage
+MIL: the figures show what the models do to this planner on this simulated machine. They show
+nothing of hardware, of computing time, or of what the simulated machine leaves out.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.control.estimator import Estimator, transport_delay_s
-from trueup.control.loop import Run
+from trueup.control.loop import LoopRun
 from trueup.control.planner import Linearised, Planner, RandomShooting
 from trueup.episode.episode import Episode
 from trueup.errors import NotIdentifiable
@@ -60,7 +59,7 @@ class Travelled:
 
     @staticmethod
     def of(plant: Plant, episodes: Sequence[Episode]) -> Travelled:
-        """In episodes; a single joint is taken to go as far to either side."""
+        """The travel in recordings. A single joint may go as far to either side."""
         joints = len(plant.joints)
         states = np.concatenate([smoothed_states(plant, e) for e in episodes])
         positions, speed = (
@@ -103,20 +102,20 @@ class Tracking:
         return (low, high) if isfinite(low) and isfinite(high) else None
 
     def document(self) -> dict[str, Json]:
-        """Both means, the paired difference with a bootstrap interval, relative to the incumbent's,
-        breaches, and what this can show."""
+        """Both means, the paired difference relative to the incumbent's with a bootstrap interval,
+        breaches, and what the figures can show."""
         base = max(float(self.incumbent.mean()), 1e-300)
         numbers = {
             "candidate": float(self.candidate.mean()),
             "incumbent": float(self.incumbent.mean()),
             "change": float((self.candidate - self.incumbent).mean() / base),
         }
-        told: dict[str, Json] = {name: x if isfinite(x) else None for name, x in numbers.items()}
+        finite: dict[str, Json] = {name: x if isfinite(x) else None for name, x in numbers.items()}
         return {
             "stage": "MIL",
             "runs": len(self.candidate),
             "amplitude": self.amplitude[0] if len(self.amplitude) == 1 else list(self.amplitude),
-            **told,
+            **finite,
             "change_ci95": None if (change := self.change_ci95()) is None else list(change),
             "breaches": {"candidate": self.breaches[0], "incumbent": self.breaches[1]},
             "shows": (
@@ -133,11 +132,8 @@ def compare(
     travelled: Travelled,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Tracking:
-    """Paired runs of both models on a machine that a diagnosis described, as far as it has been
-    recorded and its envelope allows.
-
-    Raises NotIdentifiable where a joint is not commanded.
-    """
+    """Paired runs of both models on a machine that a diagnosis described, within the recorded
+    ranges and the envelope. Raises NotIdentifiable where a joint is not commanded."""
     plant, joints = machine.plant, len(machine.plant.joints)
     if (plant.command_columns < 0).any():
         raise NotIdentifiable(
@@ -197,8 +193,8 @@ def compare(
 
 
 def _allowed(plant: Plant, travelled: Travelled) -> tuple[Array, Array]:
-    """The range of each joint's references, `(joints,)` each: of one joint its envelope, of a
-    robot's what was recorded of it, too."""
+    """The range of each joint's references, `(joints,)` each: the envelope, and for a robot also
+    the recorded range."""
     low, high = travelled.low.copy(), travelled.high.copy()
     for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
         if column < len(plant.joints) and channel.name in plant.envelope:
@@ -211,7 +207,7 @@ def _allowed(plant: Plant, travelled: Travelled) -> tuple[Array, Array]:
 
 
 def _slowest(amplitude: Array, speed: Array) -> float:
-    """The frequency [Hz] at which no joint goes faster than it was recorded."""
+    """The frequency [Hz] at which no joint moves faster than it was recorded."""
     return float(np.min(speed / (2.0 * np.pi * amplitude)))
 
 
@@ -229,13 +225,10 @@ def _run(
     every: int,
     begin: Array,
     rng: np.random.Generator,
-) -> Run:
-    """One run from rest: the planner sees what the machine's sensors show, and the machine
-    remembers what its effects remember.
-
-    What was seen is brought forward through the commands under way, over the delay that the
-    planner's own model knows of.
-    """
+) -> LoopRun:
+    """One run from rest. The planner sees the output of the machine's sensors, and the machine
+    keeps the states of its effects. Observations are rolled forward through the commands under way,
+    over the delay that the planner's own model has."""
     plant, joints = machine.plant, len(machine.plant.joints)
     samples = len(reference) * every + 1
     t_s = np.asarray(np.arange(samples) * plant.timestep_s, np.float64)
@@ -269,4 +262,4 @@ def _run(
             over="ignore", invalid="ignore"
         ):  # a loop that runs away ends as inf, and no rule passes that
             states[tick + 1] = roll(series, plant.form, lanes, on, init)[-1, :, 0]
-    return Run(states, issued)
+    return LoopRun(states, issued)

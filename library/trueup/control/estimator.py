@@ -1,10 +1,10 @@
-"""Estimator: the state at a time, from observations that come late, irregularly and out of order,
-and the commands known to act until then.
+"""Estimator: the current state from observations that come late, irregularly and out of order, and
+from the commands known to act until then.
 
-What was observed last, by its own stamp and not by its arrival, is rolled forward through the
-commands that act between, in steps of the predictor and a last shorter one. So a late sensor costs
-what the model does not know of a few steps, and not the delay. Source: O. J. M. Smith, Chemical
-Engineering Progress 53 (1957), on controlling across a known delay by predicting over it.
+The last observation, by its own stamp and not by its arrival, is rolled forward through the
+commands that act since, in steps of the predictor and a last shorter one. So a late sensor costs
+the model's error over a few steps, and not the delay. Source: O. J. M. Smith, Chemical Engineering
+Progress 53 (1957), on controlling across a known delay by predicting over it.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class Estimator:
     _commands: dict[float, Array] = field(default_factory=dict)
 
     def observed(self, at_s: float, state: Array) -> bool:
-        """The state `(states,)` at a time [s]; False, and nothing changes, if a later one is known
-        or it is not all finite."""
+        """Take in a state `(states,)` observed at a time [s]. Returns False, and changes nothing,
+        if a later one is known or it is not all finite."""
         if at_s < self._stamp_s or not np.isfinite(state).all():
             return False
         self._stamp_s, self._seen = at_s, np.array(state, float)
@@ -51,15 +51,15 @@ class Estimator:
         return True
 
     def commanded(self, from_s: float, issued: Array) -> None:
-        """A command `(commands,)` that acts from a time on [s]: its issue, and what the drive's own
-        delay adds."""
+        """Take in a command `(commands,)` that acts from a time [s] on: its issue, and the drive's
+        own delay."""
         if from_s not in self._commands:
             insort(self._times_s, from_s)
         self._commands[from_s] = np.array(issued, float)
 
     def state(self, at_s: float) -> Array:
-        """The state `(states,)` at a time [s], at the last observation's if that is later. Raises
-        NotIdentifiable before there is any."""
+        """The state `(states,)` at a time [s], or at the last observation's if that is later.
+        Raises NotIdentifiable before any observation."""
         if self._seen is None:
             raise NotIdentifiable(
                 "nothing has been observed yet",
@@ -86,7 +86,7 @@ class Estimator:
         """The state `(1, states)` after a while under one command."""
         steps = int(seconds / self._step + WHOLE)
         if steps:
-            state = self.predictor.course(state, issued, steps)[:, -1]
+            state = self.predictor.hold(state, issued, steps)[:, -1]
         rest = seconds - steps * self._step
         return (
             self.predictor.predict_batch(state, issued, rest)
@@ -103,8 +103,8 @@ class Estimator:
 
 
 def transport_delay_s(predictor: Predictor) -> float:
-    """How long after its issue a command shows by a predictor's own account [s]: the delays of
-    drive and sensor that all joints share."""
+    """The delay [s] between a command's issue and its effect in the observations, according to a
+    predictor: the delays of drive and sensor that all joints share."""
     if not isinstance(predictor, Corrected):
         return 0.0
     delays = [0.0] * len(predictor.plant.joints)

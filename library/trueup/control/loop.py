@@ -1,4 +1,5 @@
-"""The closed loop: a planner issues, the plant applies, the controller sees the state late."""
+"""The closed loop: a planner issues commands, the plant applies them, and the controller sees the
+state late."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class LoopRun:
     """States `(ticks + 1, states)` and issued commands `(ticks, commands)` of one closed-loop
     run."""
 
@@ -60,12 +61,12 @@ def run_loop(
     rng: np.random.Generator,
     delays: Sequence[int] = (0,),
     estimator: Estimator | None = None,
-) -> Run:
-    """Run from rest; at tick t the controller sees the state of tick max(0, t - delay) [ticks], one
-    delay or, in turn, several.
+) -> LoopRun:
+    """Run from rest. At tick t the controller sees the state of tick max(0, t - delay) [ticks];
+    `delays` is one delay, or several that are used in turn.
 
-    An `estimator` is told what is seen, when it was and what is issued, and is asked for the state
-    to plan from.
+    An `estimator` gets each observed state with its time, and each issued command, and estimates
+    the state to plan from.
     """
     period = deployed.plant.timestep_s
     states = np.zeros((len(reference) + 1, 2 * deployed.plant.dynamics.joints))
@@ -80,4 +81,4 @@ def run_loop(
         if estimator is not None:
             estimator.commanded(t * period, issued[t])
         states[t + 1] = deployed.update(states[t], issued[t])
-    return Run(states, issued)
+    return LoopRun(states, issued)

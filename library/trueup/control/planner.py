@@ -15,15 +15,12 @@ Array = NDArray[np.float64]
 
 
 SHORTER = (1.0, 0.5, 0.2)  # of a step
-NUDGES = (
-    0.2,
-    0.05,
-    0.02,
-)  # of a command's range, for derivatives: wide ones first, for dry friction hides narrow ones
+# of a command's range, for derivatives: wide ones first, for dry friction hides narrow ones
+NUDGES = (0.2, 0.05, 0.02)
 
 
 class Planner(ABC):
-    """Plans one command from a state; its `predictor` is the model that it believes."""
+    """Plans one command from a state; its `predictor` is the model that it plans with."""
 
     predictor: Predictor
 
@@ -99,12 +96,12 @@ class Linearised(Planner):
                 (high - best) / reach,
             )
             tried = best + np.array(SHORTER)[:, None] * to * reach
-            found = self._off(state, tried, wanted)
-            costs = np.nan_to_num((found**2).sum(axis=1), nan=np.inf) + self.effort * (
+            errors = self._off(state, tried, wanted)
+            costs = np.nan_to_num((errors**2).sum(axis=1), nan=np.inf) + self.effort * (
                 (tried / reach) ** 2
             ).sum(axis=1)
             if costs.min() < off @ off + self.effort * float(((best / reach) ** 2).sum()):
-                best, off = tried[np.argmin(costs)], found[np.argmin(costs)]
+                best, off = tried[np.argmin(costs)], errors[np.argmin(costs)]
         return np.asarray(best)
 
     def _off(self, state: Array, commands: Array, wanted: Array) -> Array:
@@ -116,20 +113,20 @@ class Linearised(Planner):
     def _positions(self, states: Array, commands: Array) -> Array:
         """Scaled positions `(rows, steps, joints)` under commands `(rows, commands)` that are
         held."""
-        course = self.predictor.course(states, commands, self.steps * self.hold)
-        return np.asarray(course[:, self.hold - 1 :: self.hold, : len(self.scale)] / self.scale)
+        held = self.predictor.hold(states, commands, self.steps * self.hold)
+        return np.asarray(held[:, self.hold - 1 :: self.hold, : len(self.scale)] / self.scale)
 
 
 def _bounded(columns: Array, target: Array, low: Array, high: Array) -> Array:
-    """Least squares `(commands,)` between bounds: what leaves them is held there, and the others
-    are solved for again."""
-    found, free = np.zeros(len(low)), np.ones(len(low), bool)
+    """Least squares `(commands,)` between bounds. Commands that leave them are fixed at the bound,
+    and the others are solved for again."""
+    solution, free = np.zeros(len(low)), np.ones(len(low), bool)
     while free.any():
-        rest = target - columns[:, ~free] @ found[~free]
-        found[free] = np.linalg.lstsq(columns[:, free], rest, rcond=None)[0]
-        beyond = free & ((found < low) | (found > high))
+        rest = target - columns[:, ~free] @ solution[~free]
+        solution[free] = np.linalg.lstsq(columns[:, free], rest, rcond=None)[0]
+        beyond = free & ((solution < low) | (solution > high))
         if not beyond.any():
             break
-        found = np.clip(found, low, high)
+        solution = np.clip(solution, low, high)
         free &= ~beyond
-    return found
+    return solution

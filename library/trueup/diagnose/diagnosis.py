@@ -8,23 +8,25 @@ from functools import partial
 
 from trueup.canonical import Json
 from trueup.collect.bounds import Recorded
-from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import Choice, SelectionCriteria, agreeing, decide, selection_criteria
+from trueup.cores import in_parallel
+from trueup.diagnose.data_quality import assess
 from trueup.diagnose.explain import alternative, bounds, estimates, parameter_table, shares
-from trueup.diagnose.explore import explore, polished
+from trueup.diagnose.explore import explore
 from trueup.diagnose.filtering import corrected
-from trueup.diagnose.laying_out import by_role
+from trueup.diagnose.final_refit import final_refit
 from trueup.diagnose.locate import locate
 from trueup.diagnose.measure import Gap, measure
+from trueup.diagnose.model_selection import Choice, agreeing, select
+from trueup.diagnose.next_experiment import Experiment, next_experiment
 from trueup.diagnose.noise import Noise
-from trueup.diagnose.probe import Experiment, next_experiment
-from trueup.diagnose.remainder import noise_level
+from trueup.diagnose.problem_setup import Recordings
 from trueup.diagnose.report import report
+from trueup.diagnose.residual_noise import noise_level
 from trueup.diagnose.search import Search
-from trueup.diagnose.task import Solve, in_threads
+from trueup.diagnose.tasks import Solve, in_threads
+from trueup.diagnose.tuning import SEARCH
 from trueup.episode.episode import Episode
-from trueup.errors import NotIdentifiable
-from trueup.fit.rollout_fit import RolloutFit, in_parallel
+from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.corrected import Corrected
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.mjcf_patch import Patch, patch
@@ -32,8 +34,6 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
 
 Progress = Callable[[str, float], None]
-ROUNDS = 4  # at most, until what a choice names is what was fitted to the end
-TWICE = 2  # a twin that turns out better shows its own twin a better place
 
 
 @dataclass(frozen=True)
@@ -56,41 +56,49 @@ class Diagnosis:
     nominal: RolloutFit
 
 
-def _decided(search: Search, nominal: RolloutFit, criteria: SelectionCriteria) -> Choice:
-    """The choice among what was found."""
-    return decide(list(search), nominal, criteria, partial(noise_level, search.problem))
+class _Selection:
+    """Chooses among what a search found, by what is expected of the laws on these recordings."""
 
+    def __init__(self, recordings: Recordings, search: Search) -> None:
+        self.search, self.criteria = search, recordings.criteria
+        self.nominal = search.problem.fits.nominal(recordings.plant.parameters)
 
-def _settled(
-    search: Search, choice: Choice, nominal: RolloutFit, criteria: SelectionCriteria
-) -> Choice:
-    """The choice once the fits of all that it names stand at their minima: a better fit of one may
-    unseat another.
+    def choice(self) -> Choice:
+        """The choice once aliases of the answer were tried, and the fits of all that it names
+        converged."""
+        choice = self._select()
+        for _ in range(SEARCH.mirrored):
+            self.search.try_aliases(choice.winner)
+            choice = self._select()
+        if self.search.problem.strategy.robot:
+            return self._with_rivals_converged(choice)
+        return self._converged(choice)
 
-    Of a robot the alternatives' alone, for the answer is fitted once more anyway, on finer steps.
-    """
-    if len(search.problem.declared):
-        return replace(
-            choice,
-            rivals=tuple(search.adopt(search.problem.converged(c.fit)) for c in choice.rivals),
-        )
-    done: set[Hypothesis] = set()
-    for _ in range(ROUNDS):
-        wanted = [
-            c
-            for c in (search.found[Hypothesis()], choice.winner, *choice.rivals)
-            if c.hypothesis not in done
-        ]
-        if not wanted:
-            break
-        for converged in in_parallel(
-            lambda c: search.problem.converged(c.fit),
-            list({c.hypothesis: c for c in wanted}.values()),
-        ):
-            done.add(converged.hypothesis)
-            search.adopt(converged)
-        choice = _decided(search, nominal, criteria)
-    return choice
+    def _select(self) -> Choice:
+        level = partial(noise_level, self.search.problem.fits)
+        return select(list(self.search), self.nominal, self.criteria, level)
+
+    def _with_rivals_converged(self, choice: Choice) -> Choice:
+        """The choice with its alternatives' fits at their minima; a robot's answer is refitted on
+        finer steps anyway."""
+        fits = self.search.problem.fits
+        rivals = tuple(self.search.adopt(fits.converged(c.fit)) for c in choice.rivals)
+        return replace(choice, rivals=rivals)
+
+    def _converged(self, choice: Choice) -> Choice:
+        """The choice once the fits of all that it names stand at their minima: a better fit of one
+        may unseat another."""
+        search, done = self.search, set[Hypothesis]()
+        for _ in range(SEARCH.refits):
+            named = {c.hypothesis: c for c in (search.base, choice.winner, *choice.rivals)}
+            wanted = [c for hypothesis, c in named.items() if hypothesis not in done]
+            if not wanted:
+                break
+            for converged in in_parallel(lambda c: search.problem.fits.converged(c.fit), wanted):
+                done.add(converged.hypothesis)
+                search.adopt(converged)
+            choice = self._select()
+        return choice
 
 
 def diagnose(
@@ -106,55 +114,37 @@ def diagnose(
     where there are none of either, or where the joint never moves. The tasks of the search are done
     by whoever may `solve` them; the answer is the same.
     """
-    adaptation, validation = by_role(episodes)
-    if not validation:
-        raise NotIdentifiable(
-            "there is no validation episode to compare on",
-            hint="Give at least one episode the role validation.",
-        )
+    recordings = Recordings.of(plant, episodes)
+    adaptation, validation = recordings.adaptation, recordings.validation
     progress("looking at the episodes", 0.0)
-    admission = admit(plant, adaptation)
-    criteria = selection_criteria(plant, [*adaptation, *validation])
-    search, admission = explore(plant, admission, adaptation, validation, criteria, progress, solve)
-    problem = search.problem
-    nominal = problem.nominal(plant.parameters)
-    choice = _decided(search, nominal, criteria)
-    for _ in range(TWICE):
-        search.mirror(choice.winner)
-        choice = _decided(search, nominal, criteria)
-    choice = _settled(search, choice, nominal, criteria)
+    quality = assess(plant, adaptation)
+    search, quality = explore(recordings, quality, progress, solve)
+    selection = _Selection(recordings, search)
+    choice, nominal, problem = selection.choice(), selection.nominal, search.problem
     progress("measuring on held-out episodes", 0.0)
-    base = search.found[Hypothesis()]
-    best, scheme, other = polished(plant, problem, choice.winner, adaptation, validation, criteria)
-    predictor = corrected(plant, admission, best.fit, scheme, adaptation)
-    refitted = corrected(plant, admission, base.fit, problem.scheme, adaptation)
-    gap = measure(
-        Nominal(plant),
-        refitted,
-        predictor,
-        validation,
-        Noise(admission.noise, admission.correlation),
-        seed,
-    )
+    refit = final_refit(recordings, problem, choice.winner)
+    predictor = corrected(plant, quality, refit.answer.fit, refit.scheme, adaptation)
+    refitted = corrected(plant, quality, search.base.fit, problem.scheme, adaptation)
+    noise = Noise(quality.noise, quality.correlation)
+    gap = measure(Nominal(plant), refitted, predictor, validation, noise, seed)
     choice = agreeing(choice, gap)
     progress("what the data speak against", 0.0)
     excluded, unexcited = bounds(search, choice.winner, plant)
-    experiment = next_experiment(plant, admission, search, choice, Recorded.of(plant, adaptation))
-    changes = patch(predictor)
+    experiment = next_experiment(plant, quality, search, choice, Recorded.of(plant, adaptation))
+    changes, minima = patch(predictor), refit.answer.minima
+    share = shares(search, choice, nominal)
     document = report(
         plant=plant,
-        admission=admission,
+        quality=quality,
         search=search,
         choice=choice,
-        answer=best,
+        answer=refit.answer,
         nominal=nominal,
         gap=gap,
-        effects=estimates(
-            best.minima, other, problem.fitter, plant, shares(search, choice, nominal)
-        ),
+        effects=estimates(minima, refit.other, problem.fitter, plant, share),
         alternatives=[alternative(plant, search, rival) for rival in choice.rivals],
         patch=changes,
-        parameters=parameter_table(plant, problem.fitter.directions, best.minima, other),
+        parameters=parameter_table(plant, problem.fitter.directions, minima, refit.other),
         excluded=excluded,
         unexcited=unexcited,
         where=locate(plant, search, choice.winner, nominal, adaptation, validation),

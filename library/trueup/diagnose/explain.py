@@ -5,30 +5,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial, singledispatch
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.diagnose.admission import Admission
-from trueup.diagnose.decide import Choice
+from trueup.cores import in_parallel
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.intervals import covariance, intervals
-from trueup.diagnose.problem import Candidate
+from trueup.diagnose.model_selection import Choice
 from trueup.diagnose.search import Search, has_already
+from trueup.diagnose.tuning import DATA_QUALITY, EVIDENCE
 from trueup.episode.layout import Field
-from trueup.fit.rollout_fit import TWO_SIDED, Directions, Fitter, RolloutFit, Screening, in_parallel
+from trueup.fit.fitter import Fitter
+from trueup.fit.free_numbers import Directions
+from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
+from trueup.fit.screening import Screening, screen
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
-from trueup.model.dynamics import CompiledTree
+from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.effect import Effect, Number, Scale, effects
 from trueup.model.plant import Plant
 from trueup.model.tree import SLIDE
 
 Array = NDArray[np.float64]
-BOUNDING = 3.0  # standard errors of a bound: what the linear model neglects is among them
-LINEAR = 1.5  # times a start: up to there what was computed at the start is believed
-HELD = 0.005  # of the frames: fewer make no gap worth a name
-RULED_OUT = 0.5  # of a limit's whole effect
 FORCES = (Scale.ACCELERATION, Scale.DRAG, Scale.CUBIC, Scale.STIFFNESS, Scale.DAMPING)
 
 
@@ -46,7 +48,7 @@ class Bound:
     why: str
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The bound as JSON, a field of the report."""
         named: dict[str, Json] = {
             "effect": self.effect,
             **({"joint": self.joint} if self.joint else {}),
@@ -76,13 +78,7 @@ def unit(scale: Scale, plant: Plant, joint: int = 0) -> str:
     )
     command = int(plant.command_columns[joint])
     u = (plant.layout.commands[command].unit if command >= 0 else "") or "1"
-    if isinstance(plant.dynamics, CompiledTree):
-        slides = bool(plant.dynamics.tree.constants[joint, SLIDE])
-        q, force = q or ("m" if slides else "rad"), "N" if slides else "N·m"
-        forces = [force, f"{force} s^2/{q}^2", f"{force}/{q}^3", f"{force}/{q}", f"{force} s/{q}"]
-    else:
-        q = q or "1"
-        forces = [f"{q}/s^2", f"1/{q}", f"1/({q}^2 s^2)", "1/s^2", "1/s"]
+    q, forces = _force_units(plant.dynamics, joint, q)
     return {
         **dict(zip(FORCES, forces, strict=True)),
         Scale.VELOCITY: f"{q}/s",
@@ -94,6 +90,20 @@ def unit(scale: Scale, plant: Plant, joint: int = 0) -> str:
         Scale.ONE: "1",
         Scale.DRIFT: f"{q}/s",
     }[scale]
+
+
+@singledispatch
+def _force_units(_: Dynamics, joint: int, q: str) -> tuple[str, list[str]]:
+    """The unit of a joint's position, and those of FORCES."""
+    q = q or "1"
+    return q, [f"{q}/s^2", f"1/{q}", f"1/({q}^2 s^2)", "1/s^2", "1/s"]
+
+
+@_force_units.register
+def _of_tree(dynamics: CompiledTree, joint: int, q: str) -> tuple[str, list[str]]:
+    slides = bool(dynamics.tree.constants[joint, SLIDE])
+    q, force = q or ("m" if slides else "rad"), "N" if slides else "N·m"
+    return q, [force, f"{force} s^2/{q}^2", f"{force}/{q}^3", f"{force}/{q}", f"{force} s/{q}"]
 
 
 def in_units(scale: Scale, plant: Plant, joint: int) -> float:
@@ -111,7 +121,7 @@ def estimates(
     """Effects with estimates, units, intervals and shares, of the best of some minima; `other` is
     the same on other steps."""
     fit, spans = minima[0], intervals(minima, other)
-    found: list[Json] = []
+    entries: list[Json] = []
     for term in fit.hypothesis.effects:
         values: dict[str, Json] = {}
         for number in kind(term).params:
@@ -128,26 +138,26 @@ def estimates(
                 "unit": measure,
                 "ci95": [factor * low, factor * high],
             }
-        found.append(_entry(kind(term), values, share.get(term, 0.0), plant, joint(term)))
-    return found
+        entries.append(_entry(kind(term), values, share.get(term, 0.0), plant, joint(term)))
+    return entries
 
 
-def counted(admission: Admission, plant: Plant, samples: int) -> list[Json]:
+def counted(quality: DataQuality, plant: Plant, samples: int) -> list[Json]:
     """Effects that are counted in the samples themselves: held frames and coarse lattices."""
-    found: list[Json] = []
+    entries: list[Json] = []
     for at in range(len(plant.joints)):
-        part = float(admission.held[at])
-        if part > HELD:
+        part = float(quality.held[at])
+        if part > DATA_QUALITY.held_frames:
             error = TWO_SIDED * float(np.sqrt(part * (1.0 - part) / samples))
             value: Json = {
                 "value": part,
                 "unit": "1",
                 "ci95": [max(part - error, 0.0), part + error],
             }
-            found.append(_entry(effects()["dropped_frames"], {"fraction": value}, 0.0, plant, at))
+            entries.append(_entry(effects()["dropped_frames"], {"fraction": value}, 0.0, plant, at))
         steps: dict[str, Json] = {}
         for n, step, coarse in zip(
-            effects()["sensor_quantization"].params, *admission.lattices(at), strict=True
+            effects()["sensor_quantization"].params, *quality.lattices(at), strict=True
         ):
             if coarse:
                 steps[n.name] = {
@@ -156,8 +166,8 @@ def counted(admission: Admission, plant: Plant, samples: int) -> list[Json]:
                     "ci95": [float(step), float(step)],
                 }
         if steps:
-            found.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant, at))
-    return found
+            entries.append(_entry(effects()["sensor_quantization"], steps, 0.0, plant, at))
+    return entries
 
 
 def _entry(
@@ -185,24 +195,40 @@ def parameter_table(
     """Nominal and fitted parameters with 95 % intervals; of a tree those that its data determine
     one by one."""
     fit = minima[0]
-    if not directions.combined:
-        spans = intervals(minima, other)
-        limits = [spans["", name] for name in directions.names]
-        named = np.ones(len(limits), np.bool_)
-    else:
-        widths = np.array([_tree_widths(plant, directions, f, other) for f in minima])
-        values = np.array([f.values[: len(plant.parameters)] for f in minima])
-        limits = list(
-            zip((values - widths).min(axis=0), (values + widths).max(axis=0), strict=True)
-        )
-        named = directions.determined
+    limits = _limits(plant.dynamics, plant, directions, minima, other)
     return {
         name: {"nominal": nominal, "value": float(value), "ci95": [float(low), float(high)]}
         for (name, nominal), value, (low, high), determined in zip(
-            plant.nominal.items(), fit.values, limits, named, strict=False
+            plant.nominal.items(), fit.values, limits, directions.determined, strict=False
         )
         if determined
     }
+
+
+@singledispatch
+def _limits(
+    _: Dynamics,
+    plant: Plant,
+    directions: Directions,
+    minima: Sequence[RolloutFit],
+    other: RolloutFit,
+) -> list[tuple[float, float]]:
+    """95 % intervals of the nominal form's numbers, which move one by one."""
+    spans = intervals(minima, other)
+    return [spans["", name] for name in directions.names]
+
+
+@_limits.register
+def _limits_of_tree(
+    _: CompiledTree,
+    plant: Plant,
+    directions: Directions,
+    minima: Sequence[RolloutFit],
+    other: RolloutFit,
+) -> list[tuple[float, float]]:
+    widths = np.array([_tree_widths(plant, directions, f, other) for f in minima])
+    values = np.array([f.values[: len(plant.parameters)] for f in minima])
+    return list(zip((values - widths).min(axis=0), (values + widths).max(axis=0), strict=True))
 
 
 def _tree_widths(plant: Plant, directions: Directions, fit: RolloutFit, other: RolloutFit) -> Array:
@@ -227,9 +253,13 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
     parameters explain is the rest.
     """
     winner = choice.winner
-    whole = max(nominal.misfit, winner.misfit) - winner.misfit
+    whole = max(nominal.reduced_chi_square, winner.reduced_chi_square) - winner.reduced_chi_square
     back = {
-        n: max(search.fitted(winner.hypothesis.without(n), winner).misfit - winner.misfit, 0.0)
+        n: max(
+            search.fitted(winner.hypothesis.without(n), winner).reduced_chi_square
+            - winner.reduced_chi_square,
+            0.0,
+        )
         for n in winner.hypothesis.effects
     }
     scale = max(whole, sum(back.values()), 1e-12)
@@ -239,40 +269,37 @@ def shares(search: Search, choice: Choice, nominal: RolloutFit) -> dict[str, flo
 def alternative(plant: Plant, search: Search, rival: Candidate) -> Json:
     """A composition that cannot be told from the answer as it was fitted: its model, its estimates,
     and the nominal form's numbers."""
-    found = rival.minima
+    minima = rival.minima
     model = Corrected(
-        plant, rival.hypothesis, tuple(float(x) for x in found[0].values), search.problem.scheme
+        plant, rival.hypothesis, tuple(float(x) for x in minima[0].values), search.problem.scheme
     )
     described = model.description()
     return {
         "model": {name: described[name] for name in ("parameters", "effects", "scheme")},
-        "effects": estimates(found, rival.fit, search.problem.fitter, plant, {}),
-        "parameters": parameter_table(plant, search.problem.fitter.directions, found, rival.fit),
+        "effects": estimates(minima, rival.fit, search.problem.fitter, plant, {}),
+        "parameters": parameter_table(plant, search.problem.fitter.directions, minima, rival.fit),
     }
 
 
 def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound], list[Bound]]:
-    """Of each effect that the winner has not: a bound, or why there is none. Two lists."""
+    """What the data say of each effect that the answer does not have: the bounds, and those
+    without one, which say why."""
     terms = [t for t in search.terms if not has_already(winner.hypothesis, t)]
-    data, fit, linear = search.problem.adaptation, winner.fit, None
-    if len(plant.joints) > 1:  # where terms raced is enough, and every joint has its own
-        near = search.problem.near(fit)
-        data, fit, linear = search.problem.short, near.fit, near.linear
-    found = list(
-        in_parallel(
-            lambda term: _bound(
-                search, search.problem.fitter.screen(data, fit, term, linear), fit, term, plant
-            ),
-            terms,
-        )
+    problem, data, fit, derivatives = search.problem, search.problem.adaptation, winner.fit, None
+    if problem.strategy.robot:  # where terms were screened is enough: every joint has its own
+        near = problem.short_fit(fit)
+        data, fit, derivatives = problem.short, near.fit, near.derivatives
+    expect = partial(screen, problem.fitter, data, fit)
+    every = list(
+        in_parallel(lambda t: _bound(search, expect(t, derivatives), fit, t, plant), terms)
     )
-    return [b for b in found if b.value is not None], [b for b in found if b.value is None]
+    return [b for b in every if b.value is not None], [b for b in every if b.value is None]
 
 
 def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plant: Plant) -> Bound:
     effect, fitter, at = kind(term), search.problem.fitter, joint(term)
     name, where = effect.name, plant.joint_name(at) if len(plant.joints) > 1 else None
-    error = BOUNDING * screened.error * np.sqrt(max(fit.misfit, 1.0))
+    error = EVIDENCE.bound_errors * screened.error * np.sqrt(max(fit.reduced_chi_square, 1.0))
     number = effect.params[0]
     factor = in_units(number.scale, plant, at)
     starts = np.array(
@@ -280,7 +307,7 @@ def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plan
     ) * fitter.unit(term, number.scale)
     measure = unit(number.scale, plant, at)
     if effect.falls:
-        ruled_out = screened.factor + error < RULED_OUT
+        ruled_out = screened.factor + error < EVIDENCE.ruled_out
         order = np.argsort(starts)  # the strongest first
         last = int(np.argmin(np.append(ruled_out[order], False)))
         value = float(starts[order][last - 1]) * factor if last else None
@@ -295,7 +322,8 @@ def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plan
         if start > 0.0:  # the others have none of the number that is bounded
             shape = s if effect.periodic else s[1:]
             shapes[shape] = min(
-                shapes.get(shape, np.inf), limit if limit <= LINEAR * start else np.inf
+                shapes.get(shape, np.inf),
+                limit if limit <= EVIDENCE.linear_reach * start else np.inf,
             )
     sound = [
         limit for limit in shapes.values() if np.isfinite(limit)

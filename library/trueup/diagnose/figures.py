@@ -20,9 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.diagnose.locate import STRIDE_S, strides_of
+from trueup.diagnose.locate import strides_of
 from trueup.diagnose.maps import Places, maps
 from trueup.diagnose.traces import MOST, Told, named, number, numbers, rms, traces
+from trueup.diagnose.tuning import EVIDENCE
 from trueup.episode.episode import Episode
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.predictor import Nominal
@@ -35,18 +36,18 @@ FIGURES_FILE = "figures.json"
 EPISODES = 4  # held-out recordings that are drawn, those that move furthest
 
 
-def figures(found: Diagnosis, episodes: Sequence[Episode]) -> dict[str, Json]:
+def figures(diagnosis: Diagnosis, episodes: Sequence[Episode]) -> dict[str, Json]:
     """The numbers behind the pictures of a diagnosis of these episodes."""
-    plant, told = found.plant, _told(found)
-    models = {"nominal": Nominal(plant), "corrected": found.predictor}
+    plant, columns = diagnosis.plant, _told(diagnosis)
+    models = {"nominal": Nominal(plant), "corrected": diagnosis.predictor}
     return {
         "schema": SCHEMA,
         "plant": plant.name,
         "horizon_s": plant.horizon_s,
-        "stride_s": STRIDE_S,
-        "episodes": traces(plant, furthest(found.validation, plant.scales), models, told),
-        "maps": _maps(found, episodes, told),
-        "experiment": _experiment(found),
+        "stride_s": EVIDENCE.stride_s,
+        "episodes": traces(plant, furthest(diagnosis.validation, plant.scales), models, columns),
+        "maps": _maps(diagnosis, episodes, columns),
+        "experiment": _experiment(diagnosis),
     }
 
 
@@ -57,29 +58,31 @@ def furthest(episodes: Sequence[Episode], scales: NDArray[np.float64]) -> list[E
     )[:EPISODES]
 
 
-def _told(found: Diagnosis) -> Told:
+def _told(diagnosis: Diagnosis) -> Told:
     """The observations that are drawn, with their columns."""
-    plant = found.plant
+    plant = diagnosis.plant
     every = list(enumerate(plant.layout.observations))
     if len(plant.joints) == 1:
         return every
-    where = found.document["where"]
-    joints = {e.get("joint") for e in found.document["effects"]} or {where.get("regions_of")}  # type: ignore[union-attr]
+    where = diagnosis.document["where"]
+    joints = {e.get("joint") for e in diagnosis.document["effects"]} or {where.get("regions_of")}  # type: ignore[union-attr]
     return [(at, c) for at, c in every if plant.joint_name(plant.joint_of(c)) in joints] or every
 
 
-def _maps(found: Diagnosis, episodes: Sequence[Episode], told: Told) -> list[Json]:
+def _maps(diagnosis: Diagnosis, episodes: Sequence[Episode], columns: Told) -> list[Json]:
     """Each channel's residual over strides, by the nominal model, the refitted one and the
     corrected one."""
     plant, fits = (
-        found.plant,
-        {"nominal": found.nominal, "refitted": found.search.found[Hypothesis()].fit},
+        diagnosis.plant,
+        {"nominal": diagnosis.nominal, "refitted": diagnosis.search.found[Hypothesis()].fit},
     )
-    fits["corrected"] = found.choice.winner.fit
-    layers = {layer: strides_of(plant, found.search, fit, episodes) for layer, fit in fits.items()}
+    fits["corrected"] = diagnosis.choice.winner.fit
+    layers = {
+        layer: strides_of(plant, diagnosis.search, fit, episodes) for layer, fit in fits.items()
+    }
     some, lasts = layers["nominal"], np.array([float(e.t_s[-1]) for e in episodes])
     drawn: list[Json] = []
-    for at, channel in told:
+    for at, channel in columns:
         joint, column = plant.joint_of(channel), int(plant.state_columns[at])
         missed = {layer: strides.missed[:, column] for layer, strides in layers.items()}
         places = Places(
@@ -95,9 +98,9 @@ def _maps(found: Diagnosis, episodes: Sequence[Episode], told: Told) -> list[Jso
     return drawn
 
 
-def _experiment(found: Diagnosis) -> Json:
+def _experiment(diagnosis: Diagnosis) -> Json:
     """The command of the next experiment, if there is one."""
-    plant, next_ = found.plant, found.experiment
+    plant, next_ = diagnosis.plant, diagnosis.experiment
     if next_ is None or next_.command is None:
         return None
     drawn = slice(None, None, max(1, math.ceil(len(next_.t_s) / MOST)))

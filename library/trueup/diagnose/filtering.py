@@ -15,48 +15,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.diagnose.admission import Admission
+from trueup.cores import in_parallel
+from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.measure import knows_beginnings, squared_errors, windows_of
+from trueup.diagnose.tuning import FILTER
 from trueup.episode.episode import Episode
-from trueup.fit.rollout_fit import RolloutFit, in_parallel
+from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.block import joint as joint_of
 from trueup.model.block import kind, term
 from trueup.model.corrected import Corrected
-from trueup.model.known import known
 from trueup.model.plant import Plant
 from trueup.model.series import Scheme
 from trueup.model.state import smoothed_states
+from trueup.model.velocity_prior import velocity_prior
 
 Array = NDArray[np.float64]
-DOUBLINGS = 24  # of the time over which a filter settles: from one sample to days
-LEAST, MOST = (
-    -7.0,
-    5.0,
-    # decades of the motion's acceleration: a force that is random in each second, or wanders so far
-    # in one
-)
 SETTLED = 1e-10  # of a standard deviation squared: a covariance that stands still
 LOST = 1e10  # of the motion's square: no covariance that is worth a gain
-COARSE = 2.0  # decades between the first sizes that are tried
-FINEST = 0.4
-BEGINNING = 24  # samples until the steady gain is used
-UNCERTAIN = 2.0  # standard errors
 
 
 def corrected(
-    plant: Plant, admission: Admission, fit: RolloutFit, scheme: Scheme, episodes: Sequence[Episode]
+    plant: Plant, quality: DataQuality, fit: RolloutFit, scheme: Scheme, episodes: Sequence[Episode]
 ) -> Corrected:
     """The predictor of a fit, with the gain that predicts the given adaptation episodes best."""
     hypothesis, values = fit.hypothesis, fit.values.copy()
     for at in range(len(plant.joints)):
-        lattice, coarse = admission.lattices(at)
+        lattice, coarse = quality.lattices(at)
         if coarse.any():
             shown = term("sensor_quantization", at)
             hypothesis = hypothesis | shown
             values[list(plant.block.rows(shown))] = np.where(coarse, lattice, 0.0)
     model, unknown = Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme), None
-    if not admission.observed.all() and len(plant.joints) == 1:
-        moments, unknown = known([_moments(plant, e) for e in episodes])
+    if not quality.observed.all() and len(plant.joints) == 1:
+        moments, unknown = velocity_prior([_moments(plant, e) for e in episodes])
         model = replace(model, known=moments)
     period = episodes[0].period_s
     far, near = (
@@ -64,40 +55,42 @@ def corrected(
         for length in (plant.horizon_s, period)
     )
 
-    def tried(kind: tuple[float, bool]) -> tuple[Array, Corrected]:
+    def predicted(kind: tuple[float, bool]) -> tuple[Array, Corrected]:
         candidate = replace(
             model,
-            gain=_gain(plant, admission, model, 10.0 ** kind[0], period, unknown, wanders=kind[1]),
+            gain=_gain(plant, quality, model, 10.0 ** kind[0], period, unknown, wanders=kind[1]),
         )
-        return squared_errors(candidate, far, admission.motion), candidate
+        return squared_errors(candidate, far, quality.motion), candidate
 
-    def tried_all(
+    def predicted_all(
         kinds: Sequence[tuple[float, bool]],
     ) -> dict[tuple[float, bool], tuple[Array, Corrected]]:
-        return dict(zip(kinds, in_parallel(tried, kinds), strict=True))
+        return dict(zip(kinds, in_parallel(predicted, kinds), strict=True))
 
-    found = tried_all(
+    tried = predicted_all(
         [
             (size, wanders)
             for wanders in (False, True)
-            for size in np.arange(LEAST, MOST + 1e-9, COARSE)
+            for size in np.arange(
+                FILTER.least_disturbance, FILTER.most_disturbance + 1e-9, FILTER.coarse_decades
+            )
         ]
     )
-    width = COARSE / 2.0
-    while width > FINEST:
-        size, wanders = min(found, key=lambda k: found[k][0].mean())
-        found |= tried_all([(size - width, wanders), (size + width, wanders)])
+    width = FILTER.coarse_decades / 2.0
+    while width > FILTER.fine_decades:
+        size, wanders = min(tried, key=lambda k: tried[k][0].mean())
+        tried |= predicted_all([(size - width, wanders), (size + width, wanders)])
         width /= 2.0
-    least = min((errors for errors, _ in found.values()), key=lambda errors: errors.mean())
-    alike = [candidate for errors, candidate in found.values() if _as_well(errors - least)]
-    nearest = list(in_parallel(lambda c: squared_errors(c, near, admission.motion).mean(), alike))
+    least = min((errors for errors, _ in tried.values()), key=lambda errors: errors.mean())
+    alike = [candidate for errors, candidate in tried.values() if _as_well(errors - least)]
+    nearest = list(in_parallel(lambda c: squared_errors(c, near, quality.motion).mean(), alike))
     return alike[int(np.argmin(nearest))]
 
 
 def _as_well(worse: Array) -> bool:
     """Whether windows do not show a difference; then the gain that is nearest a sample ahead is the
     filter's."""
-    return bool(worse.mean() <= UNCERTAIN * worse.std() / np.sqrt(len(worse)))
+    return bool(worse.mean() <= FILTER.alike * worse.std() / np.sqrt(len(worse)))
 
 
 def _moments(plant: Plant, episode: Episode) -> Array:
@@ -109,7 +102,7 @@ def _moments(plant: Plant, episode: Episode) -> Array:
 
 def _gain(
     plant: Plant,
-    admission: Admission,
+    quality: DataQuality,
     model: Corrected,
     size: float,
     period_s: float,
@@ -121,27 +114,27 @@ def _gain(
     disturbance of a size: a force random from sample to sample, or one that wanders and is
     estimated. `unknown` is the standard deviation of a first velocity that nobody observed.
     """
-    moves = plant.dynamics.transition(np.array(model.values[: len(plant.parameters)]), period_s)
+    update = plant.dynamics.transition(np.array(model.values[: len(plant.parameters)]), period_s)
     of_joints = [
         _joint_gain(
-            admission,
+            quality,
             j,
-            moves[np.ix_(at, at)],
+            update[np.ix_(at, at)],
             _hidden(model, j, period_s),
             size,
             period_s,
             unknown,
             wanders=wanders,
         )
-        for j, at in ((j, admission.of_joint(j)) for j in range(len(plant.joints)))
+        for j, at in ((j, quality.of_joint(j)) for j in range(len(plant.joints)))
     ]
     return tuple(tuple(float(x) for x in row) for row in np.concatenate(of_joints, axis=1))
 
 
 def _joint_gain(
-    admission: Admission,
+    quality: DataQuality,
     joint: int,
-    moves: Array,
+    update: Array,
     hides: _Hidden,
     size: float,
     period_s: float,
@@ -149,16 +142,16 @@ def _joint_gain(
     *,
     wanders: bool,
 ) -> Array:
-    """One joint's gains, `(beginning, 8)`, as if the others' motion were known; `moves` is its own
+    """One joint's gains, `(beginning, 8)`, as if the others' motion were known; `update` is its own
     part of the linearised update."""
-    at, sizes, h = admission.of_joint(joint), admission.scales[joint], period_s
-    seen, deviation = admission.observed[at], np.nan_to_num(admission.noise[at])
+    at, sizes, h = quality.of_joint(joint), quality.scales[joint], period_s
+    seen, deviation = quality.observed[at], np.nan_to_num(quality.noise[at])
     first = sizes.velocity if unknown is None else unknown
     unit = np.array(
         [sizes.position, sizes.velocity, sizes.acceleration, sizes.velocity]
     )  # keeps the equation well scaled
     a, disturbed = np.eye(4), np.eye(4)[:, :3]
-    a[:2, :2] = moves
+    a[:2, :2] = update
     a[:2, 2] = h * h / 2.0, h
     a[3] = hides.after * a[1] + np.array([0.0, hides.before, 0.0, hides.kept])
     disturbed[3] = hides.after * disturbed[1]
@@ -170,7 +163,7 @@ def _joint_gain(
         drive[:2, :2] = np.array([[h**3 / 3.0, h**2 / 2.0], [h**2 / 2.0, h]]) * power
     drive = disturbed @ drive @ disturbed.T
     used = np.array([True, True, wanders, hides.kept > 0.0])
-    noise = np.diag(np.maximum(deviation, 1e-6 * admission.motion[at])[seen] ** 2)
+    noise = np.diag(np.maximum(deviation, 1e-6 * quality.motion[at])[seen] ** 2)
     shows = np.eye(4)[:2]
     shows[1, 3] = 1.0
     n, scaled = int(used.sum()), unit[used]
@@ -186,7 +179,7 @@ def _joint_gain(
         p[-1] = p[:, -1] = 0.0
         p[np.ix_([1, -1], [1, -1])] += off * np.array([[1.0, -1.0], [-1.0, 1.0]])
     gains = [np.zeros((n, len(c)))]  # the first sample is all that is known, and is taken as it is
-    for _ in range(BEGINNING):
+    for _ in range(FILTER.beginning):
         p = a @ p @ a.T + drive
         gains.append(p @ c.T @ np.linalg.inv(c @ p @ c.T + noise))
         p = p - gains[-1] @ c @ p
@@ -211,7 +204,7 @@ class _Hidden:
 
 
 def _hidden(model: Corrected, at: int, h: float) -> _Hidden:
-    """The same of a model's effects at a joint; none where the log shows the velocity."""
+    """How what hides a joint's velocity goes on over `h` [s]; nothing where the log shows it."""
     for acting in model.hypothesis.effects:
         if kind(acting).hides_velocity and joint_of(acting) == at:
             values = [model.values[row] for row in model.plant.block.rows(acting)]
@@ -230,7 +223,7 @@ def _steady(a: Array, information: Array, drive: Array) -> Array:
     disturbance adds; `(states, states)` each.
     """
     onward, gathered, p = a.T, information, drive
-    for _ in range(DOUBLINGS):
+    for _ in range(FILTER.doublings):
         root = _root(p)
         power, axes = np.linalg.eigh(root.T @ gathered @ root)
         known = (

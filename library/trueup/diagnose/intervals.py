@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from trueup.diagnose.decide import ADEQUATE
-from trueup.diagnose.problem import RESOLUTION
+from trueup.diagnose.tuning import SEARCH, SELECTION
 from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
 from trueup.model.block import kind
 
@@ -59,14 +58,14 @@ def half_widths(fit: RolloutFit, other: RolloutFit) -> dict[tuple[str, str], flo
         return {}
     rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
     at = fit.free.at(fit.values)
-    grid = np.where(rest, 0.0, RESOLUTION * at)
+    grid = np.where(rest, 0.0, 2.0 * SEARCH.grids[-1] * at)
     inverse = _inverse(fit.information[np.ix_(rest, rest)])
     grid[rest] = inverse @ (fit.information[np.ix_(rest, ~rest)] @ grid[~rest])
     variance = np.zeros(len(rest))
     variance[rest] = np.diag(covariance(fit)[np.ix_(rest, rest)])
     width = TWO_SIDED * np.sqrt(variance)
     moved = at - fit.free.at(other.values)
-    whole = np.sqrt(width**2 * (1.0 + min(fit.off or 0.0, 1.0) ** 2) + moved**2 + grid**2)
+    whole = np.sqrt(width**2 * (1.0 + min(fit.distance or 0.0, 1.0) ** 2) + moved**2 + grid**2)
     return {
         name: float(w)
         for name, w in zip(fit.free.names, np.minimum(whole, WIDEST * fit.free.step), strict=True)
@@ -79,9 +78,9 @@ def covariance(fit: RolloutFit) -> Array:
     rest = np.array([t == "" or kind(t).zoomed != n for t, n in fit.free.names])
     inverse = np.zeros((len(rest), len(rest)))
     inverse[np.ix_(rest, rest)] = _inverse(fit.information[np.ix_(rest, rest)])
-    found = inverse * max(fit.misfit, 1.0)
-    if fit.misfit <= ADEQUATE:
-        return found
+    spread = inverse * max(fit.reduced_chi_square, 1.0)
+    if fit.reduced_chi_square <= SELECTION.adequate:
+        return spread
     ends = np.cumsum([len(s.windows) for s in fit.starts.values()])[:-1]
     recordings = np.array([part.sum(axis=0) for part in np.split(fit.scores, ends)])
     for scores, students in (
@@ -94,22 +93,23 @@ def covariance(fit: RolloutFit) -> Array:
                 moved.T @ moved * len(scores) / (len(scores) - 1) * (students / TWO_SIDED) ** 2
             )
             wider = np.sqrt(
-                np.maximum(np.diag(by_clusters) / np.maximum(np.diag(found), 1e-300), 1.0)
+                np.maximum(np.diag(by_clusters) / np.maximum(np.diag(spread), 1e-300), 1.0)
             )
-            found = found * wider[:, None] * wider
-    return found
+            spread = spread * wider[:, None] * wider
+    return spread
 
 
 def _inverse(information: Array) -> Array:
-    """Of a normal matrix; a number that nothing determines has the variance UNKNOWN."""
-    told = np.diag(information) > NOTHING
-    found = np.diag(np.where(told, 0.0, UNKNOWN))
-    if told.any():
-        part = information[np.ix_(told, told)]
+    """The inverse of a normal matrix `(free, free)`; a number that nothing determines has the
+    variance UNKNOWN."""
+    informed = np.diag(information) > NOTHING
+    inverse = np.diag(np.where(informed, 0.0, UNKNOWN))
+    if informed.any():
+        part = information[np.ix_(informed, informed)]
         size = np.sqrt(np.diag(part))
-        found[np.ix_(told, told)] = (
+        inverse[np.ix_(informed, informed)] = (
             np.linalg.inv(part / size[:, None] / size + RIDGE * np.eye(len(size)))
             / size[:, None]
             / size
         )
-    return np.asarray(found)
+    return np.asarray(inverse)

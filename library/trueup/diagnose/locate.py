@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.diagnose.problem import Candidate, trajectory
+from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.regions import regions, used
 from trueup.diagnose.search import Search
+from trueup.diagnose.tuning import EVIDENCE
+from trueup.diagnose.windowed_fits import trajectory
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import RolloutFit, Start
 from trueup.model.block import kind
@@ -28,17 +30,7 @@ from trueup.model.series import whole
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
-STRIDE_S = 0.1
-LEAST = 3  # samples in a stride
-EDGES_HZ = (0.3, 1.0, 3.0)  # between bands
 NORMAL_MEDIAN = 0.6745  # of absolute standard normals
-PUSHED, PUSHED_S = (
-    8.0,
-    0.8,
-    # times what is usual there, and how long it lasts: what something outside does that leans on a
-    # robot
-)
-OF_MOTION = 0.2  # of the force of a joint's own motion: less is no push worth a word
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +75,7 @@ def locate(
     strides = strides_of(plant, search, base.fit, episodes)
     force, moved = _by_joint(strides)
     worst = int(np.argmax(force))
-    found: dict[str, Json] = {
+    where: dict[str, Json] = {
         "channels": _channels(plant, search, nominal),
         "ports": _ports(search, base),
         "regions": _regions(strides, worst),
@@ -98,17 +90,17 @@ def locate(
             np.sqrt(force),
             strict=True,
         )
-        found["joints"] = [
+        where["joints"] = [
             {"joint": n, "force": float(f), "acceleration": float(a), "of_motion": float(m)}
             for n, f, a, m in shares
         ]
-        found["regions_of"] = plant.joint_name(worst)
-        found["pushed"] = _pushed(
+        where["regions_of"] = plant.joint_name(worst)
+        where["pushed"] = _pushed(
             plant,
             strides if winner is base else strides_of(plant, search, winner.fit, episodes),
             episodes,
         )
-    return found
+    return where
 
 
 def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]:
@@ -119,7 +111,10 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
     whole log.
     """
     usual = np.maximum(np.nanmedian(np.abs(s.residual), axis=0) / NORMAL_MEDIAN, 1e-12)
-    least = np.maximum(PUSHED * usual, OF_MOTION * np.sqrt(np.nanmean(s.motion**2, axis=0)))
+    least = np.maximum(
+        EVIDENCE.pushed * usual,
+        EVIDENCE.pushed_of_motion * np.sqrt(np.nanmean(s.motion**2, axis=0)),
+    )
     pushes: list[tuple[int, float, float, int, float]] = []
     for count, e in enumerate(episodes):
         rows = s.episode == count
@@ -130,13 +125,13 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
             for way in (1.0, -1.0):
                 at = np.flatnonzero(way * force > least[j])
                 for run in np.split(at, np.flatnonzero(np.diff(at) > 2) + 1):  # noqa: PLR2004  (one stride may be less)
-                    if len(run) * stride >= PUSHED_S:
+                    if len(run) * stride >= EVIDENCE.pushed_s:
                         begin, end = (
                             float(t[run[0]]) - stride / 2.0,
                             float(t[run[-1]]) + stride / 2.0,
                         )
                         pushes.append((count, begin, end, j, float(way * np.max(way * force[run]))))
-    found: list[Json] = []
+    entries: list[Json] = []
     for count, e in enumerate(episodes):
         spans: list[list[float]] = []
         mine = sorted(p for p in pushes if p[0] == count)
@@ -154,7 +149,7 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
             joints: list[Json] = [
                 {"joint": plant.joint_name(j), "force": force} for j, force in sorted(by.items())
             ]
-            found.append(
+            entries.append(
                 {
                     "episode": e.digest,
                     "from_s": round(begin, 2),
@@ -162,7 +157,7 @@ def _pushed(plant: Plant, s: Strides, episodes: Sequence[Episode]) -> list[Json]
                     "joints": joints,
                 }
             )
-    return found
+    return entries
 
 
 def _by_joint(s: Strides) -> tuple[Array, Array]:
@@ -199,7 +194,7 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
     for c in search:
         if len(c.hypothesis.effects) == 1:
             name = kind(c.hypothesis.effects[0]).name
-            part = 1.0 - (c.misfit - 1.0) / max(base.misfit - 1.0, 1e-9)
+            part = 1.0 - (c.reduced_chi_square - 1.0) / max(base.reduced_chi_square - 1.0, 1e-9)
             best[effects()[name].port.reported] = max(
                 best.get(effects()[name].port.reported, (0.0, "")),
                 (float(np.clip(part, 0.0, 1.0)), name),
@@ -213,10 +208,10 @@ def _ports(search: Search, base: Candidate) -> list[Json]:
 def strides_of(
     plant: Plant, search: Search, of: RolloutFit, episodes: Sequence[Episode]
 ) -> Strides:
-    """What a fit misses over strides of STRIDE_S."""
+    """What a fit misses over strides of EVIDENCE.stride_s."""
     parts, joints = [], len(plant.joints)
     for count, e in enumerate(episodes):
-        every = max(LEAST, round(STRIDE_S / e.period_s))
+        every = max(EVIDENCE.stride_samples, round(EVIDENCE.stride_s / e.period_s))
         first = np.arange(0, len(e.t_s) - every, every)
         s = whole(plant, e, search.problem.scheme, first)
         states = smoothed_states(plant, e)
@@ -231,8 +226,8 @@ def strides_of(
         path = trajectory(search.problem.fitter, fit, s)
         end, middle = first + every - 1, first + every // 2
         span = (e.t_s[end] - e.t_s[first])[:, None]
-        missed_state = states[end] - path[end]
-        missed = missed_state[:, joints:] / span
+        state_error = states[end] - path[end]
+        missed = state_error[:, joints:] / span
         motion = (states[end, joints:] - states[first, joints:]) / span
         inertia = plant.dynamics.inertia(
             of.values[: len(plant.parameters)], states[middle, :joints]
@@ -240,7 +235,7 @@ def strides_of(
         u = plant.applied(e.commands)
         parts.append(
             (
-                missed_state,
+                state_error,
                 np.einsum("sij,sj->si", inertia, missed),
                 missed,
                 np.einsum("sij,sj->si", inertia, motion),
@@ -263,23 +258,23 @@ def _regions(s: Strides, j: int) -> list[Json]:
     fine = np.isfinite(energy)
     parts = regions(s.q[:, j], s.v[:, j], s.u[:, j], s.t, s.use[:, j], s.turned[:, j])
     whole_ = max(float(energy[fine].sum()), 1e-300)
-    found: list[tuple[float, Json]] = []
+    lifts: list[tuple[float, Json]] = []
     for name, inside in parts.items():
         time, share = float((inside & fine).mean()), float(energy[inside & fine].sum() / whole_)
         if time > 0.0:
-            found.append(
+            lifts.append(
                 (
                     share / time,
                     {"region": name, "share": share, "of_time": time, "lift": share / time},
                 )
             )
-    return [entry for _, entry in sorted(found, key=lambda pair: -pair[0])]
+    return [entry for _, entry in sorted(lifts, key=lambda pair: -pair[0])]
 
 
 def _bands(s: Strides, j: int) -> list[Json]:
     """The residual's energy in each band of frequency, beside the motion's own; what the strides
     cannot resolve is left out."""
-    edges = [0.0, *EDGES_HZ, np.inf]
+    edges = [0.0, *EVIDENCE.band_edges_hz, np.inf]
     energy = np.zeros((2, len(edges) - 1))
     for count in np.unique(s.episode):
         rows = s.episode == count
@@ -299,7 +294,7 @@ def _bands(s: Strides, j: int) -> list[Json]:
                 axis=1
             )
     share = energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-300)
-    found: list[Json] = []
+    entries: list[Json] = []
     for low, high, residual, motion in zip(edges[:-1], edges[1:], *share, strict=True):
         name = (
             f"below {high:g} Hz"
@@ -308,5 +303,5 @@ def _bands(s: Strides, j: int) -> list[Json]:
             if high == np.inf
             else f"{low:g} to {high:g} Hz"
         )
-        found.append({"band": name, "share": float(residual), "of_motion": float(motion)})
-    return found
+        entries.append({"band": name, "share": float(residual), "of_motion": float(motion)})
+    return entries

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.diagnose.noise import Noise
+from trueup.diagnose.tuning import EVIDENCE
 from trueup.episode.episode import Episode
 from trueup.model.block import kind
 from trueup.model.corrected import Corrected
@@ -32,9 +33,7 @@ from trueup.model.state import is_observed
 from trueup.model.windows import Windows, cut, starts_every
 
 Array = NDArray[np.float64]
-RESAMPLES = 400
 RAN_AWAY = 1e6  # standard deviations: no error is larger
-AT_THE_FLOOR = 1.1  # times the floor's power: an error below that is not told from it
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +54,7 @@ class Gap:
     @property
     def at_the_floor(self) -> bool:
         """Whether what is left is no more than what noise does."""
-        return self.after**2 <= AT_THE_FLOOR * self.floor**2
+        return self.after**2 <= EVIDENCE.at_the_floor * self.floor**2
 
     @property
     def was_at_the_floor(self) -> bool:
@@ -63,7 +62,7 @@ class Gap:
         return self.before <= self.floor
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The gap as JSON, a field of the report."""
         return {
             "metric": "normalised rollout RMS, held out",
             "horizon_s": self.horizon_s,
@@ -126,17 +125,17 @@ def windows_of(
     """Windows of each episode at each multiple of the horizon; without beginnings, or without an
     observed velocity, the first only if it is alone.
     """
-    found = []
+    every = []
     for e in episodes:
         first = starts_every(e.t_s[:-1], horizon_s)
-        found.append(
+        every.append(
             cut(
                 plant,
                 e,
                 first if (beginnings and is_observed(plant, e)) or len(first) == 1 else first[1:],
             )
         )
-    return found
+    return every
 
 
 def _by_channel(predictor: Predictor, windows: Sequence[Windows], motion: Array) -> Array:
@@ -183,10 +182,10 @@ def measure(
         [_floor(corrected, e, horizon, motion, noise, rng, begun) for e in episodes]
     )
     least = np.nan_to_num(floor.mean(axis=1))
-    drawn = rng.integers(0, len(before), (RESAMPLES, len(before)))
+    drawn = rng.integers(0, len(before), (EVIDENCE.resamples, len(before)))
     closed, interval = None, None
     base = float(least.mean())
-    if before.mean() > AT_THE_FLOOR * base:
+    if before.mean() > EVIDENCE.at_the_floor * base:
         closed = _closed(before.mean(), after.mean(), base)
         spread = [
             _closed(b, a, base)
@@ -218,7 +217,7 @@ def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -
         float(np.mean(squared_errors(p, windows, motion))) for p in (Nominal(plant), corrected)
     )
     floor = float(np.mean((np.nan_to_num(sigma) / motion)[plant.state_columns] ** 2))
-    return _closed(before, after, floor) if before > AT_THE_FLOOR * floor else None
+    return _closed(before, after, floor) if before > EVIDENCE.at_the_floor * floor else None
 
 
 def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:

@@ -19,26 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from trueup.diagnose.tuning import DATA_QUALITY
+
 Array = NDArray[np.float64]
 Track = tuple[Array, NDArray[np.bool_]]
 WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # of a fourth difference
 GAIN = 70.0  # of its power for white noise: the sum of the weights' squares
-TRIMMED = 0.8  # of the smallest differences count; a kink or a lost frame is among the others
-ALMOST_ALL = 0.995  # the same of what a model leaves, which has few kinks: outliers count
 MEDIAN = 0.67449  # median of absolute standard normals
-STRIDES = (1, 2, 3, 4)  # samples apart, in a motion
-FAR_STRIDES = (1, 2, 4, 8, 16)  # the same in what a model leaves, which has little motion
-CORRELATIONS = (0.0, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.88, 0.9, 0.92, 0.94, 0.96)
-MOTION = (
-    2,
-    8,
-    # powers of the stride with which differences of a kink in the velocity, and of a smooth motion,
-    # grow
-)
-# times the power over one sample has that over two: noise with a third of the one before has 1.5
-COLOURED = 1.5
-PLAINLY = 4.0  # times better do differences fit coloured noise
-FEWEST = 200  # differences that tell a correlation
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +63,9 @@ def gain(correlation: float, stride: int = 1) -> float:
 
 
 def noise_of(
-    tracks: Sequence[Track], smallest: float = TRIMMED, strides: Sequence[int] = STRIDES
+    tracks: Sequence[Track],
+    smallest: float = DATA_QUALITY.trimmed,
+    strides: Sequence[int] = DATA_QUALITY.strides,
 ) -> ChannelNoise:
     """The noise of tracks, each with the samples that do not count, from the smallest part of their
     differences over some strides."""
@@ -113,33 +102,46 @@ def _correlation(strides: Sequence[int], over: Sequence[Array]) -> tuple[float, 
     """The correlation that fits differences over the strides, and which part of those over one
     sample is noise."""
     powers = np.array(
-        [(float(np.median(d)) / MEDIAN) ** 2 if len(d) > FEWEST else np.nan for d in over]
+        [
+            (float(np.median(d)) / MEDIAN) ** 2
+            if len(d) > DATA_QUALITY.fewest_differences
+            else np.nan
+            for d in over
+        ]
     )
-    if not (np.isfinite(powers).all() and powers[0] > 0.0 and powers[1] > COLOURED * powers[0]):
+    if not (
+        np.isfinite(powers).all()
+        and powers[0] > 0.0
+        and powers[1] > DATA_QUALITY.coloured * powers[0]
+    ):
         return 0.0, 1.0
-    fits = {c: _fitted(c, strides, powers) for c in CORRELATIONS}
+    fits = {c: _fitted(c, strides, powers) for c in DATA_QUALITY.correlations}
     best = min(fits, key=lambda c: fits[c][0])
-    return (best, fits[best][1]) if best and PLAINLY * fits[best][0] < fits[0.0][0] else (0.0, 1.0)
+    return (
+        (best, fits[best][1])
+        if best and DATA_QUALITY.clearly_coloured * fits[best][0] < fits[0.0][0]
+        else (0.0, 1.0)
+    )
 
 
 def _fitted(correlation: float, strides: Sequence[int], powers: Array) -> tuple[float, float]:
     """How far powers over the strides are from noise of a correlation and one kind of motion
     beside, and the noise's part of the first."""
     noise = np.array([gain(correlation, stride) for stride in strides]) / gain(correlation)
-    found = []
-    for growth in MOTION:
+    fits = []
+    for growth in DATA_QUALITY.motion_growth:
         motion = np.array(strides, np.float64) ** growth
         design = np.stack([noise, motion], axis=1) / powers[:, None]
         sizes = np.maximum(_two(design), 0.0)
         if not sizes.all():  # one of them alone
             sizes = np.array([float(design[:, 0].sum() / (design[:, 0] ** 2).sum()), 0.0])
-        found.append(
+        fits.append(
             (
                 float(np.sum((design @ sizes - 1.0) ** 2)),
                 float(np.clip(sizes[0] / powers[0], 0.0, 1.0)),
             )
         )
-    return min(found)
+    return min(fits)
 
 
 def _two(design: Array) -> Array:

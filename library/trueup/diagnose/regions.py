@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.diagnose.tuning import EVIDENCE
 from trueup.episode.episode import Episode
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
-SLOW, LARGE, LATE = (
-    0.1,
-    0.8,
-    2.0 / 3.0,
-)  # of the top speed; of the largest command or travel; of the episode
-AROUND_S = 0.1  # about a reversal
+SLOW = 0.1  # of the top speed
+LARGE = 0.8  # of the largest command or travel
+LATE = 2.0 / 3.0  # of the episode
 
 
 def regions(
@@ -56,8 +54,11 @@ def regions_of_samples(plant: Plant, episode: Episode) -> dict[str, NDArray[np.b
         plant.applied(episode.commands),
         len(plant.joints),
     )
-    use, around = used(applied, episode), max(1, round(AROUND_S / episode.period_s / 2.0))
-    found: dict[str, NDArray[np.bool_]] = {}
+    use, around = (
+        used(applied, episode),
+        max(1, round(EVIDENCE.around_reversal_s / episode.period_s / 2.0)),
+    )
+    inside_of: dict[str, NDArray[np.bool_]] = {}
     for joint in range(count):
         q, v = states[:, joint], states[:, count + joint]
         crossed = np.concatenate([[0.0], (v[:-1] * v[1:] < 0.0).astype(float)])
@@ -65,7 +66,7 @@ def regions_of_samples(plant: Plant, episode: Episode) -> dict[str, NDArray[np.b
         of = regions(
             q, v, applied[:, joint], episode.t_s / episode.t_s[-1], use[:, joint], turned[: len(q)]
         )
-        found |= {
+        inside_of |= {
             f"{plant.joint_name(joint)}: {name}" if count > 1 else name: inside
             for name, inside in of.items()
         }
@@ -75,4 +76,4 @@ def regions_of_samples(plant: Plant, episode: Episode) -> dict[str, NDArray[np.b
         outside |= (episode.observations[:, column] < low) | (
             episode.observations[:, column] > high
         )
-    return found | {"outside the envelope": outside}
+    return inside_of | {"outside the envelope": outside}

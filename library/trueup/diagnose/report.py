@@ -8,12 +8,12 @@ import numpy as np
 
 import trueup
 from trueup.canonical import Json
-from trueup.diagnose.admission import Admission
-from trueup.diagnose.decide import Choice, Verdict, total
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.explain import Bound, counted
 from trueup.diagnose.measure import Gap
-from trueup.diagnose.probe import Experiment
-from trueup.diagnose.problem import Candidate
+from trueup.diagnose.model_selection import Choice, Verdict
+from trueup.diagnose.next_experiment import Experiment
 from trueup.diagnose.search import Search
 from trueup.episode.episode import Episode
 from trueup.fit.rollout_fit import TWO_SIDED, RolloutFit
@@ -31,7 +31,7 @@ COMMAND_FILE = "next_experiment.csv"
 def report(
     *,
     plant: Plant,
-    admission: Admission,
+    quality: DataQuality,
     search: Search,
     choice: Choice,
     answer: Candidate,
@@ -55,7 +55,7 @@ def report(
     rest.
     """
     samples = sum(len(e.t_s) for e in episodes)
-    seen = counted(admission, plant, samples)
+    seen = counted(quality, plant, samples)
     verdict = choice.verdict
     named = seen + (effects if verdict is Verdict.EFFECT else [])
     if named and verdict in (Verdict.NO_GAP, Verdict.PARAMETERS_ONLY):
@@ -67,7 +67,7 @@ def report(
         "verdict": str(verdict),
         "effects": list(named),
         "indistinguishable": [
-            [*(told(plant, t) for t in a), *extra]
+            [*(named_term(plant, t) for t in a), *extra]
             for a in indistinguishable(choice, len(plant.joints))
         ],
         "excluded": [b.document() for b in excluded],
@@ -76,7 +76,7 @@ def report(
         **({"mjcf": patch.document()} if plant.family == "mjcf" else {}),
         "where": dict(where),
         "gap": gap.document(),
-        "next_experiment": experiment.document(COMMAND_FILE, lambda t: told(plant, t))
+        "next_experiment": experiment.document(COMMAND_FILE, lambda t: named_term(plant, t))
         if experiment
         else None,
         "evidence": {
@@ -88,16 +88,16 @@ def report(
             "hypotheses": _hypotheses(plant, search, choice, nominal),
             "alternatives": list(alternatives),
             "noise": {
-                c.name: float(admission.noise[i])
+                c.name: float(quality.noise[i])
                 for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
             },
             "noise_correlation": {
-                c.name: float(admission.correlation[i])
+                c.name: float(quality.correlation[i])
                 for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
             },
             "convergence": _convergence(answer, *choice.rivals),
             "uses_of_validation": len(search.found),
-            "misfit": _finite(choice.winner.misfit),
+            "misfit": _finite(choice.winner.reduced_chi_square),
             "unexplained": choice.left,
             **({"not_simulated": _left_out(plant)} if plant.family == "mjcf" else {}),
             "seed": seed,
@@ -113,7 +113,7 @@ def _convergence(*fitted: Candidate) -> Json:
     return [
         {
             "effects": list(c.hypothesis.effects),
-            "off": _finite(c.fit.off) if c.fit.off is not None else None,
+            "off": _finite(c.fit.distance) if c.fit.distance is not None else None,
             "minima": len(c.minima),
         }
         for c in fitted
@@ -127,7 +127,7 @@ def _left_out(plant: Plant) -> Json:
     return nominal.get("left_out", []) if isinstance(nominal, Mapping) else []
 
 
-def told(plant: Plant, term: str) -> Json:
+def named_term(plant: Plant, term: str) -> Json:
     """A term as a report has it: the effect's name, with its joint where there are several."""
     return (
         {"effect": kind(term).name, "joint": plant.joint_name(joint(term))}
@@ -168,12 +168,12 @@ def _hypotheses(plant: Plant, search: Search, choice: Choice, nominal: RolloutFi
         {
             "effects": [],
             "parameters": "nominal",
-            "misfit": _finite(nominal.misfit),
-            "validation": _finite(nominal.misfit),
+            "misfit": _finite(nominal.reduced_chi_square),
+            "validation": _finite(nominal.reduced_chi_square),
         }
     ]
     chosen = {choice.winner.hypothesis, *(r.hypothesis for r in choice.rivals)}
-    ranked = sorted((c for c in search if np.isfinite(total(c))), key=total)
+    ranked = sorted((c for c in search if np.isfinite(c.total)), key=lambda c: c.total)
     base = [c for c in ranked if not c.hypothesis.effects]
     listed = {
         c.hypothesis: c
@@ -189,13 +189,13 @@ def _row(plant: Plant, c: Candidate, winner: Candidate, *, in_set: bool) -> Json
     worse = c.check.costs - winner.check.costs
     half = TWO_SIDED * float(np.sqrt(len(worse) * np.var(worse))) / c.check.samples
     return {
-        "effects": [told(plant, t) for t in c.hypothesis.effects],
+        "effects": [named_term(plant, t) for t in c.hypothesis.effects],
         "parameters": "fitted",
-        "misfit": _finite(total(c)),
-        "validation": _finite(c.misfit),
+        "misfit": _finite(c.total),
+        "validation": _finite(c.reduced_chi_square),
         "worse_ci95": [
-            _finite(c.misfit - winner.misfit - half),
-            _finite(c.misfit - winner.misfit + half),
+            _finite(c.reduced_chi_square - winner.reduced_chi_square - half),
+            _finite(c.reduced_chi_square - winner.reduced_chi_square + half),
         ],
         "answer": c is winner,
         "in_set": in_set,

@@ -32,12 +32,12 @@ def side_by_side(
 ) -> dict[str, Json]:
     """Two models of one plant on some episodes, as JSON, schema `trueup.side-by-side/1`."""
     plant, models = first.plant, {FIRST: first, SECOND: second}
-    told = list(enumerate(plant.layout.observations))
+    columns = list(enumerate(plant.layout.observations))
     missed = {name: [_missed(model, e) for e in episodes] for name, model in models.items()}
     places = [_places(first, e) for e in episodes]
     drawn: list[Json] = []
-    for at, channel in told:
-        of = {name: np.concatenate([m[:, at] for m in found]) for name, found in missed.items()}
+    for at, channel in columns:
+        of = {name: np.concatenate([m[:, at] for m in errors]) for name, errors in missed.items()}
         joint = plant.joint_of(channel)
         where = Places(
             plant,
@@ -59,10 +59,10 @@ def side_by_side(
         "schema": SCHEMA,
         "plant": plant.name,
         "horizon_s": plant.horizon_s,
-        "episodes": traces(plant, furthest(episodes, plant.scales), models, told),
+        "episodes": traces(plant, furthest(episodes, plant.scales), models, columns),
         "maps": drawn,
         "by_episode": [
-            _by_episode(e, {name: found[i] for name, found in missed.items()}, told)
+            _by_episode(e, {name: errors[i] for name, errors in missed.items()}, columns)
             for i, e in enumerate(episodes)
         ],
     }
@@ -87,12 +87,12 @@ def _places(of: Predictor, episode: Episode) -> tuple[Array, Array, Array]:
 
 
 def _by_episode(
-    episode: Episode, missed: Mapping[str, Array], told: Sequence[tuple[int, Any]]
+    episode: Episode, missed: Mapping[str, Array], columns: Sequence[tuple[int, Any]]
 ) -> Json:
     return {
         "sha256": episode.digest,
         "role": str(episode.role),
         "channels": {
-            c.name: {name: number(rms(m[:, at])) for name, m in missed.items()} for at, c in told
+            c.name: {name: number(rms(m[:, at])) for name, m in missed.items()} for at, c in columns
         },
     }

@@ -26,15 +26,17 @@ BEYOND = 1e9  # standard deviations: a rollout that ran away is drawn no further
 
 
 def traces(
-    plant: Plant, episodes: Sequence[Episode], models: Mapping[str, Predictor], told: Told
+    plant: Plant, episodes: Sequence[Episode], models: Mapping[str, Predictor], columns: Told
 ) -> list[Json]:
     """Some channels of some episodes, and each model's prediction: rollouts on the issued commands
     alone that start at each multiple of the plant's horizon.
     """
-    lines = len(episodes) * ((1 + len(models)) * len(told) + 1)
+    lines = len(episodes) * ((1 + len(models)) * len(columns) + 1)
     most = int(np.clip(POINTS / max(lines, 1), LEAST, MOST))
     return [
-        _trace(plant, e, {name: predicted(model, e) for name, model in models.items()}, told, most)
+        _trace(
+            plant, e, {name: predicted(model, e) for name, model in models.items()}, columns, most
+        )
         for e in episodes
     ]
 
@@ -43,19 +45,19 @@ def predicted(model: Predictor, episode: Episode) -> Array:
     """A model's prediction of each sample, `(samples, observations)`; nan where it ran away."""
     windows = cut(model.plant, episode, starts_every(episode.t_s, model.plant.horizon_s))
     with np.errstate(over="ignore", invalid="ignore"):
-        found = np.asarray(predict_observations(model, windows)[windows.inside])
+        values = np.asarray(predict_observations(model, windows)[windows.inside])
         spread = np.nanstd(episode.observations, axis=0)
-        return np.where(np.abs(found) < BEYOND * np.maximum(spread, 1e-300), found, np.nan)
+        return np.where(np.abs(values) < BEYOND * np.maximum(spread, 1e-300), values, np.nan)
 
 
 def _trace(
-    plant: Plant, episode: Episode, paths: Mapping[str, Array], told: Told, most: int
+    plant: Plant, episode: Episode, paths: Mapping[str, Array], columns: Told, most: int
 ) -> Json:
     begin = known_from(plant, episode)
     every = max(1, math.ceil((len(episode.t_s) - begin) / most))
     drawn = np.arange(begin, len(episode.t_s), every)
     channels: list[Json] = []
-    for at, channel in told:
+    for at, channel in columns:
         measured = episode.observations[:, at]
         channels.append(
             {
@@ -71,7 +73,7 @@ def _trace(
                 },
             }
         )
-    joints = {plant.joint_of(c) for _, c in told}
+    joints = {plant.joint_of(c) for _, c in columns}
     commands: list[Json] = [
         {**named(plant, c), "issued": numbers(episode.commands[drawn, i])}
         for i, c in enumerate(plant.layout.commands)
@@ -108,5 +110,5 @@ def number(x: float) -> float | None:
 
 
 def numbers(values: Array) -> list[Json]:
-    """The same of many."""
+    """Several numbers as JSON, rounded, None where they are not finite."""
     return [number(float(x)) for x in values]

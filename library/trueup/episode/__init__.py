@@ -1,1 +1,1 @@
-"""What happened: recorded commands and observations of one run."""
+"""Recorded commands and observations of one run."""

@@ -1,4 +1,4 @@
-"""Put commands and observations on one clock."""
+"""Align commands and observations on one clock."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def align(observed: Track, issued: Track) -> tuple[NDArray[np.int64], Array, Arr
             rule="clock",
             topic=issued.topic,
         )
-    held = np.searchsorted(command_stamps, stamps, side="right") - 1
-    first = int(np.argmax(held >= 0))
-    commands = _over_intervals(stamps[first:], command_stamps, issued.values, held[first:])
+    in_force = np.searchsorted(command_stamps, stamps, side="right") - 1
+    first = int(np.argmax(in_force >= 0))
+    commands = _over_intervals(stamps[first:], command_stamps, issued.values, in_force[first:])
     return stamps[first:], observed.values[first:], commands
 
 
@@ -45,7 +45,7 @@ def _over_intervals(
     stamps: NDArray[np.int64],
     command_stamps: NDArray[np.int64],
     values: Array,
-    held: NDArray[np.int64],
+    in_force: NDArray[np.int64],
 ) -> Array:
     """The command over each interval between samples: the one in force, or the mean of those in
     force where it changes within.
@@ -54,14 +54,18 @@ def _over_intervals(
     the one that was in force at its beginning would shift commands against observations and bias
     every fit.
     """
-    commands = values[held]
+    commands = values[in_force]
     last = (
         np.searchsorted(command_stamps, stamps[1:], side="left") - 1
     )  # the one in force just before the next sample
-    for i in np.flatnonzero(last > held[:-1]):
+    for i in np.flatnonzero(last > in_force[:-1]):
         within = np.concatenate(
-            [stamps[i : i + 1], command_stamps[held[i] + 1 : last[i] + 1], stamps[i + 1 : i + 2]]
+            [
+                stamps[i : i + 1],
+                command_stamps[in_force[i] + 1 : last[i] + 1],
+                stamps[i + 1 : i + 2],
+            ]
         )
         spans = np.diff(within).astype(np.float64)
-        commands[i] = spans @ values[held[i] : last[i] + 1] / spans.sum()
+        commands[i] = spans @ values[in_force[i] : last[i] + 1] / spans.sum()
     return commands

@@ -1,8 +1,8 @@
 """JointState in ROS 2 CDR: bytes to columns.
 
-A recorder writes the same structure thousands of times. The decoder reads one message, then takes
-every other one of the same length whose structure bytes are equal as a row of a matrix; only what
-differs is read by itself. Source: OMG Common Data Representation (DDS-XTypes 1.3, section 7.4.3);
+A recorder writes one structure thousands of times. The decoder reads one message, then takes every
+other one of equal length and structure bytes as a row of a matrix; only messages that differ are
+read by themselves. Source: OMG Common Data Representation (DDS-XTypes 1.3, section 7.4.3);
 sensor_msgs/msg/JointState (ROS 2).
 """
 
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.episode.container import Block, Message
+from trueup.episode.container import Message, MessageBlock
 from trueup.episode.joint_state import FIELDS, Columns, JointState, decode_each, joint_index
 from trueup.episode.layout import Channel
 from trueup.errors import NotAnEpisode
@@ -85,7 +85,9 @@ def read_cdr(data: bytes) -> JointState:
     return JointState(seconds * 1_000_000_000 + nanoseconds, shape.names, values)
 
 
-def decode_cdr(block: Block, messages: list[Message], channels: Sequence[Channel]) -> Columns:
+def decode_cdr(
+    block: MessageBlock, messages: list[Message], channels: Sequence[Channel]
+) -> Columns:
     """Columns of CDR messages, all at once where they share one structure. Raises NotAnEpisode."""
     try:
         starts, lengths, log = np.array(messages, np.int64).reshape(-1, 3).T

@@ -1,9 +1,9 @@
-"""Whether the two clocks of a recording agree: each message has a stamp of its sender, and a time
-at which it was logged.
+"""Check that the two clocks of a recording agree. Each message has a stamp of its sender, and a
+time at which it was logged.
 
-What lies between them is latency. It is never negative by much, and it changes by little: a
-recording in which the two run at different speeds, in another order, or one of them not at all, has
-a clock that is wrong, and which one that is only its owner can say.
+The difference is the latency. It is never much below 0, and it changes by little. A recording in
+which the two clocks run at different speeds, in another order, or in which one stands still, has a
+wrong clock; which one it is, only the owner can say.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ import numpy as np
 from trueup.episode.track import Track
 
 LATENCY_S = 1.0  # by so much a buffered logger may be late at one message and not at another
-LATENCY_SHARE = (
-    0.05  # of the recording: and clocks may drift apart by so much, far more than quartz does
-)
+# of the recording: and clocks may drift apart by so much, far more than quartz does
+LATENCY_SHARE = 0.05
 
 
 def doubts(track: Track) -> tuple[str, ...]:
-    """What is amiss between a topic's stamps and its log times, in words; nothing where it has no
-    stamps, which then count for nothing."""
+    """Contradictions between a topic's stamps and its log times, in words; none where it has no
+    stamps, which are then not used."""
     if not track.has_stamps or len(track.stamp_ns) == 1:
         return ()
     stamps, logged = ((times - times[0]) / 1e9 for times in (track.stamp_ns, track.log_ns))

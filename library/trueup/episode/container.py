@@ -1,4 +1,4 @@
-"""What an MCAP file is made of, and what one file may ask of its reader.
+"""The parts of an MCAP file, and the limits on one file.
 
 Source: MCAP format specification, https://mcap.dev/spec (2026).
 """
@@ -58,15 +58,14 @@ NOT_IN_DATA = {
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a file may ask of its reader."""
+    """Limits on one file, in bytes or as counts. All chunks together may unfold to `unfold_ratio`
+    times the file read so far, or to `unfold_free_bytes` if that is more."""
 
     file_bytes: int = 2 << 30
     record_bytes: int = 64 << 20
     chunk_bytes: int = 64 << 20
     unfold_ratio: float = 100.0
-    unfold_free_bytes: int = (
-        4 << 20
-    )  # a file that unfolds to no more is never a bomb, however well it compresses
+    unfold_free_bytes: int = 4 << 20  # so much is harmless, however well it compresses
     records: int = 50_000_000
     channels: int = 4096
     definition_bytes: int = 16 << 20
@@ -104,15 +103,13 @@ class Metadata:
     values: dict[str, str]
 
 
-Message = tuple[
-    int, int, int
-]  # where its data begin in the block, how long they are, log time [ns]
+# Where a message's data begin in the block, how long they are, and its log time [ns].
+Message = tuple[int, int, int]
 
 
 @dataclass(slots=True)
-class Block:
-    """Messages that lie in one buffer: for each channel where each begins, how long it is, and its
-    log time [ns]."""
+class MessageBlock:
+    """Messages in one buffer, by channel; `byte` is where the buffer's record is in the file."""
 
     data: bytes
     byte: int
@@ -129,18 +126,20 @@ class Loose:
         self.size = 0
 
     def add(self, channel: int, data: bytes, log_time_ns: int, byte: int) -> None:
+        """Add a message, whose record is at `byte` of the file."""
         self._byte = self._byte or byte
         self._messages.setdefault(channel, []).append((len(self._data), len(data), log_time_ns))
         self._data += data
         self.size += MESSAGE_HEAD.size + len(data)
 
-    def block(self) -> Block:
-        return Block(bytes(self._data), self._byte, self._messages)
+    def block(self) -> MessageBlock:
+        """The messages gathered so far."""
+        return MessageBlock(bytes(self._data), self._byte, self._messages)
 
 
 @dataclass(slots=True)
 class Contents:
-    """What the walk has met so far."""
+    """What the walk has read so far."""
 
     topics: dict[int, Topic] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Copying: messages of a recording into another one, byte by byte as they were recorded."""
+"""Copy messages of a recording into another one, byte by byte."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def copy_messages(
     begin_ns: int | None = None,
     end_ns: int | None = None,
 ) -> None:
-    """Messages of some topics, or of all, whose log time is from `begin_ns` on and before `end_ns`,
-    in the order of the file."""
+    """Copy the messages of some topics, or of all, whose log time is from `begin_ns` on and before
+    `end_ns`, in the order of the file."""
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
     for schema, channel, message in source.iter_messages(topics, log_time_order=False):
@@ -41,7 +41,7 @@ def copy_messages(
 
 
 def copy_rest(source: McapReader, to: Writer) -> None:
-    """Metadata and attachments."""
+    """Copy metadata and attachments."""
     for metadata in source.iter_metadata():
         to.add_metadata(metadata.name, dict(metadata.metadata))
     for attachment in source.iter_attachments():

@@ -1,5 +1,5 @@
-"""Cutting: a part of a recording as an episode of its own, with the role that it is to play;
-messages stay as they were recorded."""
+"""Cut a part of a recording into an episode of its own, with a role. Messages stay as they were
+recorded."""
 
 from __future__ import annotations
 

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 import orjson
 
 from trueup.episode.cdr import ROS2_NAMES, decode_cdr, read_cdr
-from trueup.episode.container import Block, Message, Topic
+from trueup.episode.container import Message, MessageBlock, Topic
 from trueup.episode.joint_state import FIELDS, Columns, JointState, decode_each
 from trueup.episode.layout import Channel
 from trueup.errors import NotAnEpisode
 
-Decoder = Callable[[Block, list[Message], Sequence[Channel]], Columns]
+Decoder = Callable[[MessageBlock, list[Message], Sequence[Channel]], Columns]
 
 
 def decoder(topic: Topic) -> Decoder:
@@ -24,7 +24,7 @@ def decoder(topic: Topic) -> Decoder:
 
 
 def message_reader(topic: Topic) -> Callable[[bytes], JointState]:
-    """What reads one message of a topic. Raises NotAnEpisode."""
+    """The function that reads one message of a topic. Raises NotAnEpisode."""
     if topic.encoding == "cdr":
         if topic.schema is not None and topic.schema.name not in ROS2_NAMES:
             raise NotAnEpisode(

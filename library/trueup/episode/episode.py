@@ -1,4 +1,4 @@
-"""Episode: what one run did, on one clock."""
+"""Episode: the record of one run, on one clock."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Episode:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Names of the declared channels of which the log holds nothing."""
+        """Names of the declared channels that the log has no values of."""
         channels = self.layout.observations + self.layout.commands
         columns = np.hstack([self.observations, self.commands])
         return tuple(
@@ -61,9 +61,10 @@ class Episode:
 
     @property
     def samples_digest(self) -> str:
-        """SHA-256 of the samples alone, 64 hexadecimal digits: the same recording in other bytes,
-        with other metadata or begun at another time of the clock has the same. Instants are counted
-        in nanoseconds from the first; all that is nan is alike.
+        """SHA-256 of the samples alone, 64 hexadecimal digits. It does not change with the encoding
+        of the recording, its metadata, or the time of its clock at the beginning.
+
+        Instants are counted in nanoseconds from the first; every nan counts alike.
         """
         hashed = hashlib.sha256(np.round(self.t_s * 1e9).astype("<i8").tobytes())
         for values in (self.observations, self.commands):
@@ -81,7 +82,7 @@ class Episode:
         return np.flatnonzero(np.diff(self.t_s) > GAP_PERIODS * self.period_s) + 1
 
     def require(self, *roles: Role) -> Episode:
-        """This episode, if its role is one of those given. Raises RoleRefused."""
+        """This episode, if its role is one of `roles`. Raises RoleRefused."""
         if self.role not in roles:
             allowed = " or ".join(roles)
             raise RoleRefused(
@@ -93,5 +94,5 @@ class Episode:
 
 
 def is_physical(episodes: Sequence[Episode]) -> bool:
-    """Whether any was recorded on a machine: its declared stage is physical, or HIL."""
+    """Whether any episode was recorded on a machine: its declared stage is physical, or HIL."""
     return any(e.conditions.get("stage") in ("physical", "HIL") for e in episodes)

@@ -49,12 +49,12 @@ class Fields:
     def text_map(self) -> dict[str, str]:
         """A map of strings behind a 32-bit length in bytes; a key may stand once."""
         inner = Fields(self.block(), self._byte)
-        found: dict[str, str] = {}
+        entries: dict[str, str] = {}
         while inner.at < len(inner._body):
             key, value = inner.text(), inner.text()
-            if key in found:
+            if key in entries:
                 raise MalformedMcap(
                     f"the key {key!r} stands twice in a map", rule="known", byte=self._byte
                 )
-            found[key] = value
-        return found
+            entries[key] = value
+        return entries

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.episode.container import Block, Message
+from trueup.episode.container import Message, MessageBlock
 from trueup.episode.layout import Channel, Field
 from trueup.errors import NotAnEpisode
 
@@ -35,8 +35,8 @@ class JointState:
 
 
 def joint_index(names: tuple[str, ...], joint: str | None) -> int | None:
-    """Where a joint stands in a message, the first one if none is named; None if it is not
-    there."""
+    """The index of a joint in a message, of the first one if `joint` is None; None if the joint is
+    not there."""
     if joint is None:
         return 0
     return names.index(joint) if joint in names else None
@@ -53,7 +53,7 @@ class Columns:
 
 
 def decode_each(
-    block: Block,
+    block: MessageBlock,
     messages: Iterable[Message],
     channels: Sequence[Channel],
     read: Callable[[bytes], JointState],

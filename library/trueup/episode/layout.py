@@ -1,4 +1,4 @@
-"""Which messages of a recording are an episode's channels."""
+"""The channels of an episode, and the messages of a recording that carry them."""
 
 from __future__ import annotations
 

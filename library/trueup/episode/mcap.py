@@ -29,10 +29,8 @@ from trueup.episode.walk import Walk
 from trueup.errors import NotAnEpisode, TooLarge
 
 EPISODE_RECORD = "episode"
-CONDITIONS, CONDITION_CHARACTERS = (
-    64,
-    4096,
-)  # entries, and characters of them all: every listing and audit entry repeats them
+# entries, and characters of them all: every listing and audit entry repeats them
+CONDITIONS, CONDITION_CHARACTERS = (64, 4096)
 
 
 def read_episode(data: bytes, layout: Layout, limits: Limits = LIMITS) -> Episode:
@@ -91,20 +89,20 @@ class _Hashed:
         return self._hash.hexdigest()
 
 
-def _role(found: Sequence[Metadata]) -> tuple[Role, dict[str, str]]:
-    if len(found) != 1:
+def _role(records: Sequence[Metadata]) -> tuple[Role, dict[str, str]]:
+    if len(records) != 1:
         raise NotAnEpisode(
-            f"{len(found)} metadata records are named `{EPISODE_RECORD}`, one is needed",
+            f"{len(records)} metadata records are named `{EPISODE_RECORD}`, one is needed",
             rule="role",
         )
-    conditions = dict(found[0].values)
+    conditions = dict(records[0].values)
     if (
         len(conditions) > CONDITIONS
         or sum(len(k) + len(v) for k, v in conditions.items()) > CONDITION_CHARACTERS
     ):
-        told = f"{CONDITIONS} entries of {CONDITION_CHARACTERS} characters together"
+        limit = f"{CONDITIONS} entries of {CONDITION_CHARACTERS} characters together"
         raise TooLarge(
-            f"the metadata record `{EPISODE_RECORD}` holds more than {told}",
+            f"the metadata record `{EPISODE_RECORD}` holds more than {limit}",
             limit="conditions",
             byte=0,
         )

@@ -1,10 +1,9 @@
-"""Overlay: a recording with what models say of it as further topics, as Foxglove and PlotJuggler
-show them beside the recorded ones.
+"""Overlay: a recording with models' predictions as further topics, as Foxglove and PlotJuggler show
+them beside the recorded ones.
 
-    /trueup/<model>/prediction   JointState: the observations that a model predicts
-    /trueup/<model>/residual     JointState: observed less predicted
-    /trueup/regions              JSON: the regions that a sample is in, a message whenever they
-                                 change
+    /trueup/<model>/prediction  JointState: the observations that a model predicts
+    /trueup/<model>/residual    JointState: observed less predicted
+    /trueup/regions             JSON: the regions that a sample is in, one whenever they change
 
 The recorded messages, metadata and attachments are copied as they are. Stamps of what is added are
 those of the samples.
@@ -24,7 +23,7 @@ from numpy.typing import NDArray
 
 from trueup.episode.copying import copy_messages, copy_rest
 from trueup.episode.episode import Episode
-from trueup.episode.writer import ROS2_DEFINITION, Rows, encode_cdr
+from trueup.episode.writer import ROS2_DEFINITION, FieldColumns, encode_cdr
 
 Array = NDArray[np.float64]
 REGIONS = "/trueup/regions"
@@ -53,7 +52,7 @@ def write_overlay(
     schema = writer.register_schema(
         "sensor_msgs/msg/JointState", "ros2msg", ROS2_DEFINITION.encode()
     )
-    rows = Rows(episode.layout.observations)
+    rows = FieldColumns(episode.layout.observations)
     for name, predicted in predictions.items():
         for what, values in (
             ("prediction", predicted),

@@ -47,15 +47,15 @@ def _add_in_order(
 
 def _read(kind: type[message.Message], data: bytes) -> JointState:
     try:
-        found: Any = kind.FromString(data)
+        state: Any = kind.FromString(data)
     except message.DecodeError as error:
         raise ValueError(str(error)) from error
-    values = tuple(list(getattr(found, field)) for field in FIELDS)
-    return JointState(_stamp_ns(found), tuple(found.name), values)
+    values = tuple(list(getattr(state, field)) for field in FIELDS)
+    return JointState(_stamp_ns(state), tuple(state.name), values)
 
 
-def _stamp_ns(found: Any) -> int:
-    stamp = found.header.stamp if hasattr(found, "header") else None
+def _stamp_ns(state: Any) -> int:
+    stamp = state.header.stamp if hasattr(state, "header") else None
     seconds = next((getattr(stamp, k) for k in ("sec", "secs", "seconds") if hasattr(stamp, k)), 0)
     nanoseconds = next(
         (getattr(stamp, k) for k in ("nanosec", "nsec", "nsecs", "nanos") if hasattr(stamp, k)), 0

@@ -1,4 +1,4 @@
-"""Roles of data, kept apart: what an episode was recorded for is what it may be used for."""
+"""Roles of episodes: an episode may be used only for what it was recorded for."""
 
 from __future__ import annotations
 
@@ -17,24 +17,10 @@ class Role(StrEnum):
     TELEMETRY = "telemetry"  # a live batch: watched, and never fitted or judged on
 
 
-STAGES = (
-    "MIL",
-    "SIL",
-    "PIL",
-    "HIL",
-    "physical",
-)  # of the test ladder: model, software, processor, hardware in the loop, and the machine
+# of the test ladder: model, software, processor, hardware in the loop, and the machine
+STAGES = ("MIL", "SIL", "PIL", "HIL", "physical")
 HELD_OUT = (Role.VALIDATION, Role.RETAINED)  # what a gate judges on
-WATCHED = (
-    Role.ADAPTATION,
-    Role.VALIDATION,
-    Role.REFERENCE,
-    Role.RETAINED,
-    Role.TELEMETRY,
-)  # test episodes are for reports alone
-HEALTHY = (
-    Role.REFERENCE,
-    Role.VALIDATION,
-    Role.RETAINED,
-    Role.TELEMETRY,
-)  # what a model was not fitted on may say what is healthy
+# test episodes are for reports alone
+WATCHED = (Role.ADAPTATION, Role.VALIDATION, Role.REFERENCE, Role.RETAINED, Role.TELEMETRY)
+# what a model was not fitted on may say what is healthy
+HEALTHY = (Role.REFERENCE, Role.VALIDATION, Role.RETAINED, Role.TELEMETRY)

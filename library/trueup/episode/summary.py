@@ -1,4 +1,4 @@
-"""What one wants to know of an episode before opening it."""
+"""A summary of an episode, to be read before it is opened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Survey: what a recording holds, before anybody has said what of it is an episode."""
+"""Survey: the topics of a recording, before any of it is declared an episode."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ class Surveyed:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """Every topic of JointState, the names of the others with what they carry, and the role that
-    the recording declares, if any."""
+    """Every topic of JointState, the names of the others with their content, and the role that the
+    recording declares, if any."""
 
-    found: tuple[Surveyed, ...]
+    topics: tuple[Surveyed, ...]
     others: tuple[str, ...]
     role: str | None
 
 
 def survey(stream: BinaryIO, size: int, limits: Limits = LIMITS) -> Survey:
-    """Look through a recording once. Raises MalformedMcap, TooLarge."""
+    """Survey a recording in one pass. Raises MalformedMcap, TooLarge."""
     walk = Walk(stream, size, limits, wanted=(EPISODE_RECORD,))
     times: dict[int, list[int]] = {}
     firsts: dict[int, bytes] = {}
@@ -53,7 +53,7 @@ def survey(stream: BinaryIO, size: int, limits: Limits = LIMITS) -> Survey:
             start, length, _ = messages[0]
             firsts.setdefault(channel, bytes(block.data[start : start + length]))
             times.setdefault(channel, []).extend(at for *_, at in messages)
-    found, others = [], []
+    topics, others = [], []
     for channel, first in firsts.items():
         topic = walk.contents.topics[channel]
         try:
@@ -68,7 +68,7 @@ def survey(stream: BinaryIO, size: int, limits: Limits = LIMITS) -> Survey:
         )
         stamps = np.array(times[channel], np.int64)
         period = float(np.median(np.diff(stamps))) / 1e9 if len(stamps) > 1 else 0.0
-        found.append(
+        topics.append(
             Surveyed(
                 topic.name,
                 state.names,
@@ -80,4 +80,4 @@ def survey(stream: BinaryIO, size: int, limits: Limits = LIMITS) -> Survey:
             )
         )
     declared = [m.values.get("role") for m in walk.contents.metadata]
-    return Survey(tuple(found), tuple(others), declared[0] if declared else None)
+    return Survey(tuple(topics), tuple(others), declared[0] if declared else None)

@@ -24,14 +24,13 @@ from trueup.errors import NotAnEpisode
 
 ALLOWED = ("start_ns", "t_s", "observations", "commands", "conditions", "role")
 LATEST_NS = 2**31 * 1_000_000_000 - 1  # the seconds of a ROS 2 stamp have 32 bits, with a sign
-LARGEST = (
-    2**62
-)  # a number beyond this is no time of any clock, and would overflow when something is added
+# a number beyond this is no time of any clock, and would overflow when something is added
+LARGEST = 2**62
 LONGEST_S = 1e9
 
 
 def telemetry_to_mcap(data: bytes, layout: Layout, out: BinaryIO) -> None:
-    """Write a batch as MCAP. Raises NotAnEpisode with the rule that it breaks."""
+    """Write a batch as MCAP. Raises NotAnEpisode, with the rule that the batch breaks."""
     try:
         batch = orjson.loads(data)
     except orjson.JSONDecodeError as error:
@@ -81,37 +80,32 @@ def _refused(message: str, rule: str) -> NotAnEpisode:
     return NotAnEpisode(message, rule=rule, hint=HINT)
 
 
-def _start_ns(given: Any) -> int:
-    if isinstance(given, int) and not isinstance(given, bool):
-        given = str(given)
-    if (
-        not isinstance(given, str)
-        or not given.isascii()
-        or not given.isdigit()
-        or int(given) > LARGEST
-    ):
+def _start_ns(raw: Any) -> int:
+    if isinstance(raw, int) and not isinstance(raw, bool):
+        raw = str(raw)
+    if not isinstance(raw, str) or not raw.isascii() or not raw.isdigit() or int(raw) > LARGEST:
         raise _refused("start_ns is a whole number of nanoseconds since 1970, as text", "start_ns")
-    return int(given)
+    return int(raw)
 
 
-def _numbers(given: Any, field: str) -> NDArray[np.float64]:
-    if not isinstance(given, list) or not all(
-        isinstance(x, int | float) and not isinstance(x, bool) for x in given
+def _numbers(raw: Any, field: str) -> NDArray[np.float64]:
+    if not isinstance(raw, list) or not all(
+        isinstance(x, int | float) and not isinstance(x, bool) for x in raw
     ):
         raise _refused(f"{field} must be a list of numbers", field)
-    found = np.array(given, np.float64)
-    if not np.isfinite(found).all():
+    numbers = np.array(raw, np.float64)
+    if not np.isfinite(numbers).all():
         raise _refused(f"{field} must be a list of finite numbers", field)
-    return found
+    return numbers
 
 
 def _columns(
-    given: Any, channels: tuple[Channel, ...], samples: int, field: str
+    raw: Any, channels: tuple[Channel, ...], samples: int, field: str
 ) -> NDArray[np.float64]:
     names = [c.name for c in channels]
-    if not isinstance(given, Mapping) or set(given) != set(names):
+    if not isinstance(raw, Mapping) or set(raw) != set(names):
         raise _refused(f"{field} must hold {', '.join(names)}, and nothing else", field)
-    columns = [_numbers(given[name], f"{field}.{name}") for name in names]
+    columns = [_numbers(raw[name], f"{field}.{name}") for name in names]
     if {len(c) for c in columns} != {samples}:
         raise _refused(f"every channel of {field} needs {samples} values, one for each time", field)
     return np.stack(columns, axis=1)

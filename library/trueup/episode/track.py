@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.episode.container import Block, Message, Topic
+from trueup.episode.container import Message, MessageBlock, Topic
 from trueup.episode.decoders import Decoder, decoder
 from trueup.episode.joint_state import Columns
 from trueup.episode.layout import Channel
 from trueup.errors import NotAnEpisode
 
-LONGEST_NS = (
-    30 * 24 * 3600 * 1_000_000_000
-)  # one month: a longer episode is a clock that was set while recording
+# one month: a longer episode is a clock that was set while recording
+LONGEST_NS = 30 * 24 * 3600 * 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +56,8 @@ class Track:
         return times
 
     def require_finite(self) -> None:
-        """Raises NotAnEpisode (rule `finite`) for a channel with a hole, or with what is no
-        number."""
+        """Raises NotAnEpisode (rule `finite`) for a channel that lacks some values, or has one that
+        is not a finite number."""
         for column, channel in zip(self.values.T, self.channels, strict=True):
             bad = np.flatnonzero(~np.isfinite(column))
             if len(bad) and not np.isnan(column).all():
@@ -91,7 +90,7 @@ class Track:
 
 
 class Gathering:
-    """A track under way."""
+    """A track that is being read."""
 
     def __init__(self, topic: str, channels: tuple[Channel, ...]) -> None:
         self.topic = topic
@@ -99,7 +98,7 @@ class Gathering:
         self._decoders: dict[int, Decoder] = {}
         self._parts: list[Columns] = []
 
-    def add(self, topic: Topic, block: Block, messages: list[Message]) -> None:
+    def add(self, topic: Topic, block: MessageBlock, messages: list[Message]) -> None:
         """Decode the topic's messages of one block."""
         if topic.id not in self._decoders:
             if self._decoders:
@@ -112,11 +111,12 @@ class Gathering:
         self._parts.append(self._decoders[topic.id](block, messages, self._channels))
 
     def track(self, known: Sequence[str]) -> Track:
-        """The whole track. Raises NotAnEpisode (rule `topic`) if there is none."""
+        """The whole track. Raises NotAnEpisode (rule `topic`) if it has no message. `known` are the
+        recording's topics."""
         if not self._parts:
-            told = ", ".join(known) or "none"
+            topics = ", ".join(known) or "none"
             raise NotAnEpisode(
-                f"the recording has no message on {self.topic}; its topics are: {told}",
+                f"the recording has no message on {self.topic}; its topics are: {topics}",
                 rule="topic",
                 topic=self.topic,
             )

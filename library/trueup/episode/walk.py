@@ -33,47 +33,44 @@ from trueup.episode.container import (
     NAMES,
     NOT_IN_DATA,
     RECORD_HEAD,
-    Block,
     Contents,
     Limits,
     Loose,
-    Metadata,
+    MessageBlock,
     Op,
-    Schema,
-    Topic,
     name_of,
 )
 from trueup.episode.fields import Fields
+from trueup.episode.records import RecordReader
 from trueup.errors import MalformedMcap, TooLarge
 
 NO_MCAP = (
     "It is no MCAP file. Record with `ros2 bag record -s mcap`; other logs are converted first."
 )
-GATHER_BYTES = (
-    1 << 20
-)  # messages outside chunks are handed on together, once they are this many bytes
+# Messages outside chunks are handed on together, once they are this many bytes.
+GATHER_BYTES = 1 << 20
 
 
 class Walk:
     """One pass over a stream of `size` bytes; iterate it to its end, or the file has not been
     checked.
 
-    Yields a Block for each chunk and for messages outside chunks; `contents` grows as it goes, and
-    of the metadata keeps the records named in `wanted`. Raises MalformedMcap (facts `rule`, `byte`)
-    and TooLarge (facts `limit`, `byte`).
+    Yields a MessageBlock for each chunk and for messages outside chunks; `contents` grows as it
+    goes, and of the metadata keeps the records named in `wanted`. Raises MalformedMcap (facts
+    `rule`, `byte`) and TooLarge (facts `limit`, `byte`).
     """
 
     def __init__(
         self, stream: BinaryIO, size: int, limits: Limits = LIMITS, wanted: Collection[str] = ()
     ) -> None:
         self.contents = Contents()
-        self._stream, self._size, self._limits, self._wanted = stream, size, limits, wanted
+        self._records = RecordReader(self.contents, limits, wanted)
+        self._stream, self._size, self._limits = stream, size, limits
         self._at = 0
         self._crc = 0
         self._unfolded = 0
-        self._defined = 0
 
-    def __iter__(self) -> Iterator[Block]:
+    def __iter__(self) -> Iterator[MessageBlock]:
         if self._size > self._limits.file_bytes:
             raise TooLarge(
                 f"the file has {self._size} bytes, {self._limits.file_bytes} are allowed",
@@ -106,7 +103,7 @@ class Walk:
         fields = Fields(body, at)
         fields.text(), fields.text()
 
-    def _data(self) -> Iterator[Block]:
+    def _data(self) -> Iterator[MessageBlock]:
         loose = Loose()
         while True:
             crc_before = self._crc
@@ -125,32 +122,7 @@ class Walk:
             if op == Op.CHUNK:
                 yield self._chunk(at, body)
             elif op != Op.MESSAGE:
-                self._plain(at, op, body)
-
-    def _plain(self, at: int, op: int, body: bytes) -> None:
-        if op == Op.SCHEMA:
-            self._schema(at, body)
-        elif op == Op.CHANNEL:
-            self._channel(at, body)
-        elif op == Op.METADATA:
-            self._metadata(Fields(body, at))
-        elif op == Op.ATTACHMENT:
-            self._attachment(at, body)
-        elif op == Op.MESSAGE_INDEX:
-            fields = Fields(body, at)
-            fields.uint(2)
-            if len(fields.block()) % 16:
-                raise MalformedMcap(
-                    "a message index is no whole number of entries", rule="index", byte=at
-                )
-
-    def _metadata(self, fields: Fields) -> None:
-        self.contents.metadata_records += 1
-        name = fields.text()
-        if name in self._wanted:
-            self.contents.metadata.append(Metadata(name, fields.text_map()))
-        else:
-            fields.block()
+                self._records.read(at, op, body)
 
     def _data_end(self, at: int, body: bytes, crc: int) -> None:
         declared = Fields(body, at).uint(4)
@@ -200,11 +172,11 @@ class Walk:
     def _index(self, at: int, op: int, body: bytes) -> None:
         fields = Fields(body, at)
         if op == Op.SCHEMA:
-            self._schema(at, body)
+            self._records.schema(at, body)
         elif op == Op.CHANNEL:
-            self._channel(at, body)
+            self._records.channel(at, body)
         elif op == Op.STATISTICS:
-            self._statistics(at, fields)
+            self._records.statistics(at, fields)
         elif op == Op.CHUNK_INDEX:
             fields.uint(8), fields.uint(8)
             self._inside(at, fields.uint(8), fields.uint(8))
@@ -222,90 +194,6 @@ class Walk:
                 byte=at,
             )
 
-    def _statistics(self, at: int, fields: Fields) -> None:
-        seen = self.contents
-        declared = (
-            fields.uint(8),
-            fields.uint(2),
-            fields.uint(4),
-            fields.uint(4),
-            fields.uint(4),
-            fields.uint(4),
-        )
-        counted = (
-            seen.messages,
-            declared[1],
-            declared[2],
-            seen.attachments,
-            seen.metadata_records,
-            seen.chunks,
-        )
-        if declared != counted:
-            raise MalformedMcap(
-                (
-                    f"the statistics declare {declared[0]} messages and {declared[5]} chunks, "
-                    f"counted were {counted[0]} and {counted[5]}"
-                ),
-                rule="index",
-                byte=at,
-            )
-
-    def _schema(self, at: int, body: bytes) -> None:
-        fields = Fields(body, at)
-        schema = Schema(fields.uint(2), fields.text(), fields.text(), bytes(fields.block()))
-        if schema.id == 0:
-            raise MalformedMcap("a schema has the id 0, which means none", rule="known", byte=at)
-        if self.contents.schemas.setdefault(schema.id, schema) != schema:
-            raise MalformedMcap(
-                f"schema {schema.id} is defined twice, differently", rule="known", byte=at
-            )
-        self._few(len(self.contents.schemas), len(body), at)
-
-    def _channel(self, at: int, body: bytes) -> None:
-        fields = Fields(body, at)
-        channel, schema = fields.uint(2), fields.uint(2)
-        if schema and schema not in self.contents.schemas:
-            raise MalformedMcap(
-                f"channel {channel} names schema {schema}, which is not known yet",
-                rule="known",
-                byte=at,
-            )
-        topic = Topic(
-            channel,
-            self.contents.schemas.get(schema),
-            fields.text(),
-            fields.text(),
-            fields.text_map(),
-        )
-        if self.contents.topics.setdefault(channel, topic) != topic:
-            raise MalformedMcap(
-                f"channel {channel} is defined twice, differently", rule="known", byte=at
-            )
-        self._few(len(self.contents.topics), len(body), at)
-
-    def _few(self, count: int, size: int, at: int) -> None:
-        self._defined += size
-        if self._defined > self._limits.definition_bytes:
-            raise TooLarge(
-                f"schemas and channels of more than {self._limits.definition_bytes} bytes",
-                limit="definition_bytes",
-                byte=at,
-            )
-        if count > self._limits.channels:
-            raise TooLarge(
-                f"more than {self._limits.channels} channels or schemas", limit="channels", byte=at
-            )
-
-    def _attachment(self, at: int, body: bytes) -> None:
-        self.contents.attachments += 1
-        fields = Fields(body, at)
-        fields.uint(8), fields.uint(8), fields.text(), fields.text()
-        fields.skip(fields.uint(8))
-        covered = fields.at
-        declared = fields.uint(4)
-        if declared and declared != zlib.crc32(body[:covered]):
-            raise MalformedMcap("the checksum of an attachment does not hold", rule="crc", byte=at)
-
     def _message(self, loose: Loose, body: bytes, at: int) -> None:
         if len(body) < MESSAGE_HEAD.size:
             raise MalformedMcap("a message is shorter than its own header", rule="length", byte=at)
@@ -317,7 +205,7 @@ class Walk:
         self.contents.messages += 1
         loose.add(channel, body[MESSAGE_HEAD.size :], log_time_ns, at)
 
-    def _chunk(self, at: int, body: bytes) -> Block:
+    def _chunk(self, at: int, body: bytes) -> MessageBlock:
         self.contents.chunks += 1
         fields = Fields(body, at)
         fields.uint(8), fields.uint(8)
@@ -327,7 +215,7 @@ class Walk:
         data = decompress(compression, stored, size, at)
         if crc and crc != zlib.crc32(data):
             raise MalformedMcap("the checksum of a chunk does not hold", rule="crc", byte=at)
-        block = Block(data, at)
+        block = MessageBlock(data, at)
         self._unfold(block)
         return block
 
@@ -347,17 +235,13 @@ class Walk:
                 byte=at,
             )
 
-    def _unfold(self, block: Block) -> None:
-        """Sort the chunk's records; the hot loop of the walk, hence flat and with its names bound
-        once."""
+    def _unfold(self, block: MessageBlock) -> None:
+        """Sort the chunk's records. This is the hot loop of the walk, so it is flat, and its names
+        are bound once."""
         data, end, at, count = block.data, len(block.data), 0, 0
         head, message_head = RECORD_HEAD.unpack_from, MESSAGE_HEAD.unpack_from
-        topics, messages, found, shortest = (
-            self.contents.topics,
-            block.messages,
-            0,
-            MESSAGE_HEAD.size,
-        )
+        topics, messages = self.contents.topics, block.messages
+        message_count, shortest = 0, MESSAGE_HEAD.size
         head_bytes, is_message = RECORD_HEAD.size, int(Op.MESSAGE)
         while at < end:
             if end - at < head_bytes:
@@ -396,23 +280,18 @@ class Walk:
                         )
                     messages[channel] = []
                 messages[channel].append((start + shortest, length - shortest, log_time_ns))
-                found += 1
+                message_count += 1
             elif op in (Op.SCHEMA, Op.CHANNEL):
-                self._plain(block.byte, op, data[start : start + length])
+                self._records.read(block.byte, op, data[start : start + length])
             elif op == 0 or op in NAMES:
                 raise MalformedMcap(
                     f"{name_of(op)} stands in a chunk", rule="chunk", byte=block.byte, chunk_byte=at
                 )
             at = start + length
-        self.contents.messages += found
-        self._count(count, block.byte)
+        self.contents.messages += message_count
+        self._records.count(count, block.byte)
 
     # -- bytes
-
-    def _count(self, records: int, at: int) -> None:
-        self.contents.records += records
-        if self.contents.records > self._limits.records:
-            raise TooLarge(f"more than {self._limits.records} records", limit="records", byte=at)
 
     def _record(self) -> tuple[int, int, bytes]:
         at = self._at
@@ -431,7 +310,7 @@ class Walk:
                 limit="record_bytes",
                 byte=at,
             )
-        self._count(1, at)
+        self._records.count(1, at)
         return at, op, self._take(length)
 
     def _take(self, length: int) -> bytes:

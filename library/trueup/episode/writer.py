@@ -1,4 +1,4 @@
-"""Episode to MCAP, as a robot would have recorded it."""
+"""Write an episode as MCAP, as a robot would have recorded it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def write_episode(
     """Write `(samples, channels)` observations and as many commands, or one less, as JointState on
     the layout's topics.
 
-    Without a role it is a plan that nobody has recorded yet: commands alone, and no episode.
+    Without a role the file is a plan: commands alone, and no episode.
     """
     writer = Writer(stream, compression=compression)
     writer.start(profile="ros2" if encoding is Encoding.CDR else "", library="trueup")
@@ -69,7 +69,7 @@ def write_episode(
         writer.register_channel(topic, encoding, schema)
         for topic in (layout.observation_topic, layout.command_topic)
     )
-    states, orders = Rows(layout.observations), Rows(layout.commands)
+    states, orders = FieldColumns(layout.observations), FieldColumns(layout.commands)
     for i, stamp in enumerate(stamps_ns.tolist()):
         for channel, rows, values in ((observed, states, observations), (issued, orders, commands)):
             if i < len(values):
@@ -87,8 +87,8 @@ def write_episode(
     writer.finish()  # type: ignore[no-untyped-call]
 
 
-class Rows:
-    """Which value of a sample stands where in a JointState."""
+class FieldColumns:
+    """For each value of a JointState, the column of a sample that holds it."""
 
     def __init__(self, channels: Sequence[Channel]) -> None:
         self.joints = list(dict.fromkeys(c.joint or "joint" for c in channels))

@@ -13,13 +13,14 @@ section 12.5.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import singledispatch
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.episode.episode import Episode, is_physical
-from trueup.fit.rollout_fit import STEP, Directions
-from trueup.model.dynamics import CompiledTree, mass_matrix, regressors
+from trueup.fit.free_numbers import STEP, Directions
+from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.rounding import GUESS_BITS, rounded
 from trueup.model.state import smoothed_states
@@ -35,7 +36,9 @@ from trueup.model.tree import (
     SERVO,
     STIFFNESS,
     ZERO,
+    Tree,
 )
+from trueup.model.tree_regressors import mass_matrix, regressors
 
 Array = NDArray[np.float64]
 # over which an acceleration is a mean: short against the motion, long against the noise of a
@@ -50,22 +53,35 @@ ALONE = 0.999  # of a number lies in the combinations that are shown: it is dete
 
 
 def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
-    """The ways in which a plant's numbers may move: a family's one by one, a tree's as combinations
-    that the episodes show."""
-    if not isinstance(plant.dynamics, CompiledTree):
-        return Directions.of_family(plant.dynamics.parameter_names)
+    """The directions in which a plant's numbers may move: a family's one by one, a tree's as
+    combinations that the episodes show."""
+    return _directions(plant.dynamics, plant, episodes)
+
+
+@singledispatch
+def _directions(dynamics: Dynamics, plant: Plant, episodes: Sequence[Episode]) -> Directions:
+    return Directions.of_family(dynamics.parameter_names)
+
+
+@_directions.register
+def _of_tree(dynamics: CompiledTree, plant: Plant, episodes: Sequence[Episode]) -> Directions:
     shows, force = regression(plant, episodes)
-    size = sizes(plant, force)
+    size = sizes(dynamics.tree, plant.form.sizes)
     scale = np.maximum(np.sqrt(np.mean(force**2, axis=0)), 1e-9)
     design = (shows / scale[None, :, None]).reshape(-1, shows.shape[2]) * size
     design = design - design @ np.outer(together := _all_gains(plant, size), together)
     design /= np.sqrt(len(shows))
     felt = FELT_ON_MACHINE if is_physical(episodes) else FELT
-    single, low = _single(plant, episodes)
+    single, low = _single(dynamics.tree, plant, episodes)
     alone = np.flatnonzero((np.linalg.norm(design, axis=0) > felt) & single)
-    told, shown = design[:, alone], _shown(design, felt)
+    by_themselves, shown = design[:, alone], _shown(design, felt)
     combined = _shown(
-        np.where(single, 0.0, design - told @ np.linalg.lstsq(told, design, rcond=None)[0]), felt
+        np.where(
+            single,
+            0.0,
+            design - by_themselves @ np.linalg.lstsq(by_themselves, design, rcond=None)[0],
+        ),
+        felt,
     )
     names = [f"combination {i + 1}" for i in range(len(combined))] + [
         plant.dynamics.parameter_names[i] for i in alone
@@ -78,7 +94,6 @@ def directions(plant: Plant, episodes: Sequence[Episode]) -> Directions:
         steps=STEP * np.concatenate([np.ones(len(combined)), size[alone]]),
         low=np.concatenate([np.full(len(combined), -np.inf), low[alone]]),
         nominal=np.array(plant.parameters),
-        combined=True,
     )
 
 
@@ -92,25 +107,24 @@ def _shown(design: Array, felt: float) -> Array:
     )  # a singular vector's sign is nobody's
 
 
-def _single(plant: Plant, episodes: Sequence[Episode]) -> tuple[NDArray[np.bool_], Array]:
+def _single(
+    tree: Tree, plant: Plant, episodes: Sequence[Episode]
+) -> tuple[NDArray[np.bool_], Array]:
     """Which numbers move by themselves, and the least that each may be, `(parameters,)`: damping
     and friction, which are not negative, and armature, which leaves something of what a joint's
     links weigh.
     """
-    assert isinstance(plant.dynamics, CompiledTree)
     joints, first = len(plant.joints), LINK * len(plant.joints)
-    found, low = np.zeros(len(plant.parameters), np.bool_), np.zeros(len(plant.parameters))
+    single, low = np.zeros(len(plant.parameters), np.bool_), np.zeros(len(plant.parameters))
     for number in (ARMATURE, DAMPING, FRICTION):
-        found[first + number :: JOINT] = True
+        single[first + number :: JOINT] = True
     poses = np.concatenate(
         [smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), :joints] for e in episodes]
     )
-    masses = np.einsum(
-        "njj->nj", mass_matrix(plant.dynamics.tree, poses[np.isfinite(poses).all(axis=1)])
-    )
+    masses = np.einsum("njj->nj", mass_matrix(tree, poses[np.isfinite(poses).all(axis=1)]))
     given = np.array(plant.parameters)[first + ARMATURE :: JOINT]
     low[first + ARMATURE :: JOINT] = -LIGHTEST * (masses.min(axis=0) - given)
-    return found, low
+    return single, low
 
 
 def _all_gains(plant: Plant, size: Array) -> Array:
@@ -123,20 +137,18 @@ def _all_gains(plant: Plant, size: Array) -> Array:
     return np.asarray(way / max(float(np.linalg.norm(way)), 1e-300))
 
 
-def sizes(plant: Plant, force: Array) -> Array:
-    """By how much each number may be expected to be off, `(parameters,)`; 0 for those that stay as
-    they are."""
-    assert isinstance(plant.dynamics, CompiledTree)
-    tree, joints = plant.dynamics.tree, len(plant.joints)
-    given = np.array(tree.parameters)
+def sizes(tree: Tree, inertia: Array) -> Array:
+    """By how much each number of a tree may be expected to be off, `(parameters,)`; 0 for those
+    that stay as they are. `inertia` `(joints,)` is each joint's own."""
+    joints, given = len(tree.joints), np.array(tree.parameters)
     mass = float(np.mean(given[: LINK * joints].reshape(-1, LINK)[:, 0]))
     length = float(np.mean(np.linalg.norm(tree.constants[:, FRAME + 9 : ZERO], axis=1))) or 0.1
     link = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
-    found = np.concatenate([np.tile(link, joints), np.zeros(JOINT * joints)])
+    size = np.concatenate([np.tile(link, joints), np.zeros(JOINT * joints)])
     for j in range(joints):
         at = given[LINK * joints + JOINT * j :][:JOINT]
-        own = plant.form.sizes[j]
-        to = found[LINK * joints + JOINT * j :]
+        own = inertia[j]
+        to = size[LINK * joints + JOINT * j :]
         to[ARMATURE] = max(at[ARMATURE], 0.1 * own)
         to[DAMPING] = max(at[DAMPING], own)  # a joint whose speed would halve in about a second
         to[GAIN], to[SERVO], to[STIFFNESS], to[FRICTION] = (
@@ -145,7 +157,7 @@ def sizes(plant: Plant, force: Array) -> Array:
             abs(at[STIFFNESS]),
             abs(at[FRICTION]),
         )
-    return found
+    return size
 
 
 def regression(plant: Plant, episodes: Sequence[Episode]) -> tuple[Array, Array]:
@@ -160,9 +172,9 @@ def regression(plant: Plant, episodes: Sequence[Episode]) -> tuple[Array, Array]
 
 
 def columns(plant: Plant, q: Array, v: Array, a: Array, u: Array) -> tuple[Array, Array]:
-    """The same at positions, velocities, accelerations and commands, `(rows, joints)` each."""
-    assert isinstance(plant.dynamics, CompiledTree)
-    tree, joints = plant.dynamics.tree, len(plant.joints)
+    """What each number adds to the missing force, and the forces, as `regression` gives them, at
+    positions, velocities, accelerations and commands `(rows, joints)` each of a robot."""
+    tree, joints = plant.tree, len(plant.joints)
     inertial = regressors(tree, q, v, a)
     at_joint = np.zeros((len(q), joints, JOINT * joints))
     for j in range(joints):

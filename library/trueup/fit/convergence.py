@@ -27,46 +27,34 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.fit.rollout_fit import (
-    PRIOR,
-    PROVEN,
-    SWING,
-    TWO_SIDED,
-    Around,
-    Fitter,
-    Free,
-    RolloutFit,
-    Start,
-    moved,
-)
+from trueup.fit.fitter import Fitter
+from trueup.fit.free_numbers import Free
+from trueup.fit.levenberg_marquardt import PRIOR
+from trueup.fit.multiple_shooting import SWING, best_of_scattered, estimate_starts
+from trueup.fit.rollout_fit import PROVEN, TWO_SIDED, RolloutFit, Start
+from trueup.fit.rollouts import CentralDifferences
 from trueup.model.rounding import rounded
 from trueup.model.series import Series
 
 Array = NDArray[np.float64]
-WIDEST_SWING = 0.25  # of a number's range
-NEAR = 1.0  # half-widths: from there on each look is as wide as the last
-MOST = 30  # looks at a step
+WIDEST_SWING = 0.25  # of a number's range: the longest difference
+NEAR = 1.0  # half-widths from the minimum: from there on each look is as wide as the last
+MOST_LOOKS = 30  # at a step
 PATIENCE = 6  # steps that come no nearer
 FURTHEST = 3.0  # half-widths in one step
 SLACK = 1.0  # times what is left of a sample: a cost that rises by less has not risen
 REMEMBERED = 3  # steps that tell what the normal equations neglect
-ALIKE = 1e-2  # of the largest: what tells less of a step is left out
+ALIKE = 1e-2  # of the largest singular value: what tells less of a step is left out
 SHORTEST = 0.02  # of a step
-STARTS, SETTLED = (
-    6,
-    1e-7,
-)  # iterations for what windows start from, and the part of the cost that ends them
-SOFTER, STIFFER = (
-    0.25,
-    4.0,
-)  # times the curvature of the normal equations: what they neglect is no more
+START_ITERATIONS = 6  # for what windows start from
+START_TOLERANCE = 1e-7  # of the cost: a smaller decrease ends them
+# times the curvature of the normal equations: what they neglect is no more
+SOFTEST, STIFFEST = 0.25, 4.0
 RIDGE = 1e-12  # of a determined direction's curvature
 DISPLACED = 4.0  # half-widths along the direction that is determined least
 DESCENT = 8  # iterations from there
-TOLD_APART = (
-    TWO_SIDED**2
-)  # times what is left of a sample: a minimum that costs more is told from the best
-ELSEWHERE = 0.1  # of a half-width: minima that are nearer are one
+DISTINCT = TWO_SIDED**2  # times what is left of a sample: a minimum that costs more is worse
+SAME_MINIMUM = 0.1  # of a half-width: minima that are nearer are one
 
 Fixed = Iterable[tuple[str, str]]
 
@@ -81,72 +69,88 @@ def minima(
     is looked for.
     """
     fixed = list(fixed)
-    found = [converge(fitter, data, fit, fixed)]
-    for values in _displaced(found[0]) if found[0].proven else ():
+    converged = [converge(fitter, data, fit, fixed)]
+    for values in _far_starts(converged[0]) if converged[0].proven else ():
         descended = fitter.fit(
-            data, fit.hypothesis, values, found[0].starts, iterations=DESCENT, fixed=fixed
+            data, fit.hypothesis, values, converged[0].starts, iterations=DESCENT, fixed=fixed
         )
-        if descended.cost < found[0].cost + FURTHEST * TOLD_APART * _left(found[0]):
-            found.append(converge(fitter, data, descended, fixed))
-    found.sort(key=lambda f: f.cost)
-    alike = [f for f in found if f.cost <= found[0].cost + TOLD_APART * _left(found[0])]
-    return [f for i, f in enumerate(alike) if not any(_near(f, other) for other in alike[:i])]
+        if descended.cost < converged[0].cost + FURTHEST * DISTINCT * _residual_variance(
+            converged[0]
+        ):
+            converged.append(converge(fitter, data, descended, fixed))
+    converged.sort(key=lambda f: f.cost)
+    alike = [
+        f
+        for f in converged
+        if f.cost <= converged[0].cost + DISTINCT * _residual_variance(converged[0])
+    ]
+    return [
+        f for i, f in enumerate(alike) if not any(_same_minimum(f, other) for other in alike[:i])
+    ]
 
 
 def converge(
-    fitter: Fitter, data: Sequence[Series], fit: RolloutFit, fixed: Fixed = (), most: int = MOST
+    fitter: Fitter,
+    data: Sequence[Series],
+    fit: RolloutFit,
+    fixed: Fixed = (),
+    most: int = MOST_LOOKS,
 ) -> RolloutFit:
     """A fit's minimum, from where it ended, by so many looks at most. Numbers that are `fixed`
     stay."""
     free = fitter.free(fit.hypothesis, fixed)
-    values, starts = fit.values, _rested(fitter, data, fit, fit.values, np.inf, fit.starts)
-    best = _looked(fitter, data, fit, values, starts, free)
-    best = _looked(
+    values, starts = fit.values, _starts_at_rest(fitter, data, fit, fit.values, np.inf, fit.starts)
+    best = _examined(fitter, data, fit, values, starts, free)
+    best = _examined(
         fitter, data, fit, values, starts, best.free
     )  # now as far apart as the data tell
-    part, offs, path = 1.0, [best.off], [(free.at(values), best.step)]
+    part, distances, path = 1.0, [best.distance], [(free.at(values), best.step)]
     nearest = best, values, starts
     for _ in range(most):
-        nearer = len(offs) <= PATIENCE or min(offs[-PATIENCE:]) < min(offs[:-PATIENCE])
-        if best.off <= PROVEN or not nearer or part < SHORTEST or not np.isfinite(best.cost):
+        nearer = len(distances) <= PATIENCE or min(distances[-PATIENCE:]) < min(
+            distances[:-PATIENCE]
+        )
+        if best.distance <= PROVEN or not nearer or part < SHORTEST or not np.isfinite(best.cost):
             break
         step = rounded(
-            _led_on(path, best) if part == 1.0 else part * min(1.0, FURTHEST / best.off) * best.step
+            _accelerated_step(path, best)
+            if part == 1.0
+            else part * min(1.0, FURTHEST / best.distance) * best.step
         )
         tried = free.moved(values, step)
         led = {
-            key: moved(starts[key], *by, best.around.states)
-            for key, by in best.around.gram.moves_with(step).items()
+            key: starts[key].moved(*by, best.around.states)
+            for key, by in best.around.equations.moves_with(step).items()
         }
-        there = _rested(fitter, data, fit, tried, best.cost, led, starts)
-        after = _looked(fitter, data, fit, tried, there, best.free)
+        there = _starts_at_rest(fitter, data, fit, tried, best.cost, led, starts)
+        after = _examined(fitter, data, fit, tried, there, best.free)
         if after.cost > best.cost + SLACK * best.cost / fit.samples:
             part *= 0.5
             continue
-        known = path[-REMEMBERED:] if best.off < FURTHEST else []
+        known = path[-REMEMBERED:] if best.distance < FURTHEST else []
         values, starts, best, part = tried, there, after, 1.0
         path = [*known, (free.at(values), best.step)]
-        offs.append(best.off)
+        distances.append(best.distance)
         if (
-            best.off < nearest[0].off
+            best.distance < nearest[0].distance
             or best.cost < nearest[0].cost - SLACK * best.cost / fit.samples
         ):
             nearest = best, values, starts
     best, values, starts = nearest
-    gram = best.around.gram
-    if not np.isfinite(gram.cost):
-        return replace(fit, converged=False, off=np.inf)
+    equations = best.around.equations
+    if not np.isfinite(equations.cost):
+        return replace(fit, converged=False, distance=np.inf)
     return replace(
         fit,
         values=values,
         free=free,
         starts=starts,
-        cost=gram.cost,
-        costs=np.concatenate([g[:, 0, 0] for g in gram.parts.values()]),
+        cost=equations.cost,
+        costs=np.concatenate([g[:, 0, 0] for g in equations.parts.values()]),
         information=best.normal,
-        scores=gram.reduced_with_scores()[1],
-        converged=best.off <= PROVEN,
-        off=best.off,
+        scores=equations.reduced_with_scores()[1],
+        converged=best.distance <= PROVEN,
+        distance=best.distance,
     )
 
 
@@ -156,15 +160,15 @@ class _Place:
     `free` has the steps of the differences to be taken next.
     """
 
-    around: Around
+    around: CentralDifferences
     cost: float
     normal: Array
     step: Array
-    off: float
+    distance: float
     free: Free
 
 
-def _looked(
+def _examined(
     fitter: Fitter,
     data: Sequence[Series],
     fit: RolloutFit,
@@ -174,34 +178,38 @@ def _looked(
 ) -> _Place:
     """What a look to both sides of each number shows."""
     around, n = fitter.around(data, fit.hypothesis, values, starts, free), len(free.rows)
-    cost = around.gram.cost
+    cost = around.equations.cost
     if not np.isfinite(cost) or not n:
         return _Place(around, cost, np.zeros((n, n)), np.zeros(n), np.inf if n else 0.0, free)
-    misfit, at = max(cost / fit.samples, 1.0), free.at(values)
-    ratio = np.where(np.isfinite(around.bend), around.bend, around.alone) / np.maximum(
-        around.alone, 1e-300
+    reduced_chi_square, at = max(cost / fit.samples, 1.0), free.at(values)
+    ratio = np.where(np.isfinite(around.curvature), around.curvature, around.diagonal) / np.maximum(
+        around.diagonal, 1e-300
     )
-    stiff = np.sqrt(np.clip(ratio, SOFTER, STIFFER))
+    stiff = np.sqrt(np.clip(ratio, SOFTEST, STIFFEST))
     weight, centre = fitter.expected(free)
-    worth = PRIOR * misfit * weight
-    normal = around.gram.reduced()[0] * stiff[:, None] * stiff
-    step, error = _to_minimum(
+    worth = PRIOR * reduced_chi_square * weight
+    normal = around.equations.reduced()[0] * stiff[:, None] * stiff
+    step, error = _step_to_minimum(
         normal + np.diag(worth),
         around.gradient + worth * (centre - at),
         at <= free.low,
         at >= free.high,
     )
-    swing = SWING * TWO_SIDED * np.sqrt(misfit / np.maximum(around.alone + worth, 1e-300))
+    swing = (
+        SWING
+        * TWO_SIDED
+        * np.sqrt(reduced_chi_square / np.maximum(around.diagonal + worth, 1e-300))
+    )
     reach = np.where(
         np.isfinite(free.high - free.low), WIDEST_SWING * (free.high - free.low), np.inf
     )
-    off = float(np.max(np.abs(step) / (TWO_SIDED * np.sqrt(misfit) * error)))
-    if not (free.central and off < NEAR):
+    distance = float(np.max(np.abs(step) / (TWO_SIDED * np.sqrt(reduced_chi_square) * error)))
+    if not (free.central and distance < NEAR):
         free = replace(free, step=np.asarray(rounded(np.minimum(swing, reach))), central=True)
-    return _Place(around, cost, normal, step, off, free)
+    return _Place(around, cost, normal, step, distance, free)
 
 
-def _led_on(path: Sequence[tuple[Array, Array]], best: _Place) -> Array:
+def _accelerated_step(path: Sequence[tuple[Array, Array]], best: _Place) -> Array:
     """A step to where steps vanish, by what the last places and their steps tell, `(free,)`; no
     longer than FURTHEST.
 
@@ -215,17 +223,17 @@ def _led_on(path: Sequence[tuple[Array, Array]], best: _Place) -> Array:
         over, turned = np.diff(at), np.diff(steps)
         part = np.linalg.lstsq(size * turned, size[:, 0] * step, rcond=ALIKE)[0]
         step = step - (over + turned) @ part
-    length = best.off * np.sqrt(
+    length = best.distance * np.sqrt(
         float(step @ best.normal @ step) / max(float(best.step @ best.normal @ best.step), 1e-300)
     )
     return np.asarray(min(1.0, FURTHEST / length) * step)
 
 
-def _to_minimum(
+def _step_to_minimum(
     normal: Array, gradient: Array, lowest: NDArray[np.bool_], highest: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
     """The step to where a quadratic cost is least, no further than to bounds where numbers are, and
-    each one's standard error for a misfit of 1, `(free,)` each.
+    each one's standard error for a reduced_chi_square of 1, `(free,)` each.
     """
     free = np.diag(normal) > 0.0
     while True:
@@ -245,7 +253,7 @@ def _to_minimum(
         free &= ~outwards
 
 
-def _rested(
+def _starts_at_rest(
     fitter: Fitter,
     data: Sequence[Series],
     fit: RolloutFit,
@@ -253,35 +261,36 @@ def _rested(
     cost: float,
     *beginnings: Mapping[str, Start],
 ) -> dict[str, Start]:
-    """Of each episode what its windows start from at rest: from the first of some beginnings, from
-    the next where that cost more than before, and from what lies around the best.
+    """What each episode's windows start from, at rest: from the first of some beginnings, from the
+    next where that cost more than before, and from what lies around the best.
     """
     at_rest = partial(
-        fitter.started,
+        estimate_starts,
+        fitter,
         data,
         fit.hypothesis,
         values,
-        iterations=STARTS,
-        tolerance=SETTLED,
+        iterations=START_ITERATIONS,
+        tolerance=START_TOLERANCE,
         fine=True,
     )
     best = at_rest(starts=beginnings[0])
     for starts in beginnings[1:]:
-        best = _better(best, at_rest(starts=starts)) if best.cost > cost else best
-    around = fitter.scattered(data, fit.hypothesis, values, best.starts)
+        best = _cheaper_by_episode(best, at_rest(starts=starts)) if best.cost > cost else best
+    around = best_of_scattered(fitter, data, fit.hypothesis, values, best.starts)
     if any((around[key].windows != best.starts[key].windows).any() for key in around):
-        best = _better(best, at_rest(starts=around))
+        best = _cheaper_by_episode(best, at_rest(starts=around))
     return dict(best.starts)
 
 
-def _better(one: RolloutFit, other: RolloutFit) -> RolloutFit:
-    """Of each episode the starts that cost less."""
+def _cheaper_by_episode(one: RolloutFit, other: RolloutFit) -> RolloutFit:
+    """A fit with the starts of the one or the other, by episode those that cost less."""
     ours, its = one.by_episode, other.by_episode
     starts = {key: (one if ours[key] <= its[key] else other).starts[key] for key in one.starts}
     return replace(one, starts=starts, cost=sum(min(ours[key], its[key]) for key in starts))
 
 
-def _displaced(fit: RolloutFit) -> list[Array]:
+def _far_starts(fit: RolloutFit) -> list[Array]:
     """Values far to both sides along the direction that the data determine least, measured by each
     number's own curvature."""
     shown = np.diag(fit.information) > 0.0
@@ -294,18 +303,22 @@ def _displaced(fit: RolloutFit) -> list[Array]:
     )  # an eigenvector's sign is nobody's
     by = np.zeros(len(shown))
     by[shown] = (
-        DISPLACED * TWO_SIDED * np.sqrt(_left(fit) / max(float(powers[0]), RIDGE)) * way / size
+        DISPLACED
+        * TWO_SIDED
+        * np.sqrt(_residual_variance(fit) / max(float(powers[0]), RIDGE))
+        * way
+        / size
     )
     return [fit.free.moved(fit.values, rounded(side * by)) for side in (1.0, -1.0)]
 
 
-def _left(fit: RolloutFit) -> float:
+def _residual_variance(fit: RolloutFit) -> float:
     """What is left of a sample, noise at least."""
-    return max(fit.misfit, 1.0)
+    return max(fit.reduced_chi_square, 1.0)
 
 
-def _near(one: RolloutFit, other: RolloutFit) -> bool:
+def _same_minimum(one: RolloutFit, other: RolloutFit) -> bool:
     """Whether two minima are one."""
-    error = np.sqrt(_left(one) / np.maximum(np.diag(one.information), 1e-300))
+    error = np.sqrt(_residual_variance(one) / np.maximum(np.diag(one.information), 1e-300))
     apart = np.abs(one.free.at(one.values) - other.free.at(other.values))
-    return bool((apart < ELSEWHERE * TWO_SIDED * error).all())
+    return bool((apart < SAME_MINIMUM * TWO_SIDED * error).all())

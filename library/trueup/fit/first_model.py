@@ -46,7 +46,7 @@ class Chosen:
 
     @property
     def layout(self) -> Layout:
-        """The same as channels: the position, the velocity if it is logged, and the command."""
+        """The plant's channels: the position, the velocity if it is logged, and the command."""
         seen = [f for f in (Field.POSITION, Field.VELOCITY) if f in self.observed.fields]
         observations = tuple(Channel(SYMBOLS[f], UNITS[f], f, self.joint) for f in seen)
         command = Channel("u", UNITS[self.command_field], self.command_field, self.joint)
@@ -54,7 +54,7 @@ class Chosen:
 
 
 def choose(
-    found: Survey,
+    survey: Survey,
     *,
     observation: str | None = None,
     command: str | None = None,
@@ -62,12 +62,12 @@ def choose(
 ) -> Chosen:
     """The topics and the joint of a log with one driven joint, those that are named or those that
     are plain. Raises BadPlant."""
-    by_name = {s.topic: s for s in found.found}
+    by_name = {s.topic: s for s in survey.topics}
     for name in (observation, command):
         if name is not None and name not in by_name:
-            raise BadPlant(f"no JointState is on {name}", field="topics", hint=_there_is(found))
-    seen = by_name[observation] if observation else _observed(found, command)
-    driven = by_name[command] if command else _commanded(found, seen)
+            raise BadPlant(f"no JointState is on {name}", field="topics", hint=_there_is(survey))
+    seen = by_name[observation] if observation else _observed(survey, command)
+    driven = by_name[command] if command else _commanded(survey, seen)
     field = (
         Field.EFFORT if Field.EFFORT in driven.fields else next((f for f in driven.fields), None)
     )
@@ -75,7 +75,7 @@ def choose(
         raise BadPlant(
             f"{driven.topic} commands nothing: its messages have no values",
             field="commands",
-            hint=_there_is(found),
+            hint=_there_is(survey),
         )
     joints = (
         [j for j in seen.joints if j in driven.joints]
@@ -98,23 +98,23 @@ def choose(
     return Chosen(seen, driven, joint or (joints[0] if joints else None), field)
 
 
-def _observed(found: Survey, command: str | None) -> Surveyed:
+def _observed(survey: Survey, command: str | None) -> Surveyed:
     seen = [
         s
-        for s in found.found
+        for s in survey.topics
         if Field.POSITION in s.fields and s.topic != command and not COMMANDED.search(s.topic)
     ]
     if len(seen) != 1:
         raise BadPlant(
             f"{len(seen)} topics look like observed positions",
             field="topics",
-            hint=f"Name one with --observation. {_there_is(found)}",
+            hint=f"Name one with --observation. {_there_is(survey)}",
         )
     return seen[0]
 
 
-def _commanded(found: Survey, seen: Surveyed) -> Surveyed:
-    others = [s for s in found.found if s.topic != seen.topic and s.fields]
+def _commanded(survey: Survey, seen: Surveyed) -> Surveyed:
+    others = [s for s in survey.topics if s.topic != seen.topic and s.fields]
     named = [s for s in others if COMMANDED.search(s.topic)] or others
     if len(named) == 1:
         return named[0]
@@ -123,21 +123,21 @@ def _commanded(found: Survey, seen: Surveyed) -> Surveyed:
     raise BadPlant(
         f"{len(named)} topics look like commands",
         field="topics",
-        hint=f"Name one with --command. {_there_is(found)}",
+        hint=f"Name one with --command. {_there_is(survey)}",
     )
 
 
-def _there_is(found: Survey) -> str:
-    told = [
+def _there_is(survey: Survey) -> str:
+    streams = [
         f"{s.topic} ({', '.join(s.fields) or 'empty'} of {', '.join(s.joints) or 'unnamed joints'})"
-        for s in found.found
+        for s in survey.topics
     ]
     others = (
-        f" Other topics: {', '.join(found.others)}; commands must be JointState, too."
-        if found.others
+        f" Other topics: {', '.join(survey.others)}; commands must be JointState, too."
+        if survey.others
         else ""
     )
-    return f"JointState is on: {'; '.join(told) or 'no topic'}.{others}"
+    return f"JointState is on: {'; '.join(streams) or 'no topic'}.{others}"
 
 
 def describe(
@@ -171,9 +171,9 @@ def describe(
         "topics": {"observation": layout.observation_topic, "command": layout.command_topic},
     }
     fitted = {
-        f: found
+        f: identification
         for f in ([family] if family else SIMPLEST)
-        if (found := _fitted(document, f, episodes)) is not None
+        if (identification := _fitted(document, f, episodes)) is not None
     }
     if not fitted:
         raise NotIdentifiable(
@@ -208,10 +208,12 @@ def _fitted(
         "parameters": {p.name: 1.0 for p in families()[family].params},
     }
     try:
-        _, found = identify(Plant.from_document({**document, "nominal": nominal}), episodes)
+        _, identification = identify(
+            Plant.from_document({**document, "nominal": nominal}), episodes
+        )
     except NotIdentifiable:
         return None
-    return found.parameters, found.residual_rms
+    return identification.parameters, identification.residual_rms
 
 
 def _channel(c: Channel) -> dict[str, Any]:

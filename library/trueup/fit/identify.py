@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import singledispatch
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from trueup.errors import NotIdentifiable
 from trueup.fit.base_parameters import directions, regression
 from trueup.fit.least_squares import solve
 from trueup.fit.transitions import Transitions, transitions
-from trueup.model.dynamics import CompiledFamily, CompiledTree
+from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
 from trueup.model.state import smoothed_states
@@ -42,7 +43,7 @@ class Identification:
     health: tuple[str, ...]
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The identification as JSON."""
         estimates: dict[str, Json] = {
             name: {
                 "value": value,
@@ -70,23 +71,41 @@ def identify(
     estimated enters over spans. Raises RoleRefused, and NotIdentifiable where the regression's rank
     is below the number of parameters.
     """
-    if isinstance(plant.dynamics, CompiledTree):
-        return _identify_tree(plant, [e.require(Role.ADAPTATION) for e in episodes], progress)
+    return _identify(plant.dynamics, plant, episodes, progress)
+
+
+@singledispatch
+def _identify(
+    dynamics: Dynamics,
+    plant: Plant,
+    episodes: Sequence[Episode],
+    progress: Callable[[float], None],
+) -> tuple[Identified, Identification]:
+    raise TypeError(type(dynamics).__name__)
+
+
+@_identify.register
+def _identify_family(
+    dynamics: CompiledFamily,
+    plant: Plant,
+    episodes: Sequence[Episode],
+    progress: Callable[[float], None],
+) -> tuple[Identified, Identification]:
     data = transitions(plant, episodes)
     progress(0.5)
-    design, target = _regression(plant, data)
-    found = solve(design, target, data.span)
+    design, target = _regression(dynamics, plant, data)
+    solution = solve(design, target, data.span)
     names = plant.dynamics.parameter_names
-    if found.rank < len(names) or found.condition > WORST_CONDITION:
+    if solution.rank < len(names) or solution.condition > WORST_CONDITION:
         raise NotIdentifiable(
             (
-                f"the regression has rank {found.rank} of {len(names)} and condition "
-                f"{found.condition:.3g}"
+                f"the regression has rank {solution.rank} of {len(names)} and condition "
+                f"{solution.condition:.3g}"
             ),
-            rank=found.rank,
-            condition=found.condition,
+            rank=solution.rank,
+            condition=solution.condition,
         )
-    values = tuple(float(x) for x in found.values)
+    values = tuple(float(x) for x in solution.values)
     health = (
         ()
         if plant.is_stable(values) or not plant.is_stable()
@@ -94,18 +113,19 @@ def identify(
     )
     pairs = (
         dict(zip(names, values, strict=True)),
-        dict(zip(names, map(float, found.half_widths), strict=True)),
+        dict(zip(names, map(float, solution.half_widths), strict=True)),
     )
     progress(1.0)
     return Identified(plant, values), Identification(
-        *pairs, found.rank, found.condition, found.residual_rms, len(target), health
+        *pairs, solution.rank, solution.condition, solution.residual_rms, len(target), health
     )
 
 
-def _regression(plant: Plant, data: Transitions) -> tuple[np.ndarray, np.ndarray]:
-    assert isinstance(plant.dynamics, CompiledFamily)
-    joints = plant.dynamics.joints
-    regressors = plant.dynamics.family.regressors(
+def _regression(
+    dynamics: CompiledFamily, plant: Plant, data: Transitions
+) -> tuple[np.ndarray, np.ndarray]:
+    joints = dynamics.joints
+    regressors = dynamics.family.regressors(
         data.states[:, 0], data.states[:, joints], plant.applied(data.issued)[:, 0]
     )
     spans = data.sums(data.h_s)
@@ -113,18 +133,22 @@ def _regression(plant: Plant, data: Transitions) -> tuple[np.ndarray, np.ndarray
     return design, data.sums(data.after[:, joints] - data.states[:, joints]) / spans
 
 
+@_identify.register
 def _identify_tree(
-    plant: Plant, episodes: Sequence[Episode], progress: Callable[[float], None]
+    dynamics: CompiledTree,
+    plant: Plant,
+    episodes: Sequence[Episode],
+    progress: Callable[[float], None],
 ) -> tuple[Identified, Identification]:
-    """The same of a robot: what is missing at each joint, in units of the forces there, on the
+    """A robot's numbers: what is missing at each joint, in units of the forces there, on the
     combinations that the episodes show.
 
     Equation: sum of parameter x its column = the actuators' constant forces; source: P. K. Khosla,
     T. Kanade, CDC 1985.
     """
+    episodes = [e.require(Role.ADAPTATION) for e in episodes]
     if not episodes:
         raise NotIdentifiable("there is no adaptation episode to fit")
-    assert isinstance(plant.dynamics, CompiledTree)
     ways = directions(plant, episodes)
     progress(0.3)
     columns, force = regression(plant, episodes)
@@ -135,22 +159,22 @@ def _identify_tree(
         )
     scale = np.maximum(np.sqrt(np.mean(force**2, axis=0)), 1e-9)
     nominal = np.array(plant.parameters)
-    missing = plant.dynamics.tree.constants[:, OFFSET] - columns @ nominal
+    missing = dynamics.tree.constants[:, OFFSET] - columns @ nominal
     design = (columns @ ways.along.T / scale[:, None]).reshape(-1, len(ways.names))
-    found = solve(design, (missing / scale).reshape(-1), len(plant.joints))
-    values = nominal + found.values @ ways.along
+    solution = solve(design, (missing / scale).reshape(-1), len(plant.joints))
+    values = nominal + solution.values @ ways.along
     single = ways.alone >= 0
     values[ways.alone[single]] = np.maximum(values[ways.alone[single]], ways.low[single])
-    widths = np.sqrt((found.half_widths**2) @ ways.along**2)
+    widths = np.sqrt((solution.half_widths**2) @ ways.along**2)
     progress(1.0)
-    told = [i for i in range(len(nominal)) if ways.determined[i]]
+    determined = [i for i in range(len(nominal)) if ways.determined[i]]
     names = plant.dynamics.parameter_names
     document = Identification(
-        {names[i]: float(values[i]) for i in told},
-        {names[i]: float(widths[i]) for i in told},
-        found.rank,
-        found.condition,
-        found.residual_rms,
+        {names[i]: float(values[i]) for i in determined},
+        {names[i]: float(widths[i]) for i in determined},
+        solution.rank,
+        solution.condition,
+        solution.residual_rms,
         len(design),
         _sound(plant, values, episodes),
     )

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from trueup.model.rigid_body import invert
+from trueup.model.inverse import invert
 from trueup.model.rounding import rounded
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ NOTHING = 1e-200  # of a squared derivative: what does no more than that has no 
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class KeptDerivatives:
     """Weighted derivatives of one episode's rollout by `first` directions and by the starts,
     `(samples, 2 x joints, kept)`, and the sums of their outer products by window `(windows, kept,
     kept)`.
@@ -81,25 +81,26 @@ class Errors:
 
     def kept(
         self, out: Array, inverse: Array, lanes: Lanes, sums: Array, first: int, start: int
-    ) -> Kept:
+    ) -> KeptDerivatives:
         """What is kept of a rollout and its sums: derivatives by the `first` numbers and by the
         start, whose columns begin at `start`."""
         columns = np.array([*range(1, first + 1), *range(start, sums.shape[1])])
         from_ = lanes[columns - 1]
         with np.errstate(over="ignore", invalid="ignore"):
             rows = (out[:, :, from_] - out[:, :, :1]) * (inverse[from_] * self.weight[:, :, None])
-        return Kept(
+        return KeptDerivatives(
             np.where(self.weight[:, :, None] > 0.0, rows, 0.0),
             np.ascontiguousarray(sums[:, columns[:, None], columns]),
             first,
         )
 
-    def renewed(self, out: Array, inverse: Array, lanes: Lanes, old: Kept) -> Array:
-        """The same sums, with what was kept and the new derivatives of `lanes`."""
+    def renewed(self, out: Array, inverse: Array, lanes: Lanes, old: KeptDerivatives) -> Array:
+        """Sums of outer products by window as `summed` gives them, of derivatives that were kept
+        and the new ones of `lanes`."""
         (windows, many), fresh = old.products.shape[:2], len(lanes)
-        found = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
-        found[:, :many, :many] = old.products
-        _summed(out, *self._arguments(), inverse, lanes, np.zeros_like(lanes), old.rows, found)
+        ordered = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
+        ordered[:, :many, :many] = old.products
+        _summed(out, *self._arguments(), inverse, lanes, np.zeros_like(lanes), old.rows, ordered)
         behind = (
             1 + old.first + fresh
         )  # where the starts' begin; before them the new ones, and the error first of all
@@ -111,19 +112,19 @@ class Errors:
                 *range(1 + old.first, behind),
             ]
         )
-        into = np.empty_like(found)
-        into[:, at[:, None], at] = found
+        into = np.empty_like(ordered)
+        into[:, at[:, None], at] = ordered
         return into
 
     def costs(self, out: Array, windows: int) -> Array:
         """Sums of squared errors of each window and lane of a rollout, `(windows, lanes)`."""
-        found = np.zeros((windows, out.shape[2]))
-        _costs(out, *self._arguments(), found)
-        return found
+        costs = np.zeros((windows, out.shape[2]))
+        _costs(out, *self._arguments(), costs)
+        return costs
 
 
 @dataclass(frozen=True, slots=True)
-class Gram:
+class NormalEquations:
     """Outer products of (error, parameter, memory and start derivatives), by episode, `(windows,
     used, used)`.
 
@@ -155,8 +156,8 @@ class Gram:
         """Cost of an episode, infinite where a rollout ran away."""
         return float(self.costs(episode).sum() + np.sum((self.began[episode] / self.scales) ** 2))
 
-    def mixed(self, other: Gram, episodes: Iterable[str]) -> Gram:
-        """The same with some episodes from another."""
+    def mixed(self, other: NormalEquations, episodes: Iterable[str]) -> NormalEquations:
+        """These equations with some episodes' parts from another place."""
         parts, began = (
             {**mine, **{e: its[e] for e in episodes}}
             for mine, its in ((self.parts, other.parts), (self.began, other.began))

@@ -31,7 +31,7 @@ class ResidualFit:
     rows: int
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The fit as JSON."""
         return {
             "features": list(self.features),
             "before_rms": list(self.before_rms),
@@ -97,7 +97,7 @@ def fit_blind(plant: Plant, pooled: PooledTransitions, penalty: float = RIDGE) -
 def fit_conditioned(
     plant: Plant, pooled: PooledTransitions, identified: Sequence[float], penalty: float = RIDGE
 ) -> Conditioned:
-    """The same with the plants' parameters among the features; at work it is fed the identified
+    """A linear map with the plants' parameters among the features; at work it is fed the identified
     ones."""
     rows = design(CONDITIONED, pooled.states, pooled.issued, pooled.parameters)
     return Conditioned(

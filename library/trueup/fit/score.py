@@ -29,7 +29,7 @@ class Scoring:
     windows: str = FIRST
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The score as JSON."""
         return {"horizon_s": self.horizon_s, "windows": self.windows}
 
 
@@ -97,8 +97,8 @@ def rollout_errors(
     predictor: Predictor, episode: Episode, scoring: Scoring
 ) -> tuple[Array, NDArray[np.bool_]]:
     """The error at each sample of each window, `(windows, samples)`, and which of them count."""
-    found = missed(predictor, episode, scoring)
-    return _norms(found, predictor.plant.scales), found.inside
+    errors = missed(predictor, episode, scoring)
+    return _norms(errors, predictor.plant.scales), errors.inside
 
 
 def missed(predictor: Predictor, episode: Episode, scoring: Scoring) -> Missed:
@@ -115,8 +115,8 @@ def _norms(one: Missed, scales: Array) -> Array:
     with np.errstate(
         over="ignore", invalid="ignore"
     ):  # a predictor that runs away scores inf or nan, and no gate passes that
-        found: Array = np.linalg.norm(one.by / scales, axis=2)
-    return found
+        norms: Array = np.linalg.norm(one.by / scales, axis=2)
+    return norms
 
 
 def _starts(

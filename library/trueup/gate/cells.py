@@ -1,7 +1,7 @@
 """Cells: the matrix of conditions under which held-out episodes were recorded.
 
 A gate names the conditions that matter, such as payload and speed; each held-out episode lies in
-the cell of the values that its log declares. What no episode covers is told as not covered, never
+the cell of the values that its log declares. A cell without an episode counts as not covered, never
 as passed.
 """
 
@@ -23,7 +23,8 @@ Cell = tuple[str, ...]
 
 
 def cell_of(declared: Mapping[str, str], conditions: Sequence[str]) -> Cell:
-    """The values of the conditions that matter, in their order."""
+    """The values of the conditions that matter, in their order; `undeclared` for one that the log
+    does not declare."""
     return tuple(declared.get(name, UNDECLARED) for name in conditions)
 
 
@@ -32,8 +33,8 @@ def cells_of(episodes: Sequence[Episode], conditions: Sequence[str]) -> tuple[Ce
     return tuple(cell_of(e.conditions, conditions) for e in episodes)
 
 
-def told(cell: Cell, conditions: Sequence[str]) -> str:
-    """A cell for people."""
+def cell_words(cell: Cell, conditions: Sequence[str]) -> str:
+    """A cell in words, for people."""
     return (
         ", ".join(f"{name} {value}" for name, value in zip(conditions, cell, strict=True))
         or "all episodes"
@@ -46,10 +47,10 @@ def matrix(
     candidate: NDArray[np.float64],
     incumbent: NDArray[np.float64],
 ) -> list[Json]:
-    """Every combination of the values that occur: its mean errors and how many episodes cover it,
-    null and 0 where none does.
+    """Every combination of the values that occur, with its mean errors and the number of episodes
+    that cover it; without an episode, null and 0.
 
-    Of more than MOST combinations only those that are covered.
+    Of more than MOST combinations, only those that are covered.
     """
     values = [sorted({cell[i] for cell in cells}) for i in range(len(conditions))]
     rows: list[Json] = []

@@ -51,8 +51,8 @@ class VacuousGate(BadGate):
 
 
 def require_can_reject(gate: Gate) -> None:
-    """Raises VacuousGate where figures alone show that the gate cannot reject, unless it says that
-    it is meant so."""
+    """Raises VacuousGate where the gate accepts made-up figures that no gate may accept, unless it
+    declares itself vacuous."""
     if gate.vacuous:
         return
     if _accepts(judged(gate, _made_up(gate, 1.0))):
@@ -78,13 +78,13 @@ def judged(gate: Gate, trial: Trial) -> tuple[Verdict, ...]:
 def controls(
     gate: Gate, trial: Trial, missed: Sequence[Missed], copied: Score, scales: Array, spreads: Array
 ) -> dict[str, Json]:
-    """How the gate judges each control in the place of the candidate of `trial`, the trial of the
-    incumbent against itself.
+    """How the gate judges each control in the place of the candidate of `trial`, in which the
+    incumbent is compared with itself.
 
-    The incumbent `missed` so much of each episode, and scores as `copied` when it is loaded from
-    its bytes again; `scales` and `spreads` `(channels,)` are the reporting scales and the standard
-    deviations of what was observed. Raises VacuousGate where a control is accepted, unless the gate
-    says that it is meant so.
+    `missed` are the incumbent's residuals in each episode, `copied` its score when it is loaded
+    from its bytes again; `scales` and `spreads` `(channels,)` are the reporting scales and the
+    standard deviations of what was observed. Raises VacuousGate where a control is accepted, unless
+    the gate declares itself vacuous.
     """
     scores = {
         INCUMBENT: trial.incumbent,
@@ -110,7 +110,7 @@ def _accepts(verdicts: Sequence[Verdict]) -> bool:
 
 
 def _made_up(gate: Gate, times: float) -> Trial:
-    """A trial of one episode in which the candidate's errors are so many times the incumbent's."""
+    """A trial of one episode in which the candidate's errors are `times` the incumbent's."""
     one, many = np.ones(1), np.ones(PAIRS)
     both = [Score(one * k, one * k, (Windowed(many * k, many * k, many),)) for k in (times, 1.0)]
     tracking = Tracking(many * times, many, (0.0, 0.0), (1.0,))
@@ -119,8 +119,8 @@ def _made_up(gate: Gate, times: float) -> Trial:
 
 
 def _noisy(missed: Sequence[Missed], spreads: Array) -> list[Missed]:
-    """What was missed, with noise added to what was predicted: of each channel's spread and its
-    mean square error together."""
+    """Residuals of a predictor whose predictions have noise added, as large as each channel's
+    spread and its root mean square error together."""
     rng = np.random.default_rng(SEED)
     with np.errstate(over="ignore", invalid="ignore"):
         total = sum(float(m.inside.sum()) for m in missed)

@@ -1,4 +1,4 @@
-"""Gate and Decision: rules frozen by their digest, and what they decided."""
+"""Gate and Decision: rules that are frozen by their digest, and what they decided."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Gate:
     BadGate without rules.
 
     `conditions` are those whose values make the cells of retained conditions. After `held_out_uses`
-    trials an episode is spent: whoever chooses among candidates by it again and again fits to it.
-    `follows` names the gate of the plant that this one takes the place of, and `because` says why;
-    a gate that is known to accept anything says that it is `vacuous`, and why.
+    trials an episode is spent, because choosing among candidates by it again and again fits them to
+    it. `follows` names the plant's gate that this one replaces, and `because` says why. A gate that
+    is known to accept anything declares itself `vacuous`, and says why.
     """
 
     rules: tuple[Rule, ...]
@@ -106,20 +106,20 @@ class Gate:
                     ),
                     hint=HOLDS,
                 )
-            given: Any = document
-            if set(given["scoring"]) != {"horizon_s", "windows"}:
+            values: Any = document
+            if set(values["scoring"]) != {"horizon_s", "windows"}:
                 raise BadGate(
                     "scoring holds horizon_s and windows, nothing else", field="scoring", hint=HOLDS
                 )
-            horizon_s = _read(given["scoring"], "horizon_s", float, "a number")
+            horizon_s = _read(values["scoring"], "horizon_s", float, "a number")
             return Gate(
-                tuple(_rule(r) for r in _read(given, "rules", list, "a list")),
-                Scoring(horizon_s, _read(given["scoring"], "windows", str, "a text")),
-                tuple(_conditions(given)),
-                _read(given, "held_out_uses", int, "a whole number", optional=True),
-                _read(given, "follows", str, "a text", optional=True),
-                _read(given, "because", str, "a text", optional=True),
-                _read(given, "vacuous", bool, "true or false", optional=True) or False,
+                tuple(_rule(r) for r in _read(values, "rules", list, "a list")),
+                Scoring(horizon_s, _read(values["scoring"], "windows", str, "a text")),
+                tuple(_conditions(values)),
+                _read(values, "held_out_uses", int, "a whole number", optional=True),
+                _read(values, "follows", str, "a text", optional=True),
+                _read(values, "because", str, "a text", optional=True),
+                _read(values, "vacuous", bool, "true or false", optional=True) or False,
             )
         except KeyError as error:
             raise BadGate(f"a gate needs {error.args[0]!r}", hint=HOLDS) from error
@@ -127,10 +127,10 @@ class Gate:
             raise BadGate(f"the gate cannot be read: {error!r}") from error
 
 
-def _read(given: Any, name: str, kind: type, called: str, *, optional: bool = False) -> Any:
-    """A field of the kind that it must have, as it was sent; a whole number may stand for a real
-    one. Raises BadGate, KeyError."""
-    value = given.get(name) if optional else given[name]
+def _read(values: Any, name: str, kind: type, called: str, *, optional: bool = False) -> Any:
+    """A field of the kind that it must have; a whole number may stand for a real one. Raises
+    BadGate, KeyError."""
+    value = values.get(name) if optional else values[name]
     if optional and value is None:
         return None
     if kind is float and type(value) is int:
@@ -140,37 +140,37 @@ def _read(given: Any, name: str, kind: type, called: str, *, optional: bool = Fa
     return value
 
 
-def _conditions(given: Any) -> list[str]:
-    named = _read(given, "conditions", list, "a list of texts", optional=True) or []
+def _conditions(values: Any) -> list[str]:
+    named = _read(values, "conditions", list, "a list of texts", optional=True) or []
     return [_read({"conditions": each}, "conditions", str, "a list of texts") for each in named]
 
 
 def _rule(document: Mapping[str, Json]) -> Rule:
-    given = dict(document)
-    kind = rules().get(_read(given, "rule", str, "the name of a rule"))
-    given.pop("rule")
+    values = dict(document)
+    kind = rules().get(_read(values, "rule", str, "the name of a rule"))
+    values.pop("rule")
     if kind is None:
         raise BadGate(
             f"the rule {document['rule']!r} is not known", hint=f"Rules are {', '.join(rules())}."
         )
     known = {f.name for f in fields(kind)}  # type: ignore[arg-type]
-    if set(given) - known:
+    if set(values) - known:
         raise BadGate(
-            f"the rule {kind.name} has no {', '.join(sorted(set(given) - known))}",
+            f"the rule {kind.name} has no {', '.join(sorted(set(values) - known))}",
             hint=f"It has {', '.join(sorted(known))}.",
         )
-    require = given.pop("require", MEAN)
+    require = values.pop("require", MEAN)
     if require not in (MEAN, BOUND):
         raise BadGate(f"the rule {kind.name} requires the {MEAN} or the {BOUND}", field="require")
-    bounds = {name: _read(given, name, float, "a number") for name in given}
+    bounds = {name: _read(values, name, float, "a number") for name in values}
     if not all(np.isfinite(v) and v > 0.0 for v in bounds.values()):
         raise BadGate(f"the bounds of {kind.name} must be positive numbers")
     return kind(**bounds, require=require)  # type: ignore[call-arg]
 
 
 def default_gate(horizon_s: float) -> Gate:
-    """Rollout mean below 0.98 of the incumbent's and one-step error no worse, over every window of
-    each episode."""
+    """The gate of a plant that declares none: the mean rollout error below 0.98 of the incumbent's,
+    and the one-step error no worse, over every window of each episode."""
     return Gate(
         (rules()["rollout_improves"](), rules()["one_step_no_worse"]()), Scoring(horizon_s, EVERY)
     )
@@ -178,12 +178,13 @@ def default_gate(horizon_s: float) -> Gate:
 
 @dataclass(frozen=True)
 class Decision:
-    """What a gate decided of a candidate against the incumbent that served at `generation`.
+    """The decision of a gate on a candidate, against the incumbent that served at `generation`.
 
     It holds every figure, so that it can be recomputed, and the generation, so that it cannot be
     replayed after a move. `known` is what was known when the gate was declared
     (`trueup.gate.line`), `uses` how often each episode has been judged on, this time included, and
-    `selection` of what candidate and episodes were selected, which older decisions do not tell.
+    `selection` the number of candidates and episodes that its own were selected from; decisions of
+    earlier versions hold none of the three.
     """
 
     plant: str
@@ -228,7 +229,7 @@ class Decision:
 
 
 def figures(score: Score) -> dict[str, Json]:
-    """A score as JSON, one number for each episode; what is no number stands as null."""
+    """A score as JSON, one number for each episode; not-a-number is null."""
     return {"rollout": _numbers(score.rollout), "one_step": _numbers(score.one_step)}
 
 

@@ -1,5 +1,5 @@
-"""Evidence: what was found of an artifact at a stage of the test ladder, and what that can and
-cannot show."""
+"""Evidence: the result of one stage of the test ladder for an artifact, and what it can and cannot
+show."""
 
 from __future__ import annotations
 

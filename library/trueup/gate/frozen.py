@@ -13,8 +13,8 @@ from trueup.errors import TrueupError
 
 
 class Frozen:
-    """What a frozen dataclass of JSON values needs to be declared: its `schema`, what refuses it,
-    and what it is called."""
+    """Base of a frozen dataclass of JSON values that is declared: its `schema`, the error that
+    refuses it, and its name in messages."""
 
     schema: ClassVar[str]
     refused: ClassVar[type[TrueupError]]
@@ -26,16 +26,16 @@ class Frozen:
         return digest_of(self.document())
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The declaration as JSON."""
         return {"schema": self.schema, **asdict(self)}  # type: ignore[call-overload]
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any]) -> Self:
-        """Read it back. Raises what refuses it."""
-        given = dict(document)
-        if given.pop("schema", None) != cls.schema:
+        """Read a declaration from JSON. Raises the class's own error."""
+        values = dict(document)
+        if values.pop("schema", None) != cls.schema:
             raise cls.refused(f"the schema of {cls.noun} is {cls.schema}", field="schema")
         try:
-            return cls(**given)
+            return cls(**values)
         except TypeError as error:
             raise cls.refused(f"{cls.noun} cannot be read: {error}") from error

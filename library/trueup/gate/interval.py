@@ -36,10 +36,10 @@ class Pairs:
 
 def ratio_interval(episodes: Sequence[Pairs]) -> tuple[float, float] | None:
     """The 95 % interval of the candidate's mean error over the incumbent's; None where nothing can
-    be drawn or an error is no number.
+    be drawn or an error is not a number.
 
-    The mean is over episodes, as a rule's is; the episodes are taken as they are, and other windows
-    of theirs are drawn.
+    The mean is over episodes, as a rule's is. The episodes are fixed, and other windows of them are
+    drawn.
     """
     if not all(np.isfinite(p.candidate).all() and np.isfinite(p.incumbent).all() for p in episodes):
         return None

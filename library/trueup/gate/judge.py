@@ -30,10 +30,9 @@ NOTHING_KNOWN: Mapping[str, Json] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Run:
-    """A trial that was run: its scores, what each model missed in each episode, the negative
-    controls, and the scores of the models beside it, by digest.
-    """
+class TrialRun:
+    """A trial that was run: its scores, each model's residuals in each episode, the verdicts on the
+    negative controls, and the scores of the models beside the candidate, by digest."""
 
     trial: Trial
     candidate: tuple[Missed, ...]
@@ -50,15 +49,13 @@ def run_trial(
     progress: Callable[[float], None] = lambda _: None,
     copy: Predictor | None = None,
     beside: Mapping[str, Predictor] | None = None,
-) -> Run:
+) -> TrialRun:
     """Score both predictors on held-out episodes; `copy` is the incumbent, loaded once more. The
     controls are judged before the candidate.
 
-    Models `beside` it, by digest, are scored too, so that the decision tells which of them errs as
-    the candidate does.
-
-    Raises RoleRefused for any other role, BadGate without episodes, VacuousGate where the gate
-    accepts a control.
+    Models `beside` the candidate, by digest, are scored too, so that the decision shows which of
+    them errs as the candidate does. Raises RoleRefused for an episode of another role, BadGate
+    without episodes, VacuousGate where the gate accepts a control.
     """
     if not episodes:
         raise BadGate("there is no held-out episode to judge on")
@@ -88,7 +85,7 @@ def run_trial(
         else None
     )
     trial = Trial(score_of(by, scales), serving, named, cells, gate.conditions, tracking)
-    return Run(trial, by, against, shown, None if beside is None else others)
+    return TrialRun(trial, by, against, shown, None if beside is None else others)
 
 
 def _spreads(episodes: Sequence[Episode]) -> Array:
@@ -99,7 +96,7 @@ def _spreads(episodes: Sequence[Episode]) -> Array:
 
 
 def _still(driven: bool) -> Tracking | None:
-    """In closed loop a control does as the incumbent does, whatever that is."""
+    """The closed-loop figures of a control: equal to the incumbent's."""
     return Tracking(np.ones(1), np.ones(1), (0.0, 0.0), (1.0,)) if driven else None
 
 
@@ -109,10 +106,10 @@ def _driven(
     episodes: Sequence[Episode],
     progress: Callable[[float], None],
 ) -> Tracking:
-    """Both in closed loop on the machine as it was diagnosed: as the candidate says, or if it is no
-    diagnosis the incumbent.
+    """Both models in closed loop on a simulated machine: the candidate's diagnosis of it, or, where
+    the candidate is no diagnosis, the incumbent's.
 
-    Raises BadGate where neither is.
+    Raises BadGate where neither is a diagnosis.
     """
     machine = next((p for p in (candidate, incumbent) if isinstance(p, Corrected)), None)
     if machine is None:
@@ -135,25 +132,26 @@ def judge(
     selection: Mapping[str, Json] | None = None,
     beside: Mapping[str, Score] | None = None,
 ) -> Decision:
-    """Every rule's verdict on the trial; `candidate` and `incumbent` are artifact digests, `plant`
-    the plant's.
+    """The decision: every rule's verdict on the trial. `candidate`, `incumbent` and `plant` are
+    digests.
 
-    `controls` are the verdicts on those, `known` is what was known when the gate was declared,
-    `uses` how often each episode has been judged on, this time included, `selection` of what
-    candidate and episodes were selected, `beside` the scores of others on them.
+    `controls` are the verdicts on the negative controls, `known` is what was known when the gate
+    was declared, `uses` how often each episode has been judged on, this time included, `selection`
+    from how many the candidate and episodes were selected, `beside` the scores of other candidates
+    on the episodes.
     """
     verdicts: tuple[Verdict, ...] = judged(gate, trial)
-    found: dict[str, Json] = {
+    trial_figures: dict[str, Json] = {
         "candidate": figures(trial.candidate),
         "incumbent": figures(trial.incumbent),
         "controls": dict(controls),
     }
     if beside is not None:
-        found["beside"] = {name: figures(score) for name, score in beside.items()}
+        trial_figures["beside"] = {name: figures(score) for name, score in beside.items()}
     if trial.tracking is not None:
-        found["closed_loop"] = trial.tracking.document()
+        trial_figures["closed_loop"] = trial.tracking.document()
     if gate.conditions:
-        found["cells"] = matrix(
+        trial_figures["cells"] = matrix(
             trial.cells, gate.conditions, trial.candidate.rollout, trial.incumbent.rollout
         )
     return Decision(
@@ -164,19 +162,19 @@ def judge(
         generation,
         trial.episodes,
         verdicts,
-        found,
+        trial_figures,
         dict(known),
         tuple(uses),
         selection,
     )
 
 
-def sensitivity(gate: Gate, run: Run, scales: Array, channels: Sequence[str]) -> list[Json]:
-    """How the verdict moves when each channel's reporting scale is halved and doubled: it should
-    not hang on a unit of reporting.
+def sensitivity(gate: Gate, run: TrialRun, scales: Array, channels: Sequence[str]) -> list[Json]:
+    """How the verdict changes when each channel's reporting scale is halved and doubled: it should
+    not depend on a unit of reporting.
 
-    `scales` `(channels,)` are those declared. In closed loop nothing changes: tracking has scales
-    of its own.
+    `scales` `(channels,)` are the declared ones. Closed-loop figures do not change, because
+    tracking has scales of its own.
     """
     rows: list[Json] = []
     for column, channel in enumerate(channels):

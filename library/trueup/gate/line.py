@@ -40,8 +40,7 @@ BESIDE = 20
 
 @dataclass(frozen=True, slots=True)
 class Past:
-    """A decision that was made before: by which gate of which plant, on what, and which rules
-    refused."""
+    """An earlier decision: its gate, plant, candidate and episodes, and the rules that failed."""
 
     decision: str
     plant: str
@@ -54,14 +53,14 @@ class Past:
 
 @dataclass(frozen=True, slots=True)
 class LooserThan:
-    """A gate, by its digest, and what is looser in another one, in words."""
+    """A gate, by its digest, and in words what a later gate loosens."""
 
     gate: str
     looser: list[str]
 
 
 def past_of(decision: str, plant: str, document: Mapping[str, Any]) -> Past:
-    """What is remembered of a decision's document."""
+    """The fields of a decision's document that later decisions refer to."""
     failed = tuple(v["rule"] for v in document["verdicts"] if not v["passed"])
     return Past(
         decision,
@@ -81,11 +80,10 @@ def known(
     before: Iterable[Past],
     compared: Sequence[str] = (),
 ) -> dict[str, Json]:
-    """What was known when a gate was declared, of a candidate and of the episodes that it is judged
-    on.
+    """What was known of a candidate and its held-out episodes when a gate was declared.
 
-    `before` are decisions made before that, in order, of the plant and of others on the same
-    episodes; `compared` the jobs that showed the candidate's errors on them without any gate.
+    `before` are earlier decisions, in order, of the plant and of others on the same episodes;
+    `compared` are the jobs that showed the candidate's errors on them without any gate.
     """
     mine: list[Json] = []
     counted: dict[tuple[str, str, str], list[int]] = {}
@@ -134,49 +132,53 @@ def selection(held_out: int, accepted: int, rejected: int, comparisons: int) -> 
 
 
 def looser(before: Mapping[str, Any], after: Mapping[str, Any]) -> list[str]:
-    """What a gate lets pass that the one before did not, in words; both as documents."""
+    """In words, what a gate lets pass that the one before it did not; both are documents."""
     old, new = _rules(before), _rules(after)
-    found = [f"it drops the rule {name}" for name in old if name not in new]
+    reasons = [f"it drops the rule {name}" for name in old if name not in new]
     for name, rule in new.items():
         for bound, value in rule.items():
-            held = old.get(name, {}).get(bound)
-            if isinstance(value, int | float) and isinstance(held, int | float) and value > held:
-                found.append(f"{bound} of {name} is {value:g}, was {held:g}")
+            former = old.get(name, {}).get(bound)
+            if (
+                isinstance(value, int | float)
+                and isinstance(former, int | float)
+                and value > former
+            ):
+                reasons.append(f"{bound} of {name} is {value:g}, was {former:g}")
         if old.get(name, {}).get("require") == "bound" and rule.get("require") != "bound":
-            found.append(f"{name} requires the mean, no longer the bound of its interval")
+            reasons.append(f"{name} requires the mean, no longer the bound of its interval")
     scoring = [g["scoring"] for g in (before, after)]
     if scoring[0]["horizon_s"] != scoring[1]["horizon_s"]:
-        found.append(
+        reasons.append(
             f"its horizon is {scoring[1]['horizon_s']:g} s, was {scoring[0]['horizon_s']:g} "
             "s: which is stricter cannot be told"
         )
     if scoring[0]["windows"] == "every" and scoring[1]["windows"] == "first":
-        found.append("it scores the first window of each episode alone, no longer every one")
+        reasons.append("it scores the first window of each episode alone, no longer every one")
     gone = [c for c in before.get("conditions", ()) if c not in after.get("conditions", ())]
     if gone and "retained_conditions" in new:
-        found.append(f"it no longer tells {' and '.join(gone)} apart")
+        reasons.append(f"it no longer tells {' and '.join(gone)} apart")
     if budget_of(after) > budget_of(before):
-        found.append(
+        reasons.append(
             f"held-out episodes are good for {budget_of(after)} uses, were for {budget_of(before)}"
         )
     if after.get("vacuous") and not before.get("vacuous"):
-        found.append("it may accept the incumbent itself")
-    return found
+        reasons.append("it may accept the incumbent itself")
+    return reasons
 
 
 def looser_than(
     line: Sequence[tuple[str, Mapping[str, Any]]], document: Mapping[str, Any]
 ) -> list[LooserThan]:
-    """Each gate of a line than which another one is looser, the newest first; the line is of
-    digests and documents, in order."""
-    told = [LooserThan(digest, looser(before, document)) for digest, before in reversed(line)]
-    return [less for less in told if less.looser]
+    """Each gate of a line that `document` is looser than, the newest first. `line` holds digests
+    and documents, in order."""
+    compared = [LooserThan(digest, looser(before, document)) for digest, before in reversed(line)]
+    return [less for less in compared if less.looser]
 
 
 def budget_of(document: Mapping[str, Any]) -> int:
-    """How many trials a gate's held-out episodes are good for."""
-    given = document.get("held_out_uses")
-    return HELD_OUT_USES if given is None else int(given)
+    """How many trials may use a held-out episode of a gate before it is spent."""
+    uses = document.get("held_out_uses")
+    return HELD_OUT_USES if uses is None else int(uses)
 
 
 def _rules(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
@@ -184,10 +186,9 @@ def _rules(document: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
 
 
 def disclosure(document: Mapping[str, Any]) -> str | None:
-    """In a few sentences what whoever reads a decision must know: what was known when its gate was
-    declared, and how its candidate and episodes were selected. None of a decision that does not
-    tell.
-    """
+    """In a few sentences, what a reader of a decision must know: what was known when its gate was
+    declared, and how its candidate and episodes were selected. None for a decision of an earlier
+    version, which does not say."""
     if "known" not in document:
         return None
     return " ".join([disclosure_of(document["candidate"], document["known"]), *selected(document)])
@@ -195,42 +196,42 @@ def disclosure(document: Mapping[str, Any]) -> str | None:
 
 def selected(document: Mapping[str, Any]) -> list[str]:
     """Sentences that say how a decision's candidate and episodes were selected, and what its gate
-    lets pass; none where all is plain."""
-    told = document.get("selection")
+    lets pass; empty where there is nothing to disclose."""
+    stated = document.get("selection")
     near = f"Its errors are within {100 * SAME:g} % of those of candidate"
-    said = [
+    sentences = [
         f"{near} {name[:SHORT]}, which had been rejected or waited for its verdict."
         for name in alike(document)
     ]
-    if told is not None:
+    if stated is not None:
         count = len(document["episodes"])
-        if count < told["held_out"]:
-            said.append(
-                f"It was judged on {count} of the plant's {told['held_out']} held-out episodes."
+        if count < stated["held_out"]:
+            sentences.append(
+                f"It was judged on {count} of the plant's {stated['held_out']} held-out episodes."
             )
-        others = told["accepted"] + told["rejected"]
+        others = stated["accepted"] + stated["rejected"]
         if others:
-            outcome = _outcomes(told["accepted"], told["rejected"])
-            said.append(
+            outcome = _outcomes(stated["accepted"], stated["rejected"])
+            sentences.append(
                 "Decisions on other candidates on these episodes since the gate was "
                 f"declared: {outcome}."
             )
-        if told["comparisons"]:
-            said.append(
-                f"Comparisons had shown errors on these episodes {_often(told['comparisons'])}."
+        if stated["comparisons"]:
+            sentences.append(
+                f"Comparisons had shown errors on these episodes {_often(stated['comparisons'])}."
             )
     most = max(document.get("uses", ()), default=1)
     if most > 1:
-        said.append(
+        sentences.append(
             "Over all plants, the most used of its held-out episodes had been used "
             f"{_often(most - 1)} before."
         )
     if any(control["accepted"] for control in document["figures"].get("controls", {}).values()):
-        said.append(
+        sentences.append(
             "The gate accepts the incumbent itself, its copy or noise: it was declared as "
             "one that may."
         )
-    return said
+    return sentences
 
 
 def _outcomes(accepted: int, rejected: int) -> str:
@@ -242,8 +243,8 @@ def _often(count: int) -> str:
 
 
 def alike(document: Mapping[str, Any]) -> list[str]:
-    """Candidates scored beside a decision's own, for they had been rejected or waited for their
-    verdict, that err as it does."""
+    """Candidates scored beside a decision's own that err as it does. They had been rejected, or
+    waited for their verdict."""
     figures, numbers = document.get("figures", {}), range(len(document["episodes"]))
     others = {
         name: _by_episode(beside, numbers) for name, beside in figures.get("beside", {}).items()
@@ -258,14 +259,14 @@ def alike(document: Mapping[str, Any]) -> list[str]:
 def disclosure_of(candidate: str, known: Mapping[str, Any]) -> str:
     """What was known when a gate was declared, in words."""
     own = f"candidate {candidate[:SHORT]}"
-    said = [
+    events = [
         f"{own} had {_outcome(past)} {_on(past['episodes'])} by gate {past['gate'][:SHORT]}"
         for past in known["candidate"]
     ]
     if known["compared"]:
-        said.append(f"{own} had been compared on its episodes in job {_names(known['compared'])}")
-    if said:
-        return f"This gate was declared after {'; and after '.join(said)}."
+        events.append(f"{own} had been compared on its episodes in job {_names(known['compared'])}")
+    if events:
+        return f"This gate was declared after {'; and after '.join(events)}."
     rejected, accepted = (
         sum(on[outcome] for on in known["episodes"]) for outcome in ("rejected", "accepted")
     )
@@ -306,12 +307,11 @@ def _names(digests: Sequence[str], digits: int = SHORT) -> str:
 
 
 def same_model(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether the candidates of two decisions' documents made the same errors in every episode that
-    both were judged on, one at least.
+    """Whether the candidates of two decisions made the same errors in every episode that both were
+    judged on, one at least.
 
-    What is packed anew, or registered under another name, has another digest and the same errors.
-    Figures of other windows do not compare; whoever calls has seen to it that both gates score
-    alike.
+    A model that is packed anew, or registered under another name, has another digest and the same
+    errors. Both gates must score alike, for figures of other windows do not compare.
     """
     return _all_near(
         *(
@@ -322,9 +322,10 @@ def same_model(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 def rejects(other: Mapping[str, Any], document: Mapping[str, Any], *, same_scoring: bool) -> bool:
-    """Whether a rejection is one of the candidate of another decision: of itself, of one that errs
-    as it does, or of the same model under another digest. Both are documents of decisions, whose
-    gates score alike or not.
+    """Whether the rejection `other` is of the candidate of a decision: of itself, of one that errs
+    as it does, or of the same model under another digest.
+
+    Both are documents of decisions; `same_scoring` says whether their gates score alike.
     """
     own = other["candidate"] in (document["candidate"], *alike(document))
     return own or (same_scoring and same_model(other, document))

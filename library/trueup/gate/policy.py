@@ -1,5 +1,5 @@
-"""Update policy: what may happen to a plant's model without a person, frozen by its digest as a
-gate is."""
+"""Update policy: what may happen to a plant's model without a person. It is frozen by its digest,
+as a gate is."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ class UpdatePolicy(Frozen):
     schema, refused, noun = SCHEMA, BadPolicy, "a policy"
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON. What goes without saying in `on_rejected` is not said, so that older
-        policies keep their digests."""
-        said = super().document()
+        """The policy as JSON. The default of `on_rejected` is left out, so that older policies keep
+        their digests."""
+        document = super().document()
         return {
             name: value
-            for name, value in said.items()
+            for name, value in document.items()
             if (name, value) != ("on_rejected", APPROVAL)
         }
 

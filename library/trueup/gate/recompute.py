@@ -1,5 +1,5 @@
-"""Recompute: a decision from its gate, its artifacts and its episodes, held against what was
-recorded."""
+"""Recompute a decision from its gate, its artifacts and its episodes, and compare it with the
+recorded one."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def recompute(
     plant: str,
     progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Json]:
-    """The document of a decision as its bytes give it: `predictors` are its `models`, by name,
-    `plant` the plant's digest.
+    """The document of a decision, computed anew. `predictors` are its `models`, by name; `plant` is
+    the plant's digest.
 
     Raises BadGate if the gate is not the one that the decision names.
     """
@@ -37,10 +37,10 @@ def recompute(
             expected=recorded["gate"],
             found=declared.digest,
         )
-    told = "known" in recorded
+    discloses = "known" in recorded
     beside = recorded["figures"].get("beside")
     run = run_trial(
-        declared if told else _believed(declared),
+        declared if discloses else _believed(declared),
         predictors["candidate"],
         predictors["incumbent"],
         episodes,
@@ -54,20 +54,19 @@ def recompute(
             "candidate",
             "incumbent",
             "generation",
-            *(("known", "uses") if told else ()),
+            *(("known", "uses") if discloses else ()),
             *selected,
         )
     }
     made = judge(
         declared, run.trial, plant=plant, controls=run.controls, beside=run.beside, **named
     ).document()
-    return made if told else _only(made, recorded)
+    return made if discloses else _only(made, recorded)
 
 
 def models(recorded: Mapping[str, Any]) -> dict[str, str]:
-    """The digests of the artifacts that a decision was made from: its `candidate`, its `incumbent`,
-    and what was scored beside them, by digest.
-    """
+    """The digests of the artifacts that a decision was made from, by name: `candidate`,
+    `incumbent`, and the digest itself for models that were scored beside them."""
     return {
         **{which: recorded[which] for which in ("candidate", "incumbent")},
         **{d: d for d in recorded["figures"].get("beside", {})},
@@ -75,13 +74,13 @@ def models(recorded: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _believed(gate: Gate) -> Gate:
-    """A gate that nobody asked whether it can reject when it was declared."""
+    """The gate declared as vacuous: at its time, nobody checked whether a gate can reject."""
     return replace(gate, vacuous=True, because=gate.because or "declared before controls were")
 
 
 def _only(made: Any, recorded: Any) -> Any:
-    """What an older decision tells, which has no intervals, no controls and nothing of what was
-    known."""
+    """The fields that an older decision has too: those had no intervals, no controls and nothing of
+    what was known."""
     if isinstance(made, Mapping) and isinstance(recorded, Mapping):
         return {key: _only(value, recorded[key]) for key, value in made.items() if key in recorded}
     if isinstance(made, list) and isinstance(recorded, list) and len(made) == len(recorded):
@@ -90,7 +89,7 @@ def _only(made: Any, recorded: Any) -> Any:
 
 
 def differences(recorded: Any, recomputed: Any, path: str = "") -> list[str]:
-    """Where two documents differ by more than rounding; texts that only repeat figures are left
+    """Where two documents differ by more than rounding. Texts that only repeat figures are left
     out."""
     if (
         isinstance(recorded, Mapping)

@@ -1,5 +1,5 @@
-"""Rule: one reason for or against a candidate. Each file in `rules/` holds one; they are found by
-themselves."""
+"""Rule: one reason for or against a candidate. Each file in `rules/` holds one, and is
+discovered."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ Interval = Callable[[], tuple[float, float] | None]
 
 @dataclass(frozen=True)
 class Compared:
-    """Mean errors of both models, and how the 95 % interval of the candidate's over the incumbent's
-    is drawn, should somebody ask."""
+    """Mean errors of both models, and a function that draws the 95 % interval of the candidate's
+    over the incumbent's."""
 
     candidate: float
     incumbent: float
@@ -45,17 +45,19 @@ class Compared:
 
     @property
     def ratio(self) -> float:
-        """The candidate's over the incumbent's; nan where that is 0 or no number."""
+        """The candidate's mean error over the incumbent's; nan where the incumbent's is 0 or not a
+        number."""
         return self.candidate / self.incumbent if self.incumbent > 0.0 else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Scores of a candidate and of the incumbent on the same held-out episodes, named by digest.
-    Raises BadGate without any.
+    """Scores of a candidate and of the incumbent on the same held-out episodes, which are named by
+    digest. Raises BadGate without any.
 
     `cells` are the values of the gate's `conditions` under which each was recorded; without
-    conditions all are of one. `tracking` is how both did in closed loop, where a rule asks for it.
+    conditions, all are of one cell. `tracking` holds the closed-loop runs of both, where a rule
+    asks for them.
     """
 
     candidate: Score
@@ -80,7 +82,7 @@ class Trial:
             )
 
     def compared(self, error: str, of: Sequence[int] | None = None) -> Compared:
-        """Mean `rollout` or `one_step` errors over the episodes of these numbers, or over all."""
+        """Mean `rollout` or `one_step` errors over the episodes numbered `of`, or over all."""
         chosen = list(range(len(self.episodes)) if of is None else of)
         candidate, incumbent = (
             float(np.mean(getattr(s, error)[chosen])) for s in (self.candidate, self.incumbent)
@@ -107,12 +109,11 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """A rule's answer: the figure, the threshold it was held against, in `unit`, and the reason in
-    words.
+    """A rule's answer: the figure, its threshold in `unit`, and the reason in words.
 
     `compared` has the ratio of the candidate's error to the incumbent's, and its interval; None
-    where nothing could be compared. With `require` bound it is not the mean but the upper end of
-    the interval that had to stay within the rule's bound.
+    where nothing could be compared. With `require` bound, not the mean but the upper end of the
+    interval had to stay within the rule's bound.
     """
 
     rule: str
@@ -135,7 +136,7 @@ class Verdict:
         return None if self.compared is None else self.compared.ci95
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON; a figure that is no number stands as null."""
+        """The verdict as JSON; a figure that is not a number is null."""
         value, threshold, ratio = (
             x if np.isfinite(x) else None for x in (self.value, self.threshold, self.ratio)
         )
@@ -167,49 +168,49 @@ class Rule(ABC):
     def __call__(self, trial: Trial) -> Verdict:
         """The verdict on a trial; a figure that is not a number never passes."""
 
-    def within(self, found: Compared, bound: float, *, below: bool = False) -> bool:
-        """Whether what the rule requires is at most, or `below`, `bound` times the incumbent's;
-        what is no number is not."""
+    def within(self, compared: Compared, bound: float, *, below: bool = False) -> bool:
+        """Whether the required figure is at most, or `below`, `bound` times the incumbent's.
+        Not-a-number is not."""
         if self.require == MEAN:
-            error, most = found.candidate, bound * found.incumbent
+            error, most = compared.candidate, bound * compared.incumbent
         else:
-            error, most = float("nan") if found.ci95 is None else found.ci95[1], bound
+            error, most = float("nan") if compared.ci95 is None else compared.ci95[1], bound
         return error < most if below else error <= most
 
     def nearest(self, each: Sequence[Compared], bound: float) -> int:
-        """The number of the pair that is nearest to the bound or furthest beyond; the first that is
-        no number."""
-        over = [self._over(found, bound) for found in each]
+        """The index of the pair that is nearest to the bound, or furthest beyond it; of the first
+        that is not a number, if there is one."""
+        over = [self._over(compared, bound) for compared in each]
         return int(np.argmax(over))  # argmax stops at a nan; Python's max would pass over it
 
-    def _over(self, found: Compared, bound: float) -> float:
+    def _over(self, compared: Compared, bound: float) -> float:
         if self.require == MEAN:
             return (
-                found.candidate - bound * found.incumbent
+                compared.candidate - bound * compared.incumbent
             )  # a difference: an incumbent's error may be 0
-        return float("nan") if found.ci95 is None else found.ci95[1] - bound
+        return float("nan") if compared.ci95 is None else compared.ci95[1] - bound
 
-    def verdict(self, passed: bool, found: Compared, bound: float, because: str) -> Verdict:
+    def verdict(self, passed: bool, compared: Compared, bound: float, because: str) -> Verdict:
         """The verdict in the figures' own units."""
-        if self.require == BOUND and found.ci95 is None:
+        if self.require == BOUND and compared.ci95 is None:
             because = f"there is no interval: it takes two windows with an error, {because}"
         return Verdict(
             self.name,
             passed,
-            found.candidate,
-            bound * found.incumbent,
+            compared.candidate,
+            bound * compared.incumbent,
             "1",
             because,
-            found,
+            compared,
             self.require,
         )
 
     def document(self) -> dict[str, Json]:
-        """The rule as JSON; that it requires the mean goes without saying."""
-        given: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
+        """The rule as JSON; `require` is left out where it is the mean."""
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
         return {
             "rule": self.name,
-            **{name: value for name, value in given.items() if (name, value) != ("require", MEAN)},
+            **{name: value for name, value in values.items() if (name, value) != ("require", MEAN)},
         }
 
 

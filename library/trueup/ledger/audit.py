@@ -1,9 +1,9 @@
 """The audit log: entries that can only be added, each a leaf of a Merkle tree.
 
-A leaf is a small canonical document that names what an entry tells (`facts`) and every row of the
-registry that its transaction wrote (`rows`) by digest. So the tree's root, which is signed and
-published, covers every row: an edit of a row or an entry, a removal, a swap and, for whoever kept
-an earlier root, a cut tail all show.
+A leaf is a small canonical document. It names by digest the `facts` of an entry, and every row of
+the registry that its transaction wrote (`rows`). So the tree's root, which is signed and published,
+covers every row: an edit, a removal or a swap of a row or an entry shows, and a cut tail shows to
+whoever has an earlier root.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def entry_bytes(entry: AuditEntry) -> bytes:
 
 
 def append(tree: Frontier, entry: AuditEntry) -> Frontier:
-    """The tree with one more entry. Raises BrokenChain if the entry is not the next one."""
+    """Returns the tree with one more entry. Raises BrokenChain if the entry is not the next one."""
     if entry.sequence != tree.size + 1:
         raise BrokenChain(
             f"entry {entry.sequence} follows entry {tree.size}", sequence=entry.sequence
@@ -60,7 +60,7 @@ def append(tree: Frontier, entry: AuditEntry) -> Frontier:
 
 
 def rebuild(entries: Iterable[AuditEntry]) -> Frontier:
-    """The tree of a whole log, from its first entry. Raises BrokenChain."""
+    """Returns the tree of a whole log, from its first entry. Raises BrokenChain."""
     tree = NOTHING
     for entry in entries:
         tree = append(tree, entry)

@@ -1,14 +1,13 @@
-"""A Merkle tree over a log, as in RFC 9162 (and RFC 6962 before it): what is stored, what proves,
-what is the root.
+"""A Merkle tree over a log, as in RFC 9162 and RFC 6962: its stored nodes, its proofs, its root.
 
     leaf      SHA-256(0x00 || entry)
     node      SHA-256(0x01 || left || right)
 
 A tree is kept as its perfect subtrees, named by level and position: node (level, position) covers
 the 2^level leaves from position · 2^level on, and never changes once it is there. The roots of the
-largest perfect subtrees, left to right, are the tree's frontier: it is all that appending and the
-root need. Whoever reads a proof verifies it without this module. Source: RFC 9162, sections 2.1.1
-to 2.1.4.
+largest perfect subtrees, left to right, are the tree's frontier: appending and the root need no
+more. `trueup_client.proof` verifies proofs without this module. Source: RFC 9162, sections 2.1.1 to
+2.1.4.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from typing import TypeAlias
 
 Node: TypeAlias = "tuple[int, int]"  # level and position of a perfect subtree
 # for each hash of a proof, the perfect subtrees that it is made of, left to right
-Plan: TypeAlias = "list[list[Node]]"
+ProofPlan: TypeAlias = "list[list[Node]]"
 HASH_BYTES = 32
 POSITION_BITS = 48
 EMPTY = hashlib.sha256(b"").digest()
@@ -62,10 +61,10 @@ class Frontier:
         return b"".join(self.hashes)
 
     @staticmethod
-    def from_bytes(size: int, kept: bytes) -> Frontier:
-        """The inverse."""
+    def from_bytes(size: int, data: bytes) -> Frontier:
+        """A tree of `size` leaves from what `to_bytes` returned."""
         return Frontier(
-            size, tuple(kept[i : i + HASH_BYTES] for i in range(0, len(kept), HASH_BYTES))
+            size, tuple(data[i : i + HASH_BYTES] for i in range(0, len(data), HASH_BYTES))
         )
 
 
@@ -73,12 +72,12 @@ NOTHING = Frontier(0, ())
 
 
 def number_of(node: Node) -> int:
-    """A node as one number, under which it is kept: nodes of a level are neighbours."""
+    """The number under which a node is stored; the nodes of a level are neighbours."""
     return node[0] << POSITION_BITS | node[1]
 
 
 def node_of(number: int) -> Node:
-    """The inverse."""
+    """The node that is stored under a number."""
     return number >> POSITION_BITS, number & ((1 << POSITION_BITS) - 1)
 
 
@@ -93,17 +92,17 @@ def fold(hashes: Sequence[bytes]) -> bytes:
 def cover(low: int, high: int) -> list[Node]:
     """The largest perfect subtrees that make up the leaves from `low` to before `high`, where `low`
     begins one of them."""
-    found = []
+    subtrees = []
     while low < high:
         level = (high - low).bit_length() - 1
         while low & ((1 << level) - 1):
             level -= 1
-        found.append((level, low >> level))
+        subtrees.append((level, low >> level))
         low += 1 << level
-    return found
+    return subtrees
 
 
-def inclusion(position: int, size: int) -> Plan:
+def inclusion(position: int, size: int) -> ProofPlan:
     """The proof that a leaf is in the tree of `size` leaves, from the leaf up."""
     return [cover(*part) for part in _inclusion(position, 0, size)]
 
@@ -117,7 +116,7 @@ def _inclusion(position: int, low: int, high: int) -> list[tuple[int, int]]:
     return [*_inclusion(position, middle, high), (low, middle)]
 
 
-def consistency(old: int, size: int) -> Plan:
+def consistency(old: int, size: int) -> ProofPlan:
     """The proof that the tree of `size` leaves begins with the tree of `old` ones."""
     return (
         [cover(*part) for part in _consistency(old, 0, size, known=True)] if 0 < old < size else []
@@ -140,6 +139,6 @@ def _split(leaves: int) -> int:
     return 1 << ((leaves - 1).bit_length() - 1)
 
 
-def prove(plan: Plan, hashes: Mapping[Node, bytes]) -> list[bytes]:
+def prove(plan: ProofPlan, hashes: Mapping[Node, bytes]) -> list[bytes]:
     """The hashes of a proof, from those of the perfect subtrees that its plan names."""
     return [fold([hashes[node] for node in part]) for part in plan]

@@ -1,9 +1,8 @@
-"""Operation: which of four things a job or an entry of the log is, so that nobody takes one for
-another.
+"""Operation: which of four kinds of work a job or an entry of the log is.
 
-Monitoring changes nothing. Parameter identification finds the numbers of a form that is kept; model
-correction changes the form, or which model serves. Policy adaptation would change the controller:
-nothing here does, and a log that holds one was not written by this service.
+Monitoring changes nothing. Parameter identification fits the numbers of an unchanged model form;
+model correction changes the form, or which model serves. Policy adaptation would change the
+controller: nothing here does, and a log that holds one was not written by this service.
 """
 
 from __future__ import annotations
@@ -38,24 +37,23 @@ JOBS: Mapping[str, Operation] = {
 
 
 def of_job(kind: str, request: Mapping[str, Json]) -> Operation:
-    """A job's operation: of fits, the one that keeps the form identifies."""
+    """A job's operation. A fit that keeps the model form is an identification."""
     return Operation.IDENTIFICATION if request.get("method") == "identify" else JOBS[kind]
 
 
 def of_artifact(kind: str, model: Json) -> Operation | None:
-    """What made an artifact, by what it holds: other numbers alone, or another form; None where it
-    is the nominal model."""
+    """The operation that made an artifact, by whether its model has another form or other numbers
+    alone; None where it is the nominal model."""
     if kind == "nominal":
         return None
     from trueup.model.effect import effects  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    form = [
-        e for e in _effects(model) if not effects()[e].counted
-    ]  # what is counted in samples is the sensor's
-    kept = kind == "identified" or (kind == "corrected" and not form)
-    return Operation.IDENTIFICATION if kept else Operation.CORRECTION
+    # An effect that is counted in samples is the sensor's, and no part of the form.
+    form = [e for e in _effects(model) if not effects()[e].counted]
+    same_form = kind == "identified" or (kind == "corrected" and not form)
+    return Operation.IDENTIFICATION if same_form else Operation.CORRECTION
 
 
 def _effects(model: Json) -> list[str]:
-    found: Any = model.get("effects", []) if isinstance(model, Mapping) else []
-    return [str(e["effect"]) for e in found]
+    entries: Any = model.get("effects", []) if isinstance(model, Mapping) else []
+    return [str(entry["effect"]) for entry in entries]

@@ -1,5 +1,5 @@
-"""Who is behind an entry: people are counted by the name of their token, for one may hold
-several."""
+"""Who is behind an entry of the log. A person may hold several tokens, so people are told apart by
+the names of their tokens."""
 
 from __future__ import annotations
 
@@ -21,6 +21,6 @@ def name_of(actor: str) -> str:
 
 
 def folded(name: str) -> str:
-    """A name as it is compared: case, width, spaces and characters that show nothing make no other
-    person."""
+    """A name as it is compared: without differences of case, width, spaces and invisible
+    characters."""
     return seen(unicodedata.normalize("NFKC", name)).casefold()

@@ -45,8 +45,8 @@ class ServingPointer:
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """What of a decision the pointer must know."""
+class JudgedDecision:
+    """The fields of a decision that a move of the pointer depends on."""
 
     digest: str
     accepted: bool
@@ -56,9 +56,9 @@ class Judged:
 
 
 def promote(
-    pointer: ServingPointer, decision: Judged, expected_generation: int, now: str
+    pointer: ServingPointer, decision: JudgedDecision, expected_generation: int, now: str
 ) -> ServingPointer:
-    """The pointer at the decision's candidate. Raises PointerMoved, NotAccepted."""
+    """The pointer moved to the decision's candidate. Raises PointerMoved, NotAccepted."""
     require_generation(pointer, expected_generation)
     if not decision.accepted:
         raise NotAccepted(decision=decision.digest)
@@ -79,7 +79,7 @@ def promote(
 def roll_back(
     pointer: ServingPointer, previous: str | None, expected_generation: int, now: str
 ) -> ServingPointer:
-    """The pointer back at the artifact that served before. Raises PointerMoved,
+    """The pointer moved back to the artifact that served before. Raises PointerMoved,
     NothingToRollBackTo."""
     require_generation(pointer, expected_generation)
     if previous is None:
@@ -88,7 +88,7 @@ def roll_back(
 
 
 def require_generation(pointer: ServingPointer, expected: int) -> None:
-    """Raises PointerMoved if the pointer is elsewhere."""
+    """Raises PointerMoved if the pointer is at another generation than expected."""
     if pointer.generation != expected:
         raise PointerMoved(
             f"generation {expected} was expected, {pointer.generation} is serving",

@@ -1,5 +1,5 @@
-"""Where an artifact comes from, and what a gate said of it, as in-toto statements: what other tools
-of a supply chain read.
+"""Where an artifact comes from, and what a gate decided, as in-toto statements for other tools of a
+supply chain.
 
 An artifact's statement is SLSA provenance: episodes, plant and parent are its dependencies, the
 job's configuration its parameters, the code its builder. A decision's is a test result: the gate
@@ -26,7 +26,7 @@ def of_artifact(
     """The statement of an artifact from its manifest; `facts` say where the registry keeps it:
     plant, version, job, when, by whom.
 
-    What was not made by a job is told as uploaded, whatever its manifest claims of its making.
+    An artifact that no job made is called uploaded, whatever its manifest claims of its making.
     """
     made = _document(manifest.get("provenance"))
     configuration, code = _document(made.get("configuration")), _document(made.get("code"))
@@ -95,14 +95,13 @@ def of_decision(
     )
 
 
-def _document(found: object) -> Mapping[str, Any]:
-    """A part of a manifest; whoever uploaded it may have put anything there, which is told as
-    nothing."""
-    return found if isinstance(found, Mapping) else {}
+def _document(value: object) -> Mapping[str, Any]:
+    """A mapping in a manifest; empty where the uploader put anything else there."""
+    return value if isinstance(value, Mapping) else {}
 
 
-def _list(found: object) -> Sequence[object]:
-    return found if isinstance(found, list) else []
+def _list(value: object) -> Sequence[object]:
+    return value if isinstance(value, list) else []
 
 
 def _statement(
@@ -119,12 +118,12 @@ def _statement(
 def _resource(
     kind: str, name: str, digest: str, annotations: Mapping[str, Json] | None = None
 ) -> dict[str, Json]:
-    found: dict[str, Json] = {
+    resource: dict[str, Json] = {
         "name": name,
         "uri": f"urn:trueup:{kind}:{digest}",
         "digest": {"sha256": digest},
     }
-    return found | ({"annotations": annotations} if annotations else {})
+    return resource | ({"annotations": annotations} if annotations else {})
 
 
 def _arrays(manifest: Mapping[str, Any]) -> list[dict[str, Json]]:

@@ -38,27 +38,18 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "channel_moves": ("plant", "channel", "generation"),
 }
 FINAL = ("succeeded", "failed", "cancelled")
-BY_DOCUMENT = (
-    "plants",
-    "gates",
-    "decisions",
-    "monitors",
-    "policies",
-    "evidence",
-)  # named by the digest of their document
-KEPT_APART = ("projects", "tokens")  # of a registry as a whole, never of one plant
-WHOLESALE = (
-    "log:migrated",
-    "plant:imported",
-)  # entries that tell of rows that were there elsewhere
-MOVES = {
-    "moves": ("pointer:moved", "plant:registered"),
-    "channel_moves": ("channel:moved",),
-}  # entries that may tell of a move
+# tables whose rows are named by the digest of their document
+BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")
+# tables of a registry as a whole, never of one plant
+NOT_OF_A_PLANT = ("projects", "tokens")
+# kinds of entries that name rows which were written elsewhere
+WHOLESALE = ("log:migrated", "plant:imported")
+# kinds of entries that may name a row of a table of moves
+MOVES = {"moves": ("pointer:moved", "plant:registered"), "channel_moves": ("channel:moved",)}
 
 
 def row_name(table: str, row: Mapping[str, Any]) -> str:
-    """What the log calls a row."""
+    """The name of a row in the log."""
     return "/".join((table, *(str(row[column]) for column in KEYS[table])))
 
 
@@ -76,7 +67,7 @@ def must_be_named(table: str, row: Mapping[str, Any]) -> bool:
 
 
 def misnamed(table: str, row: Mapping[str, Any]) -> str | None:
-    """How a row that is named by its content is not; None where it is."""
+    """How the content of a row differs from what names it, in words; None where it does not."""
     if table == "artifacts" and digest_of_bytes(row["manifest"].encode()) != row["digest"]:
         return "the manifest is not what its digest names"
     if table in BY_DOCUMENT and digest_of_bytes(row["document"].encode()) != row["digest"]:
@@ -92,7 +83,7 @@ def misnamed(table: str, row: Mapping[str, Any]) -> str | None:
 
 
 def blobs(table: str, row: Mapping[str, Any]) -> list[str]:
-    """Digests of the bytes that a row stands for."""
+    """Digests of the blobs that a row names."""
     named = {
         "episodes": "digest",
         "artifacts": "arrays",

@@ -1,12 +1,12 @@
-"""Hold a registry against its log: every entry, every row, every byte. What does not agree is
+"""Verify a registry against its log: every entry, every row, every byte. What does not agree is
 listed, not raised.
 
-- the tree of all entries has the root that was signed, and its kept hashes, head and keys are those
-  of the entries and no others;
+- the tree of all entries has the root that was signed, and the stored hashes, head and keys are
+  those of the entries and no others;
 - every row is as the last entry that names it left it, every row is named, and every named row is
   there;
 - what is named by its content has that content, bytes included;
-- every move of a pointer is told by an entry that may tell of one.
+- every move of a pointer is named by an entry of a kind that may move it.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from trueup.errors import TrueupError
 from trueup.ledger.audit import AuditEntry, entry_bytes
 from trueup.ledger.merkle import NOTHING, Frontier, Node, leaf_hash
 from trueup.ledger.rows import (
-    KEPT_APART,
     KEYS,
     MOVES,
+    NOT_OF_A_PLANT,
     WHOLESALE,
     blobs,
     misnamed,
@@ -33,22 +33,22 @@ from trueup.ledger.rows import (
     row_name,
 )
 
-Told = Callable[[float, str], None]
+Progress = Callable[[float, str], None]  # a share of the work that is done, and what is under way
 HEAD, KEY = "audit_head", "audit_key"
-LOOKS = 8  # at rows that change while they are read, before what does not agree counts
+READS = 8  # of rows that change while they are read, before a difference counts
 
 
 class Registry(Protocol):
-    """What is verified, wherever it is: a service, a database, an export."""
+    """A registry that is verified: of a service, in a database, in an archive."""
 
     def head(self) -> tuple[int, bytes]:
         """Number of entries and root, as they were signed."""
 
     def entries(self, after: int, until: int) -> Iterable[AuditEntry]:
-        """Entries in order, from behind one up to another."""
+        """Entries in order, from behind `after` up to `until`, by sequence number."""
 
     def nodes(self) -> Iterable[tuple[Node, bytes]] | None:
-        """Every hash of the tree that is kept; None where it is rebuilt."""
+        """Every stored hash of the tree; None where none are stored."""
 
     def signer(self) -> str | None:
         """The public key that signs the log now; None where nobody can say."""
@@ -57,36 +57,36 @@ class Registry(Protocol):
         """Every row of a table, as it is stored."""
 
     def blob(self, digest: str) -> Iterator[bytes]:
-        """Bytes in parts. Raises TrueupError where they are not there."""
+        """The bytes of a blob, in parts. Raises TrueupError where they are not there."""
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What does not agree: an entry, a row or a blob, and how."""
+    """Something that does not agree with the log: an entry, a row or a blob, and how it differs."""
 
     where: str
     what: str
 
 
-Each = Callable[[AuditEntry], Iterable[Finding]]
+EntryCheck = Callable[[AuditEntry], Iterable[Finding]]
 
 
 @dataclass
 class _Log:
-    """The log as far as it was read: its tree, and of every row its digest and the entry that last
-    named it."""
+    """The log as far as it was read: its tree, and for each row that it names its digest and the
+    entry that named it last. `requests` are digests of jobs' requests as they were submitted,
+    `key_changes` the entries that replace the key.
+    """
 
-    each: Each
+    check: EntryCheck
     tree: Frontier = NOTHING
     nodes: dict[Node, bytes] = field(default_factory=dict)
     named: dict[str, tuple[str, AuditEntry]] = field(default_factory=dict)
-    asked: dict[str, str] = field(
-        default_factory=dict
-    )  # the digest of each job's request, as it was submitted
-    keys: list[AuditEntry] = field(default_factory=list)  # that tell of a key which took over
+    requests: dict[str, str] = field(default_factory=dict)
+    key_changes: list[AuditEntry] = field(default_factory=list)
 
     def read(self, registry: Registry) -> list[Finding]:
-        """Read on to the signed head."""
+        """Read on to the signed head; what does not agree."""
         findings: list[Finding] = []
         try:
             size, root = registry.head()
@@ -99,10 +99,10 @@ class _Log:
                 self.nodes |= completed
                 self.named |= {name: (digest, entry) for name, digest in entry.rows.items()}
                 if entry.kind == "job:submitted":
-                    self.asked[entry.subject] = digest_of(entry.facts["request"])
+                    self.requests[entry.subject] = digest_of(entry.facts["request"])
                 if entry.kind == "key:replaced":
-                    self.keys.append(entry)
-                findings += self.each(entry)
+                    self.key_changes.append(entry)
+                findings += self.check(entry)
         except TrueupError as error:
             return [Finding("log", error.message)]
         if self.tree.size != size:
@@ -114,8 +114,8 @@ class _Log:
 
 @dataclass(frozen=True)
 class Verified:
-    """What was verified: entries and rows held, bytes hashed, and what does not agree. `decisions`
-    are the digests of all decisions."""
+    """The result of a verification: the size and root of the log, how many rows were compared and
+    bytes hashed, the digests of all decisions, and what does not agree."""
 
     size: int
     root: bytes
@@ -126,107 +126,110 @@ class Verified:
 
 
 def verify(
-    registry: Registry, told: Told = lambda _share, _stage: None, each: Each = lambda _entry: ()
+    registry: Registry,
+    progress: Progress = lambda _share, _stage: None,
+    check: EntryCheck = lambda _entry: (),
 ) -> Verified:
-    """Verify a registry, which may be written to meanwhile; `each` looks at every entry, too, and
-    says what it finds wrong."""
-    log = _Log(each)
-    told(0.0, "reading the log")
-    findings = log.read(registry) or _hold_tree(registry, log)
+    """Verify a registry, which may be written to meanwhile. `check` gets every entry and returns
+    what is wrong with it."""
+    log = _Log(check)
+    progress(0.0, "reading the log")
+    findings = log.read(registry) or _check_tree(registry, log)
     if findings:
         return Verified(log.tree.size, log.tree.root(), 0, 0, [], findings)
-    return _hold_all(registry, log, told)
+    return _check_rows(registry, log, progress)
 
 
 def verify_part(
-    registry: Registry, entries: Iterable[AuditEntry], told: Told = lambda _share, _stage: None
+    registry: Registry,
+    entries: Iterable[AuditEntry],
+    progress: Progress = lambda _share, _stage: None,
 ) -> Verified:
-    """Verify what a part of the log tells of; whoever calls has proven its entries to be in the
+    """Verify the rows that a part of the log names. The caller has proven its entries to be in the
     log."""
     log = _Log(lambda _: ())
     for entry in entries:
         log.named |= {
             name: (digest, entry)
             for name, digest in entry.rows.items()
-            if _of(name) not in KEPT_APART
+            if _table_of(name) not in NOT_OF_A_PLANT
         }
-    return _hold_all(registry, log, told, looks=0)  # there is nothing more to read
+    return _check_rows(registry, log, progress, rereads=0)  # the log does not grow
 
 
-def _hold_all(registry: Registry, log: _Log, told: Told, looks: int = LOOKS) -> Verified:
-    """Hold every table and every blob."""
+def _check_rows(
+    registry: Registry, log: _Log, progress: Progress, rereads: int = READS
+) -> Verified:
+    """Compare every table with the log and hash every blob. A table that differs is read again up
+    to `rereads` times, for it may have been written to."""
     findings: list[Finding] = []
     named: dict[str, list[str]] = {}
-    held, decisions = 0, []
+    compared, decisions = 0, []
     for count, table in enumerate(KEYS):
-        told(0.2 + 0.3 * count / len(KEYS), f"holding {table} against the log")
-        for look in range(looks + 1):
+        progress(0.2 + 0.3 * count / len(KEYS), f"holding {table} against the log")
+        for _ in range(rereads + 1):
             rows, unread = _read(registry, table)
-            if looks:
-                findings += log.read(registry)  # whatever was written before these rows were read
+            if rereads:
+                findings += log.read(registry)  # entries written before the rows were read
             wrong = unread or _differing(log, table, rows)
-            if not wrong or look == looks or not looks:
+            if not wrong:
                 break
         findings += wrong
-        held += len(rows)
+        compared += len(rows)
         for row in rows:
             decisions += [str(row["digest"])] if table == "decisions" else []
             for digest in blobs(table, row):
                 named.setdefault(digest, []).append(row_name(table, row))
     hashed, damaged = _hash(
-        registry, named, lambda share: told(0.5 + 0.5 * share, "hashing episodes and artifacts")
+        registry, named, lambda share: progress(0.5 + 0.5 * share, "hashing episodes and artifacts")
     )
-    return Verified(log.tree.size, log.tree.root(), held, hashed, decisions, findings + damaged)
+    return Verified(log.tree.size, log.tree.root(), compared, hashed, decisions, findings + damaged)
 
 
-def _hold_tree(registry: Registry, log: _Log) -> list[Finding]:
-    """Hold what the log keeps beside its entries, the hashes from which proofs are made, its head
-    and its keys, against the entries."""
-    made = dict(log.nodes)
+def _check_tree(registry: Registry, log: _Log) -> list[Finding]:
+    """Compare the stored hashes of the tree, its head and its keys with the entries."""
+    expected = dict(log.nodes)
     try:
         nodes = registry.nodes()
         if nodes is None:
             return []
-        kept = dict(nodes)
-        findings = log.read(registry)  # whatever was written before these were read
+        stored = dict(nodes)
+        findings = log.read(registry)  # entries written before the hashes were read
         heads, keys = (list(registry.rows(table)) for table in (HEAD, KEY))
         signer = registry.signer()
     except TrueupError as error:
         return [Finding("tree", error.message)]
-    wrong = [node for node, found in made.items() if kept.get(node) != found]
+    wrong = [node for node, hashed in expected.items() if stored.get(node) != hashed]
     findings += [
         Finding(f"tree/{level}/{position}", "it is not the hash of its entries")
         for level, position in wrong
     ]
-    beyond = [node for node in kept if node not in log.nodes]
+    beyond = [node for node in stored if node not in log.nodes]
     findings += [
         Finding(f"tree/{level}/{position}", "it is the hash of no entries")
         for level, position in beyond
     ]
     if [row["id"] for row in heads] != [1]:
         findings.append(Finding(HEAD, f"{len(heads)} heads of the log are kept, and it has one"))
-    return findings + _hold_keys(log.keys, keys, signer)
+    return findings + _check_keys(log.key_changes, keys, signer)
 
 
-def _hold_keys(
-    replaced: Sequence[AuditEntry], keys: Sequence[Mapping[str, Any]], signer: str | None
+def _check_keys(
+    changes: Sequence[AuditEntry], keys: Sequence[Mapping[str, Any]], signer: str | None
 ) -> list[Finding]:
-    """Hold the keys that are kept against the entries that tell of each that took over, and against
-    the one that signs now."""
-    if not keys and not replaced and signer is None:
+    """Compare the stored keys with the entries that replaced a key, and with the key that signs
+    now."""
+    if not keys and not changes and signer is None:
         return []  # nobody has signed yet
     findings = []
-    if [row["id"] for row in keys] != list(range(1, len(replaced) + 2)):
+    if [row["id"] for row in keys] != list(range(1, len(changes) + 2)):
         findings.append(
-            Finding(
-                KEY, f"{len(keys)} keys are kept, and by the log there were {len(replaced) + 1}"
-            )
+            Finding(KEY, f"{len(keys)} keys are kept, and by the log there were {len(changes) + 1}")
         )
-    told = [(entry.subject, entry.facts["endorsement"]) for entry in replaced]
-    first = (
-        replaced[0].facts["before"] if replaced else None
-    )  # then only whoever signs can tell, below
-    for row, (verifier, endorsement) in zip(keys, [(first, None), *told], strict=False):
+    # A first key that was never replaced stands in no entry: it is compared with the signer, below.
+    first = changes[0].facts["before"] if changes else None
+    expected = [(first, None), *((e.subject, e.facts["endorsement"]) for e in changes)]
+    for row, (verifier, endorsement) in zip(keys, expected, strict=False):
         if (row["verifier"], row["endorsement"]) != (verifier or row["verifier"], endorsement):
             findings.append(
                 Finding(f"{KEY}/{row['id']}", "it is not the key that the log tells of")
@@ -237,6 +240,7 @@ def _hold_keys(
 
 
 def _read(registry: Registry, table: str) -> tuple[list[Mapping[str, Any]], list[Finding]]:
+    """The rows of a table, or a finding where they cannot be read."""
     try:
         return list(registry.rows(table)), []
     except TrueupError as error:
@@ -244,7 +248,7 @@ def _read(registry: Registry, table: str) -> tuple[list[Mapping[str, Any]], list
 
 
 def _differing(log: _Log, table: str, rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """Hold a table's rows against the log."""
+    """What of a table's rows does not agree with the log."""
     there = {row_name(table, row): row for row in rows}
     often = Counter(row_name(table, row) for row in rows)
     wrong = [
@@ -258,20 +262,22 @@ def _differing(log: _Log, table: str, rows: Sequence[Mapping[str, Any]]) -> list
     wrong += [
         Finding(name, "the log names it, and it is not there")
         for name in log.named
-        if _of(name) == table and name not in there
+        if _table_of(name) == table and name not in there
     ]
     return wrong
 
 
-def _of(name: str) -> str:
+def _table_of(name: str) -> str:
+    """The table in the name of a row."""
     return name.partition("/")[0]
 
 
 def _differs(log: _Log, table: str, name: str, row: Mapping[str, Any]) -> str | None:
+    """How a row differs from what the log tells of it, in words; None where it does not."""
     if (
         table == "jobs"
-        and row["id"] in log.asked
-        and digest_of_bytes(str(row["request"]).encode()) != log.asked[row["id"]]
+        and row["id"] in log.requests
+        and digest_of_bytes(str(row["request"]).encode()) != log.requests[row["id"]]
     ):
         return "its request is not the one that was submitted"
     if name not in log.named:
@@ -285,20 +291,21 @@ def _differs(log: _Log, table: str, name: str, row: Mapping[str, Any]) -> str | 
 
 
 def _hash(
-    registry: Registry, named: Mapping[str, list[str]], told: Callable[[float], None]
+    registry: Registry, named: Mapping[str, list[str]], progress: Callable[[float], None]
 ) -> tuple[int, list[Finding]]:
-    """Hash every blob once; the bytes that were hashed, and what is not as it is named."""
-    hashed, findings = 0, []
+    """Hash every blob once. Returns the number of bytes hashed, and what does not match its
+    name."""
+    size, findings = 0, []
     for count, (digest, rows) in enumerate(named.items(), 1):
-        found = hashlib.sha256()
+        hashed = hashlib.sha256()
         try:
             for part in registry.blob(digest):
-                found.update(part)
-                hashed += len(part)
+                hashed.update(part)
+                size += len(part)
         except TrueupError as error:
             findings.append(Finding(rows[0], error.message))
         else:
-            if found.hexdigest() != digest:
-                findings.append(Finding(rows[0], f"its bytes hash to {found.hexdigest()}"))
-        told(count / len(named))
-    return hashed, findings
+            if hashed.hexdigest() != digest:
+                findings.append(Finding(rows[0], f"its bytes hash to {hashed.hexdigest()}"))
+        progress(count / len(named))
+    return size, findings

@@ -41,7 +41,7 @@ def joint(of: str) -> int:
 
 @cache
 def offsets() -> dict[str, tuple[int, ...]]:
-    """Of each effect the rows of its parameters, counted from the first of its joint."""
+    """Rows of each effect's parameters, counted from the first of its joint."""
     rows, first = {}, 0
     for name, effect in effects().items():
         rows[name] = tuple(range(first, first + len(effect.params)))
@@ -51,8 +51,8 @@ def offsets() -> dict[str, tuple[int, ...]]:
 
 @cache
 def memory_offsets() -> dict[Memory, int]:
-    """Of each state of each effect the row that says how far from its usual value it began, counted
-    from the first of its joint."""
+    """Rows that say how far from its usual value each hidden state began, counted from the first of
+    its joint."""
     states = [
         (e.name, s)
         for e in effects().values()
@@ -77,8 +77,8 @@ class Block:
 
     @staticmethod
     def of_family() -> Block:
-        """That of a plant of any family: all families have one, so that a row means the same in
-        each."""
+        """The block of a plant of any family: all families share one, so that a row means the same
+        in each."""
         return Block(max(len(f.params) for f in families().values()))
 
     def rows(self, of: str) -> tuple[int, ...]:
@@ -87,14 +87,14 @@ class Block:
         return tuple(first + row for row in offsets()[kind(of).name])
 
     def rows_of(self, of: str) -> dict[str, int]:
-        """The same by the parameters' names."""
+        """Rows of a term's parameters by their names."""
         return {
             number.name: row for number, row in zip(kind(of).params, self.rows(of), strict=True)
         }
 
     @cached_property
     def memories(self) -> Mapping[Memory, int]:
-        """Of each term's hidden states the row that says how far from its usual value it began."""
+        """Rows that say how far from its usual value each term's hidden states began."""
         at = memory_offsets().items()
         return {
             (term(e, j), state): self.nominal + j * height() + row

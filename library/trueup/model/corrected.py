@@ -11,23 +11,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, singledispatch
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
+from trueup.errors import NotExportable
 from trueup.model.block import BLOCK, joint, kind, term
-from trueup.model.dynamics import CompiledFamily
+from trueup.model.dynamics import CompiledFamily, Dynamics
 from trueup.model.effect import Port, effects
 from trueup.model.hypothesis import Hypothesis, switches
-from trueup.model.known import Known
+from trueup.model.joint_step import Joint
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
-from trueup.model.series import DECLARED, Scheme, positions_and_velocities, roll, unobserved, whole
+from trueup.model.series import (
+    DECLARED,
+    Scheme,
+    Series,
+    positions_and_velocities,
+    roll,
+    unobserved,
+    whole,
+)
 from trueup.model.state import past_states
-from trueup.model.stepping import Joint
+from trueup.model.velocity_prior import VelocityPrior
 from trueup.model.windows import Windows
 
 Array = NDArray[np.float64]
@@ -40,7 +49,7 @@ class Corrected(Predictor):
     `values` is the block's vector; `gain` `(beginning, joints, 4, 2)` corrects each joint's
     position, velocity, a disturbing acceleration and what hides the velocity by its observed
     position and velocity, at each of an episode's first samples and, the last, at all others;
-    `known` moments tell a first velocity that nobody observed.
+    `known` is the prior of a first velocity that was not observed.
     """
 
     plant: Plant
@@ -48,7 +57,7 @@ class Corrected(Predictor):
     values: tuple[float, ...]
     scheme: Scheme
     gain: tuple[tuple[float, ...], ...] = ()  # a row for each sample, eight numbers of each joint
-    known: Known | None = None
+    known: VelocityPrior | None = None
     kind = "corrected"
 
     @staticmethod
@@ -60,27 +69,9 @@ class Corrected(Predictor):
 
     @cached_property
     def joint(self) -> Joint:
-        """The joint of a family, with the effects that act at it."""
-        plant, block = self.plant, self.plant.block
-        acting = [
-            (effects()[name], block.rows_of(name))
-            for name in effects()
-            if name in self.hypothesis.effects
-        ]
-        valued = [
-            (effect, {name: self.values[row] for name, row in rows.items()})
-            for effect, rows in acting
-        ]
-        assert isinstance(plant.dynamics, CompiledFamily)
-        numbers = self.values[: len(plant.dynamics.parameter_names)]
-        return Joint(
-            plant.dynamics.family,
-            numbers,
-            valued,
-            self.scheme.alpha,
-            float(plant.command_scales[0]),
-            plant.timestep_s,
-        )
+        """The joint of a family, with the effects that act at it. Raises NotExportable of a robot,
+        whose step solves its joints together."""
+        return _joint(self.plant.dynamics, self)
 
     def predict_batch(
         self, states: Array, issued: Array, h_s: Array | float | None = None
@@ -88,37 +79,15 @@ class Corrected(Predictor):
         """One step of the symmetric or declared scheme, with hidden states as they begin; of a
         family in numpy, the kernel's reference."""
         span = np.broadcast_to(self.plant.timestep_s if h_s is None else h_s, len(states))
-        applied = self.plant.applied(issued)
-        if not isinstance(self.plant.dynamics, CompiledFamily):
-            rows = [
-                self._stepped(state, u, float(h))
-                for state, u, h in zip(states, applied, span, strict=True)
-            ]
-            return np.stack(rows) if rows else states
-        q, v = states[:, 0], states[:, 1]
-        for _ in range(self.scheme.parts):
-            q, v, _ = self.joint.advance(q, v, {}, applied[:, 0], span / self.scheme.parts)
-        return np.stack([q, v], axis=1)
+        return _advance(self.plant.dynamics, self, states, self.plant.applied(issued), span)
 
-    def course(self, states: Array, issued: Array, steps: int) -> Array:
-        """Of a tree compiled as a whole, with what its effects remember meanwhile."""
-        if isinstance(self.plant.dynamics, CompiledFamily):
-            return super().course(states, issued, steps)
-        applied, t_s = (
-            self.plant.applied(issued),
-            np.asarray(np.arange(steps + 1) * self.plant.timestep_s, np.float64),
-        )
-        return np.stack(
-            [self._held(state, u, t_s)[1:] for state, u in zip(states, applied, strict=True)]
-        )
+    def hold(self, states: Array, issued: Array, steps: int) -> Array:
+        return _hold(self.plant.dynamics, self, states, issued, steps)
 
-    def _stepped(self, state: Array, applied: Array, h_s: float) -> Array:
-        """One state a step further."""
-        return np.asarray(self._held(state, applied, np.array([0.0, h_s]))[1])
-
-    def _held(self, state: Array, applied: Array, t_s: Array) -> Array:
-        """States at times from one on, compiled; what delays a command has none before it to
-        show."""
+    def compiled_hold(self, state: Array, applied: Array, t_s: Array) -> Array:
+        """States `(samples, states)` at times `t_s` from one `(states,)` on under one applied
+        command, compiled, with what effects remember meanwhile; what delays a command has none
+        before it to show."""
         acting = Hypothesis(
             tuple(
                 t
@@ -126,32 +95,22 @@ class Corrected(Predictor):
                 if not kind(t).delays() and kind(t).port is not Port.OBSERVATION
             )
         )
-        s = unobserved(
-            self.scheme,
-            t_s,
-            np.tile(applied, (len(t_s), 1)),
-            self.plant.command_scales,
-            float(t_s[1]),
-        )
-        init = np.repeat(state[None, :, None], BLOCK, axis=2)
-        return np.asarray(
-            roll(s, self.plant.form, self._lanes(), switches(acting, len(self.plant.joints)), init)[
-                :, :, 0
-            ]
-        )
+        commands = np.tile(applied, (len(t_s), 1))
+        s = unobserved(self.scheme, t_s, commands, self.plant.command_scales, float(t_s[1]))
+        return self._rolled(s, state, acting)
+
+    def _rolled(self, s: Series, initial: Array, hypothesis: Hypothesis) -> Array:
+        """States `(samples, states)` of a series from one state on, compiled."""
+        init = np.repeat(initial[None, :, None], BLOCK, axis=2)
+        on = switches(hypothesis, len(self.plant.joints))
+        return np.asarray(roll(s, self.plant.form, self._lanes(), on, init)[:, :, 0])
 
     def run(self, initial: Array, issued: Array) -> Array:
         plant = self.plant
         t_s = np.asarray(np.arange(len(issued)) * plant.timestep_s, np.float64)
-        s = unobserved(
-            self.scheme, t_s, plant.applied(issued), plant.command_scales, plant.timestep_s
-        )
-        init = np.repeat(initial[None, :, None], BLOCK, axis=2)
-        return np.asarray(
-            roll(s, plant.form, self._lanes(), switches(self.hypothesis, len(plant.joints)), init)[
-                :, :, 0
-            ]
-        )
+        applied = plant.applied(issued)
+        s = unobserved(self.scheme, t_s, applied, plant.command_scales, plant.timestep_s)
+        return self._rolled(s, initial, self.hypothesis)
 
     def rollout(self, windows: Windows) -> Array:
         plant, joints = self.plant, len(self.plant.joints)
@@ -168,7 +127,7 @@ class Corrected(Predictor):
         return np.repeat(np.array(self.values)[:, None], BLOCK, axis=1)
 
     def description(self) -> dict[str, Json]:
-        found: list[Json] = [
+        acting: list[Json] = [
             {
                 "effect": kind(t).name,
                 "joint": self.plant.joint_name(joint(t)),
@@ -181,7 +140,7 @@ class Corrected(Predictor):
         names = self.plant.dynamics.parameter_names
         return {
             "parameters": dict(zip(names, self.values[: len(names)], strict=True)),
-            "effects": found,
+            "effects": acting,
             "scheme": {"alpha": self.scheme.alpha, "parts": self.scheme.parts},
             "gain": [list(row) for row in self.gain],
             "nearest": self.known.nearest if self.known else None,
@@ -217,5 +176,73 @@ class Corrected(Predictor):
         rows = tuple(tuple(float(x) for x in row) for row in given["gain"])
         if {len(row) for row in rows} - {8 * len(plant.joints)}:
             raise ValueError("a gain has eight numbers of each joint for each sample")
-        known = None if given["nearest"] is None else Known(arrays["known"], int(given["nearest"]))
+        known = (
+            None
+            if given["nearest"] is None
+            else VelocityPrior(arrays["known"], int(given["nearest"]))
+        )
         return Corrected(plant, hypothesis, tuple(float(x) for x in values), scheme, rows, known)
+
+
+@singledispatch
+def _joint(_: Dynamics, model: Corrected) -> Joint:
+    raise NotExportable(
+        f"{model.plant.name} is a robot given as MJCF: its step solves its joints together",
+        hint=(
+            "Export its corrected MJCF instead: `trueup convert MODEL corrected.xml --mjcf FILE`."
+        ),
+    )
+
+
+@_joint.register
+def _joint_of_family(dynamics: CompiledFamily, model: Corrected) -> Joint:
+    rows = model.plant.block.rows_of
+    return Joint(
+        dynamics.family,
+        model.values[: len(dynamics.parameter_names)],
+        [
+            (effect, {number: model.values[row] for number, row in rows(name).items()})
+            for name, effect in effects().items()
+            if name in model.hypothesis.effects
+        ],
+        model.scheme.alpha,
+        float(model.plant.command_scales[0]),
+        model.plant.timestep_s,
+    )
+
+
+@singledispatch
+def _advance(_: Dynamics, model: Corrected, states: Array, applied: Array, span: Array) -> Array:
+    """States after one step of `span` [s] `(n,)` each, compiled."""
+    rows = [
+        model.compiled_hold(state, u, np.array([0.0, float(h)]))[1]
+        for state, u, h in zip(states, applied, span, strict=True)
+    ]
+    return np.stack(rows) if rows else states
+
+
+@_advance.register
+def _advance_family(
+    _: CompiledFamily, model: Corrected, states: Array, applied: Array, span: Array
+) -> Array:
+    q, v = states[:, 0], states[:, 1]
+    for _part in range(model.scheme.parts):
+        q, v, _memory = model.joint.advance(q, v, {}, applied[:, 0], span / model.scheme.parts)
+    return np.stack([q, v], axis=1)
+
+
+@singledispatch
+def _hold(_: Dynamics, model: Corrected, states: Array, issued: Array, steps: int) -> Array:
+    """States after each of some declared steps, compiled as a whole."""
+    applied = model.plant.applied(issued)
+    t_s = np.asarray(np.arange(steps + 1) * model.plant.timestep_s, np.float64)
+    return np.stack(
+        [model.compiled_hold(state, u, t_s)[1:] for state, u in zip(states, applied, strict=True)]
+    )
+
+
+@_hold.register
+def _hold_family(
+    _: CompiledFamily, model: Corrected, states: Array, issued: Array, steps: int
+) -> Array:
+    return Predictor.hold(model, states, issued, steps)

@@ -19,26 +19,23 @@ from trueup.model.block import BLOCK, Block
 from trueup.model.effect import effects
 from trueup.model.family import Family, families
 from trueup.model.tree import (
-    ARMATURE,
-    FRAME,
     FRICTION,
     GAIN,
-    GRAVITY,
     JOINT,
     LIMIT,
     LINK,
     OFFSET,
-    PARENT,
     REST,
     SERVO,
-    SLIDE,
     SWEEPS,
     TREE,
     ZERO,
     Tree,
 )
+from trueup.model.tree_regressors import mass_matrix, regressors
 
 Array = NDArray[np.float64]
+TREE_FORM = -1  # the number of a tree, where a family has its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +52,16 @@ class Form:
     tree: Array
     sizes: Array
 
+    @property
+    def of_tree(self) -> bool:
+        """Whether it is a robot's tree, and not one joint of a family."""
+        return self.family == TREE_FORM
+
 
 class Dynamics(ABC):
     """One semi-implicit Euler step, and many of them at once."""
 
+    name: str  # a family's, or mjcf
     joints: int
     parameter_names: tuple[str, ...]
     form: Form
@@ -100,15 +103,26 @@ class Dynamics(ABC):
         joints, joints)`."""
 
     @abstractmethod
-    def slippery(self, parameters: Array) -> Array:
-        """The parameters without dry friction, which has no linear part."""
+    def without_dry_friction(self, parameters: Array) -> Array:
+        """The parameters with dry friction, which has no linear part, at 0."""
+
+    def hold(
+        self, parameters: Array, states: Array, applied: Array, h_s: float, steps: int
+    ) -> Array:
+        """States `(n, steps, 2 x joints)` after each of some steps of `h_s` [s] from `(n, 2 x
+        joints)`, commands `(n, joints)` held."""
+        after = []
+        for _ in range(steps):
+            states = self.step(states, applied, parameters, h_s)
+            after.append(states)
+        return np.stack(after, axis=1)
 
     def transition(self, parameters: Array, h_s: float) -> Array:
         """The unforced update linearised at rest at zero, `(2 x joints, 2 x joints)`."""
         slope = 1e-6  # [rad, m] small against every joint's travel, large against rounding
         basis, parameters = (
             slope * np.eye(2 * self.joints, 2 * self.joints),
-            self.slippery(parameters),
+            self.without_dry_friction(parameters),
         )
         nothing = np.zeros((2 * self.joints, self.joints))
         moved = self.step(basis, nothing, parameters, h_s) - self.step(
@@ -123,6 +137,10 @@ class CompiledFamily(Dynamics):
 
     family: type[Family]
     joints = 1
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        return self.family.name
 
     @property
     def parameter_names(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -155,7 +173,7 @@ class CompiledFamily(Dynamics):
     def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
         return np.zeros(len(q))
 
-    def slippery(self, parameters: Array) -> Array:
+    def without_dry_friction(self, parameters: Array) -> Array:
         return parameters
 
     def inertia(self, parameters: Array, q: Array) -> Array:
@@ -176,6 +194,7 @@ class CompiledTree(Dynamics):
     """
 
     tree: Tree
+    name = "mjcf"
 
     @property
     def joints(self) -> int:  # type: ignore[override]
@@ -190,7 +209,7 @@ class CompiledTree(Dynamics):
         masses = mass_matrix(self.tree, self.tree.constants[None, :, ZERO])[0]
         return Form(
             Block(len(self.tree.parameters), self.joints),
-            -1,
+            TREE_FORM,
             self.tree.constants,
             np.diag(masses).copy(),
         )
@@ -213,7 +232,7 @@ class CompiledTree(Dynamics):
             else np.zeros(len(q))
         )
 
-    def slippery(self, parameters: Array) -> Array:
+    def without_dry_friction(self, parameters: Array) -> Array:
         smooth = np.array(parameters, float)
         smooth[LINK * self.joints + FRICTION :: JOINT] = 0.0
         return smooth
@@ -223,7 +242,7 @@ class CompiledTree(Dynamics):
         return np.asarray(mass_matrix(moved, q) / self.form.sizes[None, :, None])
 
     def step(self, state: Array, applied: Array, parameters: Array, h_s: Array | float) -> Array:
-        """The same in numpy: the compiled rollout's reference."""
+        """State after `h_s` [s], in numpy: the compiled rollout's reference."""
         joints, tree = self.joints, self.tree
         given = np.broadcast_to(parameters.T, (len(state), len(parameters)))
         q, v = state[:, :joints], state[:, joints:]
@@ -246,9 +265,21 @@ class CompiledTree(Dynamics):
         limit = tree.constants[:, LIMIT]
         driven = np.clip(gain * applied - servo * q + tree.constants[:, OFFSET], -limit, limit)
         force = driven - stiffness * (q - tree.constants[:, REST]) - damping * v - bias
-        moves = np.linalg.inv(mass)
-        after = _rubbed(moves, h * friction, v + h * np.einsum("njk,nk->nj", moves, force))
+        inverse = np.linalg.inv(mass)
+        after = _after_dry_friction(
+            inverse, h * friction, v + h * np.einsum("njk,nk->nj", inverse, force)
+        )
         return np.concatenate([q + h * after, after], axis=1)
+
+    def hold(
+        self, parameters: Array, states: Array, applied: Array, h_s: float, steps: int
+    ) -> Array:
+        """States after each of some steps, compiled."""
+        held = np.repeat(applied[:, None, :], steps + 1, axis=1)
+        runs = np.ones(held.shape[:2], np.int64)
+        runs[:, -1] = 0
+        spans = np.full(held.shape[:2], h_s)
+        return np.asarray(self.rollout(np.array([parameters]), states, held, spans, runs)[0, :, 1:])
 
     def rollout(
         self,
@@ -268,7 +299,7 @@ class CompiledTree(Dynamics):
         resets[::samples] = np.arange(windows)
         issued = np.ascontiguousarray(applied.reshape(-1, joints))
         off, observed = np.zeros((len(effects()), joints), np.uint8), np.zeros((len(t), 2 * joints))
-        found = np.empty((len(parameters), windows, samples, 2 * joints))
+        states = np.empty((len(parameters), windows, samples, 2 * joints))
         for first in range(0, len(parameters), BLOCK):
             some = parameters[first : first + BLOCK]
             p = np.repeat(self.form.block.nulls[:, None], BLOCK, axis=1)
@@ -276,135 +307,32 @@ class CompiledTree(Dynamics):
             p[: some.shape[1], : len(some)] = some.T
             out = np.empty((len(t), 2 * joints, BLOCK))
             kernel()(
-                p, off, self.form.block.nominal, -1, self.form.tree, self.form.sizes, 0.0,
+                p, off, self.form.block.nominal, TREE_FORM, self.form.tree, self.form.sizes, 0.0,
                 np.ones(joints), 0.0, t,
                 np.ascontiguousarray(h_s.reshape(-1)), np.ascontiguousarray(runs), issued,
                 np.zeros_like(issued), resets,
-                np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False, np.zeros((1, joints, 4,
-                2)), observed, out,
+                np.repeat(initial[:, :, None], BLOCK, axis=2), 0, False,
+                np.zeros((1, joints, 4, 2)), observed, out,
             )  # fmt: skip
-            found[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(
+            states[first : first + len(some)] = np.moveaxis(out[:, :, : len(some)], 2, 0).reshape(
                 -1, windows, samples, 2 * joints
             )
-        return found
+        return states
 
 
-def _rubbed(moves: Array, held: Array, v: Array) -> Array:
+def _after_dry_friction(inverse_mass: Array, held: Array, v: Array) -> Array:
     """Velocities `(n, joints)` after dry friction whose impulses are no larger than `held`, each of
     which only ever stops its joint."""
     v, impulse = v.copy(), np.zeros_like(v)
     rubs = np.flatnonzero((held > 0.0).any(axis=0))
     for _ in range(SWEEPS if len(rubs) > 1 else 1):
         for j in rubs:
-            wanted = np.clip(impulse[:, j] - v[:, j] / moves[:, j, j], -held[:, j], held[:, j])
-            v += moves[:, :, j] * (wanted - impulse[:, j])[:, None]
+            wanted = np.clip(
+                impulse[:, j] - v[:, j] / inverse_mass[:, j, j], -held[:, j], held[:, j]
+            )
+            v += inverse_mass[:, :, j] * (wanted - impulse[:, j])[:, None]
             impulse[:, j] = wanted
     return v
-
-
-def mass_matrix(tree: Tree, q: Array) -> Array:
-    """Mass matrices at positions `(n, joints)`, armatures included, `(n, joints, joints)`."""
-    return np.stack(
-        [
-            inverse_dynamics(tree, q, np.zeros_like(q), np.zeros_like(q) + axis, gravity=False)
-            for axis in np.eye(q.shape[1])
-        ],
-        2,
-    )
-
-
-def inverse_dynamics(tree: Tree, q: Array, v: Array, a: Array, *, gravity: bool = True) -> Array:
-    """Force at each joint `(n, joints)` that links and armatures need for accelerations `a`; no
-    damping, spring or friction."""
-    links, at_joint = np.split(np.array(tree.parameters), [LINK * q.shape[1]])
-    return np.asarray(
-        regressors(tree, q, v, a, gravity=gravity) @ links + a * at_joint[ARMATURE::JOINT]
-    )
-
-
-def regressors(tree: Tree, q: Array, v: Array, a: Array, *, gravity: bool = True) -> Array:
-    """The factor of each inertial number in the force at each joint, `(n, joints, 10 joints)`.
-
-    Recursive Newton-Euler on arrays: the compiled rollout's reference. Source: R. Featherstone
-    (2008), table 5.1.
-    """
-    n, joints = q.shape
-    turn, origin = np.empty((joints, n, 3, 3)), np.empty((joints, n, 3))
-    spin, gain, pull = (np.zeros((joints, n, 3)) for _ in range(3))
-    factor = np.zeros((n, joints, LINK * joints))
-    z = np.array([0.0, 0.0, 1.0])
-    for j, c in enumerate(tree.constants):
-        parent, slides, moved = int(c[PARENT]), c[SLIDE] > 0.0, q[:, j] - c[ZERO]
-        angle, along = (np.zeros(n), moved) if slides else (moved, np.zeros(n))
-        base, place = c[FRAME : FRAME + 9].reshape(3, 3).T, c[FRAME + 9 : ZERO]
-        cosine, sine, one, nil = np.cos(angle), np.sin(angle), np.ones(n), np.zeros(n)
-        about = np.stack(
-            [
-                np.stack([cosine, -sine, nil], 1),
-                np.stack([sine, cosine, nil], 1),
-                np.stack([nil, nil, one], 1),
-            ],
-            1,
-        )
-        turn[j] = base @ about
-        origin[j] = place + along[:, None] * base[:, 2]
-        w, e, g = (
-            (spin[parent], gain[parent], pull[parent])
-            if parent >= 0
-            else (nil[:, None] * z, nil[:, None] * z, -c[GRAVITY:] * gravity)
-        )
-        at = g + np.cross(e, origin[j]) + np.cross(w, np.cross(w, origin[j]))
-        w, e, at = (
-            np.einsum("nji,nj->ni", turn[j], np.broadcast_to(x, (n, 3))) for x in (w, e, at)
-        )
-        speed, faster = v[:, j, None] * z, a[:, j, None] * z
-        if slides:
-            spin[j], gain[j], pull[j] = w, e, at + 2.0 * np.cross(w, speed) + faster
-        else:
-            spin[j], gain[j], pull[j] = w + speed, e + np.cross(w, speed) + faster, at
-        moment = _wrench(spin[j], gain[j], pull[j])  # (n, 6, 10)
-        to = j
-        while to >= 0:
-            factor[:, to, LINK * j : LINK * (j + 1)] = moment[
-                :, 2 if tree.constants[to, SLIDE] > 0.0 else 5
-            ]
-            force, torque = turn[to] @ moment[:, :3], turn[to] @ moment[:, 3:]
-            moment = np.concatenate(
-                [
-                    force,
-                    torque + np.cross(origin[to][:, None], np.swapaxes(force, 1, 2)).swapaxes(1, 2),
-                ],
-                axis=1,
-            )
-            to = int(tree.constants[to, PARENT])
-    return factor
-
-
-def _wrench(w: Array, e: Array, a: Array) -> Array:
-    """Force and moment on a link by each of its ten inertial numbers, `(n, 6, 10)`."""
-    n = len(w)
-    found = np.zeros((n, 6, LINK))
-    found[:, :3, 0] = a
-    skew = _skew(e) + _skew(w) @ _skew(w)
-    found[:, :3, 1:4] = skew
-    found[:, 3:, 1:4] = -_skew(a)
-    found[:, 3:, 4:] = _dot(e) + _skew(w) @ _dot(w)
-    return found
-
-
-def _skew(x: Array) -> Array:
-    nil = np.zeros(len(x))
-    rows = [[nil, -x[:, 2], x[:, 1]], [x[:, 2], nil, -x[:, 0]], [-x[:, 1], x[:, 0], nil]]
-    return np.stack([np.stack(r, 1) for r in rows], 1)
-
-
-def _dot(x: Array) -> Array:
-    """The matrix that takes second moments (xx, yy, zz, xy, xz, yz) to the inertia times `x`, `(n,
-    3, 6)`."""
-    nil = np.zeros(len(x))
-    p, q, r = x.T
-    rows = [[p, nil, nil, q, r, nil], [nil, q, nil, p, nil, r], [nil, nil, r, nil, p, q]]
-    return np.stack([np.stack(r, 1) for r in rows], 1)
 
 
 def strictly_stable(dynamics: Dynamics, parameters: Array, h_s: float) -> bool:

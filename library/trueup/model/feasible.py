@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.model.dynamics import inverse_dynamics, regressors
 from trueup.model.tree import ARMATURE, FRAME, JOINT, LINK, ZERO, Tree
+from trueup.model.tree_regressors import inverse_dynamics, regressors
 
 Array = NDArray[np.float64]
 MOMENTS = 60  # of random motion for each joint: more combinations than that there are not
@@ -62,9 +62,11 @@ def feasible(tree: Tree) -> tuple[Tree, float]:
         now = now + back @ missing
     now = _possible(now, tree)
     numbers[moving] = now * size
-    found = replace(tree, parameters=tuple(float(x) for x in numbers))
-    needed, given = inverse_dynamics(tree, q, v, a), inverse_dynamics(found, q, v, a)
-    return found, float(np.linalg.norm(given - needed) / max(float(np.linalg.norm(needed)), 1e-300))
+    nearest = replace(tree, parameters=tuple(float(x) for x in numbers))
+    needed, given = inverse_dynamics(tree, q, v, a), inverse_dynamics(nearest, q, v, a)
+    return nearest, float(
+        np.linalg.norm(given - needed) / max(float(np.linalg.norm(needed)), 1e-300)
+    )
 
 
 def _sizes(tree: Tree) -> Array:
@@ -98,24 +100,24 @@ def _metric(joints: int) -> Array:
     """What both projections are nearest in, lest they drive each other away: the squared norm of
     each pseudo-inertia, and of armatures."""
     flat = np.stack([_pseudo(e).reshape(-1) for e in np.eye(LINK)])
-    found = np.eye((LINK + 1) * joints)
+    metric = np.eye((LINK + 1) * joints)
     for j in range(joints):
-        found[LINK * j : LINK * (j + 1), LINK * j : LINK * (j + 1)] = flat @ flat.T
-    return found
+        metric[LINK * j : LINK * (j + 1), LINK * j : LINK * (j + 1)] = flat @ flat.T
+    return metric
 
 
 def _pseudo(link: Array) -> Array:
     """Ten inertial numbers as second moments of the mass, `(4, 4)`."""
     x, y, z = link[4:7]
-    found = np.empty((4, 4))
-    found[:3, :3] = [
+    pseudo = np.empty((4, 4))
+    pseudo[:3, :3] = [
         [0.5 * (y + z - x), -link[7], -link[8]],
         [-link[7], 0.5 * (x + z - y), -link[9]],
         [-link[8], -link[9], 0.5 * (x + y - z)],
     ]
-    found[3, :3] = found[:3, 3] = link[1:4]
-    found[3, 3] = link[0]
-    return found
+    pseudo[3, :3] = pseudo[:3, 3] = link[1:4]
+    pseudo[3, 3] = link[0]
+    return pseudo
 
 
 def _numbers(pseudo: Array) -> Array:

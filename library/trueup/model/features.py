@@ -75,11 +75,11 @@ def value(
 
     Raises BadArtifact where the plant has no such joint or command.
     """
-    found: Any = 1.0
+    product: Any = 1.0
     for factor in feature.split("*"):
         known = _FACTOR.fullmatch(factor)
         if known is None:
-            found = found * (1.0 if factor == "1" else parameters[factor])
+            product = product * (1.0 if factor == "1" else parameters[factor])
             continue
         function, inner, of, plain, at = known.groups()
         table, number = columns[inner or plain], int(of or at or 0)
@@ -88,5 +88,5 @@ def value(
                 f"the feature's factor {factor!r} names number {number} of {len(table)}",
                 hint="Numbers count from 0.",
             )
-        found = found * (_FUNCTIONS[function](table[number]) if function else table[number])
-    return found
+        product = product * (_FUNCTIONS[function](table[number]) if function else table[number])
+    return product

@@ -48,12 +48,12 @@ class Reader:
 
     def children(self, key: str) -> list[Reader]:
         """The objects of the non-empty list at `key`."""
-        found = self._get(key)
-        if not isinstance(found, list) or not found:
+        entries = self._get(key)
+        if not isinstance(entries, list) or not entries:
             raise BadPlant(
                 f"{self.at(key)} must be a list with one object at least", field=self.at(key)
             )
-        return [Reader.of(item, f"{self.at(key)}[{i}]") for i, item in enumerate(found)]
+        return [Reader.of(item, f"{self.at(key)}[{i}]") for i, item in enumerate(entries)]
 
     def no_more(self, *known: str) -> None:
         """Refuse any key that is not known: a misspelt field would be silently ignored."""
@@ -66,35 +66,35 @@ class Reader:
 
     def number(self, key: str, *, above: float = -math.inf, default: float | None = None) -> float:
         """A finite number greater than `above`."""
-        found = default if key not in self.value and default is not None else self._get(key)
+        value = default if key not in self.value and default is not None else self._get(key)
         if (
-            isinstance(found, bool)
-            or not isinstance(found, int | float)
-            or not _finite(found)
-            or not found > above
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not _finite(value)
+            or not value > above
         ):
             wanted = "a finite number" if above == -math.inf else f"a finite number above {above:g}"
             raise BadPlant(f"{self.at(key)} must be {wanted}", field=self.at(key))
-        return float(found)
+        return float(value)
 
     def text(self, key: str, default: str | None = None) -> str:
-        found = default if key not in self.value and default is not None else self._get(key)
+        text = default if key not in self.value and default is not None else self._get(key)
         if (
-            not isinstance(found, str)
-            or (not found and default is None)
-            or not found.isprintable()
-            or len(found) > 256  # noqa: PLR2004 - the message says it
+            not isinstance(text, str)
+            or (not text and default is None)
+            or not text.isprintable()
+            or len(text) > 256  # noqa: PLR2004 - the message says it
         ):
             raise BadPlant(
                 f"{self.at(key)} must be a printable string of 1 to 256 characters",
                 field=self.at(key),
             )
-        return found
+        return text
 
     def name(self, key: str) -> str:
         """A name: lower-case letters, digits, - and _, 63 at most. Never a path."""
-        found = self.text(key)
-        if not NAME.fullmatch(found):
+        name = self.text(key)
+        if not NAME.fullmatch(name):
             raise BadPlant(
                 (
                     f"{self.at(key)} must be 1 to 63 of a-z, 0-9, - and _, beginning with a "
@@ -102,29 +102,29 @@ class Reader:
                 ),
                 field=self.at(key),
             )
-        return found
+        return name
 
     def choice(self, key: str, options: Sequence[str], default: str | None = None) -> str:
-        found = default if key not in self.value and default is not None else self._get(key)
-        if not isinstance(found, str) or found not in options:
+        choice = default if key not in self.value and default is not None else self._get(key)
+        if not isinstance(choice, str) or choice not in options:
             raise BadPlant(
                 f"{self.at(key)} must be one of {', '.join(options)}", field=self.at(key)
             )
-        return str(found)
+        return str(choice)
 
     def interval(self, key: str) -> tuple[float, float]:
         """Two finite numbers, the lower one first."""
-        found = self._get(key)
-        if not isinstance(found, list) or len(found) != 2:  # noqa: PLR2004
+        bounds = self._get(key)
+        if not isinstance(bounds, list) or len(bounds) != 2:  # noqa: PLR2004
             raise BadPlant(f"{self.at(key)} must be [lower, upper]", field=self.at(key))
-        pair = Reader({"lower": found[0], "upper": found[1]}, self.at(key))
+        pair = Reader({"lower": bounds[0], "upper": bounds[1]}, self.at(key))
         lower = pair.number("lower")
         return lower, pair.number("upper", above=lower)
 
     def numbers(self, key: str, count: int) -> list[float]:
         """A list of so many finite numbers."""
-        found = self._get(key)
-        if not isinstance(found, list) or len(found) != count:
+        numbers = self._get(key)
+        if not isinstance(numbers, list) or len(numbers) != count:
             raise BadPlant(f"{self.at(key)} must be a list of {count} numbers", field=self.at(key))
-        items = Reader({str(i): x for i, x in enumerate(found)}, self.at(key))
+        items = Reader({str(i): x for i, x in enumerate(numbers)}, self.at(key))
         return [items.number(str(i)) for i in range(count)]

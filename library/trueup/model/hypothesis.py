@@ -63,7 +63,7 @@ class Hypothesis:
         )
 
     def without(self, term: str) -> Hypothesis:
-        """The same without one term."""
+        """This hypothesis without one term."""
         return Hypothesis(tuple(e for e in self.effects if e != term))
 
 

@@ -5,12 +5,14 @@ A *block* is one hypothesis: BLOCK lanes that share which effects act, and diffe
 initial states. Loops over lanes are innermost, so that the compiler keeps them in vector registers.
 What effects do is called port by port (`ports.py`).
 
-    each episode runs from its first sample to its last; hidden states (lag, play, heat, hysteresis)
-    run through at the start of a window, position and velocity are set, which is no motion; the
-    rest keeps its past lanes that differ in their starts have lane 0's past at each of them, so
-    that they show what a start does in its own window where lanes follow lane 0, lane 0 is
-    corrected by each observation, in position, velocity, a force that disturbs it and what hides
-    its velocity, and the others start each window from its whole state
+- Each episode runs from its first sample to its last; hidden states (lag, play, heat, hysteresis)
+  run through.
+- At the start of a window position and velocity are set, which is no motion; the rest keeps its
+  past.
+- Lanes that differ in their starts have lane 0's past at each of them, so that they show what a
+  start does in its own window.
+- Where lane 0 is a filter, it is corrected by each observation: its position, its velocity, a force
+  that disturbs it and what hides its velocity. The others start each window from its whole state.
 
 Two schemes of integration: the declared one (semi-implicit Euler, alpha 0), and its symmetric form
 (alpha 1/2), in which position drifts, velocity is kicked and position drifts, of second order.
@@ -30,22 +32,29 @@ from numba.extending import register_jitable
 
 from trueup.model import ports
 from trueup.model.block import BLOCK
+from trueup.model.dynamics import TREE_FORM
 from trueup.model.family import source_digest
+from trueup.model.inverse import invert_lanes
+from trueup.model.kernel_step import (
+    accelerate,
+    move_joint,
+    move_tree,
+    part_forces,
+    pass_through_links,
+    to_error,
+)
 from trueup.model.ports import (
-    DRIVE,
     IMPLICIT,
     LAG_S,
     LATE_S,
     LEVEL,
     MOBILITY,
-    PASSIVE,
     PAST,
     PERIOD,
     Q_AT,
     SIGNALS_AT_JOINT,
     SIGNALS_OF_ALL,
     SINCE,
-    SPRING,
     U_SCALE,
     V_AT,
     A,
@@ -71,12 +80,11 @@ from trueup.model.ports import (
     parts_asked,
     timing,
 )
-from trueup.model.rigid_body import ROOM, bias, invert_lanes, net, pose, rub
-from trueup.model.tree import DAMPING, FRICTION, GAIN, JOINT, LIMIT, LINK, OFFSET, SERVO
+from trueup.model.rigid_body import LINK_ROWS, crba
+from trueup.model.tree import GAIN, JOINT, LINK, OFFSET, SERVO
 
 MEMORY = max(1, len(ports.memories()))
 AT_JOINT, OF_ALL = len(SIGNALS_AT_JOINT), len(SIGNALS_OF_ALL)
-TREE_FORM = -1  # the number of a tree, where a family has its own
 
 
 @cache
@@ -90,7 +98,16 @@ def kernel() -> Callable[..., None]:
     joints)`; init `(windows, 2 x joints, BLOCK)`; gain `(beginning, joints, 4, 2)`; observed
     `(samples, 2 x joints)`; writes out `(samples, 2 x joints, BLOCK)`.
     """
-    return _compiled(",".join((ports.digest(), source_digest(pose))))
+    return _compiled(
+        ",".join(
+            (
+                ports.digest(),
+                source_digest(crba),
+                source_digest(accelerate),
+                source_digest(invert_lanes),
+            )
+        )
+    )
 
 
 def _compiled(made_of: str) -> Callable[..., None]:
@@ -105,47 +122,24 @@ def _compiled(made_of: str) -> Callable[..., None]:
     ):  # fmt: skip
         made_of  # noqa: B018  (part of the cache's key)
         n, last = len(u_scale), len(t_s) - 1
-        signals, common, memory = (
-            np.zeros((AT_JOINT, n, BLOCK)),
-            np.zeros((OF_ALL, BLOCK)),
-            np.zeros((MEMORY, n, BLOCK)),
-        )
-        q, v, u, a, level, q_at, v_at = (
-            signals[Q],
-            signals[V],
-            signals[U],
-            signals[A],
-            signals[LEVEL],
-            signals[Q_AT],
-            signals[V_AT],
-        )
+        signals, common = np.zeros((AT_JOINT, n, BLOCK)), np.zeros((OF_ALL, BLOCK))
+        memory = np.zeros((MEMORY, n, BLOCK))
+        q, v, u, a = signals[Q], signals[V], signals[U], signals[A]
+        level, q_at, v_at = signals[LEVEL], signals[Q_AT], signals[V_AT]
         own = p[first:]  # the effects' parameters
-        room, mass, moves = (
-            np.zeros((n, ROOM * BLOCK)),
-            np.zeros((n, n * BLOCK)),
-            np.zeros((n, n * BLOCK)),
-        )
-        wide, forces, free, held = (
-            np.zeros(n * BLOCK),
-            np.zeros((n, BLOCK)),
-            np.zeros((n, BLOCK)),
-            np.zeros((n, BLOCK)),
-        )
+        links, mass = np.zeros((n, LINK_ROWS * BLOCK)), np.zeros((n, n * BLOCK))
+        inverse_mass, wide = np.zeros((n, n * BLOCK)), np.zeros(n * BLOCK)
+        forces, free, held = np.zeros((n, BLOCK)), np.zeros((n, BLOCK)), np.zeros((n, BLOCK))
         nothing, beyond, push = np.zeros((n, BLOCK)), np.zeros((n, BLOCK)), np.zeros(n)
         for lane in range(BLOCK):
             common[PERIOD, lane], common[IMPLICIT, lane] = period, 1.0 - 2.0 * alpha
         for j in range(n):
             for lane in range(BLOCK):
-                u[j, lane], signals[MOBILITY, j, lane], signals[U_SCALE, j, lane] = (
-                    issued[0, j],
-                    1.0,
-                    u_scale[j],
-                )
+                u[j, lane], signals[MOBILITY, j, lane] = issued[0, j], 1.0
+                signals[U_SCALE, j, lane] = u_scale[j]
         delayed, late = start(signals, common, memory, on, own, family)
-        sent = np.zeros(
-            (n, BLOCK), np.int64
-        )  # the sample whose command is on its way to each joint
-        seen = np.zeros((n, BLOCK), np.int64)  # the sample that each sensor shows
+        # samples: whose command is on its way to each joint, and that each sensor shows
+        sent, seen = np.zeros((n, BLOCK), np.int64), np.zeros((n, BLOCK), np.int64)
         passed = np.zeros((last + 1 if late else 0, 2 * n, BLOCK))
         parts, answers = parts_asked(on), answers_asked(on)
         for i in range(last + 1):
@@ -183,35 +177,18 @@ def _compiled(made_of: str) -> Callable[..., None]:
                     for lane in range(BLOCK):
                         u[j, lane] = issued[i, j]
                     if delayed:
-                        send_late(
-                            j,
-                            t_s[i] + step * h_s[i],
-                            t_s[i] + (step + 1) * h_s[i],
-                            h_s[i],
-                            t_s,
-                            issued,
-                            integral,
-                            signals,
-                            sent,
-                        )
+                        begins, ends = t_s[i] + step * h_s[i], t_s[i] + (step + 1) * h_s[i]
+                        send_late(j, begins, ends, h_s[i], t_s, issued, integral, signals, sent)
                     if j == 0:
                         timing(j, signals, common, memory, on, own)
                     for lane in range(BLOCK):
                         q_at[j, lane] = q[j, lane] + alpha * common[H, lane] * v[j, lane]
                         v_at[j, lane] = v[j, lane]
-                    servo = LINK * n + JOINT * j + SERVO
-                    if (
-                        family == TREE_FORM and p[servo, 0] != 0.0
-                    ):  # effects change its goal, or its drive, which acts on the error
+                    at = LINK * n + JOINT * j
+                    if family == TREE_FORM and p[at + SERVO, 0] != 0.0:
+                        # effects change a servo's goal, or its drive, which acts on the error
                         goal(j, signals, common, memory, on, own)
-                        to_error(
-                            u[j],
-                            q_at[j],
-                            p[servo],
-                            p[LINK * n + JOINT * j + GAIN],
-                            tree[j, OFFSET],
-                            wide,
-                        )
+                        to_error(u[j], q_at[j], p[at + SERVO], p[at + GAIN], tree[j, OFFSET], wide)
                         drive(j, signals, common, memory, on, own)
                         for lane in range(BLOCK):
                             u[j, lane] += wide[lane]
@@ -220,44 +197,29 @@ def _compiled(made_of: str) -> Callable[..., None]:
                 nominal(signals, common, p, family, alpha, parts)
                 if family == TREE_FORM:
                     accelerate(
-                        p,
-                        tree,
-                        sizes,
-                        alpha,
-                        common,
-                        q_at,
-                        v,
-                        v_at,
-                        u,
-                        a,
-                        room,
-                        mass,
-                        moves,
-                        wide,
-                        forces,
-                        beyond,
-                    )
+                        p, tree, sizes, alpha, common, signals, links, mass, inverse_mass, wide,
+                        forces, beyond,
+                    )  # fmt: skip
                     if parts:
                         part_forces(
-                            p, tree, sizes, signals, q_at, v_at, room, moves, forces, free, nothing
-                        )
+                            p, tree, sizes, signals, links, inverse_mass, forces, free, nothing,
+                        )  # fmt: skip
                 for j in range(n):
                     force(j, signals, common, memory, on, own)
                 if family == TREE_FORM and answers:
-                    pass_through_links(signals, sizes, moves, forces)
+                    pass_through_links(signals, sizes, inverse_mass, forces)
                 for j in range(n):
                     answer(j, signals, common, memory, on, own)
                     if family == TREE_FORM:
                         for lane in range(BLOCK):
                             beyond[j, lane] = sizes[j] * a[j, lane] - forces[j, lane]
-                    a[j, 0] += push[
-                        j
-                    ]  # of the filter alone: what disturbs the machine for a while is not foretold
+                    # of the filter alone: what disturbs the machine for a while is not foretold
+                    a[j, 0] += push[j]
                     for lane in range(BLOCK):
                         level[j, lane] = 0.0
                     friction(j, signals, common, memory, on, own)
                 if family == TREE_FORM:
-                    move_tree(p, sizes, alpha, signals, common, moves, held, free, forces)
+                    move_tree(p, sizes, alpha, signals, common, inverse_mass, held, free, forces)
                 else:
                     move_joint(alpha, signals, common)
 
@@ -288,11 +250,8 @@ def start_as_first(
     """A window's start as lane 0, the filter, has it."""
     for j in range(signals.shape[1]):
         for lane in range(1, BLOCK):
-            signals[Q, j, lane], signals[V, j, lane], beyond[j, lane] = (
-                signals[Q, j, 0],
-                signals[V, j, 0],
-                beyond[j, 0],
-            )
+            signals[Q, j, lane], signals[V, j, lane] = signals[Q, j, 0], signals[V, j, 0]
+            beyond[j, lane] = beyond[j, 0]
             follow(j, signals, common, memory, on, own, lane)
     for k in range(min(i, len(passed))):
         for j in range(passed.shape[1]):
@@ -311,11 +270,8 @@ def start_from(
         for lane in range(1, 1 + starts):
             follow(j, signals, common, memory, on, own, lane)
         for lane in range(BLOCK):
-            signals[Q, j, lane], signals[V, j, lane], beyond[j, lane] = (
-                init[j, lane],
-                init[n + j, lane],
-                0.0,
-            )
+            signals[Q, j, lane], signals[V, j, lane] = init[j, lane], init[n + j, lane]
+            beyond[j, lane] = 0.0
 
 
 def show_late(i: Any, j: Any, t_s: Any, signals: Any, passed: Any, seen: Any) -> None:
@@ -334,28 +290,24 @@ def show_late(i: Any, j: Any, t_s: Any, signals: Any, passed: Any, seen: Any) ->
                 signals[Q_AT, j, lane], signals[V_AT, j, lane] = q0 + (when - t_s[0]) * v0, v0
             else:
                 span = t_s[k + 1] - t_s[k]
-                x, q1, v1 = (
-                    (when - t_s[k]) / span,
-                    passed[k + 1, j, lane],
-                    passed[k + 1, n + j, lane],
-                )
+                x = (when - t_s[k]) / span
+                q1, v1 = passed[k + 1, j, lane], passed[k + 1, n + j, lane]
                 rest = (1.0 - x) * span * v0 - x * span * v1 + (1.0 - 2.0 * x) * (q0 - q1)
                 signals[Q_AT, j, lane] = (1.0 - x) * q0 + x * q1 + x * (1.0 - x) * rest
                 signals[V_AT, j, lane] = (1.0 - x) * v0 + x * v1
 
 
 def correct_first(
-    i: Any, gain: Any, observed: Any, push: Any, signals: Any, common: Any, memory: Any, on:
-    Any, own: Any,
+    i: Any, gain: Any, observed: Any, push: Any, signals: Any, common: Any, memory: Any,
+    on: Any, own: Any,
 ) -> None:  # fmt: skip
     """Lane 0, the filter, corrected by what was observed at a sample."""
     n, now = signals.shape[1], min(i, len(gain) - 1)
     for j in range(n):
         for c in range(2):
             if np.isfinite(observed[i, c * n + j]):
-                missed = observed[i, c * n + j] - (
-                    signals[Q_AT, j, 0] if c == 0 else signals[V_AT, j, 0]
-                )
+                shown = signals[Q_AT, j, 0] if c == 0 else signals[V_AT, j, 0]
+                missed = observed[i, c * n + j] - shown
                 if i == 0:  # the log's first sample is all that is known
                     signals[Q, j, 0] += missed if c == 0 else 0.0
                     signals[V, j, 0] += missed if c == 1 else 0.0
@@ -364,21 +316,14 @@ def correct_first(
                     signals[V, j, 0] += gain[now, j, 1, c] * missed
                     push[j] += gain[now, j, 2, c] * missed
                     correct(
-                        j,
-                        signals,
-                        common,
-                        memory,
-                        on,
-                        own,
-                        gain[now, j, 1, c],
-                        gain[now, j, 3, c],
-                        missed,
-                    )
+                        j, signals, common, memory, on, own,
+                        gain[now, j, 1, c], gain[now, j, 3, c], missed,
+                    )  # fmt: skip
 
 
 def send_late(
-    j: Any, begins: Any, ends: Any, h_s: Any, t_s: Any, issued: Any, integral: Any, signals:
-    Any, sent: Any,
+    j: Any, begins: Any, ends: Any, h_s: Any, t_s: Any, issued: Any, integral: Any,
+    signals: Any, sent: Any,
 ) -> None:  # fmt: skip
     """The mean of a delayed command over a step from `begins` to `ends` [s]."""
     last = len(t_s) - 1
@@ -391,141 +336,17 @@ def send_late(
         while k < last and t_s[k + 1] <= when:
             k += 1
         sent[j, lane] = k
-        before = integral[k, j] + (issued[k, j] if when >= t_s[0] else signals[PAST, j, lane]) * (
-            when - t_s[k]
-        )
+        command_then = issued[k, j] if when >= t_s[0] else signals[PAST, j, lane]
+        before = integral[k, j] + command_then * (when - t_s[k])
         when = ends - lag_s
         while k < last and t_s[k + 1] < when:
             k += 1
-        reached = integral[k, j] + (issued[k, j] if when >= t_s[0] else signals[PAST, j, lane]) * (
-            when - t_s[k]
-        )
+        command_then = issued[k, j] if when >= t_s[0] else signals[PAST, j, lane]
+        reached = integral[k, j] + command_then * (when - t_s[k])
         signals[U, j, lane] = (reached - before) / h_s
 
 
-def to_error(u: Any, q: Any, servo: Any, gains: Any, offset: Any, goal_here: Any) -> None:
-    """A servo's command less the one that would hold it where it is, which `goal_here` keeps; all
-    `(lanes,)`."""
-    for lane in range(BLOCK):
-        goal_here[lane] = (servo[lane] * q[lane] - offset) / gains[lane]
-        u[lane] -= goal_here[lane]
-
-
-def accelerate(
-    p: Any, tree: Any, sizes: Any, alpha: Any, common: Any, q_at: Any, v: Any, v_at: Any, u: Any,
-    a: Any,
-    room: Any, mass: Any, moves: Any, wide: Any, forces: Any, beyond: Any,
-) -> None:  # fmt: skip
-    """Forces of a tree at each joint, as accelerations of the joint's own inertia, and the inverse
-    mass matrix `moves`."""
-    n = len(tree)
-    pose(tree, p, q_at, room, mass)
-    for j in range(n):
-        own, damping = mass[j, j * BLOCK : (j + 1) * BLOCK], p[LINK * n + JOINT * j + DAMPING]
-        for lane in range(BLOCK):
-            own[lane] += (1.0 - alpha) * common[H, lane] * damping[lane]
-    invert_lanes(mass, moves, wide)
-    bias(tree, v, room, forces)
-    net(tree, p, u, q_at, v, forces)
-    if alpha > 0.0:
-        for j in range(n):
-            for k in range(n):
-                to, by, here = v_at[j], moves[j, k * BLOCK : (k + 1) * BLOCK], forces[k]
-                more = beyond[k]  # what effects did in the last step
-                for lane in range(BLOCK):
-                    to[lane] += alpha * common[H, lane] * by[lane] * (here[lane] + more[lane])
-        bias(tree, v_at, room, forces)
-        net(
-            tree, p, u, q_at, v, forces
-        )  # damping takes the velocity of the step's end, see the mass matrix
-    for j in range(n):
-        for lane in range(BLOCK):
-            a[j, lane] = forces[j, lane] / sizes[j]
-
-
-def part_forces(
-    p: Any, tree: Any, sizes: Any, signals: Any, q_at: Any, v_at: Any, room: Any, moves: Any,
-    forces: Any, free: Any, nothing: Any,
-) -> None:  # fmt: skip
-    """What effects ask of a tree's acceleration at each joint: the drive's part, the spring's, the
-    passive one, and the mobility."""
-    n = len(tree)
-    bias(tree, v_at, room, free)
-    net(tree, p, nothing, q_at, nothing, free)
-    for j in range(n):
-        gains, servo = p[LINK * n + JOINT * j + GAIN], p[LINK * n + JOINT * j + SERVO]
-        for lane in range(BLOCK):  # a servo drives by its error
-            idle = tree[j, OFFSET] - servo[lane] * q_at[j, lane]
-            driven = min(
-                max(idle + gains[lane] * signals[U, j, lane], -tree[j, LIMIT]), tree[j, LIMIT]
-            )
-            signals[DRIVE, j, lane] = driven / sizes[j]
-            signals[SPRING, j, lane] = (
-                free[j, lane] - min(max(idle, -tree[j, LIMIT]), tree[j, LIMIT])
-            ) / sizes[j]
-            signals[MOBILITY, j, lane] = moves[j, j * BLOCK + lane] * sizes[j]
-            signals[PASSIVE, j, lane] = 0.0
-        for k in range(n):
-            for lane in range(BLOCK):
-                signals[PASSIVE, j, lane] += moves[j, k * BLOCK + lane] * forces[k, lane]
-        for lane in range(BLOCK):
-            signals[PASSIVE, j, lane] = (
-                signals[PASSIVE, j, lane] / signals[MOBILITY, j, lane] - signals[DRIVE, j, lane]
-            )
-
-
-def pass_through_links(signals: Any, sizes: Any, moves: Any, forces: Any) -> None:
-    """What effects at the other joints do to a joint comes through the links."""
-    n = len(forces)
-    for j in range(n):
-        for k in range(n):
-            if k == j:
-                continue
-            for lane in range(BLOCK):
-                more = signals[A, k, lane] * sizes[k] - forces[k, lane]
-                signals[PASSIVE, j, lane] += (
-                    moves[j, k * BLOCK + lane] * more / signals[MOBILITY, j, lane]
-                )
-
-
-def move_joint(alpha: Any, signals: Any, common: Any) -> None:
-    """One joint's step: the kick, dry friction as a projection, the drift."""
-    for lane in range(BLOCK):
-        h = common[H, lane]
-        after = signals[V, 0, lane] + h * signals[A, 0, lane]
-        after = np.copysign(max(abs(after) - h * signals[LEVEL, 0, lane], 0.0), after)
-        signals[V, 0, lane] = after
-        signals[Q, 0, lane] = signals[Q_AT, 0, lane] + (1.0 - alpha) * h * after
-
-
-def move_tree(
-    p: Any, sizes: Any, alpha: Any, signals: Any, common: Any, moves: Any, held: Any, free: Any,
-    impulse: Any,
-) -> None:  # fmt: skip
-    """A tree's step: the same, with dry friction of all joints at once."""
-    n = len(free)
-    for j in range(n):
-        for lane in range(BLOCK):
-            held[j, lane] = common[H, lane] * (
-                sizes[j] * signals[LEVEL, j, lane] + p[LINK * n + JOINT * j + FRICTION, lane]
-            )
-            free[j, lane] = signals[V, j, lane]
-        for k in range(n):
-            to, by = free[j], moves[j, k * BLOCK : (k + 1) * BLOCK]
-            for lane in range(BLOCK):
-                to[lane] += common[H, lane] * by[lane] * sizes[k] * signals[A, k, lane]
-    rub(moves, held, free, impulse)
-    for j in range(n):
-        for lane in range(BLOCK):
-            signals[V, j, lane] = free[j, lane]
-            signals[Q, j, lane] = (
-                signals[Q_AT, j, lane] + (1.0 - alpha) * common[H, lane] * free[j, lane]
-            )
-
-
 for _function in (
-    start, start_as_first, start_from, show_late, correct_first, send_late, to_error, accelerate,
-    part_forces, pass_through_links,
-    move_joint, move_tree,
+    start, start_as_first, start_from, show_late, correct_first, send_late,
 ):  # fmt: skip
     register_jitable(forceinline=True)(_function)  # compiled into the kernel

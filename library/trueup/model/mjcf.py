@@ -74,11 +74,11 @@ def resolved(document: Any, folder: Path) -> Any:
     path = (folder / name).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise BadPlant(f"{name} lies outside the case's folder", field="nominal.mjcf")
-    found = compile_file(path)
+    compiled = compile_file(path)
     numbers = {
-        "tree": found.tree.document(),
-        "sha256": found.sha256,
-        "left_out": list(found.left_out),
+        "tree": compiled.tree.document(),
+        "sha256": compiled.sha256,
+        "left_out": list(compiled.left_out),
     }
     return {**document, "nominal": {**nominal, **numbers}}
 
@@ -141,14 +141,14 @@ def tree_of(engine: Any, model: Any) -> Tree:
 
 
 def links(model: Any) -> list[int]:
-    """Of each body the joint that moves it, -1 where none does."""
-    found = [-1] * model.nbody
+    """The joint that moves each body, -1 where none does."""
+    joint_of = [-1] * model.nbody
     for body in range(1, model.nbody):
         count = model.body_jntnum[body]
-        found[body] = (
-            model.body_jntadr[body] + count - 1 if count else found[model.body_parentid[body]]
+        joint_of[body] = (
+            model.body_jntadr[body] + count - 1 if count else joint_of[model.body_parentid[body]]
         )
-    return found
+    return joint_of
 
 
 def joint_axes(data: Any) -> Array:
@@ -244,19 +244,19 @@ def _largest(bounds: Array, name: str) -> float:
 
 def _left_out(model: Any) -> list[str]:
     """What the file says that a rollout does not do."""
-    told = []
+    lines = []
     if bool(((model.geom_contype > 0) | (model.geom_conaffinity > 0)).any()):
-        told.append("contact")
+        lines.append("contact")
     if bool(model.jnt_limited.any()):
-        told.append("joint limits")
+        lines.append("joint limits")
     if bool(np.any(model.body_gravcomp)):
-        told.append("gravity compensation")
+        lines.append("gravity compensation")
     if model.opt.density > 0.0 or model.opt.viscosity > 0.0:
-        told.append("fluid forces")
+        lines.append("fluid forces")
     if np.any(model.jnt_stiffnesspoly) or np.any(model.dof_dampingpoly):
-        told.append("springs and dampers of higher order")
+        lines.append("springs and dampers of higher order")
     if model.neq:
-        told.append("equality constraints")
+        lines.append("equality constraints")
     if model.ntendon:
-        told.append("tendons")
-    return told
+        lines.append("tendons")
+    return lines

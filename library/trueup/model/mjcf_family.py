@@ -18,7 +18,6 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from trueup.model.corrected import Corrected
-from trueup.model.dynamics import CompiledFamily
 from trueup.model.mjcf import resolved
 from trueup.model.mjcf_patch import patch
 from trueup.model.mjcf_writer import Written, write
@@ -37,7 +36,6 @@ def mjcf_of_joint(model: Corrected, folder: Path, heading: Sequence[str]) -> Wri
     """A family's model with its effects as MJCF; `folder` is for files on the way. Raises
     NotInstalled without MuJoCo."""
     plant, joint = model.plant, model.plant.joints[0] or JOINT
-    assert isinstance(plant.dynamics, CompiledFamily)
     (folder / FILE).write_text(nominal(plant, model.values, joint, model.scheme))
     channels = {
         key: [{**c, "joint": joint} for c in _listed(plant.document[key])]
@@ -63,8 +61,7 @@ def mjcf_of_joint(model: Corrected, folder: Path, heading: Sequence[str]) -> Wri
 def nominal(plant: Plant, numbers: Sequence[float], joint: str, scheme: Scheme) -> str:
     """A family with the numbers of its form, as MJCF: stepped as declared, or as finely as the
     symmetric scheme asks for."""
-    assert isinstance(plant.dynamics, CompiledFamily)
-    family = plant.dynamics.family.name
+    family = plant.family
     given = dict(zip(plant.dynamics.parameter_names, numbers, strict=False))
     low, high = (float(bound[0]) for bound in plant.limits)
     declared = scheme == DECLARED

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import singledispatch
 
 import numpy as np
 
 from trueup.canonical import Json
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
-from trueup.model.dynamics import CompiledTree
+from trueup.model.dynamics import CompiledTree, Dynamics
 from trueup.model.feasible import feasible
 from trueup.model.tree import AT_JOINT, INERTIAL, JOINT, LINK, OFFSET, REST, Tree
 
@@ -82,7 +83,7 @@ class Change:
     corrected: Json
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The change as JSON."""
         return {
             "joint": self.joint,
             "element": self.element,
@@ -107,7 +108,7 @@ class Left:
         )
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """What is not expressed, as JSON."""
         return {"effect": self.effect, "joint": self.joint, "instead": self.instead}
 
 
@@ -119,7 +120,7 @@ class Patch:
     left: tuple[Left, ...]
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The patch as JSON, a field of the report."""
         return {
             "changes": [c.document() for c in self.changes],
             "not_expressed": [x.document() for x in self.left],
@@ -136,9 +137,16 @@ class Patch:
 
 def patch(model: Corrected) -> Patch:
     """What a corrected robot differs in from its nominal MJCF. Of a plant that is none, nothing."""
-    dynamics = model.plant.dynamics
-    if not isinstance(dynamics, CompiledTree):
-        return Patch((), ())
+    return _patch(model.plant.dynamics, model)
+
+
+@singledispatch
+def _patch(_: Dynamics, model: Corrected) -> Patch:
+    return Patch((), ())
+
+
+@_patch.register
+def _patch_of_tree(dynamics: CompiledTree, model: Corrected) -> Patch:
     given, count = dynamics.tree, len(dynamics.tree.parameters)
     links = slice(0, LINK * len(given.joints))
     fitted = replace(given, parameters=model.values[:count])
@@ -175,12 +183,14 @@ def _numbers(tree: Tree) -> Numbers:
     """A robot's numbers as MJCF has them."""
     links = np.array(tree.parameters[: LINK * len(tree.joints)]).reshape(-1, LINK)
     rows = np.array(tree.parameters[links.size :]).reshape(-1, JOINT)
-    found: Numbers = {}
+    corrected_numbers: Numbers = {}
     for name, link, row, constants in zip(tree.joints, links, rows, tree.constants, strict=True):
-        found |= {(name, ELEMENTS[n], n): float(x) for n, x in zip(AT_JOINT, row, strict=True)}
-        found[name, "actuator", "offset"] = float(constants[OFFSET])
-        found[name, "link", " ".join(INERTIAL)] = [float(x) for x in link]
-    return found
+        corrected_numbers |= {
+            (name, ELEMENTS[n], n): float(x) for n, x in zip(AT_JOINT, row, strict=True)
+        }
+        corrected_numbers[name, "actuator", "offset"] = float(constants[OFFSET])
+        corrected_numbers[name, "link", " ".join(INERTIAL)] = [float(x) for x in link]
+    return corrected_numbers
 
 
 def _limit(limit: float, at: str, into: Numbers) -> None:

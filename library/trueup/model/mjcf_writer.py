@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,12 +22,12 @@ from trueup.canonical import Json
 from trueup.model.mjcf import joint_axes, links, mujoco, seen_from
 from trueup.model.mjcf_patch import Left, Patch
 from trueup.model.tree import LINK
+from trueup.model.xml_tags import Tag, ancestors, is_closed, spaced, start_tag, tags
 
 Array = NDArray[np.float64]
 ACTUATORS = ("general", "motor", "position", "velocity")
 KEPT = ("name", "group", "user")  # attributes of an actuator that say nothing of its force
 HELD = 1e-6  # of a number's size: it was compiled as it was written
-ROUNDING = 1e-12  # of the largest number beside it
 HARD = "0.9999 0.9999"  # impedance of a constraint that hardly gives
 # times the samples that a delay's history needs: whoever simulates it on finer steps needs more
 SPARE = 8
@@ -44,18 +43,6 @@ class Written:
     left: tuple[Left, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Tag:
-    """A start tag as it stands in a text: bytes `[first, last)`, its attributes, and the place of
-    its parent in the list of tags."""
-
-    name: str
-    attributes: Mapping[str, str]
-    first: int
-    last: int
-    parent: int
-
-
 def write(path: Path, patch: Patch, heading: Sequence[str]) -> Written:
     """The file with a patch applied, `heading` as a comment before everything. Raises NotInstalled
     without MuJoCo."""
@@ -69,8 +56,10 @@ def write(path: Path, patch: Patch, heading: Sequence[str]) -> Written:
     again = engine.MjSpec.from_string(changed)
     again.modelfiledir = str(path.parent)
     left = [*patch.left, *_lost(engine, model, again.compile(), patch)]
-    told = [*heading, *(f"not expressed: {e}" for e in left)]
-    comment = "<!--\n" + "\n".join(f"  {line.replace('--', '- -')}" for line in told) + "\n-->\n"
+    comments = [*heading, *(f"not expressed: {e}" for e in left)]
+    comment = (
+        "<!--\n" + "\n".join(f"  {line.replace('--', '- -')}" for line in comments) + "\n-->\n"
+    )
     root = tags(changed)[0].first
     encoded = changed.encode()
     result = (encoded[:root] + comment.encode() + encoded[root:]).decode()
@@ -88,55 +77,24 @@ def write(path: Path, patch: Patch, heading: Sequence[str]) -> Written:
     return Written(result, "".join(ended), tuple(left))
 
 
-def tags(text: str) -> list[Tag]:
-    """Every start tag of a text, in its order."""
-    found: list[Tag] = []
-    open_: list[int] = [-1]
-    data = text.encode()
-    parser = expat.ParserCreate("utf-8")
-
-    def began(name: str, attributes: dict[str, str]) -> None:
-        first = parser.CurrentByteIndex
-        found.append(Tag(name, attributes, first, _end(data, first), open_[-1]))
-        open_.append(len(found) - 1)
-
-    parser.StartElementHandler = began
-    parser.EndElementHandler = lambda _: open_.pop()
-    parser.Parse(data, True)
-    return found
-
-
-def _end(data: bytes, first: int) -> int:
-    """Where a start tag ends: behind the first > outside quotes."""
-    quote = 0
-    for i in range(first, len(data)):
-        if quote:
-            quote = 0 if data[i] == quote else quote
-        elif data[i] in b"\"'":
-            quote = data[i]
-        elif data[i] == ord(">"):
-            return i + 1
-    return len(data)
-
-
 def _stands(text: str, patch: Patch) -> bool:
     """Whether every element that changes is a tag of an MJCF's own text."""
     try:
-        found = tags(text)
+        every = tags(text)
     except expat.ExpatError:
         return False
     joints = {
-        t.attributes.get("name") for t in found if t.name == "joint" and "joint" not in t.attributes
+        t.attributes.get("name") for t in every if t.name == "joint" and "joint" not in t.attributes
     }
-    driven = {t.attributes.get("joint") for t in found if t.name in ACTUATORS}
+    driven = {t.attributes.get("joint") for t in every if t.name in ACTUATORS}
     wanted = {c.joint for c in patch.changes}
     acted = {c.joint for c in patch.changes if c.element == "actuator"}
-    return found[0].name == "mujoco" and wanted <= joints and acted <= driven
+    return every[0].name == "mujoco" and wanted <= joints and acted <= driven
 
 
 def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
     """The text with every change made."""
-    found = tags(text)
+    every = tags(text)
     edits: list[tuple[int, int, str]] = []
     sections: list[str] = []
     for j in range(model.njnt):
@@ -144,7 +102,7 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
         tag = next(
             (
                 t
-                for t in found
+                for t in every
                 if t.name == "joint"
                 and t.attributes.get("name") == name
                 and "joint" not in t.attributes
@@ -158,17 +116,17 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
                 (
                     tag.first,
                     tag.last,
-                    _tag(tag.name, {**tag.attributes, **joint}, _closed(text, tag)),
+                    start_tag(tag.name, {**tag.attributes, **joint}, is_closed(text, tag)),
                 )
             )
         acts = patch.of(name, "actuator")
         if acts:
             at = next(
-                (t for t in found if t.name in ACTUATORS and t.attributes.get("joint") == name),
+                (t for t in every if t.name in ACTUATORS and t.attributes.get("joint") == name),
                 None,
             )
             given = {k: v for k, v in at.attributes.items() if k in KEPT} if at else {"name": name}
-            element = _tag(
+            element = start_tag(
                 "general", {**given, **_general(engine, model, name, actuator, patch)}, True
             )
             if (
@@ -181,10 +139,10 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
                     (
                         at.first,
                         at.last,
-                        _tag(
+                        start_tag(
                             "motor",
-                            {**at.attributes, "gear": _text(acts["gain"])},
-                            _closed(text, at),
+                            {**at.attributes, "gear": spaced(acts["gain"])},
+                            is_closed(text, at),
                         ),
                     )
                 )
@@ -193,13 +151,13 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
                     (
                         at.first,
                         at.last,
-                        element if _closed(text, at) else element.replace("/>", ">"),
+                        element if is_closed(text, at) else element.replace("/>", ">"),
                     )
                 )
             else:
                 sections.append(f"<actuator>{element}</actuator>")
         sections += _sections(model, name, patch)
-    edits += _inertials(engine, model, text, found, patch)
+    edits += _inertials(engine, model, text, every, patch)
     data = text.encode()
     for first, last, replaced in sorted(edits, reverse=True):
         data = data[:first] + replaced.encode() + data[last:]
@@ -207,22 +165,6 @@ def _changed(engine: Any, model: Any, text: str, patch: Patch) -> str:
         end = data.rindex(b"</mujoco")
         data = data[:end] + "".join(f"  {s}\n" for s in sections).encode() + data[end:]
     return data.decode()
-
-
-def _closed(text: str, tag: Tag) -> bool:
-    return text.encode()[tag.first : tag.last].endswith(b"/>")
-
-
-def _tag(name: str, attributes: Mapping[str, str], closed: bool) -> str:
-    written = "".join(f" {k}={quoteattr(v)}" for k, v in attributes.items())
-    return f"<{name}{written}{'/>' if closed else '>'}"
-
-
-def _text(*numbers: object) -> str:
-    """Numbers as an attribute; those that only rounding made are 0."""
-    values = np.array(numbers, float)
-    values[np.abs(values) < ROUNDING * np.abs(values).max()] = 0.0
-    return " ".join(f"{x:.10g}" for x in values)
 
 
 def _actuator_of(model: Any, joint: int) -> int:
@@ -241,9 +183,12 @@ def _velocity_gain(model: Any, actuator: int) -> float:
 
 def _joint(model: Any, j: int, actuator: int, given: Mapping[str, Json]) -> dict[str, str]:
     """Attributes of a joint's tag."""
-    written = {name: _text(given[name]) for name in ("armature", "frictionloss") if name in given}
+    written = {name: spaced(given[name]) for name in ("armature", "frictionloss") if name in given}
     if "frictionloss" in given:  # as hard as MuJoCo has it: it holds, and does not creep
-        written |= {"solreffriction": _text(2.0 * model.opt.timestep, 1.0), "solimpfriction": HARD}
+        written |= {
+            "solreffriction": spaced(2.0 * model.opt.timestep, 1.0),
+            "solimpfriction": HARD,
+        }
     for name, behind, linear, higher in (
         ("damping", "damping |v|", model.dof_damping[j], model.dof_dampingpoly[j]),
         ("stiffness", "stiffness q^2", model.jnt_stiffness[j], model.jnt_stiffnesspoly[j]),
@@ -258,7 +203,7 @@ def _joint(model: Any, j: int, actuator: int, given: Mapping[str, Json]) -> dict
         more = list(higher)
         if behind in given:
             more[0 if name == "damping" else 1] += float(given[behind])  # type: ignore[arg-type]
-        written[name] = _text(first, *more) if any(more) else _text(first)
+        written[name] = spaced(first, *more) if any(more) else spaced(first)
     return written
 
 
@@ -282,12 +227,12 @@ def _general(engine: Any, model: Any, name: str, actuator: int, patch: Patch) ->
         if model.actuator_ctrllimited[actuator]:
             limits |= {
                 "ctrllimited": "true",
-                "ctrlrange": _text(*model.actuator_ctrlrange[actuator]),
+                "ctrlrange": spaced(*model.actuator_ctrlrange[actuator]),
             }
         if model.actuator_forcelimited[actuator]:
             limits |= {
                 "forcelimited": "true",
-                "forcerange": _text(*(abs(gear) * model.actuator_forcerange[actuator])),
+                "forcerange": spaced(*(abs(gear) * model.actuator_forcerange[actuator])),
             }
     velocity = _velocity_gain(model, actuator)
     if "damping" in passive:
@@ -296,17 +241,18 @@ def _general(engine: Any, model: Any, name: str, actuator: int, patch: Patch) ->
     gain, servo, offset = (given.get(k, x) for k, x in standing)  # type: ignore[assignment]
     for what in ("ctrl", "force"):
         if f"{what}range" in given:
-            limits |= {f"{what}limited": "true", f"{what}range": _text(*given[f"{what}range"])}  # type: ignore[misc]
+            span = spaced(*given[f"{what}range"])  # type: ignore[misc]
+            limits |= {f"{what}limited": "true", f"{what}range": span}
     written = {
         "joint": name,
         "gear": "1",
         "gaintype": "fixed",
-        "gainprm": _text(gain),
+        "gainprm": spaced(gain),
         "biastype": "affine",
     }
-    written |= {"biasprm": _text(offset, -float(servo), -velocity), **limits}
+    written |= {"biasprm": spaced(offset, -float(servo), -velocity), **limits}
     lag = (
-        {"dyntype": "filterexact", "dynprm": _text(given["lag"]), "actlimited": "false"}
+        {"dyntype": "filterexact", "dynprm": spaced(given["lag"]), "actlimited": "false"}
         if "lag" in given
         else {"dyntype": "none"}
     )
@@ -317,7 +263,7 @@ def _delay(model: Any, seconds: Json) -> dict[str, str]:
     """A delay, and as many samples as it needs."""
     late = float(seconds)  # type: ignore[arg-type]
     return {
-        "delay": _text(late),
+        "delay": spaced(late),
         "nsample": str(SPARE * (int(np.ceil(late / model.opt.timestep)) + 1)),
     }
 
@@ -329,29 +275,28 @@ def _sections(model: Any, name: str, patch: Patch) -> list[str]:
     if late:
         held = _delay(model, late["delay"])
         sensors = [
-            _tag(k, {"name": f"{name} {k} as logged", "joint": name, **held}, True)
+            start_tag(k, {"name": f"{name} {k} as logged", "joint": name, **held}, True)
             for k in ("jointpos", "jointvel")
         ]
         added.append(f"<sensor>{''.join(sensors)}</sensor>")
     if stop:
         low, high, stiffness = stop["low high stiffness"]  # type: ignore[misc, str-unpack]
-        spring = _tag(
+        spring = start_tag(
             "fixed",
             {
                 "name": f"stop of {name}",
-                "springlength": _text(low, high),
-                "stiffness": _text(stiffness),
+                "springlength": spaced(low, high),
+                "stiffness": spaced(stiffness),
             },
             False,
         )
-        added.append(
-            f"<tendon>{spring}{_tag('joint', {'joint': name, 'coef': '1'}, True)}</fixed></tendon>"
-        )
+        driven = start_tag("joint", {"joint": name, "coef": "1"}, True)
+        added.append(f"<tendon>{spring}{driven}</fixed></tendon>")
     return added
 
 
 def _inertials(
-    engine: Any, model: Any, text: str, found: list[Tag], patch: Patch
+    engine: Any, model: Any, text: str, every: list[Tag], patch: Patch
 ) -> list[tuple[int, int, str]]:
     """Edits that give each changed link's body what its link has more than the bodies welded on to
     it."""
@@ -365,7 +310,7 @@ def _inertials(
         at = next(
             (
                 i
-                for i, t in enumerate(found)
+                for i, t in enumerate(every)
                 if t.name == "joint" and t.attributes.get("name") == name
             ),
             -1,
@@ -376,27 +321,23 @@ def _inertials(
         for other in range(1, model.nbody):
             if link_of[other] == j and other != body:
                 own = own - seen_from(model, data, other, axes[j], data.xanchor[j])
-        holder = next(i for i in _above(found, at) if found[i].name == "body")
-        inertial = next((t for t in found if t.name == "inertial" and t.parent == holder), None)
+        holder = next(i for i in ancestors(every, at) if every[i].name == "body")
+        inertial = next((t for t in every if t.name == "inertial" and t.parent == holder), None)
         element = _inertial(
             own, data.xmat[body].reshape(3, 3), data.xpos[body], axes[j], data.xanchor[j]
         )
         if inertial:
             edits.append(
-                (inertial.first, inertial.last, _tag("inertial", element, _closed(text, inertial)))
+                (
+                    inertial.first,
+                    inertial.last,
+                    start_tag("inertial", element, is_closed(text, inertial)),
+                )
             )
         else:
-            here = found[holder].last
-            edits.append((here, here, _tag("inertial", element, True)))
+            here = every[holder].last
+            edits.append((here, here, start_tag("inertial", element, True)))
     return edits
-
-
-def _above(found: Sequence[Tag], at: int) -> list[int]:
-    """A tag's parents, the nearest first."""
-    line = []
-    while (at := found[at].parent) >= 0:
-        line.append(at)
-    return line
 
 
 def _inertial(link: Array, turn: Array, place: Array, axes: Array, origin: Array) -> dict[str, str]:
@@ -411,9 +352,9 @@ def _inertial(link: Array, turn: Array, place: Array, axes: Array, origin: Array
     i = to @ about @ to.T
     position = turn.T @ (origin + axes @ centre - place)
     return {
-        "pos": _text(*position),
-        "mass": _text(mass),
-        "fullinertia": _text(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]),
+        "pos": spaced(*position),
+        "mass": spaced(mass),
+        "fullinertia": spaced(i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]),
     }
 
 

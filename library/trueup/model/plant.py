@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, singledispatch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,12 @@ from trueup.model.dynamics import (
     CompiledTree,
     Dynamics,
     Form,
-    mass_matrix,
     strictly_stable,
 )
 from trueup.model.family import families
 from trueup.model.fields import Reader
 from trueup.model.tree import ZERO, Tree
+from trueup.model.tree_regressors import mass_matrix
 
 Array = NDArray[np.float64]
 INTEGRATOR = "semi_implicit_euler"
@@ -57,7 +57,7 @@ class Plant:
         nominal.choice("integrator", [INTEGRATOR], default=INTEGRATOR)
         dynamics, parameters = _robot(nominal) if "mjcf" in nominal.value else _family(nominal)
         layout = _layout(root)
-        joints = _joints(layout, dynamics)
+        joints = _joints(dynamics, layout)
         envelope = root.child("envelope", optional=True)
         bounds = {name: envelope.interval(name) for name in envelope.value}
         horizon = root.child("evaluation").number("horizon_s", above=timestep)
@@ -96,7 +96,14 @@ class Plant:
     @property
     def family(self) -> str:
         """What the nominal model is made of: a family's name, or mjcf."""
-        return self.dynamics.family.name if isinstance(self.dynamics, CompiledFamily) else "mjcf"
+        return self.dynamics.name
+
+    @property
+    def tree(self) -> Tree:
+        """A robot's tree of links. Raises TypeError of a plant of a family."""
+        if isinstance(self.dynamics, CompiledTree):
+            return self.dynamics.tree
+        raise TypeError(f"{self.name} is one joint of a family, and has no tree")
 
     @cached_property
     def nominal(self) -> Mapping[str, float]:
@@ -227,26 +234,38 @@ def _robot(nominal: Reader) -> tuple[Dynamics, tuple[float, ...]]:
     return CompiledTree(tree), tree.parameters
 
 
-def _joints(layout: Layout, dynamics: Dynamics) -> tuple[str | None, ...]:
+def _joints(dynamics: Dynamics, layout: Layout) -> tuple[str | None, ...]:
     """The joints in the order of a state. Raises BadPlant where channels and joints do not fit."""
     if any(c.field is Field.EFFORT for c in layout.observations):
         raise BadPlant(
             "an effort is no part of a state; observe positions and velocities",
             field="observations",
         )
+    return _joints_of(dynamics, layout)
+
+
+@singledispatch
+def _joints_of(dynamics: Dynamics, layout: Layout) -> tuple[str | None, ...]:
+    raise TypeError(type(dynamics).__name__)
+
+
+@_joints_of.register
+def _joint_of_family(_: CompiledFamily, layout: Layout) -> tuple[str | None, ...]:
+    one_joint = len({c.joint for c in layout.observations}) == 1
+    if not one_joint or len(layout.commands) != 1:
+        raise BadPlant(
+            "a family describes one joint with one command",
+            field="observations",
+            hint="Describe a robot of several joints by its MJCF.",
+        )
+    if not any(c.field is Field.POSITION for c in layout.observations):
+        raise BadPlant("a plant needs an observed position", field="observations")
+    return (layout.observations[0].joint,)
+
+
+@_joints_of.register
+def _joints_of_tree(dynamics: CompiledTree, layout: Layout) -> tuple[str | None, ...]:
     shown = {c.joint for c in layout.observations if c.field is Field.POSITION}
-    if not isinstance(dynamics, CompiledTree):
-        if {c.joint for c in layout.observations} != {layout.observations[0].joint} or len(
-            layout.commands
-        ) != 1:
-            raise BadPlant(
-                "a family describes one joint with one command",
-                field="observations",
-                hint="Describe a robot of several joints by its MJCF.",
-            )
-        if not shown:
-            raise BadPlant("a plant needs an observed position", field="observations")
-        return (layout.observations[0].joint,)
     joints: tuple[str | None, ...] = dynamics.tree.joints
     for field, channels in (("observations", layout.observations), ("commands", layout.commands)):
         seen: set[tuple[str | None, Field | None]] = set()

@@ -51,25 +51,25 @@ class Predictor(ABC):
         They are `h_s` [s] later, one length for all or `(n,)`; the declared step if None.
         """
 
-    def course(self, states: Array, issued: Array, steps: int) -> Array:
+    def hold(self, states: Array, issued: Array, steps: int) -> Array:
         """States `(n, steps, states)` after each of some declared steps from `(n, states)`,
         commands `(n, commands)` held."""
-        found = []
+        after = []
         for _ in range(steps):
             states = self.predict_batch(states, issued)
-            found.append(states)
-        return np.stack(found, axis=1)
+            after.append(states)
+        return np.stack(after, axis=1)
 
     def run(self, initial: Array, issued: Array) -> Array:
         """States `(samples, states)` from one `(states,)` on, under commands `(samples, commands)`
         each held for a declared step."""
-        found = [initial]
+        states = [initial]
         for u in issued[:-1]:
             with np.errstate(
                 over="ignore", invalid="ignore"
             ):  # running away is an answer: it ends as inf or nan
-                found.append(self.predict_batch(found[-1][None], u[None])[0])
-        return np.stack(found)
+                states.append(self.predict_batch(states[-1][None], u[None])[0])
+        return np.stack(states)
 
     @abstractmethod
     def rollout(self, windows: Windows) -> Array:
@@ -103,20 +103,9 @@ class Physical(Predictor):
     ) -> Array:
         return self.plant.update(states, issued, self.parameters, h_s)
 
-    def course(self, states: Array, issued: Array, steps: int) -> Array:
-        """Of a tree compiled."""
-        plant = self.plant
-        if len(plant.joints) == 1:
-            return super().course(states, issued, steps)
-        applied = np.repeat(plant.applied(issued)[:, None, :], steps + 1, axis=1)
-        runs = np.ones(applied.shape[:2], np.int64)
-        runs[:, -1] = 0
-        h_s = np.full(applied.shape[:2], plant.timestep_s)
-        return np.asarray(
-            plant.dynamics.rollout(np.array([self.parameters]), states, applied, h_s, runs)[
-                0, :, 1:
-            ]
-        )
+    def hold(self, states: Array, issued: Array, steps: int) -> Array:
+        plant, numbers = self.plant, np.array(self.parameters)
+        return plant.dynamics.hold(numbers, states, plant.applied(issued), plant.timestep_s, steps)
 
     def run(self, initial: Array, issued: Array) -> Array:
         applied = self.plant.applied(issued)[None]

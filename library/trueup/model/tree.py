@@ -75,7 +75,7 @@ class Tree:
         return np.array(self.parameters[LINK * len(self.joints) :]).reshape(-1, JOINT)
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The tree as JSON, as `read` takes it."""
         return {
             "gravity": [float(x) for x in self.constants[0, GRAVITY:]],
             "joints": [

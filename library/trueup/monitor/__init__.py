@@ -1,2 +1,2 @@
-"""Is it still so: residuals of the serving model, detectors that follow them, and what they
+"""Residuals of the serving model, detectors that follow them, and the false-alarm rates that they
 promise."""

@@ -1,5 +1,5 @@
-"""What a detector was measured to do: false alarms on healthy episodes that it was not set on, and
-delays on drifts put into them."""
+"""Measured performance of a detector: false alarms on healthy episodes that it was not calibrated
+on, and delays on drifts that were added to them."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ LOG_LEAST = -700.0  # whose exponential is no zero yet
 def achieved(
     detector: Detector, fresh: Sequence[Residuals], promise_h: float, rng: np.random.Generator
 ) -> dict[str, Json]:
-    """Figures on healthy episodes that the detector does not know: exceedance and alarms an hour
-    with intervals, delays of drifts.
+    """Figures on healthy episodes that the detector was not calibrated on: exceedance and alarms an
+    hour with intervals, and delays of drifts.
 
-    Of an episode one alarm is counted at most.
+    An episode counts one alarm at most.
     """
     hours = sum(r.seconds for r in fresh) / 3600.0
     state, alarms = detector.begin(), 0
     for residuals in fresh:
-        found = detector.follow(state, residuals)
-        state, alarms = found.state, alarms + (found.alarm is not None)
+        followed = detector.follow(state, residuals)
+        state, alarms = followed.state, alarms + (followed.alarm is not None)
     low, high = poisson_interval(alarms)
     shares = np.array([detector.exceedance(r) for r in fresh])
     drawn = shares[rng.integers(0, len(shares), (RESAMPLES, len(shares)))].mean(axis=1)
@@ -90,31 +90,29 @@ INJECTED: Mapping[str, Mapping[str, Drift]] = {
 def _delay(
     detector: Detector, fresh: Sequence[Residuals], drift: Drift, rng: np.random.Generator
 ) -> dict[str, Json]:
-    """How long drifts that are full after EPISODES take to be found [s], and the share that is
-    found by then."""
-    found = []
+    """The delay until drifts alarm [s], and the share of drifts that alarm. A drift reaches its
+    full size after EPISODES episodes."""
+    delays = []
     for _ in range(DRIFTS):
         state, seconds, luck = detector.begin(), 0.0, float(rng.random())
         for i, index in enumerate(rng.integers(0, len(fresh), EPISODES)):
             residuals = drift(fresh[index], (i + 1) / EPISODES, luck)
             followed = detector.follow(state, residuals)
             if followed.alarm is not None:
-                found.append(seconds + float(residuals.t_s[followed.alarm]))
+                delays.append(seconds + float(residuals.t_s[followed.alarm]))
                 break
             state, seconds = followed.state, seconds + residuals.seconds
-    median = float(np.median(found + [np.inf] * (DRIFTS - len(found))))
+    median = float(np.median(delays + [np.inf] * (DRIFTS - len(delays))))
     return {
         "episodes": EPISODES,
-        "found": len(found) / DRIFTS,
+        "found": len(delays) / DRIFTS,
         "median_s": median if np.isfinite(median) else None,
     }
 
 
 def poisson_interval(count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """The exact interval of a Poisson mean of which `count` were seen.
-
-    Source: F. Garwood, Biometrika 28 (1936).
-    """
+    """The exact interval of a Poisson mean after `count` events. Source: F. Garwood, Biometrika 28
+    (1936)."""
     tail = (1.0 - confidence) / 2.0
     top = count + 10.0 * (count + 1.0) ** 0.5 + 10.0
     low = 0.0 if count == 0 else _where(lambda mean: 1.0 - _at_most(count - 1, mean) > tail, top)

@@ -1,8 +1,8 @@
 """Change: what is different since the reference, once a monitor alarms.
 
-The machine may have changed, or only what it is asked to do: channels that are predicted worse,
-samples outside the range that the reference covers, another sampling period and other declared
-conditions are told apart.
+The machine may have changed, or only its task. The report distinguishes channels that are predicted
+worse, samples outside the range that the reference covers, another sampling period, and other
+declared conditions.
 """
 
 from __future__ import annotations
@@ -37,12 +37,13 @@ class Before:
 
     @staticmethod
     def of(episodes: Sequence[Episode]) -> Before:
-        """That of the given episodes."""
+        """The ranges, period and conditions of healthy episodes."""
         return Before.of_summaries([summarise(e) for e in episodes])
 
     @staticmethod
     def of_summaries(summaries: Sequence[Mapping[str, Any]]) -> Before:
-        """The same from what was kept of them. A channel that was never seen is left out."""
+        """The ranges, period and conditions of healthy episodes, from their summaries. A channel
+        that was never observed is left out."""
         seen: dict[str, list[Range]] = {}
         declared: dict[str, set[str]] = {}
         for summary in summaries:
@@ -62,7 +63,7 @@ class Before:
         )
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON."""
+        """The ranges, period and conditions as JSON."""
         return {
             "ranges": {c: list(r) for c, r in self.ranges.items()},
             "period_s": self.period_s,
@@ -71,7 +72,7 @@ class Before:
 
     @staticmethod
     def from_document(document: Mapping[str, Any]) -> Before:
-        """Read it back. Raises KeyError, TypeError, ValueError."""
+        """Read what `document` returned. Raises KeyError, TypeError, ValueError."""
         ranges = {c: (float(low), float(high)) for c, (low, high) in document["ranges"].items()}
         return Before(
             ranges,
@@ -81,11 +82,12 @@ class Before:
 
 
 def onset(rms: Array, usual: Sequence[tuple[float, float]]) -> int:
-    """The episode from which on errors grew, of the errors `(episodes, channels)` in healthy
-    spreads up to an alarm.
+    """The episode from which on errors grew, from the errors `(episodes, channels)` in healthy
+    spreads up to an alarm. `usual` is mean and standard deviation of the logarithm of each
+    channel's healthy error.
 
-    Of each channel the sum of how far the logarithm of its error lies above what is usual, mean and
-    standard deviation, and a margin; of the channel with the largest sum where it was last nothing.
+    For each channel, the logarithm of its error less its usual mean and a margin is summed, and the
+    sum kept from falling below 0. The result is the episode after which the largest sum was last 0.
     Source: E. S. Page, Biometrika 41 (1954), on estimating the change.
     """
     mean, spread = np.array(usual).T
@@ -98,11 +100,8 @@ def onset(rms: Array, usual: Sequence[tuple[float, float]]) -> int:
 
 
 def changed(reference: Before, channels: Mapping[str, Array], now: Before) -> dict[str, Json]:
-    """What is different: of each channel the error since in healthy spreads (`channels`: each
-    episode's), ranges, period, conditions.
-
-    `words` says it for people.
-    """
+    """What has changed since the reference: for each channel the errors of recent episodes in
+    healthy spreads (`channels`), ranges, period, conditions. `words` says it for people."""
     errors: dict[str, Json] = {}
     words: list[str] = []
     for channel, rms in channels.items():

@@ -55,11 +55,12 @@ class Reference:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Followed:
-    """An episode followed: the statistic at each sample `(samples,)`, and what is kept.
+class FollowedEpisode:
+    """The result of following one episode: the statistic at each sample `(samples,)`, and the state
+    after it.
 
-    `alarm` is the sample at which an alarm is declared, or None, and `leading` which of the
-    detector's statistics declared it.
+    `alarm` is the sample at which an alarm is declared, or None, and `leading` the index of the
+    statistic that declared it.
     """
 
     statistic: Array
@@ -69,8 +70,8 @@ class Followed:
 
 
 class Detector(ABC):
-    """A frozen dataclass. Its state is handed in and out: `begin`, then `follow` for each episode
-    in order. An alarm an episode at most."""
+    """Base of a frozen dataclass that follows residuals. Its state is passed in and returned:
+    `begin`, then `follow` for each episode in order. An episode has one alarm at most."""
 
     name: ClassVar[str]
     rests_on: ClassVar[str]  # what its false-alarm figure needs to hold
@@ -89,29 +90,29 @@ class Detector(ABC):
 
     @abstractmethod
     def begin(self) -> State:
-        """What is known before the first episode."""
+        """The state before the first episode."""
 
     @abstractmethod
-    def follow(self, state: State, residuals: Residuals) -> Followed:
-        """One more episode."""
+    def follow(self, state: State, residuals: Residuals) -> FollowedEpisode:
+        """Follow one more episode from a state."""
 
     @abstractmethod
     def exceedance(self, residuals: Residuals) -> float:
-        """Share of an episode's units, samples or blocks, that are by themselves beyond the level:
-        not an alarm."""
+        """The share of an episode's units, samples or blocks, that exceed the level by themselves.
+        One that does is not an alarm yet."""
 
     @abstractmethod
     def labels(self, channels: Sequence[str], signs: Sequence[str]) -> list[str]:
-        """What each of its statistics speaks for, for people."""
+        """What each of the detector's statistics stands for, in words."""
 
     @abstractmethod
     def document(self) -> dict[str, Json]:
-        """The numbers as JSON."""
+        """The detector's numbers as JSON."""
 
     @staticmethod
     @abstractmethod
     def restore(document: Mapping[str, Any]) -> Detector:
-        """The detector that was described. Raises KeyError, TypeError, ValueError."""
+        """The detector from what `document` returned. Raises KeyError, TypeError, ValueError."""
 
 
 @cache
@@ -121,10 +122,10 @@ def detectors() -> dict[str, type[Detector]]:
 
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
-    found: list[type[Detector]] = []
+    concrete: list[type[Detector]] = []
     waiting = list(Detector.__subclasses__())
     while waiting:
         kind = waiting.pop()
         waiting += kind.__subclasses__()
-        found += [] if getattr(kind, "__abstractmethods__", None) else [kind]
-    return {d.name: d for d in sorted(found, key=lambda d: d.name)}
+        concrete += [] if getattr(kind, "__abstractmethods__", None) else [kind]
+    return {d.name: d for d in sorted(concrete, key=lambda d: d.name)}

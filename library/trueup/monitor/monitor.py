@@ -1,12 +1,12 @@
 """Monitor: detectors on one predictor's residuals, calibrated to one promise in robot time, with
-what they were measured to keep.
+their measured performance.
 
 The promise, one false alarm in so many operating hours, is of all joints and all detectors
-together: each of them gets an equal share. One half of the reference, drawn at random within each
-kind of episodes for recordings come in patterns, sets the spread, and levels that are measured on
-the other; the levels that are used then come from both. The other half is also what the conformal
-test ranks against. Detectors that follow signatures need a longer reference than others: there are
-a hundred of them, and what is healthy for each must be known.
+together: each of them gets an equal share. The reference is split at random into halves within each
+kind of episodes, because recordings come in patterns. One half sets the spread, and performance is
+measured on the other; the levels that are used then come from both. The conformal test ranks
+against the other half. Detectors that follow signatures need a longer reference: there are a
+hundred signatures, and what is healthy for each must be known.
 """
 
 from __future__ import annotations
@@ -26,7 +26,13 @@ from trueup.model.predictor import Predictor
 from trueup.monitor.achieved import achieved
 from trueup.monitor.change import Before
 from trueup.monitor.detector import CAUTION, Detector, Reference, State, detectors
-from trueup.monitor.residuals import Healthy, Missed, Residuals, blocks, missed
+from trueup.monitor.residuals import (
+    Healthy,
+    Residuals,
+    UnscaledResiduals,
+    blocks,
+    unscaled_residuals,
+)
 from trueup.monitor.signature import Signatures
 
 SCHEMA = "trueup.monitor/1"
@@ -43,11 +49,9 @@ SHORT = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What a monitor saw in one episode.
-
-    Of each detector the highest statistic, and where it alarmed when [s] and what led; of each
-    channel mean and root mean square, in healthy spreads.
-    """
+    """The result of one episode. For each detector the highest statistic, and, where it alarmed,
+    the time [s] and the leading statistic; for each channel mean and root mean square, in healthy
+    spreads."""
 
     seconds: float
     highest: Mapping[str, float]
@@ -56,7 +60,7 @@ class Seen:
     rms: Sequence[float]
 
     def document(self, channels: Sequence[str]) -> dict[str, Json]:
-        """The same as JSON."""
+        """The result as JSON."""
         return {
             "seconds": self.seconds,
             "highest": dict(self.highest),
@@ -72,11 +76,11 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Monitor:
-    """What follows one predictor on one plant. Frozen, and named by its digest.
+    """What follows one predictor on one plant. It is frozen, and named by its digest.
 
-    `figures` is what the detectors were measured to keep, `reference` the digests of the healthy
-    episodes, `before` what they were like; `usual` is mean and standard deviation of the logarithm
-    of each channel's error over healthy episodes.
+    `figures` is the measured performance of the detectors, `reference` the digests of the healthy
+    episodes, `before` their ranges and conditions; `usual` is mean and standard deviation of the
+    logarithm of each channel's error over healthy episodes.
     """
 
     plant: str
@@ -92,15 +96,15 @@ class Monitor:
     figures: Mapping[str, Json]
 
     def begin(self) -> dict[str, State]:
-        """What is known before the first episode."""
+        """The state of every detector before the first episode."""
         return {d.name: d.begin() for d in self.detectors}
 
     def follow(
         self, state: Mapping[str, Sequence[float]], predictor: Predictor, episode: Episode
     ) -> tuple[dict[str, State], Seen]:
-        """One more episode: what is kept, and what was seen. Raises NotAnEpisode where it is too
-        short for a rollout."""
-        plant, of = predictor.plant, missed(predictor, episode)
+        """Follow one more episode: the new state, and what was seen. Raises NotAnEpisode where it
+        is too short for a rollout."""
+        plant, of = predictor.plant, unscaled_residuals(predictor, episode)
         if not len(of.values):
             raise NotAnEpisode(
                 f"no rollout of {plant.horizon_s:g} s can start in this episode",
@@ -116,16 +120,16 @@ class Monitor:
         highest: dict[str, float] = {}
         alarms: dict[str, tuple[float, str]] = {}
         for detector in self.detectors:
-            found = detector.follow(tuple(state[detector.name]), residuals)
-            after[detector.name] = found.state
-            highest[detector.name] = float(found.statistic.max(initial=0.0))
-            if found.alarm is not None:
+            followed = detector.follow(tuple(state[detector.name]), residuals)
+            after[detector.name] = followed.state
+            highest[detector.name] = float(followed.statistic.max(initial=0.0))
+            if followed.alarm is not None:
                 leading = (
                     None
-                    if found.leading is None
-                    else detector.labels(channels, signs)[found.leading]
+                    if followed.leading is None
+                    else detector.labels(channels, signs)[followed.leading]
                 )
-                alarms[detector.name] = float(residuals.t_s[found.alarm]), leading or ""
+                alarms[detector.name] = float(residuals.t_s[followed.alarm]), leading or ""
         mean, rms = residuals.mean_and_rms()
         return after, Seen(residuals.seconds, highest, alarms, mean, rms)
 
@@ -204,24 +208,25 @@ def calibrate(
             detectors=", ".join(detectors()),
         )
     episodes = sorted(reference, key=lambda e: (e.start_ns, e.digest))
-    found: list[Missed] = []
+    misses: list[UnscaledResiduals] = []
     for episode in episodes:
-        found.append(missed(predictor, episode))
-        progress("predicting healthy episodes", len(found) / len(episodes))
-    episodes, found = (
-        [e for e, m in zip(episodes, found, strict=True) if len(m.values)],
-        [m for m in found if len(m.values)],
+        misses.append(unscaled_residuals(predictor, episode))
+        progress("predicting healthy episodes", len(misses) / len(episodes))
+    episodes, misses = (
+        [e for e, m in zip(episodes, misses, strict=True) if len(m.values)],
+        [m for m in misses if len(m.values)],
     )
-    if len(found) < 2:  # noqa: PLR2004  (halves)
-        raise _too_short(len(found), 0)
+    if len(misses) < 2:  # noqa: PLR2004  (halves)
+        raise _too_short(len(misses), 0)
     rng = np.random.default_rng(seed)
     first, second = _halves(episodes, rng)
     healthy, signatures = (
-        Healthy.of([found[i] for i in first]),
+        Healthy.of([misses[i] for i in first]),
         Signatures.of(predictor.plant, episodes),
     )
     residuals = [
-        measured(predictor, healthy, signatures, e, m) for e, m in zip(episodes, found, strict=True)
+        measured(predictor, healthy, signatures, e, m)
+        for e, m in zip(episodes, misses, strict=True)
     ]
     lengths = sorted(r.windows for r in residuals)
     windows = max(1, min(LONGEST_BLOCK, lengths[int(SHORT * len(lengths))]))
@@ -244,15 +249,15 @@ def calibrate(
         kind = detectors()[name]
         made.append(kind.calibrate(of if kind.reads_fresh else whole, rng))
         progress("setting levels", len(made) / len(chosen))
-    figures: dict[str, Json] = {
+    by_detector: dict[str, Json] = {
         d.name: {**_judged(d, of, fresh, windows, share_h, rng)} for d in made
     }
-    hours = sum(m.seconds for m in found) / 3600.0
-    told: dict[str, Json] = {
+    hours = sum(m.seconds for m in misses) / 3600.0
+    figures: dict[str, Json] = {
         "reference_h": hours,
         "promise_shown": bool(hours / 2.0 > share_h / CAUTION),
         "block_s": of.block_s,
-        "detectors": {**figures},
+        "detectors": {**by_detector},
     }
     return Monitor(
         predictor.plant.digest,
@@ -265,15 +270,15 @@ def calibrate(
         tuple(e.digest for e in episodes),
         Before.of(episodes),
         _usual(residuals),
-        told,
+        figures,
     )
 
 
 def _halves(
     episodes: Sequence[Episode], rng: np.random.Generator
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Two halves by chance, each with as many episodes of every kind: of every combination of
-    declared conditions that come again."""
+    """Two random halves of the episodes, each with as many of every kind. A kind is a combination
+    of declared conditions that occurs more than once."""
     names = sorted({name for e in episodes for name in e.conditions})
     again = [
         n
@@ -293,9 +298,8 @@ def _judged(
     promise_h: float,
     rng: np.random.Generator,
 ) -> dict[str, Json]:
-    """A detector's figures on the fresh half, made of the other alone; one that reads the fresh
-    half is made of a part of it, and judged on the rest.
-    """
+    """A detector's measured performance on the fresh half, when it is calibrated on the other half
+    alone. One that reads the fresh half is calibrated on a part of it, and measured on the rest."""
     if not detector.reads_fresh:
         return achieved(detector.calibrate(of, rng), fresh, promise_h, rng)
     read, rest = fresh[::2], fresh[1::2]
@@ -308,10 +312,10 @@ def measured(
     healthy: Healthy,
     signatures: Signatures | None,
     episode: Episode,
-    of: Missed,
+    of: UnscaledResiduals,
 ) -> Residuals:
-    """What was missed in one episode as detectors take it; without signatures nothing is looked for
-    in it."""
+    """The residuals of one episode as detectors follow them, with their evidence for `signatures`,
+    if there are any."""
     residuals = healthy.residuals(of)
     return (
         residuals
@@ -321,19 +325,21 @@ def measured(
 
 
 def _usual(residuals: Sequence[Residuals]) -> tuple[tuple[float, float], ...]:
+    """Mean and standard deviation of the logarithm of each channel's error over episodes."""
     errors = np.log(np.maximum([r.mean_and_rms()[1] for r in residuals], LEAST_ERROR))
     return tuple(
         (float(m), float(s)) for m, s in zip(errors.mean(axis=0), errors.std(axis=0), strict=True)
     )
 
 
-def _too_short(episodes: int, found: int) -> NotIdentifiable:
+def _too_short(episodes: int, blocks: int) -> NotIdentifiable:
+    """The error for a reference with too few episodes or blocks."""
     return NotIdentifiable(
         (
-            f"{episodes} reference episodes with {found} blocks of rollouts are too few to know "
+            f"{episodes} reference episodes with {blocks} blocks of rollouts are too few to know "
             "what is healthy"
         ),
-        blocks=found,
+        blocks=blocks,
         hint=(
             f"Record healthy operation with the role reference: {2 * LEAST_BLOCKS} blocks of "
             "rollouts at least, a hundred are better."

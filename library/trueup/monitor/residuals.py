@@ -1,10 +1,8 @@
-"""Residuals of a predictor on an episode: what was observed less what was predicted, in units of
-what is healthy.
+"""Residuals of a predictor on an episode: observed less predicted, in units of the healthy spread.
 
-Rollouts start at each multiple of the horizon, as everywhere, and anew with each episode. A
-sample's residual is divided by the root mean square that healthy episodes show in its channel at
-its age, the time since its rollout started: so a sample a moment after a start and one at the end
-of a window count alike.
+Rollouts start at each multiple of the horizon, and anew with each episode. A sample's residual is
+divided by the root mean square that healthy episodes show in its channel at its age, the time since
+its rollout started: so a sample a moment after a start and one at the end of a window count alike.
 """
 
 from __future__ import annotations
@@ -37,9 +35,9 @@ def one_step_residuals(predictor: Predictor, states: Array, issued: Array) -> Ar
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Missed:
-    """What a predictor missed in one episode, in declared units: `values` `(samples, channels)` at
-    `t_s` [s] of the episode.
+class UnscaledResiduals:
+    """Unscaled residuals of one episode, in declared units: `values` `(samples, channels)` at `t_s`
+    [s] of the episode.
 
     `rows` `(samples,)` are these samples in the episode, `age` the time since the sample's rollout
     started, in horizons, `window` its number; samples at which a rollout starts, `first`
@@ -55,15 +53,14 @@ class Missed:
     seconds: float
 
 
-def missed(predictor: Predictor, episode: Episode) -> Missed:
-    """What the predictor misses, from rollouts that start at each multiple of the plant's
-    horizon."""
+def unscaled_residuals(predictor: Predictor, episode: Episode) -> UnscaledResiduals:
+    """The unscaled residuals of rollouts that start at each multiple of the plant's horizon."""
     plant, horizon_s = predictor.plant, predictor.plant.horizon_s
     begin_s = float(episode.t_s[known_from(plant, episode)])
     starts = starts_every(episode.t_s[:-1], horizon_s, begin_s)
     if not len(starts):  # a velocity that nobody observes needs a span of positions
         nothing = np.zeros(0, np.int64)
-        return Missed(
+        return UnscaledResiduals(
             np.zeros((0, len(plant.scales))),
             np.zeros(0),
             nothing,
@@ -81,7 +78,7 @@ def missed(predictor: Predictor, episode: Episode) -> Missed:
     rows = windows.rows[counts]
     since = episode.t_s[rows] - np.repeat(episode.t_s[windows.first], counts.sum(axis=1))
     number = np.repeat(np.arange(len(windows.first)), counts.sum(axis=1))
-    return Missed(
+    return UnscaledResiduals(
         values[counts],
         episode.t_s[rows],
         rows,
@@ -126,14 +123,13 @@ class Residuals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Healthy:
-    """Root mean square of what is missed while all is well, `(ages, channels)`, in declared
-    units."""
+    """Root mean square of healthy residuals, `(ages, channels)`, in declared units."""
 
     spread: Array
 
     @staticmethod
-    def of(reference: Sequence[Missed]) -> Healthy:
-        """The spread of healthy episodes."""
+    def of(reference: Sequence[UnscaledResiduals]) -> Healthy:
+        """The spread of healthy episodes, from their residuals."""
         values, age = (
             np.concatenate([m.values for m in reference]),
             np.concatenate([_bin(m.age) for m in reference]),
@@ -148,8 +144,8 @@ class Healthy:
         least = np.where(whole > 0.0, whole, 1.0) * 1e-6
         return Healthy(np.maximum(np.where(np.isfinite(spread), spread, whole), least))
 
-    def residuals(self, of: Missed) -> Residuals:
-        """What was missed, in units of what is healthy."""
+    def residuals(self, of: UnscaledResiduals) -> Residuals:
+        """Residuals in units of the healthy spread."""
         with np.errstate(over="ignore", invalid="ignore"):
             values = of.values / self.at(of)
         gone = np.isnan(of.values) & np.isfinite(of.values).any(
@@ -169,7 +165,7 @@ class Healthy:
             np.zeros((0, 0, 2)),
         )
 
-    def at(self, of: Missed) -> Array:
+    def at(self, of: UnscaledResiduals) -> Array:
         """The healthy spread at each sample, `(samples, channels)`."""
         return np.asarray(self.spread[_bin(of.age)])
 
@@ -179,7 +175,7 @@ class Healthy:
 
     @staticmethod
     def from_document(document: Any) -> Healthy:
-        """Read it back. Raises ValueError."""
+        """Read what `document` returned. Raises ValueError."""
         spread = np.array(document, np.float64)
         if spread.ndim != 2 or len(spread) != AGES or not (spread > 0.0).all():  # noqa: PLR2004
             raise ValueError("a healthy spread is a table of positive numbers, ages by channels")
@@ -187,19 +183,19 @@ class Healthy:
 
 
 def blocks(of: Residuals, windows: int) -> list[Residuals]:
-    """Parts of `windows` whole rollouts each; what is left at the end belongs to none."""
-    found = []
+    """Parts of `windows` whole rollouts each; what is left over at the end is dropped."""
+    parts = []
     for k in range(of.windows // windows):
         inside = (of.window >= k * windows) & (of.window < (k + 1) * windows)
         part = of.values[inside], of.t_s[inside], of.weight[inside], of.window[inside] - k * windows
-        found.append(
+        parts.append(
             Residuals(
                 *part,
                 of.seconds * windows / of.windows,
                 of.evidence[k * windows : (k + 1) * windows],
             )
         )
-    return found
+    return parts
 
 
 def _bin(age: Array) -> NDArray[np.int64]:

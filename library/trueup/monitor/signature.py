@@ -1,9 +1,9 @@
 """Signatures: what each effect of the catalogue would do to the residuals, if it began to act.
 
-From every window's start the model is rolled out once as it serves and once with a little of each
-effect, and of each parameter, more. What the residuals have in common with the difference speaks
-for that effect, long before their size does: noise is like no signature. Source: G. L. Turin, IRE
-Transactions on Information Theory 6 (1960), on matched filters.
+From every window's start the model is rolled out once as it serves, and once for each effect and
+parameter with a little more of it. The correlation of the residuals with the difference indicates
+that effect long before the residuals' size does: noise is like no signature. Source: G. L. Turin,
+IRE Transactions on Information Theory 6 (1960), on matched filters.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from trueup.model.predictor import Physical, Predictor
 from trueup.model.series import DECLARED, Scheme, roll, whole
 from trueup.model.sizes import sizes_of
 from trueup.model.state import past_states
-from trueup.monitor.residuals import Healthy, Missed, Residuals
+from trueup.monitor.residuals import Healthy, Residuals, UnscaledResiduals
 
 Array = NDArray[np.float64]
 SHAPES = 4  # of each effect's starts: thresholds at several places have different signatures
@@ -36,8 +36,8 @@ STEP = 0.1  # of a parameter
 
 @dataclass(frozen=True, slots=True)
 class Sign:
-    """One signature: a term begun at a start in units of its scales, or without a start a parameter
-    of that name."""
+    """One signature: of a term with a start in units of its scales, or, without a start, of the
+    parameter of that name."""
 
     of: str
     start: tuple[float, ...] = ()
@@ -70,11 +70,11 @@ class Signatures:
         self,
         predictor: Predictor,
         episode: Episode,
-        of: Missed,
+        of: UnscaledResiduals,
         healthy: Healthy,
         residuals: Residuals,
     ) -> Residuals:
-        """The residuals with what they have in common with each signature."""
+        """The residuals with their correlation to each signature."""
         plant = predictor.plant
         base, hypothesis, scheme = _base(predictor)
         lanes = [base, *(self._lane(plant, base, hypothesis, i) for i in range(len(self.signs)))]
@@ -122,7 +122,7 @@ class Signatures:
         return values
 
     def names(self, plant: Plant) -> list[str]:
-        """What each signature is of, for people: an effect, with its joint where there are several,
+        """What each signature is of, in words: an effect, with its joint where there are several,
         or a parameter."""
         several = len(plant.joints) > 1
         return [
@@ -133,7 +133,7 @@ class Signatures:
         ]
 
     def document(self) -> dict[str, Json]:
-        """The same as JSON; a number that begins at its null is null."""
+        """The signatures as JSON; a start at an effect's null value is null."""
         return {
             "signs": [
                 {"of": s.of, "start": [None if np.isnan(x) else x for x in s.start]}
@@ -146,7 +146,7 @@ class Signatures:
 
     @staticmethod
     def from_document(document: Any) -> Signatures:
-        """Read them back. Raises KeyError, TypeError, ValueError."""
+        """Read what `document` returned. Raises KeyError, TypeError, ValueError."""
         signs = tuple(
             Sign(s["of"], tuple(NULL if x is None else float(x) for x in s["start"]))
             for s in document["signs"]
@@ -170,12 +170,15 @@ def _base(predictor: Predictor) -> tuple[Array, Hypothesis, Scheme]:
 def _shapes(starts: Sequence[tuple[float, ...]], most: int) -> list[tuple[float, ...]]:
     """Some of the starts, from the first to the last; of two that differ in the sign alone the
     first."""
-    kept: list[tuple[float, ...]] = []
+    distinct: list[tuple[float, ...]] = []
     for start in starts:
-        if tuple(-x for x in start) not in kept:
-            kept.append(start)
+        if tuple(-x for x in start) not in distinct:
+            distinct.append(start)
     return (
-        [kept[i] for i in np.unique(np.linspace(0, len(kept) - 1, most).round().astype(int))]
+        [
+            distinct[i]
+            for i in np.unique(np.linspace(0, len(distinct) - 1, most).round().astype(int))
+        ]
         if most > 1
-        else [kept[len(kept) // 3]]
+        else [distinct[len(distinct) // 3]]
     )

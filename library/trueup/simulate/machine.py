@@ -1,10 +1,10 @@
 """Machine: one joint with known imperfections, integrated on a step far finer than its log.
 
-Written apart from the models that are fitted to what it produces, and on purpose in other laws:
+It is written apart from the models that are fitted to its logs, and on purpose with other laws:
 velocity-verlet steps, friction after Karnopp with an exponential Stribeck curve, Bouc-Wen
-hysteresis of exponent 2, a one-way damped stop. What resists a motion is taken at the middle of a
-fine step, as the last step foretells it. Sources: D. Karnopp, ASME Journal of Dynamic Systems 107
-(1985); R. Bouc (1967), Y.-K. Wen (1976).
+hysteresis of exponent 2, a one-way damped stop. Resistance to motion is evaluated at the middle of
+a fine step, extrapolated from the last one. Sources: D. Karnopp, ASME Journal of Dynamic Systems
+107 (1985); R. Bouc (1967), Y.-K. Wen (1976).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from trueup.simulate.noise import WHITE, Noise
+from trueup.simulate.noise import WHITE, NoiseModel
 
 Array = NDArray[np.float64]
 
@@ -77,11 +77,8 @@ SIZE = sum(len(v) for v in SLOTS.values())
 
 @dataclass(frozen=True)
 class Machine:
-    """A joint: its kind, its true k, c, b (per unit mass), its command limit, and what else is
-    wrong with it.
-
-    `bounds` are the command's limits where they are not +-limit.
-    """
+    """A joint: its kind, its true k, c, b (per unit mass), its command limit, and its
+    imperfections. `bounds` are the command's limits where they are not +-limit."""
 
     kind: str
     k: float
@@ -92,11 +89,19 @@ class Machine:
     bounds: tuple[float, float] | None = None
 
     def having(self, name: str, values: Mapping[str, float], _joint: int = 0) -> Machine:
-        """The same with one imperfection more."""
+        """The machine with one more imperfection."""
         return replace(self, imperfections={**self.imperfections, name: values})
 
+    def by_joint(self) -> dict[tuple[str, int], Mapping[str, float]]:
+        """The imperfections' numbers, by effect and joint."""
+        return {(name, 0): values for name, values in self.imperfections.items()}
+
+    def parameters(self) -> dict[str, float]:
+        """The true numbers of the family by name."""
+        return {"k": self.k, "c": self.c, "b": self.b}
+
     def vector(self) -> tuple[Array, NDArray[np.bool_]]:
-        """The imperfections' numbers, and which there are."""
+        """The imperfections' numbers, and which of them are present, `(SIZE,)` each."""
         numbers, present = np.zeros(SIZE), np.zeros(SIZE, np.bool_)
         for name, values in self.imperfections.items():
             for offset, key in enumerate(SLOTS[name]):
@@ -128,9 +133,9 @@ def run(
     machine: Machine, planned: Array, timestep_s: float, parts: int, sigma: tuple[float, float],
     rng: np.random.Generator,
     start: tuple[float, float] = (0.0, 0.0), warm_up: int = 0, feedback: Feedback | None = None,
-    law: Noise = WHITE,
+    law: NoiseModel = WHITE,
 ) -> Run:  # fmt: skip
-    """Run a machine on planned commands, or references with feedback, `(warm_up + n,)`; the log
+    """Run a machine on planned commands, or on references with feedback, `(warm_up + n,)`. The log
     begins after the warm-up.
 
     `parts` fine steps make a sample; with one, the step is the plain semi-implicit one of a
@@ -175,7 +180,7 @@ MEMORY = 11
 
 @njit(cache=True)
 def sensed(n, fine_q, fine_v, j, h, now):  # type: ignore[no-untyped-def]
-    """What a joint's sensors say at fine step `j`, before noise."""
+    """Position and velocity as a joint's sensors show them at fine step `j`, before noise."""
     wait = int(n[S_SDELAY] / h)
     rest, past = n[S_SDELAY] / h - wait, max(0, j - wait)
     before = max(0, past - 1)
@@ -186,7 +191,8 @@ def sensed(n, fine_q, fine_v, j, h, now):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def stored(n, has, q, v, luck, last_q, last_v, first):  # type: ignore[no-untyped-def]
-    """What the log keeps of what was sensed."""
+    """Position and velocity as the log stores them: quantized, or the last ones where a frame is
+    dropped."""
     if has[S_SQUANT]:
         q = n[S_SQUANT] * np.floor(q / n[S_SQUANT] + 0.5)
         if n[S_SQUANT + 1] > 0.0:
@@ -206,7 +212,8 @@ def arriving(n, fine_u, j, h):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def driven(n, has, m, u, h, fine, limit):  # type: ignore[no-untyped-def]
-    """What the drive makes of a command; `fine` where a step is a part of a sample."""
+    """The command after the drive's imperfections. `fine` says that a step is a part of a
+    sample."""
     if has[S_CQUANT]:
         u = n[S_CQUANT] * np.floor(u / n[S_CQUANT] + 0.5)
     if has[S_SAT]:
@@ -242,8 +249,8 @@ def driven(n, has, m, u, h, fine, limit):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def pulling(n, has, m, force, x, w, h):  # type: ignore[no-untyped-def]
-    """A force with those added that act on a joint at position `x` and velocity `w`, dry friction
-    apart."""
+    """A force, with those added that act on a joint at position `x` and velocity `w`, without dry
+    friction."""
     force += n[S_FORCE] - n[S_DRAG] * w * abs(w) - n[S_CUBIC] * x**3
     if has[S_COG]:
         force += n[S_COG] * np.sin(2.0 * np.pi * x / n[S_COG + 1] + n[S_COG + 2])
@@ -278,8 +285,8 @@ def pulling(n, has, m, force, x, w, h):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def sticking(n, has, w, load, now):  # type: ignore[no-untyped-def]
-    """The force up to which dry friction holds a joint that moves at `w`; `load` is what its
-    transmission carries."""
+    """The force up to which dry friction holds a joint that moves at `w`; `load` is the force in
+    its transmission."""
     stick = n[S_COULOMB] + n[S_LOAD] * abs(load) / 2.0 + n[S_GROW] * max(now, 0.0)
     if has[S_STRIBECK]:
         stick += n[S_STRIBECK] + n[S_STRIBECK + 1] * np.exp(-((w / n[S_STRIBECK + 2]) ** 2))
@@ -288,7 +295,7 @@ def sticking(n, has, w, load, now):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def observed_velocity(n, has, m, v, gained, h):  # type: ignore[no-untyped-def]
-    """The velocity that is observed: a slow estimate lags behind."""
+    """The observed velocity: a slow estimate lags behind the true one."""
     m[M_SLOW] = (
         m[M_SLOW] + (v - 0.5 * gained - m[M_SLOW]) * (1.0 - np.exp(-h / n[S_VLAG]))
         if has[S_VLAG]

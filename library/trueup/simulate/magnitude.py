@@ -1,7 +1,7 @@
-"""Magnitude: how large an imperfection is, by the gap that it makes.
+"""Magnitude of an imperfection, by the gap that it makes.
 
-Its numbers grow from nothing with one magnitude, in proportion to a joint's own motion and forces,
-and the magnitude is bisected.
+The imperfection's numbers grow from nothing with one magnitude, in proportion to a joint's own
+motion and forces, and the magnitude is bisected.
 """
 
 from __future__ import annotations
@@ -30,12 +30,9 @@ SHAKEN = 1.5
 def shape_of(
     name: str, s: Mapping[str, float], rng: np.random.Generator, *, hardens: bool
 ) -> dict[str, tuple[float, float, bool]]:
-    """Of each number: its value at magnitude 0 and its growth with magnitude, or (value, 0) where
-    it does not grow.
-
-    `s` are the sizes of the joint's motion and forces; a cubic spring `hardens` where nothing else
-    holds the joint.
-    """
+    """For each number of an imperfection: its value at magnitude 0, its growth with magnitude, and
+    whether it falls with magnitude instead. `s` are the sizes of the joint's motion and forces; a
+    cubic spring `hardens` where nothing else holds the joint."""
     a, q, v, u, t = s["acceleration"], s["position"], s["velocity"], s["command"], s["time"]
     sign = float(rng.choice([-1.0, 1.0]))
     odd = float(name == "quadratic_gain" and rng.random() < 0.5)  # noqa: PLR2004
@@ -123,9 +120,10 @@ def as_large_as(
     column: int,
     joint: int = 0,
 ) -> tuple[AnyMachine, float]:
-    """The machine with one imperfection more, its magnitude bisected until it moves an observed
-    column by `wanted` of its motion, and what it moves it by: 0 where it only makes the machine
-    shake.
+    """The machine with one more imperfection, and the gap that it makes.
+
+    The magnitude is bisected until the imperfection moves an observed column by `wanted`, relative
+    to the column's motion. The gap is 0 where the imperfection only makes the machine shake.
     """
     without = observe(machine)
     low, high, best, reached = 0.0, 1.0, machine, 0.0  # the largest that is not too large

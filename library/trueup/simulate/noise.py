@@ -1,7 +1,7 @@
-"""Noise: what a sensor adds to what it senses.
+"""Noise: what a sensor adds to the quantity that it measures.
 
-Encoders, filters and differentiated velocities make noise that remembers itself from sample to
-sample, and some of it has outliers.
+Encoders, filters and differentiated velocities make noise that is correlated from sample to sample,
+and some of it has outliers.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ FORGOTTEN = 200  # samples before the first that counts
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
-    """A law of noise, of standard deviation 1.
+class NoiseModel:
+    """A model of noise with standard deviation 1.
 
     Equation: n(k) = correlation * n(k - 1) + sqrt(1 - correlation^2) * w(k), w independent, normal
     or Student's t with `tails` degrees of freedom, more than 2; 0 stands for normal. Source: G. E.
@@ -28,7 +28,7 @@ class Noise:
     tails: float = 0.0
 
     def drawn(self, rng: np.random.Generator, samples: int, channels: int) -> Array:
-        """Noise of independent channels, `(samples, channels)`; white and normal noise takes one
+        """Noise of independent channels, `(samples, channels)`. White normal noise takes one random
         draw for each number."""
         before = FORGOTTEN if self.correlation else 0
         size = (samples + before, channels)
@@ -45,4 +45,4 @@ class Noise:
         return noise[before:]
 
 
-WHITE = Noise()
+WHITE = NoiseModel()

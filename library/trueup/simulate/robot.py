@@ -1,11 +1,11 @@
 """Robot: a tree of joints with known imperfections, its rigid bodies simulated by MuJoCo on a step
 far finer than its log.
 
-The laws at a joint are those of a machine of one; forces are generalised ones. Positions drift by
-half a fine step, MuJoCo says how the velocities change there, at those of the middle as the last
-step foretells them, and positions drift by another half. Dry friction is MuJoCo's friction loss,
-made as hard as it can be. What acts on a whole log, a skewed clock or lost frames, acts at every
-joint alike.
+The laws at a joint are those of `machine`, for generalised forces. In a fine step, positions drift
+by half the step. MuJoCo says how the velocities change there, from the velocities in the middle of
+the step, which are extrapolated from the last one. Then positions drift by another half. Dry
+friction is MuJoCo's friction loss, made as hard as it can be. A skewed clock and lost frames act on
+the whole log, so at every joint alike.
 """
 
 from __future__ import annotations
@@ -19,24 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from trueup.model.mjcf import mujoco
-from trueup.model.tree import (
-    ARMATURE,
-    DAMPING,
-    FRAME,
-    FRICTION,
-    GAIN,
-    GRAVITY,
-    LIMIT,
-    NO_LIMIT,
-    OFFSET,
-    PARENT,
-    REST,
-    SERVO,
-    SLIDE,
-    STIFFNESS,
-    ZERO,
-    Tree,
-)
+from trueup.model.tree import ARMATURE, FRICTION, GAIN, LIMIT, OFFSET, SERVO, Tree
 from trueup.simulate.machine import (
     FIRST,
     M_LAG,
@@ -61,23 +44,15 @@ from trueup.simulate.machine import (
     sticking,
     stored,
 )
+from trueup.simulate.robot_mjcf import mjcf
 
 Array = NDArray[np.float64]
-OF_DRIVE = (
-    "saturation",
-    "deadband",
-    "gain_asymmetry",
-    "thermal_derating",
-    "quadratic_gain",
-)  # at a servo they act on its error
+# At a servo these act on its error.
+OF_DRIVE = ("saturation", "deadband", "gain_asymmetry", "thermal_derating", "quadratic_gain")
 OF_LOG = ("clock_skew", "dropped_frames")
-OF_A_SPRING = (
-    "k_modulated",
-    "asymmetric_stiffness",
-)  # of a family's own: a tree's joints have none to speak of
+# These change a family's own spring, and a robot's joints have none to speak of.
+OF_A_SPRING = ("k_modulated", "asymmetric_stiffness")
 ROTOR = 0.8  # of a joint's armature, at most, is a rotor behind a spring
-LEAST_MASS, LEAST_INERTIA = 1e-9, 1e-12  # [kg, kg m^2] MuJoCo wants some of every body that moves
-HARD, STIFF = "0.9999 0.9999", 2.0  # of friction: impedance, and a time constant in fine steps
 
 
 @dataclass(frozen=True)
@@ -92,8 +67,16 @@ class RobotMachine:
     imperfections: Mapping[tuple[str, int], Mapping[str, float]] = field(default_factory=dict)
 
     def having(self, name: str, values: Mapping[str, float], joint: int = 0) -> RobotMachine:
-        """The same with one imperfection more."""
+        """The robot with one more imperfection."""
         return replace(self, imperfections={**self.imperfections, (name, joint): values})
+
+    def by_joint(self) -> Mapping[tuple[str, int], Mapping[str, float]]:
+        """The imperfections' numbers, by effect and joint."""
+        return self.imperfections
+
+    def parameters(self) -> dict[str, float]:
+        """None: a log shows sums of a robot's masses."""
+        return {}
 
     def vectors(self) -> tuple[Array, NDArray[np.bool_]]:
         """The imperfections' numbers by joint, and which there are, `(joints, SIZE)`."""
@@ -126,13 +109,14 @@ class RobotPlan:
     reached: Array
 
     def backwards(self, role: str) -> RobotPlan:
-        """The way back."""
+        """The plan in reverse, with reversed velocities."""
         reached = self.reached[::-1].copy()
         reached[:, reached.shape[1] // 2 :] *= -1.0
         return RobotPlan(role, np.ascontiguousarray(self.commands[::-1]), reached)
 
     def led_in(self, samples: int) -> RobotPlan:
-        """With a beginning before it: its own, backwards, so that the robot is under way."""
+        """The plan with a lead-in of `samples`, so that the robot is under way when the log begins:
+        its own beginning, backwards."""
         way = RobotPlan(
             self.role, self.commands[1 : samples + 1], self.reached[1 : samples + 1]
         ).backwards(self.role)
@@ -148,8 +132,8 @@ def run(
     rng: np.random.Generator,
     warm_up: int = 0, follow: Follow | None = None,
 ) -> Run:  # fmt: skip
-    """Run a robot on a plan; the log begins after so many samples of warm-up, `parts` fine steps
-    make a sample."""
+    """Run a robot on a plan. The log begins after `warm_up` samples; a sample is `parts` fine
+    steps."""
     engine = mujoco()
     plan = plan.led_in(warm_up)
     numbers, present = machine.vectors()
@@ -195,16 +179,16 @@ def run(
             data.qvel[:] = before + gained
             data.qpos += 0.5 * h * data.qvel
             drive.moved(i * parts + part, gained, data)
-    kept = slice(warm_up, total)
+    logged = slice(warm_up, total)
     return Run(
         np.asarray(np.arange(total - warm_up) * timestep_s, np.float64),
-        issued[kept].copy(),
-        observed[kept].copy(),
+        issued[logged].copy(),
+        observed[logged].copy(),
     )
 
 
 class _Drive:
-    """What happens at the joints of a robot, between the commands and MuJoCo."""
+    """The imperfections at the joints of a robot, between the commands and MuJoCo."""
 
     def __init__(
         self,
@@ -240,7 +224,7 @@ class _Drive:
         self.friction = np.zeros(joints)
 
     def begin(self, state: Array, issued: Array) -> None:
-        """From a state `(2 x joints,)`, with drives that have followed their commands."""
+        """Start from a state `(2 x joints,)`, with drives that have settled at their commands."""
         joints = len(self.friction)
         self.memory[:, [M_PLAY, M_LAG, M_RATE]] = issued[:, None]
         self.q[:, 0], self.v[:, 0], self.memory[:, M_SLOW] = (
@@ -252,7 +236,7 @@ class _Drive:
     def see(
         self, k: int, now: float, noise: Array, luck: float, last: Array, first: bool, out: Array
     ) -> None:
-        """Write what the log keeps."""
+        """Write what the log records at fine step `k` to `out`, `(2 x joints,)`."""
         _see(
             self.of_joints[0],
             self.of_joints[1],
@@ -278,7 +262,7 @@ class _Drive:
         )  # fmt: skip
 
     def moved(self, k: int, gained: Array, data: Any) -> None:
-        """Remember where a fine step led."""
+        """Take in the state after fine step `k`."""
         _moved(
             self.of_joints[0],
             self.of_joints[1],
@@ -364,61 +348,3 @@ def _make_room_for_rotors(model: Any, numbers: Array, present: NDArray[np.bool_]
 def rotor(tree: Tree, joint: int) -> float:
     """The largest rotor that a joint's armature has room for [kg m^2, kg]."""
     return ROTOR * float(tree.at_joint[joint, ARMATURE])
-
-
-def mjcf(tree: Tree, timestep_s: float) -> str:
-    """A tree as MJCF, with an actuator at each joint, for some with a gain of 0."""
-    links, at_joint = tree.links, tree.at_joint
-    children: dict[int, list[int]] = {}
-    for j, parent in enumerate(tree.constants[:, PARENT]):
-        children.setdefault(int(parent), []).append(j)
-
-    def body(j: int) -> str:
-        c, own = tree.constants[j], at_joint[j]
-        inside = "".join(body(k) for k in children.get(j, []))
-        return (
-            f'<body pos="{_text(c[FRAME + 9 : FRAME + 12])}" '
-            f'xyaxes="{_text(c[FRAME : FRAME + 6])}">'
-            f'<joint name="j{j}" type="{"slide" if c[SLIDE] else "hinge"}" axis="0 0 1" '
-            f'ref="{_text(c[ZERO])}" '
-            f'springref="{_text(c[REST])}" '
-            f'stiffness="{_text(own[STIFFNESS])}" damping="{_text(own[DAMPING])}" '
-            f'armature="{_text(own[ARMATURE])}" '
-            f'frictionloss="{_text(own[FRICTION])}" solimpfriction="{HARD}" '
-            f'solreffriction="{_text(STIFF * timestep_s)} 1"/>'
-            f"{_inertial(links[j])}{inside}</body>"
-        )
-
-    motors = "".join(
-        (
-            f'<general joint="j{j}" gainprm="{_text(own[GAIN])}" biastype="affine" '
-            f'biasprm="{_text(c[OFFSET], -own[SERVO])} 0"'
-        )
-        + (f' forcerange="{_text(-c[LIMIT], c[LIMIT])}"' if c[LIMIT] < NO_LIMIT else "")
-        + "/>"
-        for j, (own, c) in enumerate(zip(at_joint, tree.constants, strict=True))
-    )
-    return (
-        '<mujoco><compiler angle="radian" autolimits="true"/>'
-        f'<option timestep="{_text(timestep_s)}" integrator="implicitfast" '
-        f'gravity="{_text(tree.constants[0, GRAVITY : GRAVITY + 3])}"/>'
-        f"<worldbody>{''.join(body(j) for j in children[-1])}</worldbody>"
-        f"<actuator>{motors}</actuator></mujoco>"
-    )
-
-
-def _inertial(link: Array) -> str:
-    """A link's ten numbers about its own centre of mass; one without mass, where two joints move
-    one body, has next to none."""
-    mass = max(float(link[0]), LEAST_MASS)
-    at, (xx, yy, zz, xy, xz, yz) = link[1:4] / mass, link[4:]
-    about = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - mass * (
-        at @ at * np.eye(3) - np.outer(at, at)
-    )
-    about += np.eye(3) * LEAST_INERTIA * (link[0] <= LEAST_MASS)
-    inertia = [*np.diag(about), about[0, 1], about[0, 2], about[1, 2]]
-    return f'<inertial mass="{_text(mass)}" pos="{_text(at)}" fullinertia="{_text(inertia)}"/>'
-
-
-def _text(*numbers: object) -> str:
-    return " ".join(repr(float(x)) for x in np.hstack(numbers))  # type: ignore[arg-type]

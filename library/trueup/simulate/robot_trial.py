@@ -1,10 +1,11 @@
-"""Trials of robots: a robot drawn by lot, effects at joints, and its recordings."""
+"""Simulated trials of robots: a randomly drawn robot, its imperfections and its recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +14,22 @@ from trueup.model.tree import DAMPING, FRICTION, Tree
 from trueup.simulate.machine import Run
 from trueup.simulate.magnitude import as_large_as, shape_of
 from trueup.simulate.robot import OF_DRIVE, Follow, RobotMachine, RobotPlan, rotor, run
-from trueup.simulate.trial import Trial
+from trueup.simulate.trial import SimulatedTrial
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class RobotBench:
-    """How trials of one robot are made: its numbers, rates and noise, and what was recorded. A
-    second before each log is not logged.
+    """A `Bench` of one robot: its numbers, rates and noise, and what was recorded. A second before
+    each log is not logged.
 
-    `drive` `(joints,)` is the largest declared command, `asked` what each joint's drive was asked
-    for at most: a command, or a servo's error; `force` that of its motion; `sigma` `(2 x joints,)`
-    the noise.
+    `drive` `(joints,)` is the largest declared command, `asked` the largest command, or error of a
+    servo, that each joint's drive was given; `force` the force of its motion; `sigma`
+    `(2 x joints,)` the noise.
     """
+
+    robot: ClassVar[bool] = True
 
     tree: Tree
     low: Array
@@ -58,61 +61,64 @@ class RobotBench:
             machine, plan, self.timestep_s, self.parts, sigma, rng, self.warm_up, self.feedback
         )
 
+    def relative_noise(self) -> float:
+        motion = np.concatenate([p.reached for p in self.recorded]).std(axis=0)
+        return float(np.max(self.sigma / motion))
 
-def draw_robot(
-    bench: RobotBench,
-    terms: Sequence[tuple[str, int]],
-    shifted: bool,
-    rng: np.random.Generator,
-    gaps: tuple[float, float],
-    spread: tuple[float, float],
-) -> Trial:
-    """A robot of a bench with imperfections, each an effect at a joint and as large as a gap drawn
-    within `gaps`, recorded by the bench's plans, and by those of validation backwards.
+    def draw(
+        self,
+        imperfections: Sequence[tuple[str, int]],
+        shifted: bool,
+        rng: np.random.Generator,
+        gaps: tuple[float, float],
+        spread: tuple[float, float],
+    ) -> SimulatedTrial:
+        """A robot recorded by the bench's plans, and by those of validation backwards.
 
-    The gap is the change of the joint's position, or velocity where it changes that alone, on the
-    plan in which the joint moves most. Masses with their moments, dampings and friction losses that
-    are shifted move by factors within `spread`, each link's and joint's its own.
-    """
-    machine, joints = bench.machine, len(bench.tree.joints)
-    if shifted:
-        machine = replace(machine, tree=_moved(bench.tree, rng, spread))
-    sigma, gaps_made = bench.sigma, []
+        The gap that sizes an imperfection is the change of the joint's position, or velocity where
+        it changes that alone, on the plan in which the joint moves most. If `shifted`, masses with
+        their moments, dampings and friction losses move by factors within `spread`, each link's
+        and joint's its own.
+        """
+        machine, joints = self.machine, len(self.tree.joints)
+        if shifted:
+            machine = replace(machine, tree=_moved(self.tree, rng, spread))
+        sigma, gaps_made = self.sigma, []
 
-    def observe(tried: RobotMachine, joint: int) -> Array:
-        most = max(bench.recorded, key=lambda p: float(p.reached[:, joint].std()))
-        return bench.record(tried, most, np.zeros(2 * joints), np.random.default_rng(0)).observed
+        def observe(tried: RobotMachine, joint: int) -> Array:
+            most = max(self.recorded, key=lambda p: float(p.reached[:, joint].std()))
+            return self.record(tried, most, np.zeros(2 * joints), np.random.default_rng(0)).observed
 
-    for name, joint in terms:
-        wanted = float(np.exp(rng.uniform(*np.log(gaps))))
-        size = _sizes(bench, name, joint)
-        shape = shape_of(name, size, rng, hardens=True)
-        if name == "elastic_transmission":  # the rotor is part of the armature
-            largest = rotor(machine.tree, joint)
-            shape |= {
-                "share": (largest, 0.0, False),
-                "stiffness": (40.0 * largest / size["time"] ** 2, 0.0, True),
-            }
-            shape |= {"damping": (0.15 * largest / size["time"], 0.0, False)}
-        column = joints + joint if name == "velocity_lag" else joint
-        machine, reached = as_large_as(
-            machine, name, shape, wanted, partial(observe, joint=joint), column, joint
+        for name, joint in imperfections:
+            wanted = float(np.exp(rng.uniform(*np.log(gaps))))
+            size = _sizes(self, name, joint)
+            shape = shape_of(name, size, rng, hardens=True)
+            if name == "elastic_transmission":  # the rotor is part of the armature
+                largest = rotor(machine.tree, joint)
+                shape |= {
+                    "share": (largest, 0.0, False),
+                    "stiffness": (40.0 * largest / size["time"] ** 2, 0.0, True),
+                }
+                shape |= {"damping": (0.15 * largest / size["time"], 0.0, False)}
+            column = joints + joint if name == "velocity_lag" else joint
+            machine, reached = as_large_as(
+                machine, name, shape, wanted, partial(observe, joint=joint), column, joint
+            )
+            gaps_made.append(reached)
+            if name == "sensor_quantization":
+                sigma = np.where(np.arange(2 * joints) % joints == joint, 0.3 * sigma, sigma)
+        plans = [
+            *self.recorded,
+            *(p.backwards("test") for p in self.recorded if p.role == "validation"),
+        ]
+        gap = min(gaps_made, default=0.0)
+        return SimulatedTrial(
+            machine,
+            shifted,
+            gap,
+            sigma,
+            [(p.role, self.record(machine, p, sigma, rng)) for p in plans],
         )
-        gaps_made.append(reached)
-        if name == "sensor_quantization":
-            sigma = np.where(np.arange(2 * joints) % joints == joint, 0.3 * sigma, sigma)
-    plans = [
-        *bench.recorded,
-        *(p.backwards("test") for p in bench.recorded if p.role == "validation"),
-    ]
-    gap = min(gaps_made, default=0.0)
-    return Trial(
-        machine,
-        shifted,
-        gap,
-        sigma,
-        [(p.role, bench.record(machine, p, sigma, rng)) for p in plans],
-    )
 
 
 def _moved(tree: Tree, rng: np.random.Generator, spread: tuple[float, float]) -> Tree:

@@ -7,36 +7,36 @@ from trueup.canonical import Json
 from trueup.errors import BadArtifact
 from trueup.ledger.operation import of_artifact
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import ArtifactRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 
 def add_artifact(
-    writer: Writer, plant: str, artifact: Artifact, job: str | None, stamp: Stamp
+    tx: Transaction, plant: str, artifact: Artifact, job: str | None, context: ActorContext
 ) -> tuple[ArtifactRecord, bool]:
-    """The version, and whether it is new. The caller has unpacked the artifact, and its arrays are
-    durable. Raises BadArtifact."""
-    require_plant(artifact, find.plant_digest(writer, plant))
-    writer.lock_plant(plant)
-    known = writer.artifact(plant, artifact.digest)
+    """Add an artifact that was unpacked before, and whose arrays are durable. Returns its version,
+    and whether it is new. Raises BadArtifact."""
+    require_plant(artifact, find.plant_digest(tx, plant))
+    tx.plants.lock(plant)
+    known = tx.artifacts.get(plant, artifact.digest)
     if known is not None:
         return known, False
     document = artifact.document
     arrays = document["arrays"]["sha256"] if isinstance(document["arrays"], dict) else None
-    version = writer.latest_version(plant) + 1
+    version = tx.artifacts.latest_version(plant) + 1
     record = ArtifactRecord(
-        plant,
-        version,
-        artifact.digest,
-        str(document["kind"]),
-        artifact.manifest.decode(),
-        arrays and str(arrays),
-        job,
-        stamp.now,
-        stamp.actor,
+        plant=plant,
+        version=version,
+        digest=artifact.digest,
+        kind=str(document["kind"]),
+        manifest=artifact.manifest.decode(),
+        arrays=arrays and str(arrays),
+        job=job,
+        created_at=context.now,
+        created_by=context.actor,
     )
-    writer.add_artifact(record)
+    tx.artifacts.add(record)
     facts: dict[str, Json] = {
         "version": version,
         "kind": record.kind,
@@ -44,19 +44,12 @@ def add_artifact(
         "arrays": record.arrays,
         "job": job,
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="artifact:added",
-        actor=stamp.actor,
-        plant=plant,
-        subject=artifact.digest,
-        facts=facts,
-    )
+    tx.log.append(context, "artifact:added", plant=plant, subject=artifact.digest, facts=facts)
     return record, True
 
 
 def require_plant(artifact: Artifact, digest: str) -> None:
-    """Raises BadArtifact if the artifact was made for another configuration than this plant's."""
+    """Raises BadArtifact where the artifact was made for another description of the plant."""
     made_for = artifact.document.get("plant")
     if not isinstance(made_for, dict) or made_for.get("sha256") != digest:
         raise BadArtifact(

@@ -8,21 +8,21 @@ from typing import Any
 from trueup.canonical import Json
 from trueup.gate.evidence import BadEvidence, Evidence
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
-from trueup_service.plain_text import obeyed_character
+from trueup_service.actor_context import ActorContext
+from trueup_service.control_characters import control_character
 from trueup_service.registry.records import EvidenceRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
-LONGEST_TEXT = 10_000  # characters; what is read, not what is looked up
+LONGEST_TEXT = 10_000  # characters that a person reads
 
 
 def add_evidence(
-    writer: Writer, plant: str, document: Mapping[str, Any], job: str | None, stamp: Stamp
+    tx: Transaction, plant: str, document: Mapping[str, Any], job: str | None, context: ActorContext
 ) -> tuple[EvidenceRecord, bool]:
-    """The evidence, and whether it is new: the same document is the same evidence. Raises
-    BadEvidence, NotFound."""
-    found = Evidence.from_document(document)
-    for field, text in (("shows", found.shows), ("cannot_show", found.cannot_show)):
+    """Add evidence. Returns it, and whether it is new: the same document is the same evidence.
+    Raises BadEvidence, NotFound."""
+    evidence = Evidence.from_document(document)
+    for field, text in (("shows", evidence.shows), ("cannot_show", evidence.cannot_show)):
         if len(text) > LONGEST_TEXT:
             raise BadEvidence(
                 (
@@ -31,7 +31,7 @@ def add_evidence(
                 ),
                 field=field,
             )
-        if character := obeyed_character(text, allowed="\n\t"):
+        if character := control_character(text, allowed="\n\t"):
             raise BadEvidence(
                 (
                     f"{field} holds the control character {character}: write it as text that can "
@@ -39,35 +39,28 @@ def add_evidence(
                 ),
                 field=field,
             )
-    find.artifact(writer, plant, found.artifact)
-    writer.lock_plant(plant)
-    known = writer.evidence(plant, found.digest)
+    find.artifact(tx, plant, evidence.artifact)
+    tx.plants.lock(plant)
+    known = tx.evidence.get(plant, evidence.digest)
     if known is not None:
         return known, False
     record = EvidenceRecord(
-        plant,
-        found.digest,
-        found.artifact,
-        found.stage,
-        found.passed,
-        found.document(),
-        job,
-        stamp.now,
-        stamp.actor,
+        plant=plant,
+        digest=evidence.digest,
+        artifact=evidence.artifact,
+        stage=evidence.stage,
+        passed=evidence.passed,
+        document=evidence.document(),
+        job=job,
+        created_at=context.now,
+        created_by=context.actor,
     )
-    writer.add_evidence(record)
+    tx.evidence.add(record)
     facts: dict[str, Json] = {
-        "artifact": found.artifact,
-        "stage": found.stage,
-        "passed": found.passed,
+        "artifact": evidence.artifact,
+        "stage": evidence.stage,
+        "passed": evidence.passed,
         "job": job,
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="evidence:added",
-        actor=stamp.actor,
-        plant=plant,
-        subject=found.digest,
-        facts=facts,
-    )
+    tx.log.append(context, "evidence:added", plant=plant, subject=evidence.digest, facts=facts)
     return record, True

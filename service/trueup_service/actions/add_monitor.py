@@ -6,42 +6,49 @@ from typing import Any
 
 from trueup.canonical import Json, digest_of
 from trueup.ledger.operation import Operation
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import MonitorRecord, Watching
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 
 def add_monitor(
-    writer: Writer,
+    tx: Transaction,
     plant: str,
     document: dict[str, Any],
     kept: dict[str, Json],
     job: str | None,
     since: str,
-    stamp: Stamp,
+    context: ActorContext,
 ) -> None:
-    """Keep the monitor under its digest and let it watch what comes in after `since`; `kept` is
-    what it knows at its beginning."""
+    """Add a monitor under its digest, and let it watch the episodes that come in after `since`.
+    `kept` is the initial state of its detectors."""
     digest = digest_of(document)
-    writer.lock_plant(plant)
-    if writer.monitor(plant, digest) is None:
-        writer.add_monitor(
+    tx.plants.lock(plant)
+    if tx.monitors.get(plant, digest) is None:
+        tx.monitors.add(
             MonitorRecord(
-                plant, digest, document["artifact"], document, job, stamp.now, stamp.actor
+                plant=plant,
+                digest=digest,
+                artifact=document["artifact"],
+                document=document,
+                job=job,
+                created_at=context.now,
+                created_by=context.actor,
             )
         )
-    writer.watch_with(Watching(plant, digest, since, writer.last_watch(plant, digest), kept))
+    tx.watches.begin(
+        Watching(
+            plant=plant,
+            monitor=digest,
+            since=since,
+            sequence=tx.watches.last_sequence(plant, digest),
+            kept=kept,
+        )
+    )
     facts: dict[str, Json] = {
         "operation": Operation.MONITORING,
         "artifact": document["artifact"],
         "promise_h": document["promise_h"],
         "job": job,
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="monitor:calibrated",
-        actor=stamp.actor,
-        plant=plant,
-        subject=digest,
-        facts=facts,
-    )
+    tx.log.append(context, "monitor:calibrated", plant=plant, subject=digest, facts=facts)

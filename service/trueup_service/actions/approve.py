@@ -1,4 +1,4 @@
-"""Approve a decision, where a promotion takes more than one person."""
+"""Approve a decision, where a promotion needs more than one person."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from trueup_service.actions import find
 from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.gate_line import rejections, stale
 from trueup_service.actions.people import person_of
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import ApprovalMissing, BadRequest, RejectedBefore
 from trueup_service.registry.records import Approval, DecisionRecord
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import ReadTransaction, Transaction
 
 
 def approve(
-    writer: Writer, plant: str, decision: str, because: str | None, stamp: Stamp
+    tx: Transaction, plant: str, decision: str, because: str | None, context: ActorContext
 ) -> tuple[Approval, bool]:
-    """The approval, and whether it is new: once for each token.
+    """Approve a decision, once for each token. Returns the approval, and whether it is new.
 
-    Raises NotFound, NotAccepted, BadRequest for a reason of which nothing is seen.
+    Raises NotFound, NotAccepted, and BadRequest where the reason has no visible character.
     """
     if because is not None and not seen(because):
         raise BadRequest(
@@ -32,50 +32,56 @@ def approve(
             hint="Say in a sentence why this may go on.",
             field="because",
         )
-    writer.lock_plant(plant)
-    made = find.decision(writer, plant, decision)
+    tx.plants.lock(plant)
+    made = find.decision(tx, plant, decision)
     if not made.accepted:
         raise NotAccepted(decision=decision)
-    known = next((a for a in writer.approvals(plant, decision) if a.token == stamp.token), None)
+    known = next(
+        (a for a in tx.approvals.of_decision(plant, decision) if a.token == context.token), None
+    )
     if known is not None:
         return known, False
-    record = Approval(plant, decision, stamp.token, stamp.now, stamp.actor, because)
-    writer.add_approval(record)
+    record = Approval(
+        plant=plant,
+        decision=decision,
+        token=context.token,
+        at=context.now,
+        actor=context.actor,
+        because=because,
+    )
+    tx.approvals.add(record)
     facts: dict[str, Json] = {
         "operation": Operation.CORRECTION,
-        "token": stamp.token,
+        "token": context.token,
         **({} if because is None else {"because": because}),
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="decision:approved",
-        actor=stamp.actor,
-        plant=plant,
-        subject=decision,
-        facts=facts,
-    )
+    tx.log.append(context, "decision:approved", plant=plant, subject=decision, facts=facts)
     return record, True
 
 
-def approved_by_others(reader: Reader, plant: str, decision: str, stamp: Stamp) -> list[Approval]:
-    """One approval of each person besides whoever promotes it now, the one with a reason before
-    others; of revoked tokens none."""
-    promoting = person_of(reader, stamp.token, stamp.actor)
+def approved_by_others(
+    tx: ReadTransaction, plant: str, decision: str, context: ActorContext
+) -> list[Approval]:
+    """One approval of each person other than the one who promotes, by name. Of several approvals of
+    a person the first with a reason counts, and those of revoked tokens do not."""
+    promoting = person_of(tx, context.token, context.actor)
     people: dict[str, Approval] = {}
     for approval in sorted(
-        reader.approvals(plant, decision), key=lambda a: (a.because is None, a.at, a.token)
+        tx.approvals.of_decision(plant, decision), key=lambda a: (a.because is None, a.at, a.token)
     ):
-        person = person_of(reader, approval.token, approval.actor)
+        person = person_of(tx, approval.token, approval.actor)
         if person is not None and person != promoting:
             people.setdefault(person, approval)
     return [people[person] for person in sorted(people)]
 
 
-def require_approvals(reader: Reader, plant: str, decision: str, stamp: Stamp) -> list[Json]:
-    """Who approved a decision, besides whoever promotes it now. Raises ApprovalMissing where the
-    policy takes more people."""
-    policy = policy_of(reader, plant)
-    others = [a.actor for a in approved_by_others(reader, plant, decision, stamp)]
+def require_approvals(
+    tx: ReadTransaction, plant: str, decision: str, context: ActorContext
+) -> list[Json]:
+    """The actors who approved a decision, other than the one who promotes. Raises ApprovalMissing
+    where the policy needs more people."""
+    policy = policy_of(tx, plant)
+    others = [a.actor for a in approved_by_others(tx, plant, decision, context)]
     needed = 1 if policy is None else policy.approvals
     if 1 + len(others) < needed:
         missing = needed - 1 - len(others)
@@ -87,24 +93,26 @@ def require_approvals(reader: Reader, plant: str, decision: str, stamp: Stamp) -
 
 
 def require_not_rejected(
-    reader: Reader, plant: str, made: DecisionRecord, stamp: Stamp
+    tx: ReadTransaction, plant: str, made: DecisionRecord, context: ActorContext
 ) -> dict[str, Json]:
-    """What a promotion tells of a candidate that was rejected before: nothing, where none was.
+    """The facts that the log tells of a promotion whose candidate was rejected before. They are
+    empty where it was not.
 
-    It takes episodes that came in after the gate and after the rejection, or somebody else's
-    approval with a reason, unless the policy forbids it. Raises RejectedBefore.
+    Such a promotion needs held-out episodes that came in after the gate and after the rejection, or
+    an approval with a reason by another person, unless the policy forbids that. Raises
+    RejectedBefore.
     """
-    rejected = rejections(reader, made)
+    rejected = rejections(tx, made)
     if not rejected:
         return {}
     digests: list[Json] = [other.digest for other in rejected]
-    old = stale(reader, made, rejected)
+    old = stale(tx, made, rejected)
     if not old:
         return {"rejected_before": digests, "fresh_episodes": True}
-    policy = policy_of(reader, plant)
+    policy = policy_of(tx, plant)
     reasons: list[Json] = [
         {"actor": a.actor, "because": a.because}
-        for a in approved_by_others(reader, plant, made.digest, stamp)
+        for a in approved_by_others(tx, plant, made.digest, context)
         if a.because is not None
     ]
     forbidden = policy is not None and policy.on_rejected == FORBID

@@ -1,9 +1,9 @@
-"""Channels of serving: other pointers of a plant, each behind what its own may serve, and only with
-the evidence that it requires.
+"""Channels of serving: further pointers of a plant, which serve what its own pointer has served,
+and only with the evidence that they require.
 
-A plant's own pointer moves by decisions. A channel, such as `staging` or `field`, follows: to an
-artifact that has served there, with evidence that was passed at each stage that the channel
-requires. Going back is a move like any other.
+The pointer of a plant moves by decisions. A channel, such as `staging` or `field`, follows it to an
+artifact that has served there and has passed evidence at each stage that the channel requires.
+Going back is a move like any other.
 """
 
 from __future__ import annotations
@@ -15,50 +15,51 @@ from trueup.episode.role import STAGES
 from trueup.errors import PointerMoved
 from trueup.ledger.operation import Operation
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import BadRequest, Conflict, EvidenceMissing, NeverServed
 from trueup_service.registry.records import ChannelMove, ChannelRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 
 def declare_channel(
-    writer: Writer, plant: str, name: str, requires: Sequence[str], stamp: Stamp
+    tx: Transaction, plant: str, name: str, requires: Sequence[str], context: ActorContext
 ) -> tuple[ChannelRecord, bool]:
-    """The channel, and whether it is new. Raises BadRequest for a stage that there is not, Conflict
-    if it requires something else."""
-    find.plant_digest(writer, plant)
+    """Declare a channel. Returns it, and whether it is new. Raises NotFound, BadRequest for an
+    unknown stage, and Conflict where the channel requires other stages."""
+    find.plant_digest(tx, plant)
     if set(requires) - set(STAGES):
         raise BadRequest(f"a channel requires stages of {', '.join(STAGES)}", field="requires")
     ordered = [s for s in STAGES if s in requires]
-    writer.lock_plant(plant)
-    known = writer.channel(plant, name)
+    tx.plants.lock(plant)
+    known = tx.channels.get(plant, name)
     if known is not None:
         if known.requires != ordered:
             raise Conflict(
                 f"channel {name!r} requires something else already", requires=known.requires
             )
         return known, False
-    record = ChannelRecord(plant, name, ordered, stamp.now, stamp.actor)
-    writer.add_channel(record)
-    facts: dict[str, Json] = {"requires": list(ordered)}
-    writer.append_audit(
-        at=stamp.now,
-        kind="channel:declared",
-        actor=stamp.actor,
-        plant=plant,
-        subject=name,
-        facts=facts,
+    record = ChannelRecord(
+        plant=plant, name=name, requires=ordered, created_at=context.now, created_by=context.actor
     )
+    tx.channels.add(record)
+    facts: dict[str, Json] = {"requires": list(ordered)}
+    tx.log.append(context, "channel:declared", plant=plant, subject=name, facts=facts)
     return record, True
 
 
 def move_channel(
-    writer: Writer, plant: str, name: str, artifact: str, expected_generation: int, stamp: Stamp
+    tx: Transaction,
+    plant: str,
+    name: str,
+    artifact: str,
+    expected_generation: int,
+    context: ActorContext,
 ) -> ChannelMove:
-    """The channel at an artifact. Raises PointerMoved, NeverServed, EvidenceMissing, NotFound."""
-    channel, wanted = find.channel(writer, plant, name), find.artifact(writer, plant, artifact)
-    writer.lock_plant(plant)
-    before = writer.channel_move(plant, name)
+    """Move a channel to an artifact. Raises NotFound, PointerMoved, NeverServed,
+    EvidenceMissing."""
+    channel, wanted = find.channel(tx, plant, name), find.artifact(tx, plant, artifact)
+    tx.plants.lock(plant)
+    before = tx.channel_moves.last(plant, name)
     generation = before.generation if before else 0
     if generation != expected_generation:
         raise PointerMoved(
@@ -66,13 +67,12 @@ def move_channel(
             expected=expected_generation,
             found=generation,
         )
-    if not writer.has_served(plant, artifact):
+    if not tx.serving.has_served(plant, artifact):
         raise NeverServed(
             f"version {wanted.version} has never served the plant itself", artifact=artifact
         )
-    last = writer.last_evidence(
-        plant, artifact
-    )  # a stage that was failed after it was passed is failed
+    # A stage that failed after it had passed counts as failed.
+    last = tx.evidence.last_by_stage(plant, artifact)
     missing = [stage for stage in channel.requires if not last.get(stage, ("", False))[1]]
     if missing:
         raise EvidenceMissing(
@@ -81,23 +81,23 @@ def move_channel(
             artifact=artifact,
         )
     evidence = [last[stage][0] for stage in channel.requires]
-    at = max(before.at, stamp.now) if before else stamp.now
+    at = max(before.at, context.now) if before else context.now
     move = ChannelMove(
-        plant, name, generation + 1, artifact, wanted.version, evidence, at, stamp.actor
+        plant=plant,
+        channel=name,
+        generation=generation + 1,
+        artifact=artifact,
+        version=wanted.version,
+        evidence=evidence,
+        at=at,
+        actor=context.actor,
     )
-    writer.move_channel(move)
+    tx.channel_moves.add(move)
     facts: dict[str, Json] = {
         "operation": Operation.CORRECTION,
         "channel": name,
         "generation": move.generation,
         "evidence": list(evidence),
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="channel:moved",
-        actor=stamp.actor,
-        plant=plant,
-        subject=artifact,
-        facts=facts,
-    )
+    tx.log.append(context, "channel:moved", plant=plant, subject=artifact, facts=facts)
     return move

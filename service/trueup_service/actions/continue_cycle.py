@@ -26,13 +26,13 @@ from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm, follow_alarm
 from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.move_pointer import promote_decision
-from trueup_service.actions.stamp import Stamp
 from trueup_service.actions.submit_job import (
     submit_calibration,
     submit_diagnosis,
     submit_gate,
     submit_watch,
 )
+from trueup_service.actor_context import ActorContext
 from trueup_service.jobs import JobQueue
 from trueup_service.registry.records import (
     FINAL,
@@ -44,37 +44,38 @@ from trueup_service.registry.records import (
     Move,
     MoveKind,
 )
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 DIAGNOSED = {Role.ADAPTATION, Role.VALIDATION}
-AGAIN = 2  # times the episodes of a diagnosis that found nothing, before there is another
+AGAIN = 2  # a diagnosis is repeated with this many times the episodes of one that led nowhere
 NOTHING = "no_gap"
 
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """What a step needs: the transaction, the queue, new ids, and who acts when."""
+    """The steps of the cycle, with what they need: the transaction, the queue, new ids, and who
+    acts when."""
 
-    writer: Writer
+    tx: Transaction
     queue: JobQueue
     new: Callable[[], str]
-    stamp: Stamp
+    context: ActorContext
 
     def go_on(self, plant: str) -> None:
-        """Do what is next after an episode came in, a monitor was calibrated or has looked at
-        some."""
-        self.writer.lock_plant(plant)
+        """Take the next step after an episode came in, or after a monitor was calibrated or has
+        looked at episodes."""
+        self.tx.plants.lock(plant)
         self._watch(plant)
-        alarm = self.writer.open_alarm(plant)
-        policy = policy_of(self.writer, plant)
+        alarm = self.tx.alarms.open(plant)
+        policy = policy_of(self.tx, plant)
         if alarm is not None and (policy is None or policy.on_alarm != ASK):
             self._diagnose(alarm, policy)
 
     def diagnosed(self, job: JobRecord, candidate: str, verdict: str) -> None:
-        """A diagnosis ended: judge its model, if the open alarm asked for it and the policy says
-        so."""
-        self.writer.lock_plant(job.plant)
-        alarm, policy = self.writer.open_alarm(job.plant), policy_of(self.writer, job.plant)
+        """After a diagnosis: judge its model, if the open alarm asked for the diagnosis and the
+        policy allows it."""
+        self.tx.plants.lock(job.plant)
+        alarm, policy = self.tx.alarms.open(job.plant), policy_of(self.tx, job.plant)
         if (
             alarm is None
             or alarm.job != job.id
@@ -92,58 +93,59 @@ class Cycle:
         trial = self.new()
         if self._tried(
             job.plant,
-            lambda: submit_gate(self.writer, self.queue, trial, job.plant, request, self.stamp),
+            lambda: submit_gate(self.tx, self.queue, trial, job.plant, request, self.context),
         ):
-            follow_alarm(self.writer, alarm, self.stamp, trial=trial)
+            follow_alarm(self.tx, alarm, self.context, trial=trial)
 
     def judged(self, job: JobRecord, decision: DecisionRecord, rehearsed: dict[str, Json]) -> None:
-        """A trial ended: promote its candidate, if the cycle asked for this very trial, by the gate
-        of the policy that holds."""
+        """After a trial: promote its candidate, if the cycle asked for this trial and the gate is
+        that of the policy in force."""
         plant = decision.plant
-        self.writer.lock_plant(plant)
-        alarm, policy = self.writer.open_alarm(plant), policy_of(self.writer, plant)
+        self.tx.plants.lock(plant)
+        alarm, policy = self.tx.alarms.open(plant), policy_of(self.tx, plant)
         if alarm is None or alarm.trial != job.id or policy is None or policy.on_acceptance == ASK:
             return
         if (
             not decision.accepted
             or decision.gate != policy.gate
-            or find.serving(self.writer, plant).generation != decision.generation
+            or find.serving(self.tx, plant).generation != decision.generation
         ):
             return
         self._tried(
             plant,
             lambda: self.moved(
                 promote_decision(
-                    self.writer, plant, decision.digest, decision.generation, rehearsed, self.stamp
+                    self.tx, plant, decision.digest, decision.generation, rehearsed, self.context
                 )
             ),
         )
 
     def moved(self, move: Move) -> None:
-        """Another model serves: the alarm was about the one before it."""
-        alarm = self.writer.open_alarm(move.plant)
+        """After a move of the pointer: close the open alarm, which was about the model that served
+        before."""
+        alarm = self.tx.alarms.open(move.plant)
         if alarm is not None:
             because = (
                 f"{move.kind}: version {move.version} serves from generation {move.generation} on"
             )
-            close_alarm(self.writer, move.plant, alarm.id, because, self.stamp)
+            close_alarm(self.tx, move.plant, alarm.id, because, self.context)
 
     def _watch(self, plant: str) -> None:
-        """Let the monitor of what serves look at what is new; make one where the policy wants it
-        and there is what it takes.
+        """Let the monitor of the model that serves look at new episodes. Where there is none,
+        calibrate one if the policy wants it and there are enough healthy episodes.
 
-        What is healthy for a new model is what came in since it serves and that it was neither made
-        nor chosen by. After a rollback a person says what is healthy: the change may still be
-        there.
+        Healthy for a new model are the episodes that came in since it serves and by which it was
+        neither fitted nor judged. After a rollback a person decides what is healthy, since the
+        change may still be there.
         """
-        now, watching = find.serving(self.writer, plant), self.writer.watching(plant)
+        now, watching = find.serving(self.tx, plant), self.tx.watches.current(plant)
         if (
             watching is not None
-            and find.monitor(self.writer, plant, watching.monitor).artifact == now.artifact
+            and find.monitor(self.tx, plant, watching.monitor).artifact == now.artifact
         ):
-            submit_watch(self.writer, self.queue, self.new(), plant, self.stamp)
+            submit_watch(self.tx, self.queue, self.new(), plant, self.context)
             return
-        policy, last = policy_of(self.writer, plant), self.writer.last_job(plant, "calibrate")
+        policy, last = policy_of(self.tx, plant), self.tx.jobs.last(plant, "calibrate")
         if (
             policy is None
             or now.kind != MoveKind.PROMOTED
@@ -153,11 +155,11 @@ class Cycle:
         judged: Any = (
             []
             if now.decision is None
-            else find.decision(self.writer, plant, now.decision).document["episodes"]
+            else find.decision(self.tx, plant, now.decision).document["episodes"]
         )
         healthy = [
             e.digest
-            for e in self.writer.episodes_of_role(plant, HEALTHY, came_in=now.at)
+            for e in self.tx.episodes.of_roles(plant, HEALTHY, ingested_after=now.at)
             if e.digest not in judged
         ]
         tried: Any = (
@@ -174,29 +176,29 @@ class Cycle:
             self._tried(
                 plant,
                 lambda: submit_calibration(
-                    self.writer, self.queue, self.new(), plant, request, self.stamp
+                    self.tx, self.queue, self.new(), plant, request, self.context
                 ),
             )
 
     def _diagnose(self, alarm: AlarmRecord, policy: UpdatePolicy | None) -> None:
-        """Diagnose what was recorded since the change began: at once, or again when there is twice
-        as much."""
-        found = self.writer.episodes_of_role(alarm.plant, DIAGNOSED, _since_ns(alarm))
-        if {e.role for e in found} != DIAGNOSED or not self._is_due(alarm, policy, len(found)):
+        """Diagnose the episodes recorded since the change began: at once, and again when there are
+        AGAIN times as many."""
+        episodes = self.tx.episodes.of_roles(alarm.plant, DIAGNOSED, _since_ns(alarm))
+        if {e.role for e in episodes} != DIAGNOSED or not self._is_due(
+            alarm, policy, len(episodes)
+        ):
             return
-        request: dict[str, Json] = {"episodes": [e.digest for e in found], "seed": 0}
-        job = submit_diagnosis(
-            self.writer, self.queue, self.new(), alarm.plant, request, self.stamp
-        )
-        follow_alarm(self.writer, alarm, self.stamp, job=job.id, trial=None)
+        request: dict[str, Json] = {"episodes": [e.digest for e in episodes], "seed": 0}
+        job = submit_diagnosis(self.tx, self.queue, self.new(), alarm.plant, request, self.context)
+        follow_alarm(self.tx, alarm, self.context, job=job.id, trial=None)
 
     def _is_due(self, alarm: AlarmRecord, policy: UpdatePolicy | None, episodes: int) -> bool:
-        """Whether there was no diagnosis yet, or one that led nowhere and there is twice as much
-        now."""
+        """Whether there was no diagnosis yet, or one that led nowhere and there are AGAIN times as
+        many episodes now."""
         if alarm.job is None:
             return True
-        job = find.job(self.writer, alarm.job)
-        trial = None if alarm.trial is None else find.job(self.writer, alarm.trial)
+        job = find.job(self.tx, alarm.job)
+        trial = None if alarm.trial is None else find.job(self.tx, alarm.trial)
         if job.state not in FINAL or (trial is not None and trial.state not in FINAL):
             return False
         result: Any = job.result or {}
@@ -210,16 +212,15 @@ class Cycle:
     def _held_out(
         self, diagnosis: JobRecord, alarm: AlarmRecord, policy: UpdatePolicy
     ) -> list[str]:
-        """What to judge on, of each cell of the gate's conditions: what was recorded since the
-        change, or where nothing was, what there is.
+        """The held-out episodes to judge on: in each cell of the gate's conditions those recorded
+        since the change, or all of the cell where there are none.
 
-        What the diagnosis has not compared on is taken before what it has; what is spent is left
-        out.
+        Episodes on which the diagnosis has not compared are preferred, and spent ones are left out.
         """
-        gate: Any = find.gate(self.writer, alarm.plant, policy.gate).document
+        gate: Any = find.gate(self.tx, alarm.plant, policy.gate).document
         cells: dict[tuple[str, ...], list[EpisodeRecord]] = {}
-        for episode in self.writer.episodes_of_role(alarm.plant, HELD_OUT):
-            if self.writer.uses(episode.digest, "gate") >= budget_of(gate):
+        for episode in self.tx.episodes.of_roles(alarm.plant, HELD_OUT):
+            if self.tx.jobs.count_uses(episode.digest, "gate") >= budget_of(gate):
                 continue
             declared: Any = episode.summary["conditions"]
             cells.setdefault(
@@ -233,15 +234,14 @@ class Cycle:
         return chosen
 
     def _tried(self, plant: str, act: Callable[[], object]) -> bool:
-        """Take a step; where it cannot be, the log says why, and the cycle waits for a person or
-        for more data."""
+        """Take a step, and say whether it succeeded. Where it fails the log says why, and the cycle
+        waits for a person or for more data."""
         try:
             act()
         except TrueupError as error:
-            self.writer.append_audit(
-                at=self.stamp.now,
-                kind="cycle:halted",
-                actor=self.stamp.actor,
+            self.tx.log.append(
+                self.context,
+                "cycle:halted",
                 plant=plant,
                 subject=error.code,
                 facts={"because": error.message},
@@ -251,6 +251,6 @@ class Cycle:
 
 
 def _since_ns(alarm: AlarmRecord) -> int:
-    """When the change began."""
+    """The time at which the change began [ns]."""
     document: Any = alarm.document
     return int(document["since_ns"])

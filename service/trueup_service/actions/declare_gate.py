@@ -13,37 +13,39 @@ from trueup.gate.decision import Gate, default_gate
 from trueup.gate.line import looser
 from trueup.model.plant import Plant
 from trueup_service.actions import find
-from trueup_service.actions.stamp import END_OF_TIME, Stamp
+from trueup_service.actor_context import END_OF_TIME, ActorContext
+from trueup_service.control_characters import control_character
 from trueup_service.errors import GateFollows
-from trueup_service.plain_text import obeyed_character
 from trueup_service.registry.records import GateRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
-TOLD = 10  # decisions that a refusal names
+NAMED_DECISIONS = 10  # decisions that a refusal names
 
 
 def declare_gate(
-    writer: Writer, plant: str, document: Mapping[str, Json] | None, stamp: Stamp
+    tx: Transaction, plant: str, document: Mapping[str, Json] | None, context: ActorContext
 ) -> tuple[GateRecord, bool]:
-    """The gate, and whether it is new. Without a document the one in force, or where there is none
-    the default.
+    """Declare a gate. Returns it, and whether it is new. Without a document it is the gate in
+    force, or the default gate where there is none.
 
-    Once a candidate of the plant has been judged, another gate names the one in force and says why.
-    Raises BadGate, VacuousGate, GateFollows, NotFound.
+    Once a candidate of the plant has been judged, a new gate must name the gate in force and give a
+    reason. Raises BadGate, VacuousGate, GateFollows, NotFound.
     """
-    registered = find.plant(writer, plant)
-    given = None if document is None else Gate.from_document(document)
-    writer.lock_plant(plant)
-    line = writer.gate_line(plant)
-    if given is None and line:
+    registered = find.plant(tx, plant)
+    declared = None if document is None else Gate.from_document(document)
+    tx.plants.lock(plant)
+    line = tx.gates.in_order(plant)
+    if declared is None and line:
         return line[-1], False
     gate = (
-        default_gate(Plant.from_document(registered.document).horizon_s) if given is None else given
+        default_gate(Plant.from_document(registered.document).horizon_s)
+        if declared is None
+        else declared
     )
     known = next((g for g in line if g.digest == gate.digest), None)
     if known is not None:
         return known, False
-    if gate.because is not None and (character := obeyed_character(gate.because, allowed="\n\t")):
+    if gate.because is not None and (character := control_character(gate.because, allowed="\n\t")):
         raise BadGate(
             f"because holds the control character {character}: write it as text that can be read",
             field="because",
@@ -56,29 +58,28 @@ def declare_gate(
             rules=list(twice),
         )
     require_can_reject(gate)
-    _require_follows(writer, plant, gate, line)
-    record = GateRecord(plant, gate.digest, gate.document(), stamp.now, stamp.actor)
-    writer.add_gate(record)
+    _require_follows(tx, plant, gate, line)
+    record = GateRecord(
+        plant=plant,
+        digest=gate.digest,
+        document=gate.document(),
+        created_at=context.now,
+        created_by=context.actor,
+    )
+    tx.gates.add(record)
     facts: dict[str, Json] = {"gate": gate.document()}
     if line:
         facts |= {
             "in_place_of": line[-1].digest,
             "looser": list(looser(line[-1].document, gate.document())),
         }
-    writer.append_audit(
-        at=stamp.now,
-        kind="gate:declared",
-        actor=stamp.actor,
-        plant=plant,
-        subject=gate.digest,
-        facts=facts,
-    )
+    tx.log.append(context, "gate:declared", plant=plant, subject=gate.digest, facts=facts)
     return record, True
 
 
-def _require_follows(writer: Writer, plant: str, gate: Gate, line: Sequence[GateRecord]) -> None:
-    """Raises GateFollows where the gate does not say that it follows the one in force and must,
-    BadGate where it follows another."""
+def _require_follows(tx: Transaction, plant: str, gate: Gate, line: Sequence[GateRecord]) -> None:
+    """Raises GateFollows where the gate must name the gate in force and does not, and BadGate where
+    it names another one."""
     last = line[-1] if line else None
     if gate.follows is not None and (last is None or gate.follows != last.digest):
         in_force = "none is in force" if last is None else f"{last.digest[:12]} is in force"
@@ -89,8 +90,8 @@ def _require_follows(writer: Writer, plant: str, gate: Gate, line: Sequence[Gate
         )
     if last is None or gate.follows is not None:
         return
-    scored: list[Any] = writer.decisions(plant, END_OF_TIME, TOLD)
-    if not scored and not writer.is_judging(plant):
+    scored: list[Any] = tx.decisions.page(plant, END_OF_TIME, NAMED_DECISIONS)
+    if not scored and not tx.jobs.has_trial(plant):
         return
     facts: dict[str, Any] = {
         "in_force": last.digest,

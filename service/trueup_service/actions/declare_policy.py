@@ -1,4 +1,4 @@
-"""Declare an update policy, which holds from then on."""
+"""Declare an update policy, which is in force from then on."""
 
 from __future__ import annotations
 
@@ -8,28 +8,33 @@ from typing import Any
 from trueup.gate.policy import FORBID, UpdatePolicy
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import require_in_force
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import Forbidden
 from trueup_service.registry.records import PolicyRecord
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import ReadTransaction, Transaction
 
 
 def declare_policy(
-    writer: Writer, plant: str, document: Mapping[str, Any], stamp: Stamp, *, by_admin: bool = False
+    tx: Transaction,
+    plant: str,
+    document: Mapping[str, Any],
+    context: ActorContext,
+    *,
+    by_admin: bool = False,
 ) -> tuple[PolicyRecord, bool]:
-    """The policy, and whether it is another than held before.
+    """Declare an update policy. Returns it, and whether it differs from the one in force.
 
     Raises BadPolicy, NotFound for a gate that is not declared, GateSuperseded for one that is not
-    in force, Forbidden where somebody but an admin makes promotions easier.
+    in force, and Forbidden where somebody other than an admin makes promotions easier.
     """
     policy = UpdatePolicy.from_document(document)
-    gate = find.gate(writer, plant, policy.gate)
-    writer.lock_plant(plant)
-    held = writer.policy(plant)
+    gate = find.gate(tx, plant, policy.gate)
+    tx.plants.lock(plant)
+    held = tx.policies.in_force(plant)
     if held is not None and held.digest == policy.digest:
         return held, False
-    require_in_force(writer, plant, gate)
-    before = policy_of(writer, plant)
+    require_in_force(tx, plant, gate)
+    before = policy_of(tx, plant)
     if before is not None and policy.approvals < before.approvals and not by_admin:
         raise Forbidden(
             f"the policy that holds takes {before.approvals} people",
@@ -41,18 +46,17 @@ def declare_policy(
             hint="An admin may declare one that does not.",
         )
     record = PolicyRecord(
-        plant,
-        held.sequence + 1 if held else 1,
-        policy.digest,
-        policy.document(),
-        stamp.now,
-        stamp.actor,
+        plant=plant,
+        sequence=held.sequence + 1 if held else 1,
+        digest=policy.digest,
+        document=policy.document(),
+        created_at=context.now,
+        created_by=context.actor,
     )
-    writer.add_policy(record)
-    writer.append_audit(
-        at=stamp.now,
-        kind="policy:declared",
-        actor=stamp.actor,
+    tx.policies.add(record)
+    tx.log.append(
+        context,
+        "policy:declared",
         plant=plant,
         subject=policy.digest,
         facts={"policy": policy.document()},
@@ -60,7 +64,7 @@ def declare_policy(
     return record, True
 
 
-def policy_of(reader: Reader, plant: str) -> UpdatePolicy | None:
-    """The policy that holds for a plant."""
-    held = reader.policy(plant)
+def policy_of(tx: ReadTransaction, plant: str) -> UpdatePolicy | None:
+    """The update policy of a plant that is in force."""
+    held = tx.policies.in_force(plant)
     return None if held is None else UpdatePolicy.from_document(held.document)

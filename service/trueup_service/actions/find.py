@@ -1,11 +1,11 @@
-"""Find what a request names, or say that it is not there."""
+"""Look up what a request names. Each function returns the record, or raises NotFound."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
 from typing import TypeVar
 
-from trueup_service.actions.stamp import time_text
+from trueup_service.actor_context import time_text
 from trueup_service.errors import NotFound
 from trueup_service.registry.records import (
     AlarmRecord,
@@ -23,7 +23,7 @@ from trueup_service.registry.records import (
     ProjectRecord,
     TokenRecord,
 )
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import ReadTransaction
 
 # kinds of jobs that read episodes
 PURPOSES = (
@@ -40,109 +40,128 @@ PURPOSES = (
 T = TypeVar("T")
 
 
-def plant(reader: Reader, name: str) -> PlantRecord:
-    return _found(reader.plant(name), "plant", name)
+def plant(tx: ReadTransaction, name: str) -> PlantRecord:
+    """A plant by its name. Raises NotFound."""
+    return _require(tx.plants.get(name), "plant", name)
 
 
-def plant_digest(reader: Reader, name: str) -> str:
-    return _found(reader.plant_digest(name), "plant", name)
+def plant_digest(tx: ReadTransaction, name: str) -> str:
+    """The digest of a plant's description. Raises NotFound."""
+    return _require(tx.plants.digest(name), "plant", name)
 
 
-def project(reader: Reader, name: str) -> ProjectRecord:
-    return _found(reader.project(name), "project", name)
+def project(tx: ReadTransaction, name: str) -> ProjectRecord:
+    """A project by its name. Raises NotFound."""
+    return _require(tx.projects.get(name), "project", name)
 
 
-def token(reader: Reader, prefix: str) -> TokenRecord:
-    return _found(reader.token(prefix), "token", prefix)
+def token(tx: ReadTransaction, prefix: str) -> TokenRecord:
+    """A token by its public prefix. Raises NotFound."""
+    return _require(tx.tokens.get(prefix), "token", prefix)
 
 
-def episode(reader: Reader, plant: str, digest: str) -> EpisodeRecord:
-    return _found(reader.episode(plant, digest), "episode", digest)
+def episode(tx: ReadTransaction, plant: str, digest: str) -> EpisodeRecord:
+    """An episode of a plant by its digest. Raises NotFound."""
+    return _require(tx.episodes.get(plant, digest), "episode", digest)
 
 
-def uses(reader: Reader, digest: str) -> dict[str, int]:
-    """How many jobs of each kind read an episode."""
-    return {purpose: reader.uses(digest, purpose) for purpose in PURPOSES}
+def uses(tx: ReadTransaction, digest: str) -> dict[str, int]:
+    """How many jobs of each kind have read an episode."""
+    return {purpose: tx.jobs.count_uses(digest, purpose) for purpose in PURPOSES}
 
 
-def served_during(reader: Reader, episode: EpisodeRecord) -> list[Move]:
-    """Every position of the pointer that was live at some time of the recording."""
+def served_during(tx: ReadTransaction, episode: EpisodeRecord) -> list[Move]:
+    """Every position of the serving pointer during a recording, in order."""
     begin, end = (
         time_text(datetime.fromtimestamp(ns / 1e9, UTC))
         for ns in (episode.start_ns, episode.end_ns)
     )
-    first, last = reader.served_at(episode.plant, begin), reader.served_at(episode.plant, end)
+    first, last = tx.serving.at_time(episode.plant, begin), tx.serving.at_time(episode.plant, end)
     if last is None:
         return []
     before = first.generation if first else 0
-    return reader.moves(episode.plant, max(before - 1, 0), last.generation - max(before - 1, 0))
+    return tx.serving.history(
+        episode.plant, max(before - 1, 0), last.generation - max(before - 1, 0)
+    )
 
 
-def artifact(reader: Reader, plant: str, digest: str) -> ArtifactRecord:
-    return _found(reader.artifact(plant, digest), "artifact", digest)
+def artifact(tx: ReadTransaction, plant: str, digest: str) -> ArtifactRecord:
+    """An artifact of a plant by its digest. Raises NotFound."""
+    return _require(tx.artifacts.get(plant, digest), "artifact", digest)
 
 
-def version(reader: Reader, plant: str, version: int) -> ArtifactRecord:
-    return _found(reader.artifact_version(plant, version), "version", str(version))
+def version(tx: ReadTransaction, plant: str, version: int) -> ArtifactRecord:
+    """An artifact of a plant by its version. Raises NotFound."""
+    return _require(tx.artifacts.by_version(plant, version), "version", str(version))
 
 
-def gate(reader: Reader, plant: str, digest: str) -> GateRecord:
-    return _found(reader.gate(plant, digest), "gate", digest)
+def gate(tx: ReadTransaction, plant: str, digest: str) -> GateRecord:
+    """A gate of a plant by its digest. Raises NotFound."""
+    return _require(tx.gates.get(plant, digest), "gate", digest)
 
 
-def job(reader: Reader, name: str) -> JobRecord:
-    return _found(reader.job(name), "job", name)
+def job(tx: ReadTransaction, name: str) -> JobRecord:
+    """A job by its id. Raises NotFound."""
+    return _require(tx.jobs.get(name), "job", name)
 
 
-def output(reader: Reader, job: str, name: str) -> OutputRecord:
-    return _found(reader.output(job, name), "output", name)
+def output(tx: ReadTransaction, job: str, name: str) -> OutputRecord:
+    """A file of a job by its name. Raises NotFound."""
+    return _require(tx.outputs.get(job, name), "output", name)
 
 
-def monitor(reader: Reader, plant: str, digest: str) -> MonitorRecord:
-    return _found(reader.monitor(plant, digest), "monitor", digest)
+def monitor(tx: ReadTransaction, plant: str, digest: str) -> MonitorRecord:
+    """A monitor of a plant by its digest. Raises NotFound."""
+    return _require(tx.monitors.get(plant, digest), "monitor", digest)
 
 
-def alarm(reader: Reader, plant: str, name: str) -> AlarmRecord:
-    found = reader.alarm(name)
-    return _found(found if found is not None and found.plant == plant else None, "alarm", name)
+def alarm(tx: ReadTransaction, plant: str, name: str) -> AlarmRecord:
+    """An alarm of a plant by its id. Raises NotFound."""
+    record = tx.alarms.get(name)
+    return _require(record if record is not None and record.plant == plant else None, "alarm", name)
 
 
-def channel(reader: Reader, plant: str, name: str) -> ChannelRecord:
-    return _found(reader.channel(plant, name), "channel", name)
+def channel(tx: ReadTransaction, plant: str, name: str) -> ChannelRecord:
+    """A channel of a plant by its name. Raises NotFound."""
+    return _require(tx.channels.get(plant, name), "channel", name)
 
 
-def channel_move(reader: Reader, plant: str, name: str) -> ChannelMove:
-    channel(reader, plant, name)
-    found = reader.channel_move(plant, name)
-    if found is None:
+def channel_move(tx: ReadTransaction, plant: str, name: str) -> ChannelMove:
+    """Where a channel stands. Raises NotFound."""
+    channel(tx, plant, name)
+    move = tx.channel_moves.last(plant, name)
+    if move is None:
         raise NotFound(
             f"channel {name!r} serves nothing yet",
             noun="position",
             name=name,
             hint="Move it to an artifact that serves.",
         )
-    return found
+    return move
 
 
-def any_decision(reader: Reader, digest: str) -> DecisionRecord:
-    return _found(reader.decision(digest), "decision", digest)
+def any_decision(tx: ReadTransaction, digest: str) -> DecisionRecord:
+    """A decision of any plant by its digest. Raises NotFound."""
+    return _require(tx.decisions.get(digest), "decision", digest)
 
 
-def decision(reader: Reader, plant: str, digest: str) -> DecisionRecord:
-    found = any_decision(reader, digest)
-    return _found(found if found.plant == plant else None, "decision", digest)
+def decision(tx: ReadTransaction, plant: str, digest: str) -> DecisionRecord:
+    """A decision of a plant by its digest. Raises NotFound."""
+    record = any_decision(tx, digest)
+    return _require(record if record.plant == plant else None, "decision", digest)
 
 
-def serving(reader: Reader, plant: str) -> Move:
-    return _found(reader.serving(plant), "plant", plant)
+def serving(tx: ReadTransaction, plant: str) -> Move:
+    """Where a plant's serving pointer stands. Raises NotFound."""
+    return _require(tx.serving.now(plant), "plant", plant)
 
 
-def _found(record: T | None, noun: str, name: str) -> T:
+def _require(record: T | None, noun: str, name: str) -> T:
     if record is None:
-        raise missing(noun, name)
+        raise not_found(noun, name)
     return record
 
 
-def missing(noun: str, name: str) -> NotFound:
-    """The one answer for what is not here."""
+def not_found(noun: str, name: str) -> NotFound:
+    """The error for what does not exist, and for what a token does not see."""
     return NotFound(f"there is no {noun} {name!r} here", noun=noun, name=name)

@@ -1,47 +1,41 @@
-"""Finish a job: what came of it and the job's final state, in one transaction, once."""
+"""Finish a job: write its effects and its final state in one transaction, once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 from trueup.canonical import Json
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord, JobState
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 
 def finish_job(
-    writer: Writer,
+    tx: Transaction,
     job: JobRecord,
     state: JobState,
     result: dict[str, Json],
-    stamp: Stamp,
-    effects: Callable[[Writer], None] = lambda _: None,
+    context: ActorContext,
+    effects: Callable[[Transaction], None] = lambda _: None,
 ) -> bool:
-    """Run the job's effects and close it; False, and nothing is done, if it was closed before."""
-    if not writer.update_job(
+    """Run a job's effects and close it. Returns False, and changes nothing, where it was closed
+    before."""
+    if not tx.jobs.update(
         job.id,
-        now=stamp.now,
+        now=context.now,
         state=state,
         progress=1.0 if state == JobState.SUCCEEDED else None,
         stage=str(state),
         result=result,
     ):
         return False
-    effects(writer)
+    effects(tx)
     facts: dict[str, Json] = {
         "kind": job.kind,
         "operation": job.operation,
         "state": str(state),
-        "reads": dict(writer.job_reads(job.id)),
+        "reads": dict(tx.jobs.reads(job.id)),
         "result": result,
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="job:finished",
-        actor=stamp.actor,
-        plant=job.plant,
-        subject=job.id,
-        facts=facts,
-    )
+    tx.log.append(context, "job:finished", plant=job.plant, subject=job.id, facts=facts)
     return True

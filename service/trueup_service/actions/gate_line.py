@@ -1,7 +1,8 @@
-"""A plant's line of gates: which one is in force, and what was known when a gate was declared.
+"""The gates of a plant in order: which one is in force, and what was known when a gate was
+declared.
 
-What came before what is told by the log's own order, not by clocks, which may be wrong. What was
-imported came before everything here.
+The order of events is that of the log and not of clocks, which may be wrong. What was imported came
+before everything here.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ from trueup_service.registry.records import (
     JobRecord,
     JobState,
 )
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import ReadTransaction
 
 DECLARED, DECIDED, INGESTED = "gate:declared", "decision:made", "episode:ingested"
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A gate's place in its line: the one before it, each one before in which it is looser and in
-    what, and whether it is in force."""
+    """A gate's place among the gates of its plant: the gate before it, the earlier gates than which
+    it is looser and in what, and whether it is in force."""
 
     gate: GateRecord
     before: GateRecord | None
@@ -38,7 +39,7 @@ class Place:
 
     @property
     def looser(self) -> list[str]:
-        """What is looser in it than in the one before it."""
+        """What is looser in the gate than in the one before it."""
         return next(
             (
                 less.looser
@@ -49,9 +50,10 @@ class Place:
         )
 
 
-def place(reader: Reader, plant: str, digest: str | None = None) -> Place | None:
-    """The place of a gate, or without a digest of the one in force; None where there is none."""
-    line = reader.gate_line(plant)
+def place(tx: ReadTransaction, plant: str, digest: str | None = None) -> Place | None:
+    """The place of a gate, or of the gate in force without a digest. None where there is no such
+    gate."""
+    line = tx.gates.in_order(plant)
     at = next(
         (i for i, gate in reversed(list(enumerate(line))) if digest in (None, gate.digest)), None
     )
@@ -61,9 +63,9 @@ def place(reader: Reader, plant: str, digest: str | None = None) -> Place | None
     return Place(line[at], line[at - 1] if at else None, than, at == len(line) - 1)
 
 
-def require_in_force(reader: Reader, plant: str, gate: GateRecord) -> None:
-    """Raises GateSuperseded."""
-    last = reader.gate_line(plant)[-1]
+def require_in_force(tx: ReadTransaction, plant: str, gate: GateRecord) -> None:
+    """Raises GateSuperseded where another gate has been declared since."""
+    last = tx.gates.in_order(plant)[-1]
     if last.digest != gate.digest:
         raise GateSuperseded(
             (
@@ -75,26 +77,25 @@ def require_in_force(reader: Reader, plant: str, gate: GateRecord) -> None:
 
 
 def known_at(
-    reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]
+    tx: ReadTransaction, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]
 ) -> dict[str, Json]:
     """What was known of a candidate and its held-out episodes when a gate was declared."""
-    return disclosed(reader, plant, gate, candidate, episodes)["known"]
+    return disclosed(tx, plant, gate, candidate, episodes)["known"]
 
 
 def disclosed(
-    reader: Reader, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]
+    tx: ReadTransaction, plant: str, gate: GateRecord, candidate: str, episodes: Sequence[str]
 ) -> dict[str, dict[str, Json]]:
-    """What the decision of a trial must tell: what was `known` of its candidate and its episodes
-    when its gate was declared, and of what both are selected now (`selection`).
-    """
-    declared = reader.log_positions(plant, DECLARED, [gate.digest]).get(gate.digest, 0)
+    """What the decision of a trial must disclose: what was `known` of its candidate and its
+    episodes when its gate was declared, and out of how many both are selected now (`selection`)."""
+    declared = tx.log.positions(plant, DECLARED, [gate.digest]).get(gate.digest, 0)
     made, comparisons = (
-        reader.decisions_on(plant, candidate, episodes),
-        reader.jobs_reading(episodes, "compare"),
+        tx.decisions.on_candidate_or_episodes(plant, candidate, episodes),
+        tx.jobs.reading(episodes, "compare"),
     )
     at: dict[str, int] = {}
     for other in {d.plant for d in made}:
-        at |= reader.log_positions(other, DECIDED, [d.digest for d in made if d.plant == other])
+        at |= tx.log.positions(other, DECIDED, [d.digest for d in made if d.plant == other])
     before = [
         d
         for d in made
@@ -111,18 +112,18 @@ def disclosed(
     shown = sum(job.plant == plant and job.state not in NOTHING_CAME for job in comparisons)
     return {
         "known": known(
-            plant, candidate, episodes, pasts, _compared(reader, candidate, comparisons, declared)
+            plant, candidate, episodes, pasts, _compared(tx, candidate, comparisons, declared)
         ),
         "selection": selection(
-            reader.held_out(plant), outcomes.count(True), outcomes.count(False), shown
+            tx.episodes.count_held_out(plant), outcomes.count(True), outcomes.count(False), shown
         ),
     }
 
 
 def _compared(
-    reader: Reader, candidate: str, comparisons: Sequence[JobRecord], declared: int
+    tx: ReadTransaction, candidate: str, comparisons: Sequence[JobRecord], declared: int
 ) -> list[str]:
-    """Those of some comparisons that had shown the candidate's errors when the gate was
+    """The ids of those comparisons that had shown the candidate's errors when the gate was
     declared."""
     jobs = [
         j
@@ -131,40 +132,42 @@ def _compared(
     ]
     ended: dict[str, int] = {}
     for plant in {j.plant for j in jobs}:
-        ended |= reader.log_positions(plant, "job:finished", [j.id for j in jobs])
+        ended |= tx.log.positions(plant, "job:finished", [j.id for j in jobs])
     return [j.id for j in jobs if ended.get(j.id, declared) < declared]
 
 
-def rejections(reader: Reader, made: DecisionRecord) -> list[DecisionRecord]:
-    """Decisions, whenever they were made, that rejected the candidate of a decision: itself, or
-    what errs as it does."""
+def rejections(tx: ReadTransaction, made: DecisionRecord) -> list[DecisionRecord]:
+    """The decisions, whenever they were made, that rejected the candidate of a decision, or one
+    with the same errors."""
     document: Any = made.document
-    scoring = find.gate(reader, made.plant, made.gate).document["scoring"]
+    scoring = find.gate(tx, made.plant, made.gate).document["scoring"]
     return [
         other
-        for other in reader.rejections_of(
+        for other in tx.decisions.rejections_of(
             made.plant, [made.candidate, *alike(document)], document["episodes"]
         )
         if rejects(
             other.document,
             document,
-            same_scoring=find.gate(reader, other.plant, other.gate).document["scoring"] == scoring,
+            same_scoring=find.gate(tx, other.plant, other.gate).document["scoring"] == scoring,
         )
     ]
 
 
-def stale(reader: Reader, made: DecisionRecord, rejected: Sequence[DecisionRecord]) -> list[str]:
+def stale(
+    tx: ReadTransaction, made: DecisionRecord, rejected: Sequence[DecisionRecord]
+) -> list[str]:
     """The episodes of an accepted decision that did not come in after its gate was declared and
     after its candidate was rejected."""
     document: Any = made.document
     episodes: list[str] = document["episodes"]
-    since = reader.log_positions(made.plant, DECLARED, [made.gate]).get(made.gate, 0)
+    since = tx.log.positions(made.plant, DECLARED, [made.gate]).get(made.gate, 0)
     for other in rejected:
         since = max(
-            since, reader.log_positions(other.plant, DECIDED, [other.digest]).get(other.digest, 0)
+            since, tx.log.positions(other.plant, DECIDED, [other.digest]).get(other.digest, 0)
         )
-    twins = {e: reader.twins(e, made.plant) for e in episodes}
-    came = reader.log_positions(
+    twins = {e: tx.episodes.with_equal_samples(e, made.plant) for e in episodes}
+    came = tx.log.positions(
         made.plant, INGESTED, sorted({twin for each in twins.values() for twin in each})
     )
     before = {e for other in rejected for e in _episodes(other)}
@@ -177,5 +180,5 @@ def stale(reader: Reader, made: DecisionRecord, rejected: Sequence[DecisionRecor
 
 def _episodes(made: DecisionRecord) -> list[str]:
     document: Any = made.document
-    found: list[str] = document["episodes"]
-    return found
+    episodes: list[str] = document["episodes"]
+    return episodes

@@ -1,4 +1,4 @@
-"""Move a serving pointer: forward by a decision, back by a tested switch."""
+"""Move a serving pointer: forward by a decision, back after a switchback test."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from trueup.canonical import Json, digest_of
 from trueup.errors import BrokenChain
 from trueup.ledger.operation import Operation
 from trueup.ledger.pointer import (
-    Judged,
+    JudgedDecision,
     NothingToRollBackTo,
     ServingPointer,
     promote,
@@ -19,61 +19,57 @@ from trueup.ledger.pointer import (
 )
 from trueup_service.actions import find
 from trueup_service.actions.approve import require_not_rejected
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import ArtifactRecord, DecisionRecord, Move, MoveKind
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import ReadTransaction, Transaction
 
 
 def promote_decision(
-    writer: Writer,
+    tx: Transaction,
     plant: str,
     decision: str,
     expected_generation: int,
     rehearsed: dict[str, Json],
-    stamp: Stamp,
+    context: ActorContext,
     approved: Mapping[str, Json] = MappingProxyType({}),
 ) -> Move:
-    """The new position, at the decision's candidate; `rehearsed` is the record of the way back,
-    tried before, `approved` says by whom.
+    """Move the pointer to a decision's candidate, and return the new position. `rehearsed` is the
+    record of the rehearsed way back, and `approved` says who approved.
 
     Raises PointerMoved, NotAccepted, RejectedBefore, NotFound.
     """
-    writer.lock_plant(plant)
-    now = find.serving(writer, plant)
-    made = find.decision(writer, plant, decision)
+    tx.plants.lock(plant)
+    now = find.serving(tx, plant)
+    made = find.decision(tx, plant, decision)
     judged = _judged(made)
-    pointer = promote(_pointer(now), judged, expected_generation, _later(now, stamp))
-    rejected = require_not_rejected(writer, plant, made, stamp)
-    artifact = find.artifact(writer, plant, pointer.artifact)
+    pointer = promote(_pointer(now), judged, expected_generation, _later(now, context))
+    rejected = require_not_rejected(tx, plant, made, context)
+    artifact = find.artifact(tx, plant, pointer.artifact)
     move = Move(
-        plant,
-        pointer.generation,
-        MoveKind.PROMOTED,
-        artifact.digest,
-        artifact.version,
-        decision,
-        now.generation,
-        pointer.since,
-        stamp.actor,
+        plant=plant,
+        generation=pointer.generation,
+        kind=MoveKind.PROMOTED,
+        artifact=artifact.digest,
+        version=artifact.version,
+        decision=decision,
+        back_to=now.generation,
+        at=pointer.since,
+        actor=context.actor,
     )
     return _move(
-        writer,
-        now,
-        move,
-        stamp,
-        {"gate": made.gate, "rehearsed": rehearsed, **approved, **rejected},
+        tx, now, move, context, {"gate": made.gate, "rehearsed": rehearsed, **approved, **rejected}
     )
 
 
-def _judged(made: DecisionRecord) -> Judged:
-    """What the decision's document says, if it still is the one that the digest names. Raises
-    BrokenChain."""
+def _judged(made: DecisionRecord) -> JudgedDecision:
+    """What the decision's document says. Raises BrokenChain where the document is not the one that
+    the digest names."""
     document: dict[str, Any] = made.document
     if digest_of(document) != made.digest:
         raise BrokenChain(
             "the decision's document is not the one that its digest names", decision=made.digest
         )
-    return Judged(
+    return JudgedDecision(
         made.digest,
         document["accepted"],
         document["candidate"],
@@ -83,67 +79,81 @@ def _judged(made: DecisionRecord) -> Judged:
 
 
 def previous_artifact(
-    reader: Reader, plant: str, expected_generation: int
+    tx: ReadTransaction, plant: str, expected_generation: int
 ) -> tuple[Move, ArtifactRecord]:
-    """The position that a rollback would return to, and its artifact. Raises PointerMoved,
+    """The position that a rollback returns to, and its artifact. Raises PointerMoved,
     NothingToRollBackTo."""
-    now = find.serving(reader, plant)
+    now = find.serving(tx, plant)
     require_generation(_pointer(now), expected_generation)
-    back = None if now.back_to is None else reader.move(plant, now.back_to)
+    back = None if now.back_to is None else tx.serving.at_generation(plant, now.back_to)
     if back is None:
         raise NothingToRollBackTo(plant=plant)
-    return back, find.artifact(reader, plant, back.artifact)
+    return back, find.artifact(tx, plant, back.artifact)
 
 
 def roll_back_pointer(
-    writer: Writer, plant: str, expected_generation: int, tested: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    plant: str,
+    expected_generation: int,
+    tested: dict[str, Json],
+    context: ActorContext,
 ) -> Move:
-    """The new position, at the artifact that served before; `tested` is the record of its
-    switchback test."""
-    writer.lock_plant(plant)
-    now = find.serving(writer, plant)
-    back, artifact = previous_artifact(writer, plant, expected_generation)
-    pointer = roll_back(_pointer(now), artifact.digest, expected_generation, _later(now, stamp))
+    """Move the pointer back to the artifact that served before, and return the new position.
+    `tested` is the record of the switchback test. Raises PointerMoved, NothingToRollBackTo."""
+    tx.plants.lock(plant)
+    now = find.serving(tx, plant)
+    back, artifact = previous_artifact(tx, plant, expected_generation)
+    pointer = roll_back(_pointer(now), artifact.digest, expected_generation, _later(now, context))
     move = Move(
-        plant,
-        pointer.generation,
-        MoveKind.ROLLED_BACK,
-        artifact.digest,
-        artifact.version,
-        back.decision,
-        back.back_to,
-        pointer.since,
-        stamp.actor,
+        plant=plant,
+        generation=pointer.generation,
+        kind=MoveKind.ROLLED_BACK,
+        artifact=artifact.digest,
+        version=artifact.version,
+        decision=back.decision,
+        back_to=back.back_to,
+        at=pointer.since,
+        actor=context.actor,
     )
-    return _move(writer, now, move, stamp, {"switchback": tested})
+    return _move(tx, now, move, context, {"switchback": tested})
 
 
-def _move(writer: Writer, before: Move, move: Move, stamp: Stamp, facts: dict[str, Json]) -> Move:
-    writer.move_serving(move)
+def _move(
+    tx: Transaction, before: Move, move: Move, context: ActorContext, facts: dict[str, Json]
+) -> Move:
+    tx.serving.move(move)
     moved: dict[str, Json] = {
         "operation": Operation.CORRECTION,
         "move": move.kind,
         "generation": move.generation,
         "from": before.artifact,
         "decision": move.decision,
-        "token": stamp.token,
+        "token": context.token,
         **facts,
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="pointer:moved",
-        actor=stamp.actor,
-        plant=move.plant,
-        subject=move.artifact,
-        facts=moved,
-    )
+    tx.log.append(context, "pointer:moved", plant=move.plant, subject=move.artifact, facts=moved)
     return move
+
+
+def position_document(move: Move) -> dict[str, Any]:
+    """A position of the pointer as responses and idempotency keys have it."""
+    return {
+        "plant": move.plant,
+        "version": move.version,
+        "artifact": move.artifact,
+        "generation": move.generation,
+        "since": move.at,
+        "decision": move.decision,
+        "move": str(move.kind),
+        "actor": move.actor,
+    }
 
 
 def _pointer(move: Move) -> ServingPointer:
     return ServingPointer(move.plant, move.generation, move.artifact, move.decision, move.at)
 
 
-def _later(before: Move, stamp: Stamp) -> str:
-    """The time of a move is never before the one it follows, whatever the clock does."""
-    return max(before.at, stamp.now)
+def _later(before: Move, context: ActorContext) -> str:
+    """The time of a move, which is never before that of the move it follows, whatever the clock
+    does."""
+    return max(before.at, context.now)

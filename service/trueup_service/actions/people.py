@@ -1,20 +1,19 @@
-"""People: who is behind a token. Two tokens of one name are one person, and whoever's token was
-revoked is nobody."""
+"""The person behind a token. Tokens of one name belong to one person, and a revoked token to
+nobody."""
 
 from __future__ import annotations
 
 from trueup.ledger.person import folded, name_of
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import ReadTransaction
 
 
-def person_of(reader: Reader, token: str, actor: str) -> str | None:
-    """The person behind a token's prefix, by name, however it is written; None where the token was
-    revoked.
+def person_of(tx: ReadTransaction, token: str, actor: str) -> str | None:
+    """The folded name of the person behind a token's prefix, None where the token was revoked.
 
-    A token that is not known here, as the admin's of the settings or one of the site where a plant
-    comes from, is its actor's.
+    An unknown token, such as the admin's token of the settings or one of the site that a plant was
+    imported from, belongs to its actor.
     """
-    found = reader.token(token)
-    if found is None:
+    record = tx.tokens.get(token)
+    if record is None:
         return folded(name_of(actor))
-    return None if found.revoked_at is not None else folded(found.name)
+    return None if record.revoked_at is not None else folded(record.name)

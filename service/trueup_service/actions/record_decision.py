@@ -6,37 +6,35 @@ from typing import Any
 
 from trueup.canonical import Json, digest_of
 from trueup.ledger.operation import Operation
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import DecisionRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 
 def record_decision(
-    writer: Writer, plant: str, document: dict[str, Any], job: str | None, stamp: Stamp
+    tx: Transaction, plant: str, document: dict[str, Any], job: str | None, context: ActorContext
 ) -> DecisionRecord:
-    """Keep a decision's document under its digest; the same trial decided again is the same
+    """Record a decision's document under its digest. The same trial decided again is the same
     decision."""
     digest = digest_of(document)
-    writer.lock_plant(plant)
-    known = writer.decision(digest)
+    tx.plants.lock(plant)
+    known = tx.decisions.get(digest)
     if known is not None:
         return known
-    parts = (
-        document["gate"],
-        document["candidate"],
-        document["incumbent"],
-        document["generation"],
-        document["accepted"],
-    )
-    record = DecisionRecord(digest, plant, *parts, document, job, stamp.now, stamp.actor)
-    writer.add_decision(record)
-    facts: dict[str, Json] = {"operation": Operation.CORRECTION, "decision": document, "job": job}
-    writer.append_audit(
-        at=stamp.now,
-        kind="decision:made",
-        actor=stamp.actor,
+    record = DecisionRecord(
+        digest=digest,
         plant=plant,
-        subject=digest,
-        facts=facts,
+        gate=document["gate"],
+        candidate=document["candidate"],
+        incumbent=document["incumbent"],
+        generation=document["generation"],
+        accepted=document["accepted"],
+        document=document,
+        job=job,
+        created_at=context.now,
+        created_by=context.actor,
     )
+    tx.decisions.add(record)
+    facts: dict[str, Json] = {"operation": Operation.CORRECTION, "decision": document, "job": job}
+    tx.log.append(context, "decision:made", plant=plant, subject=digest, facts=facts)
     return record

@@ -1,4 +1,4 @@
-"""Record what a monitor saw."""
+"""Record what a monitor saw in new episodes."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from typing import Any
 from trueup.canonical import Json
 from trueup_service.actions import find
 from trueup_service.actions.alarms import raise_alarm
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import Watch, Watching
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """What came of following episodes `before` which the monitor stood: what its detectors keep,
-    what was seen, and the first alarm.
+    """The result of following episodes with a monitor that stood at `before`: the state that its
+    detectors keep, what was seen, and the first alarm.
 
     `alarm` has the `episode` on which it was raised, and the `document` that says what changed
     since when.
@@ -29,13 +29,13 @@ class Followed:
     alarm: dict[str, Any] | None
 
 
-def record_watch(writer: Writer, followed: Followed, alarm_id: str, stamp: Stamp) -> bool:
-    """Move the monitor on; False, and nothing is done, if another job has moved it."""
+def record_watch(tx: Transaction, followed: Followed, alarm_id: str, context: ActorContext) -> bool:
+    """Move a monitor on. Returns False, and changes nothing, where another job has moved it."""
     before, alarm = followed.before, followed.alarm
-    writer.lock_plant(before.plant)
-    if not writer.advance(before, followed.kept, followed.seen):
+    tx.plants.lock(before.plant)
+    if not tx.watches.advance(before, followed.kept, followed.seen):
         return False
     if alarm is not None:
-        artifact = find.monitor(writer, before.plant, before.monitor).artifact
-        raise_alarm(writer, alarm_id, before.plant, before.monitor, artifact, alarm, stamp)
+        artifact = find.monitor(tx, before.plant, before.monitor).artifact
+        raise_alarm(tx, alarm_id, before.plant, before.monitor, artifact, alarm, context)
     return True

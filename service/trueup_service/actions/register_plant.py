@@ -6,22 +6,22 @@ from trueup.artifact.artifact import nominal_artifact
 from trueup.canonical import Json
 from trueup.model.plant import Plant
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import Conflict
 from trueup_service.registry.records import ArtifactRecord, Move, MoveKind, PlantRecord
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
 
 def register_plant(
-    writer: Writer, document: object, stamp: Stamp, project: str | None = None
+    tx: Transaction, document: object, context: ActorContext, project: str | None = None
 ) -> tuple[PlantRecord, bool]:
-    """The plant, and whether it is new. Raises BadPlant, NotFound for a project, and Conflict if
-    the name has another description."""
+    """Register a plant. Returns it, and whether it is new. Raises BadPlant, NotFound for an unknown
+    project, and Conflict where the name has another description."""
     plant = Plant.from_document(document)
     if project is not None:
-        find.project(writer, project)
-    writer.lock_name(f"plant {plant.name}")
-    known = writer.plant(plant.name)
+        find.project(tx, project)
+    tx.lock_name(f"plant {plant.name}")
+    known = tx.plants.get(plant.name)
     if known is not None and project is not None and known.project != project:
         raise Conflict(f"the name {plant.name!r} is taken", hint="Choose another name.")
     if known is not None:
@@ -34,34 +34,39 @@ def register_plant(
         return known, False
     plant.require_known_envelope()
     record = PlantRecord(
-        plant.name, plant.digest, dict(plant.document), stamp.now, stamp.actor, project
+        name=plant.name,
+        digest=plant.digest,
+        document=dict(plant.document),
+        created_at=context.now,
+        created_by=context.actor,
+        project=project,
     )
     artifact = nominal_artifact(plant)
-    writer.add_plant(record)
-    writer.add_artifact(
+    tx.plants.add(record)
+    tx.artifacts.add(
         ArtifactRecord(
-            plant.name,
-            1,
-            artifact.digest,
-            "nominal",
-            artifact.manifest.decode(),
-            None,
-            None,
-            stamp.now,
-            stamp.actor,
+            plant=plant.name,
+            version=1,
+            digest=artifact.digest,
+            kind="nominal",
+            manifest=artifact.manifest.decode(),
+            arrays=None,
+            job=None,
+            created_at=context.now,
+            created_by=context.actor,
         )
     )
-    writer.begin_serving(
+    tx.serving.begin(
         Move(
-            plant.name,
-            1,
-            MoveKind.REGISTERED,
-            artifact.digest,
-            1,
-            None,
-            None,
-            stamp.now,
-            stamp.actor,
+            plant=plant.name,
+            generation=1,
+            kind=MoveKind.REGISTERED,
+            artifact=artifact.digest,
+            version=1,
+            decision=None,
+            back_to=None,
+            at=context.now,
+            actor=context.actor,
         )
     )
     facts: dict[str, Json] = {
@@ -70,12 +75,5 @@ def register_plant(
         "generation": 1,
         "project": project,
     }
-    writer.append_audit(
-        at=stamp.now,
-        kind="plant:registered",
-        actor=stamp.actor,
-        plant=plant.name,
-        subject=plant.digest,
-        facts=facts,
-    )
+    tx.log.append(context, "plant:registered", plant=plant.name, subject=plant.digest, facts=facts)
     return record, True

@@ -12,52 +12,57 @@ from trueup.errors import BadGate, NotIdentifiable, RoleRefused
 from trueup.gate.line import BESIDE, budget_of
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import disclosed, require_in_force
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import HeldOutSpent
 from trueup_service.jobs import JobQueue
 from trueup_service.registry.records import EpisodeRecord, JobRecord, JobState
-from trueup_service.registry.store import Writer
+from trueup_service.registry.transaction import Transaction
 
-LEAST_VALIDATED = (
-    5  # episodes: of one, the error differs by luck alone by as much as an alarm takes
-)
+# One episode differs by luck alone by as much as an alarm takes.
+LEAST_VALIDATED = 5  # episodes
 
 
 def submit_fit(
-    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    request: dict[str, Json],
+    context: ActorContext,
 ) -> JobRecord:
-    """A fit of `method` from adaptation episodes: those named, or all there are now. Raises
-    RoleRefused, NotIdentifiable."""
-    find.plant_digest(writer, plant)
-    episodes = _episodes(writer, plant, request.get("episodes"), (Role.ADAPTATION,))
+    """Submit a fit of `method` from the named adaptation episodes, or from all of them. Raises
+    NotFound, RoleRefused, NotIdentifiable."""
+    find.plant_digest(tx, plant)
+    episodes = _episodes(tx, plant, request.get("episodes"), (Role.ADAPTATION,))
     if not episodes:
         raise NotIdentifiable(
             "there is no adaptation episode to fit",
             hint="Upload one whose metadata says role = adaptation.",
         )
-    frozen = {
-        **request,
-        "episodes": _digests(episodes),
-        "parent": find.serving(writer, plant).artifact,
-    }
-    return _submit(writer, queue, job, plant, "fit", frozen, stamp)
+    frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(tx, plant).artifact}
+    return _submit(tx, queue, job, plant, "fit", frozen, context)
 
 
 def submit_gate(
-    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    request: dict[str, Json],
+    context: ActorContext,
 ) -> JobRecord:
-    """A trial of a candidate against what serves now, under the plant's gate in force.
+    """Submit a trial of a candidate against what serves now, by the plant's gate in force.
 
-    Raises GateSuperseded, HeldOutSpent, RoleRefused, BadGate.
+    Raises NotFound, GateSuperseded, HeldOutSpent, RoleRefused, BadGate.
     """
-    candidate = find.artifact(writer, plant, str(request["candidate"]))
-    gate = find.gate(writer, plant, str(request["gate"]))
-    writer.lock_plant(plant)
-    writer.lock_name("uses of held-out episodes")  # which are counted over all plants
-    require_in_force(writer, plant, gate)
+    candidate = find.artifact(tx, plant, str(request["candidate"]))
+    gate = find.gate(tx, plant, str(request["gate"]))
+    tx.plants.lock(plant)
+    tx.lock_name("uses of held-out episodes")  # which are counted over all plants
+    require_in_force(tx, plant, gate)
     named = request.get("episodes")
     held_out = _not_fitted(
-        writer, plant, _episodes(writer, plant, named, HELD_OUT), named=named is not None
+        tx, plant, _episodes(tx, plant, named, HELD_OUT), named=named is not None
     )
     if not held_out:
         raise BadGate(
@@ -65,7 +70,7 @@ def submit_gate(
             hint="Upload one whose metadata says role = validation.",
         )
     budget = budget_of(gate.document)
-    uses = {e.digest: writer.uses(e.digest, "gate") for e in held_out}
+    uses = {e.digest: tx.jobs.count_uses(e.digest, "gate") for e in held_out}
     spent = [digest for digest, used in uses.items() if used >= budget]
     episodes = [e for e in held_out if e.digest not in spent]
     if not episodes or (spent and named is not None):
@@ -74,53 +79,62 @@ def submit_gate(
             spent=spent[:10],
         )
     digests = _digests(episodes)
-    now = find.serving(writer, plant)
+    now = find.serving(tx, plant)
     frozen: dict[str, Json] = {
         "candidate": candidate.digest,
         "gate": gate.digest,
         "episodes": digests,
         "uses": [uses[digest] + 1 for digest in digests],
-        **disclosed(writer, plant, gate, candidate.digest, digests),
-        "beside": list(writer.not_accepted(plant, candidate.digest, BESIDE)),
+        **disclosed(tx, plant, gate, candidate.digest, digests),
+        "beside": _other_candidates(tx, plant, candidate.digest),
         **({"scales": True} if request.get("scales") else {}),
         **({"spent": list(spent)} if spent else {}),
         "incumbent": now.artifact,
         "generation": now.generation,
     }
-    record = _submit(writer, queue, job, plant, "gate", frozen, stamp)
-    writer.add_reads(
-        job, digests, "gate"
-    )  # used from now on, so that many at once do not spend more than there is
+    record = _submit(tx, queue, job, plant, "gate", frozen, context)
+    # The episodes count as used from now on, so that many trials at once do not overspend them.
+    tx.jobs.add_reads(job, digests, "gate")
     return record
 
 
 def submit_diagnosis(
-    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    request: dict[str, Json],
+    context: ActorContext,
 ) -> JobRecord:
-    """A diagnosis of the nominal model from adaptation and validation episodes. Raises RoleRefused,
-    NotIdentifiable."""
-    return _submit_on_both(writer, queue, job, plant, "diagnose", request, stamp)
+    """Submit a diagnosis of the nominal model from adaptation and validation episodes. Raises
+    NotFound, RoleRefused, NotIdentifiable."""
+    return _submit_on_both(tx, queue, job, plant, "diagnose", request, context)
 
 
 def submit_blindtrial(
-    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    request: dict[str, Json],
+    context: ActorContext,
 ) -> JobRecord:
-    """A blind trial after adaptation and validation episodes. Raises RoleRefused,
-    NotIdentifiable."""
-    return _submit_on_both(writer, queue, job, plant, "blindtrial", request, stamp)
+    """Submit a blind trial that imitates adaptation and validation episodes. Raises NotFound,
+    RoleRefused, NotIdentifiable."""
+    return _submit_on_both(tx, queue, job, plant, "blindtrial", request, context)
 
 
 def _submit_on_both(
-    writer: Writer,
+    tx: Transaction,
     queue: JobQueue,
     job: str,
     plant: str,
     kind: str,
     request: dict[str, Json],
-    stamp: Stamp,
+    context: ActorContext,
 ) -> JobRecord:
-    find.plant_digest(writer, plant)
-    episodes = _episodes(writer, plant, request.get("episodes"), (Role.ADAPTATION, Role.VALIDATION))
+    find.plant_digest(tx, plant)
+    episodes = _episodes(tx, plant, request.get("episodes"), (Role.ADAPTATION, Role.VALIDATION))
     missing = {Role.ADAPTATION, Role.VALIDATION} - {Role(e.role) for e in episodes}
     if missing:
         role = min(missing)
@@ -128,22 +142,23 @@ def _submit_on_both(
             f"there is no {role} episode to start from",
             hint=f"Upload one whose metadata says role = {role}.",
         )
-    frozen = {
-        **request,
-        "episodes": _digests(episodes),
-        "parent": find.serving(writer, plant).artifact,
-    }
-    return _submit(writer, queue, job, plant, kind, frozen, stamp)
+    frozen = {**request, "episodes": _digests(episodes), "parent": find.serving(tx, plant).artifact}
+    return _submit(tx, queue, job, plant, kind, frozen, context)
 
 
 def submit_calibration(
-    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    request: dict[str, Json],
+    context: ActorContext,
 ) -> JobRecord:
-    """A monitor of what serves now, on healthy episodes: those named, or all of the role reference.
-    Raises RoleRefused, NotIdentifiable."""
-    find.plant_digest(writer, plant)
+    """Submit the calibration of a monitor of what serves now, on the named healthy episodes, or on
+    all of the role reference. Raises NotFound, RoleRefused, NotIdentifiable."""
+    find.plant_digest(tx, plant)
     named = request.get("episodes")
-    episodes = _episodes(writer, plant, named, (Role.REFERENCE,) if named is None else HEALTHY)
+    episodes = _episodes(tx, plant, named, (Role.REFERENCE,) if named is None else HEALTHY)
     if not episodes:
         raise NotIdentifiable(
             "there is no reference episode",
@@ -152,51 +167,51 @@ def submit_calibration(
     frozen = {
         **request,
         "episodes": _digests(episodes),
-        "artifact": find.serving(writer, plant).artifact,
+        "artifact": find.serving(tx, plant).artifact,
     }
-    return _submit(writer, queue, job, plant, "calibrate", frozen, stamp)
+    return _submit(tx, queue, job, plant, "calibrate", frozen, context)
 
 
 def submit_watch(
-    writer: Writer, queue: JobQueue, job: str, plant: str, stamp: Stamp
+    tx: Transaction, queue: JobQueue, job: str, plant: str, context: ActorContext
 ) -> JobRecord | None:
-    """A look at the episodes that the plant's monitor has not seen; None if there are none, or one
-    waits already, or nobody watches."""
-    watching = writer.watching(plant)
-    if watching is None or writer.waits(plant, "watch"):
+    """Submit a look at the episodes that the plant's monitor has not seen. Returns None where there
+    are none, a look waits already, or no monitor watches what serves."""
+    watching = tx.watches.current(plant)
+    if watching is None or tx.jobs.is_queued(plant, "watch"):
         return None
-    if (
-        find.monitor(writer, plant, watching.monitor).artifact
-        != find.serving(writer, plant).artifact
-    ):
+    if find.monitor(tx, plant, watching.monitor).artifact != find.serving(tx, plant).artifact:
         return None
-    if not writer.unwatched(watching, WATCHED, 1):
+    if not tx.episodes.unwatched(watching, WATCHED, 1):
         return None
-    return _submit(writer, queue, job, plant, "watch", {"monitor": watching.monitor}, stamp)
+    return _submit(tx, queue, job, plant, "watch", {"monitor": watching.monitor}, context)
 
 
 def submit_validation(
-    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    request: dict[str, Json],
+    context: ActorContext,
 ) -> JobRecord:
-    """A validation of what serves, on what was held out since it was promoted, beside what its
-    promotion was judged on.
+    """Submit a validation of what serves on the episodes held out since its promotion, beside those
+    on which the promotion was judged.
 
-    Raises NotIdentifiable where too little was: a few episodes differ by luck.
+    Raises NotIdentifiable where fewer than LEAST_VALIDATED were held out.
     """
-    now = find.serving(writer, plant)
+    now = find.serving(tx, plant)
     judged: Any = (
-        []
-        if now.decision is None
-        else find.decision(writer, plant, now.decision).document["episodes"]
+        [] if now.decision is None else find.decision(tx, plant, now.decision).document["episodes"]
     )
     gate: Any = (
         {}
         if now.decision is None
-        else find.gate(writer, plant, find.decision(writer, plant, now.decision).gate).document
+        else find.gate(tx, plant, find.decision(tx, plant, now.decision).gate).document
     )
     new = [
         e
-        for e in writer.episodes_of_role(plant, HELD_OUT, came_in=now.at)
+        for e in tx.episodes.of_roles(plant, HELD_OUT, ingested_after=now.at)
         if e.digest not in judged
     ]
     if len(new) < LEAST_VALIDATED:
@@ -210,30 +225,39 @@ def submit_validation(
         "new": list(_digests(new)),
         "conditions": gate.get("conditions", []),
     }
-    return _submit(writer, queue, job, plant, "validate", frozen, stamp)
+    return _submit(tx, queue, job, plant, "validate", frozen, context)
 
 
 def submit_recomputation(
-    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    request: dict[str, Json],
+    context: ActorContext,
 ) -> JobRecord:
-    """A decision, made anew from its bytes. Raises NotFound."""
-    made = find.decision(writer, plant, str(request["decision"]))
+    """Submit the recomputation of a decision from its bytes. Raises NotFound."""
+    made = find.decision(tx, plant, str(request["decision"]))
     frozen: dict[str, Json] = {"decision": made.digest, "episodes": made.document["episodes"]}
-    return _submit(writer, queue, job, plant, "recompute", frozen, stamp)
+    return _submit(tx, queue, job, plant, "recompute", frozen, context)
 
 
 def submit_comparison(
-    writer: Writer, queue: JobQueue, job: str, plant: str, request: dict[str, Json], stamp: Stamp
+    tx: Transaction,
+    queue: JobQueue,
+    job: str,
+    plant: str,
+    request: dict[str, Json],
+    context: ActorContext,
 ) -> JobRecord:
-    """Two versions side by side on some episodes, or on all that were held out. Raises NotFound,
-    NotIdentifiable."""
-    writer.lock_plant(plant)
+    """Submit a comparison of two versions on the named episodes, or on all held-out ones. Raises
+    NotFound, NotIdentifiable."""
+    tx.plants.lock(plant)
     both: dict[str, Json] = {
-        which: find.artifact(writer, plant, str(request[which])).digest
-        for which in ("first", "second")
+        which: find.artifact(tx, plant, str(request[which])).digest for which in ("first", "second")
     }
     episodes = _episodes(
-        writer,
+        tx,
         plant,
         request.get("episodes"),
         tuple(Role) if request.get("episodes") is not None else HELD_OUT,
@@ -244,11 +268,10 @@ def submit_comparison(
             hint="Upload one whose metadata says role = validation.",
         )
     record = _submit(
-        writer, queue, job, plant, "compare", {**both, "episodes": _digests(episodes)}, stamp
+        tx, queue, job, plant, "compare", {**both, "episodes": _digests(episodes)}, context
     )
-    writer.add_reads(
-        job, _digests(episodes), "compare"
-    )  # a gate's decision tells of it from now on
+    # From now on decisions disclose the comparison.
+    tx.jobs.add_reads(job, _digests(episodes), "compare")
     return record
 
 
@@ -265,12 +288,12 @@ SUBMIT = {
 
 
 def _episodes(
-    writer: Writer, plant: str, named: Json, roles: Sequence[Role]
+    tx: Transaction, plant: str, named: Json, roles: Sequence[Role]
 ) -> list[EpisodeRecord]:
     if named is None:
-        return writer.episodes_of_role(plant, roles)
-    found = [find.episode(writer, plant, str(digest)) for digest in named]  # type: ignore[union-attr]
-    for episode in found:
+        return tx.episodes.of_roles(plant, roles)
+    episodes = [find.episode(tx, plant, str(digest)) for digest in named]  # type: ignore[union-attr]
+    for episode in episodes:
         if episode.role not in roles:
             raise RoleRefused(
                 (
@@ -280,15 +303,15 @@ def _episodes(
                 role=episode.role,
                 digest=episode.digest,
             )
-    return found
+    return episodes
 
 
 def _not_fitted(
-    writer: Writer, plant: str, episodes: list[EpisodeRecord], *, named: bool
+    tx: Transaction, plant: str, episodes: list[EpisodeRecord], *, named: bool
 ) -> list[EpisodeRecord]:
-    """Those whose samples are not in as an adaptation episode, too: a fit may have seen them.
-    Raises RoleRefused for one that was named."""
-    fitted = writer.samples_of_role(plant, Role.ADAPTATION)
+    """The episodes whose samples did not also come in as an adaptation episode, from which a fit
+    may have been made. Raises RoleRefused where one that was `named` did."""
+    fitted = tx.episodes.samples_of_role(plant, Role.ADAPTATION)
     seen = [e for e in episodes if e.samples_digest in fitted]
     if seen and named:
         raise RoleRefused(
@@ -302,38 +325,46 @@ def _not_fitted(
     return [e for e in episodes if e not in seen]
 
 
+def _other_candidates(tx: Transaction, plant: str, candidate: str) -> list[Json]:
+    """Candidates besides this one that wait for their verdict, and then those that were rejected,
+    the newest first, at most BESIDE together."""
+    waiting = tx.jobs.candidates_on_trial(plant)
+    rejected = tx.decisions.rejected_candidates(plant, BESIDE + 1)
+    others = [c for c in dict.fromkeys([*waiting, *rejected]) if c != candidate]
+    return list(others[:BESIDE])
+
+
 def _digests(episodes: Sequence[EpisodeRecord]) -> list[str]:
     return list(dict.fromkeys(e.digest for e in episodes))
 
 
 def _submit(
-    writer: Writer,
+    tx: Transaction,
     queue: JobQueue,
     job: str,
     plant: str,
     kind: str,
     frozen: dict[str, Json],
-    stamp: Stamp,
+    context: ActorContext,
 ) -> JobRecord:
     record = JobRecord(
-        job,
-        plant,
-        kind,
-        frozen,
-        JobState.QUEUED,
-        0.0,
-        "queued",
-        None,
-        stamp.now,
-        stamp.actor,
-        stamp.now,
+        id=job,
+        plant=plant,
+        kind=kind,
+        request=frozen,
+        state=JobState.QUEUED,
+        progress=0.0,
+        stage="queued",
+        result=None,
+        created_at=context.now,
+        created_by=context.actor,
+        updated_at=context.now,
     )
-    writer.add_job(record)
-    queue.enqueue(writer.connection, job, kind, plant)
-    writer.append_audit(
-        at=stamp.now,
-        kind="job:submitted",
-        actor=stamp.actor,
+    tx.jobs.add(record)
+    queue.enqueue(tx.connection, job, kind, plant)
+    tx.log.append(
+        context,
+        "job:submitted",
         plant=plant,
         subject=job,
         facts={"kind": kind, "operation": record.operation, "request": frozen},

@@ -1,4 +1,4 @@
-"""The switchback test: would the artifact that is to serve again really serve?"""
+"""The switchback test: whether the artifact that is to serve again can serve."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ HELD: dict[str, Json] = {
 
 
 def load_artifact(blobs: Blobs, record: ArtifactRecord) -> Artifact:
-    """An artifact's bytes, as they are kept."""
+    """An artifact with its bytes from the blob store. Raises BlobMissing."""
     return Artifact(
         record.manifest.encode(), b"" if record.arrays is None else blobs.get(record.arrays)
     )
 
 
 def rehearse_rollback(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> dict[str, Json]:
-    """What held: it loads, its digests hold, it answers its recorded probe, it was made for the
-    plant as it is. Raises SwitchbackFailed."""
+    """The record of a switchback test that passed: the artifact loads, its digests hold, it answers
+    its recorded probe, and it was made for the plant as it is. Raises SwitchbackFailed."""
     with AT_ONCE:
         _able(blobs, record, plant_digest)
     return {**HELD, "artifact": record.digest}
 
 
 def _able(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> Predictor:
-    """An artifact that can serve. Raises SwitchbackFailed."""
+    """The predictor of an artifact that can serve. Raises SwitchbackFailed."""
     try:
         artifact = load_artifact(blobs, record)
-        found = unpack(artifact, record.digest)
+        predictor = unpack(artifact, record.digest)
         require_plant(artifact, plant_digest)
     except TrueupError as error:
         raise SwitchbackFailed(
@@ -58,7 +58,7 @@ def _able(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> Predictor:
             cause=error.code,
             artifact=record.digest,
         ) from error
-    return found
+    return predictor
 
 
 def rehearse(
@@ -70,10 +70,10 @@ def rehearse(
     scoring: Scoring,
     now: str,
 ) -> dict[str, Json]:
-    """Try the way back before going forward: what serves now is loaded again and scored on a probe
-    episode, beside the candidate.
+    """Rehearse the way back before a promotion: what serves now is loaded again, and scored beside
+    the candidate on a probe episode.
 
-    The record says when, how long it took to be ready [s], and what going back would change. Raises
+    The record says when, how long loading took [s], and the rollout errors of both. Raises
     SwitchbackFailed.
     """
     began = perf_counter()
@@ -101,9 +101,9 @@ def rehearse_decision(
     gate: Mapping[str, Any],
     now: str,
 ) -> dict[str, Json]:
-    """The same for a decision that is to be promoted, on its first episode. Raises
-    SwitchbackFailed."""
-    with AT_ONCE, blobs.at_hand(decision["episodes"][0], spool) as path, path.open("rb") as file:
+    """Rehearse the way back from the candidate of a decision, on the decision's first episode.
+    Raises SwitchbackFailed."""
+    with AT_ONCE, blobs.local_copy(decision["episodes"][0], spool) as path, path.open("rb") as file:
         forward = unpack(load_artifact(blobs, candidate), candidate.digest)
         probe = read_episode_stream(file, path.stat().st_size, forward.plant.layout)
         return rehearse(

@@ -1,9 +1,9 @@
-"""Who may do what: one row for each route. A route without a row is refused to everybody, and fails
-the tests.
+"""Access rules: one row for each route. A route without a row is refused to everybody, and a test
+fails.
 
-An admin may do everything. A token of a project sees the plants of that project alone, one of a
-plant that plant alone; what it does not see answers as what does not exist. What is `everywhere`
-shows the whole registry, and needs a token of all projects.
+An admin may do everything. A token of a project sees the plants of that project alone, and a token
+of a plant that plant alone. What it does not see gets the response of what does not exist. A route
+marked `everywhere` shows the whole registry, and needs a token of all projects.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ ROBOT, ENGINEER, OPERATOR, AUDITOR, ADMIN = (
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """Which roles may use a route, an admin beside them; `public` for everybody, `everywhere` only
-    with a token of all projects."""
+    """Which roles may use a route, besides an admin. `public` is for everybody, and `everywhere`
+    needs a token of all projects."""
 
     roles: frozenset[Role] = frozenset()
     public: bool = False

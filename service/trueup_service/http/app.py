@@ -1,4 +1,4 @@
-"""The application: routers, errors, and what lives as long as it does."""
+"""The application: its routers, its errors, and the tasks that run as long as it does."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 
 from trueup import __version__
+from trueup_service.authentication import Authenticator
+from trueup_service.expiry import INTERVAL_S, remove_expired
 from trueup_service.http import openapi, problems
-from trueup_service.http.hosts import Hosts
-from trueup_service.http.limiting import Limiting
-from trueup_service.http.observing import Observing
+from trueup_service.http.body_limit import BodyLimit
+from trueup_service.http.hosts import AllowedHosts
 from trueup_service.http.pages import audit as audit_page
 from trueup_service.http.pages import compare as compare_page
 from trueup_service.http.pages import decision as decision_page
@@ -23,6 +24,7 @@ from trueup_service.http.pages import episode as episode_page
 from trueup_service.http.pages import plant as plant_page
 from trueup_service.http.pages import plants as plants_page
 from trueup_service.http.pages import session as session_page
+from trueup_service.http.request_telemetry import RequestTelemetry
 from trueup_service.http.routers import (
     access,
     artifacts,
@@ -41,8 +43,6 @@ from trueup_service.http.routers import (
     uploads,
 )
 from trueup_service.http.serving_answers import ServingAnswers
-from trueup_service.http.tidying import INTERVAL_S, tidy
-from trueup_service.identity import Identities
 from trueup_service.inspection import Inspector
 from trueup_service.signed_log import SignedLog, open_log
 from trueup_service.wiring import Parts
@@ -79,7 +79,7 @@ log = logging.getLogger("trueup.http")
 
 
 async def _publish(signed: SignedLog, interval_s: float) -> None:
-    """Keep the published head up to date."""
+    """Keep the published head of the log up to date."""
     while True:
         try:
             await run_in_threadpool(signed.publish)
@@ -88,18 +88,18 @@ async def _publish(signed: SignedLog, interval_s: float) -> None:
         await asyncio.sleep(interval_s)
 
 
-async def _tidy(parts: Parts) -> None:
-    """Let go of what is kept for a while only."""
+async def _remove_expired(parts: Parts) -> None:
+    """Remove what was stored for a limited time."""
     while True:
         try:
-            await run_in_threadpool(tidy, parts)
+            await run_in_threadpool(remove_expired, parts)
         except Exception:
             log.exception("what has reached its age could not be removed; trying again")
         await asyncio.sleep(INTERVAL_S)
 
 
 def create_app(parts: Parts) -> FastAPI:
-    """The service over these parts."""
+    """The HTTP application of the service over these parts."""
 
     @asynccontextmanager
     async def alive(app: FastAPI) -> AsyncIterator[None]:
@@ -109,7 +109,7 @@ def create_app(parts: Parts) -> FastAPI:
         publishing = asyncio.create_task(
             _publish(app.state.log, parts.settings.checkpoint_interval_s)
         )
-        tidying = asyncio.create_task(_tidy(parts))
+        tidying = asyncio.create_task(_remove_expired(parts))
         yield
         publishing.cancel()
         tidying.cancel()
@@ -125,7 +125,7 @@ def create_app(parts: Parts) -> FastAPI:
         redoc_url=None,
     )
     app.state.parts = parts
-    app.state.identities = Identities(parts.settings, parts.database)
+    app.state.authenticator = Authenticator(parts.settings, parts.database)
     app.state.log = open_log(parts.settings, parts.database)
     problems.install(app)
     openapi.install(app)
@@ -133,7 +133,7 @@ def create_app(parts: Parts) -> FastAPI:
         app.include_router(module.router)
     for page in PAGES:
         app.include_router(page.router, include_in_schema=False)
-    app.add_middleware(Limiting, room_bytes=parts.settings.bodies_limit_bytes)
-    app.add_middleware(Hosts, settings=parts.settings)
-    app.add_middleware(Observing)
+    app.add_middleware(BodyLimit, room_bytes=parts.settings.bodies_limit_bytes)
+    app.add_middleware(AllowedHosts, settings=parts.settings)
+    app.add_middleware(RequestTelemetry)
     return app

@@ -1,5 +1,4 @@
-"""Connections as the server holds them: no more than it has room for, and none for somebody who
-keeps it waiting.
+"""Connections of the server: no more than it has room for, and none that keeps it waiting.
 
 - A request's head arrives whole within `header_limit_s` of its first byte, or of the connection,
   and within HEAD_BYTES.
@@ -29,8 +28,8 @@ from typing import Any
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 HEAD_BYTES = 1 << 16  # of a request's line and headers; of trailers, too
-LEAST_BYTES_S = 100  # a radio link gives more; less is somebody who holds a descriptor
-KEPT_SHARE = 4  # one descriptor in so many is the service's own, at least
+LEAST_BYTES_S = 100  # a slow radio link is faster than this
+KEPT_SHARE = 4  # at least one descriptor in so many is kept for the service itself
 OF_A_DATABASE_CONNECTION = 3  # files: database, write-ahead log, its index
 OF_THREADS = 48  # files that requests under way have open: blobs, spool, folders that are synced
 LEAST_CONNECTIONS = 8
@@ -38,7 +37,7 @@ LEAST_CONNECTIONS = 8
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """How long somebody may keep the server waiting [s], and how many connections it holds."""
+    """How long a client may keep the server waiting [s], and how many connections it holds."""
 
     header_s: float
     keep_alive_s: float
@@ -47,8 +46,8 @@ class Limits:
 
 
 def room_for_connections(database_pool: int) -> int:
-    """How many connections the limit on open files leaves room for, beside what the service opens
-    itself."""
+    """How many connections the limit on open files leaves room for, besides the files that the
+    service opens itself."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     own = len(os.listdir("/dev/fd")) + OF_A_DATABASE_CONNECTION * database_pool + OF_THREADS
     return max(LEAST_CONNECTIONS, soft - max(own, soft // KEPT_SHARE))
@@ -56,18 +55,18 @@ def room_for_connections(database_pool: int) -> int:
 
 @dataclass(slots=True)
 class Door:
-    """Who is let in, and who has to go. Connections without a request wait here, the one that has
-    waited longest first."""
+    """Admits and ends connections. Those without a request wait here, the one that has waited
+    longest first."""
 
     limits: Limits
     waiting: dict[HeldConnection, None] = field(default_factory=dict)
 
-    def protocol(self, **given: Any) -> HeldConnection:
-        """A new connection; what uvicorn calls."""
-        return HeldConnection(self, **given)
+    def protocol(self, **options: Any) -> HeldConnection:
+        """A new connection. uvicorn calls this."""
+        return HeldConnection(self, **options)
 
     def admit(self, held: int) -> bool:
-        """Whether there is room for one more, made where it can be."""
+        """Whether there is room for one more connection, where needed by ending one that waits."""
         if held <= self.limits.connections:
             return True
         longest = next((c for c in self.waiting if not c.transport.is_closing()), None)
@@ -76,24 +75,24 @@ class Door:
         return longest is not None
 
     def sweep(self, held: Iterable[Any], now: float) -> None:
-        """End the connections that kept the server waiting for too long."""
+        """End the connections that have kept the server waiting for too long."""
         for connection in list(held):
             connection.require_progress(now)
 
 
 class HeldConnection(HttpToolsProtocol):
-    """uvicorn's connection, with a clock for each thing that it waits for."""
+    """A connection of uvicorn with a clock for each thing that it waits for."""
 
-    def __init__(self, door: Door, **given: Any) -> None:
-        super().__init__(**given)
+    def __init__(self, door: Door, **options: Any) -> None:
+        super().__init__(**options)
         self._door = door
-        self._head_since: float | None = None  # when the head that is on its way began
+        self._head_since: float | None = None  # when the head that is being received began
         self._idle_since = 0.0
         self._stray = 0  # bytes since the last head or part of a body
         self._received, self._reading, self._writing = 0, _Clock(), _Clock()
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Let it in, or answer 503."""
+        """Admit the connection, or respond 503."""
         super().connection_made(transport)
         self._head_since = self._idle_since = self.loop.time()
         if self._door.admit(len(self.connections)):
@@ -107,12 +106,12 @@ class HeldConnection(HttpToolsProtocol):
             )
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Let it go."""
+        """Forget the connection."""
         self._door.waiting.pop(self, None)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Take bytes in; more of them than a head may have, without one, are refused."""
+        """Receive bytes, and refuse more of them than a request's head may have."""
         self._received += len(data)
         self._stray += len(data)
         super().data_received(data)
@@ -126,23 +125,23 @@ class HeldConnection(HttpToolsProtocol):
             )
 
     def on_message_begin(self) -> None:
-        """A head begins: its clock starts, unless it runs since the connection was made."""
+        """A head begins: start its clock, unless it runs since the connection was made."""
         self._head_since = self._head_since or self.loop.time()
         super().on_message_begin()
 
     def on_headers_complete(self) -> None:
-        """A head is whole: the request is under way."""
+        """A head is complete: the request is under way."""
         self._stray, self._head_since = 0, None
         self._door.waiting.pop(self, None)
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """A part of a body came."""
+        """Receive a part of a body."""
         self._stray = 0
         super().on_body(body)
 
     def on_response_complete(self) -> None:
-        """A request is answered: the connection waits for the next one, if that is not here
+        """A request is answered: let the connection wait for the next one, unless that is here
         already."""
         super().on_response_complete()
         self._idle_since = self.loop.time()
@@ -150,7 +149,7 @@ class HeldConnection(HttpToolsProtocol):
             self._door.waiting[self] = None
 
     def send_400_response(self, msg: str) -> None:
-        """What is no HTTP is refused as everything else is."""
+        """Refuse what is not HTTP with a problem document."""
         self._refuse(
             HTTPStatus.BAD_REQUEST,
             "bad-request",
@@ -159,11 +158,11 @@ class HeldConnection(HttpToolsProtocol):
         )
 
     def give_way(self) -> None:
-        """End, for somebody else."""
+        """End the connection to make room for another one."""
         self.transport.abort()
 
     def require_progress(self, now: float) -> None:
-        """End where it kept the server waiting for too long."""
+        """End the connection where it has kept the server waiting for too long."""
         limits = self._door.limits
         self._require_taken(now)
         if self.transport.is_closing():
@@ -180,7 +179,7 @@ class HeldConnection(HttpToolsProtocol):
             self._time_out(f"the request's body came with less than {LEAST_BYTES_S} bytes a second")
 
     def _require_taken(self, now: float) -> None:
-        """Of an answer, or the rest of one, the other side has to take something."""
+        """End the connection where the client does not take the response that is sent to it."""
         left = self.transport.get_write_buffer_size()
         if not self.flow.write_paused and not (left and self.transport.is_closing()):
             self._writing.stop()
@@ -188,7 +187,7 @@ class HeldConnection(HttpToolsProtocol):
             self.transport.abort()
 
     def resume_writing(self) -> None:
-        """What was written is taken; the next part's clock starts anew."""
+        """The client has taken what was written: restart the clock for the next part."""
         self._writing.stop()
         super().resume_writing()
 
@@ -216,13 +215,13 @@ class HeldConnection(HttpToolsProtocol):
             )
 
     def _refuse(self, status: HTTPStatus, code: str, detail: str, hint: str) -> None:
-        """Answer with a problem document, and close."""
+        """Respond with a problem document, and close."""
         self.transport.write(refusal(status, code, detail, hint))
         self.transport.close()
 
 
 class _Clock:
-    """Looks whether a number rises by LEAST_BYTES_S, over one window after the other."""
+    """Watches whether a number rises by LEAST_BYTES_S, over one window after the other."""
 
     def __init__(self) -> None:
         self._began: tuple[float, int] | None = None
@@ -239,7 +238,7 @@ class _Clock:
 
 
 def refusal(status: HTTPStatus, code: str, detail: str, hint: str) -> bytes:
-    """A whole answer, for a connection that has no request."""
+    """A complete HTTP response for a connection that has no request."""
     problem = {
         "type": f"urn:trueup:problem:{code}",
         "title": status.phrase,

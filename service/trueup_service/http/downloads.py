@@ -1,8 +1,8 @@
-"""Send kept bytes, and never a whole answer of bytes that are not what their digest names.
+"""Downloads of blobs, which are never complete where the bytes are not what the digest names.
 
-They are hashed while they stream, and the last part is withheld until the hash agrees. What fits
-into one part is so checked before the answer begins, and refused as BlobDamaged; a longer answer
-breaks off, short of its announced length or of its last chunk.
+The bytes are hashed while they stream, and the last part is withheld until the hash agrees. Damage
+in a blob that fits into one part is found before the response begins, and raises BlobDamaged. A
+longer response breaks off before its announced length or its last chunk.
 """
 
 from __future__ import annotations
@@ -18,30 +18,32 @@ from trueup_service.registry.blobs import BlobDamaged, Blobs
 UNCHANGING = "private, max-age=31536000, immutable"
 
 
-def send_kept(
+def send_blob(
     blobs: Blobs,
     digest: str,
     size_bytes: int | None = None,
     media_type: str = "application/octet-stream",
     **headers: str,
 ) -> StreamingResponse:
-    """The bytes of a digest, with their length where it is known. Raises BlobMissing,
-    BlobDamaged."""
-    parts = whole(blobs.stream(digest), digest, size_bytes)
+    """A response with the bytes of a digest, and with their length where it is known. Raises
+    BlobMissing, BlobDamaged."""
+    parts = verified_parts(blobs.stream(digest), digest, size_bytes)
     first = next(parts, b"")
     length: Mapping[str, str] = {} if size_bytes is None else {"Content-Length": str(size_bytes)}
-    told = {
+    all_headers = {
         "ETag": f'"{digest}"',
         "Cache-Control": UNCHANGING,
         **length,
         **{name.replace("_", "-"): x for name, x in headers.items()},
     }
-    return StreamingResponse(chain([first], parts), media_type=media_type, headers=told)
+    return StreamingResponse(chain([first], parts), media_type=media_type, headers=all_headers)
 
 
-def whole(parts: Iterator[bytes], digest: str, size_bytes: int | None = None) -> Iterator[bytes]:
-    """Parts of bytes, the last one only if all of them have this digest, and this size. Raises
-    BlobDamaged."""
+def verified_parts(
+    parts: Iterator[bytes], digest: str, size_bytes: int | None = None
+) -> Iterator[bytes]:
+    """Yields parts of bytes, the last one only if all of them have this digest and this size.
+    Raises BlobDamaged."""
     hashed, size, withheld = hashlib.sha256(), 0, b""
     for part in parts:
         size += len(part)

@@ -1,4 +1,4 @@
-"""The door: every route asks here who comes, before a byte of the body is read."""
+"""Access control: every route authenticates its caller before a byte of the body is read."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import Receive, Scope, Send
 
 from trueup_service.actions import find
+from trueup_service.authentication import Authenticator, Principal
 from trueup_service.errors import Forbidden, NotFound, Unauthenticated
 from trueup_service.http.access import ACCESS, Rule
-from trueup_service.identity import Identities, Who
 from trueup_service.registry.database import Database
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 
 COOKIE = "trueup_session"
 SAFE = ("GET", "HEAD")
@@ -22,17 +22,18 @@ NOBODY = Rule()
 
 
 class Guarded(APIRoute):
-    """A route that whoever may not use it does not reach."""
+    """A route that only an authorised caller reaches."""
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse or go on. Raises Unauthenticated, Forbidden, NotFound."""
+        """Authenticate and authorise, then handle the request. Raises Unauthenticated, Forbidden,
+        NotFound."""
         if scope["method"] in (self.methods or ()):
             rule = ACCESS.get((scope["method"], self.path), NOBODY)
             if not rule.public:
                 request = Request(scope)
-                who = scope["who"] = await _recognised(request)
-                _require(who, rule)
-                await _require_plant(request, who)
+                principal = scope["principal"] = await _authenticate(request)
+                _require(principal, rule)
+                await _require_plant(request, principal)
         await super().handle(scope, receive, send)
 
 
@@ -41,26 +42,34 @@ def guarded(prefix: str, tags: list[str]) -> APIRouter:
     return APIRouter(prefix=prefix, tags=list(tags), route_class=Guarded)
 
 
-async def _recognised(request: Request) -> Who:
-    identities: Identities = request.app.state.identities
+async def _authenticate(request: Request) -> Principal:
+    authenticator: Authenticator = request.app.state.authenticator
     kind, _, token = request.headers.get("authorization", "").partition(" ")
     if kind.lower() == "bearer":
-        found = identities.remembered(token)
-        return found if found is not None else await run_in_threadpool(identities.by_token, token)
+        principal = authenticator.remembered(token)
+        return (
+            principal
+            if principal is not None
+            else await run_in_threadpool(authenticator.by_token, token)
+        )
     cookie = request.cookies.get(COOKIE)
     if cookie is None:
         raise Unauthenticated
     require_own_page(request)
-    found = identities.remembered(cookie)
-    return found if found is not None else await run_in_threadpool(identities.by_session, cookie)
+    principal = authenticator.remembered(cookie)
+    return (
+        principal
+        if principal is not None
+        else await run_in_threadpool(authenticator.by_session, cookie)
+    )
 
 
 def require_own_page(request: Request) -> None:
-    """A browser sends its cookie whoever made it ask: what changes something must come from a page
-    of ours. Raises Forbidden.
+    """Refuse a browser's change that does not come from a page of this service, since a browser
+    sends its cookie whoever made it ask. Raises Forbidden.
 
-    SameSite=Strict keeps other sites' requests without the cookie; this holds against other origins
-    of the same site, too.
+    SameSite=Strict keeps the cookie from requests of other sites. This check also holds against
+    other origins of the same site.
     """
     if request.method in SAFE:
         return
@@ -74,8 +83,8 @@ def require_own_page(request: Request) -> None:
 
 
 def origin_of(request: Request) -> str:
-    """Scheme and host under which a browser reaches the service; behind a proxy the settings say
-    so."""
+    """The scheme and host under which a browser reaches the service, from the settings where there
+    is a proxy."""
     public: str | None = request.app.state.parts.settings.public_url
     return (
         public.rstrip("/")
@@ -84,50 +93,50 @@ def origin_of(request: Request) -> str:
     )
 
 
-def _require(who: Who, rule: Rule) -> None:
-    """Raises Forbidden."""
-    if not who.roles & rule.roles:
-        roles = sorted(rule.roles)
+def _require(principal: Principal, rule: Rule) -> None:
+    """Raises Forbidden where a rule does not allow the caller."""
+    if not principal.roles & rule.roles:
+        held, needed = sorted(principal.roles), sorted(rule.roles)
         raise Forbidden(
-            f"{who.name!r} is {' and '.join(sorted(who.roles))}; this takes {' or '.join(roles)}",
-            roles=roles,
+            f"{principal.name!r} is {' and '.join(held)}; this takes {' or '.join(needed)}",
+            roles=needed,
         )
-    if rule.everywhere and not who.everywhere:
+    if rule.everywhere and not principal.everywhere:
         raise Forbidden(
             "this shows all projects, and the token is of one",
             hint="Ask an admin for a token of all projects.",
         )
 
 
-async def _require_plant(request: Request, who: Who) -> None:
-    """What a token does not see is answered as what does not exist. Raises NotFound."""
+async def _require_plant(request: Request, principal: Principal) -> None:
+    """Raises NotFound for a plant that the token does not see, as for one that does not exist."""
     plant = request.path_params.get("plant")
-    if plant is None or who.everywhere:
+    if plant is None or principal.everywhere:
         return
-    if not await run_in_threadpool(sees, request.app.state.parts.database, who, plant):
-        raise find.missing("plant", plant)
+    if not await run_in_threadpool(is_visible, request.app.state.parts.database, principal, plant):
+        raise find.not_found("plant", plant)
 
 
-def sees(database: Database, who: Who, plant: str) -> bool:
-    """Whether somebody sees a plant that is there."""
-    if who.plant is not None:
-        return plant == who.plant
-    if who.project is None:
+def is_visible(database: Database, principal: Principal, plant: str) -> bool:
+    """Whether a token sees a plant."""
+    if principal.plant is not None:
+        return plant == principal.plant
+    if principal.project is None:
         return True
-    with database.read() as connection:
-        return Reader(connection).belongs(plant, who.project)
+    with reading(database) as tx:
+        return tx.plants.is_in_project(plant, principal.project)
 
 
-async def _who(request: Request) -> Who:
-    who: Who = request.scope["who"]
-    return who
+async def _principal(request: Request) -> Principal:
+    principal: Principal = request.scope["principal"]
+    return principal
 
 
-def require_seen(database: Database, who: Who, plant: str, hidden: NotFound) -> None:
-    """For what is named without its plant. Raises `hidden`, which says what is said of what does
-    not exist."""
-    if not who.everywhere and not sees(database, who, plant):
+def require_visible(database: Database, principal: Principal, plant: str, hidden: NotFound) -> None:
+    """Raises `hidden`, the error for what does not exist, where the token does not see the plant of
+    a thing that was named without it."""
+    if not principal.everywhere and not is_visible(database, principal, plant):
         raise hidden
 
 
-Asking = Annotated[Who, Depends(_who)]
+CurrentPrincipal = Annotated[Principal, Depends(_principal)]

@@ -19,10 +19,10 @@ import socket
 from urllib.parse import urlsplit
 
 from starlette.requests import Request
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from trueup_service.errors import UnknownHost
 from trueup_service.http import problems
-from trueup_service.http.observing import App, Receive, Scope, Send
 from trueup_service.settings import Settings
 
 ANY = "*"
@@ -32,10 +32,10 @@ HOST = re.compile(
 PROBES = ("/healthz", "/readyz")
 
 
-class Hosts:
-    """ASGI middleware: answers 421 to who asks for another host."""
+class AllowedHosts:
+    """ASGI middleware that responds 421 to requests for another host."""
 
-    def __init__(self, app: App, settings: Settings) -> None:
+    def __init__(self, app: ASGIApp, settings: Settings) -> None:
         self._app = app
         self._allowed = allowed_hosts(settings)
 
@@ -43,20 +43,20 @@ class Hosts:
         if (
             scope["type"] != "http"
             or scope["path"] in PROBES
-            or self._is_ours([v for k, v in scope["headers"] if k == b"host"])
+            or self._is_allowed([v for k, v in scope["headers"] if k == b"host"])
         ):
             await self._app(scope, receive, send)
             return
         await problems.answer(Request(scope), UnknownHost())(scope, receive, send)
 
-    def _is_ours(self, given: list[bytes]) -> bool:
+    def _is_allowed(self, hosts: list[bytes]) -> bool:
         return ANY in self._allowed or (
-            len(given) == 1 and is_allowed(given[0].decode("latin-1"), self._allowed)
+            len(hosts) == 1 and is_allowed(hosts[0].decode("latin-1"), self._allowed)
         )
 
 
 def allowed_hosts(settings: Settings) -> frozenset[str]:
-    """The names, in lower case."""
+    """The allowed names of the settings and of this machine, in lower case."""
     public = urlsplit(settings.public_url).hostname if settings.public_url else None
     listed = settings.allowed_hosts.split(",") if settings.allowed_hosts else []
     names = (
@@ -69,8 +69,8 @@ def allowed_hosts(settings: Settings) -> frozenset[str]:
 def is_allowed(host: str, allowed: frozenset[str]) -> bool:
     """Whether a Host header is an address, one of these names, or a name below one of them that
     begins with `*.`."""
-    found = HOST.fullmatch(host)
-    name = (found[1] or found[2]).lower() if found else ""
+    match = HOST.fullmatch(host)
+    name = (match[1] or match[2]).lower() if match else ""
     if name in allowed or any(
         pattern.startswith("*.") and name.endswith(pattern[1:]) for pattern in allowed
     ):

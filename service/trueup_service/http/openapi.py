@@ -1,5 +1,5 @@
-"""The OpenAPI document: what the framework derives from the routes, with every refusal documented
-as the problem that it is."""
+"""The OpenAPI document: what the framework derives from the routes, with every refusal as a
+problem."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
 from trueup_service.http.problems import MEDIA_TYPE
-from trueup_service.http.schemas import Problem
+from trueup_service.http.schemas.wire import Problem
 
 METHODS = ("get", "put", "post", "patch", "delete")
 
 
-def there(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
-    """How a route that makes something answers when it was there already."""
+def already_exists(model: type[BaseModel]) -> dict[int | str, dict[str, Any]]:
+    """The 200 response of a route that makes something, where it exists already."""
     return {200: {"model": model, "description": "It was there already"}}
 
 
 def install(app: FastAPI) -> None:
-    """Give the application its document, made once."""
+    """Give the application its OpenAPI document, which is made once."""
 
     def document() -> dict[str, Any]:
         if app.openapi_schema is None:

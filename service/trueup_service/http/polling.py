@@ -1,4 +1,5 @@
-"""Polling: a route that answers at once, with 304 where nothing changed, or at the next move."""
+"""Polling of what serves: a response at once, 304 where nothing changed, or a response at the next
+move."""
 
 from __future__ import annotations
 
@@ -36,9 +37,11 @@ ASKED: tuple[dict[str, Any], ...] = (
 
 
 async def polled(request: Request, plant: str, channel: str | None = None) -> Response:
-    """What a plant's pointer or a channel of it serves. Raises NotFound, BadRequest.
+    """The response with what a plant's pointer or one of its channels serves. Raises NotFound,
+    BadRequest.
 
-    Fleets poll: the parameters are read by hand, which halves what an answer costs.
+    Fleets poll this, so the parameters are read without the framework, which halves the cost of a
+    response.
     """
     answers: ServingAnswers = request.app.state.answers
     tag = request.headers.get("if-none-match")

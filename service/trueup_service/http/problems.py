@@ -15,13 +15,13 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 from starlette.exceptions import HTTPException
 
 from trueup import errors
-from trueup.blindtrial.seal import LabelLeaked, NotAsCommitted
+from trueup.blindtrial.commitment import CommitmentMismatch, LabelLeaked
 from trueup.canonical import NotCanonical
 from trueup.gate.evidence import BadEvidence
 from trueup.gate.policy import BadPolicy
-from trueup.ledger.archive import BadArchive
-from trueup.ledger.note import BadKey
+from trueup.ledger.archive_layout import BadArchive
 from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
+from trueup.ledger.signed_note import BadKey
 from trueup_service import errors as service
 from trueup_service.http.pages.page import show, to_sign_in, wants_page
 from trueup_service.registry.blobs import BlobDamaged, BlobMissing, StoreAway
@@ -47,7 +47,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     errors.PointerMoved: HTTPStatus.CONFLICT,
     errors.BrokenChain: HTTPStatus.INTERNAL_SERVER_ERROR,
     LabelLeaked: HTTPStatus.UNPROCESSABLE_ENTITY,
-    NotAsCommitted: HTTPStatus.INTERNAL_SERVER_ERROR,
+    CommitmentMismatch: HTTPStatus.INTERNAL_SERVER_ERROR,
     NotCanonical: HTTPStatus.UNPROCESSABLE_ENTITY,
     NotAccepted: HTTPStatus.CONFLICT,
     NothingToRollBackTo: HTTPStatus.CONFLICT,
@@ -67,7 +67,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.GateFollows: HTTPStatus.CONFLICT,
     service.GateSuperseded: HTTPStatus.CONFLICT,
     service.RejectedBefore: HTTPStatus.CONFLICT,
-    service.Kept: HTTPStatus.CONFLICT,
+    service.CannotBeDeleted: HTTPStatus.CONFLICT,
     service.BadRequest: HTTPStatus.BAD_REQUEST,
     service.SwitchbackFailed: HTTPStatus.CONFLICT,
     service.InspectionFailed: HTTPStatus.UNPROCESSABLE_ENTITY,
@@ -98,13 +98,15 @@ def status_of(error: errors.TrueupError) -> HTTPStatus:
 
 
 def answer(request: Request, error: errors.TrueupError) -> Response:
-    """An error as a problem."""
-    found = problem(request, status_of(error), error.code, error.message, error.hint, error.facts)
+    """The problem document of an error."""
+    response = problem(
+        request, status_of(error), error.code, error.message, error.hint, error.facts
+    )
     if isinstance(error, service.MemoryFull):
-        found.headers["Retry-After"] = "1"
+        response.headers["Retry-After"] = "1"
     if isinstance(error, service.Unauthenticated):
-        found.headers["WWW-Authenticate"] = 'Bearer realm="trueup"'
-    return found
+        response.headers["WWW-Authenticate"] = 'Bearer realm="trueup"'
+    return response
 
 
 def problem(
@@ -115,8 +117,8 @@ def problem(
     hint: str,
     facts: dict[str, object] | None = None,
 ) -> Response:
-    """A problem document: stable `code`, what to do next in `hint`, values in `facts`, and the
-    request's id; for a browser a page of it."""
+    """A problem document (RFC 9457) with a stable `code`, the next step in `hint`, values in
+    `facts`, and the id of the request. A browser gets a page of it."""
     if wants_page(request):
         if status == HTTPStatus.UNAUTHORIZED:
             return to_sign_in(request)
@@ -143,7 +145,7 @@ def problem(
 
 
 def _plain_json(body: dict[str, object]) -> bytes:
-    """JSON, whatever text the caller may have sent; what is no Unicode is escaped."""
+    """JSON of whatever text the caller has sent. Text that is not valid Unicode is escaped."""
     try:
         return orjson.dumps(body, default=str)
     except TypeError:
@@ -151,7 +153,7 @@ def _plain_json(body: dict[str, object]) -> bytes:
 
 
 def install(app: FastAPI) -> None:
-    """Answer every error as a problem."""
+    """Give every error of the application a handler that responds with a problem document."""
 
     @app.exception_handler(errors.TrueupError)
     def _ours(request: Request, error: errors.TrueupError) -> Response:
@@ -159,35 +161,34 @@ def install(app: FastAPI) -> None:
 
     @app.exception_handler(RequestValidationError)
     def _invalid(request: Request, error: RequestValidationError) -> Response:
-        found = [
+        fields = [
             {"field": ".".join(map(str, e["loc"])), "message": e["msg"]} for e in error.errors()
         ]
-        first = found[0] if found else {"field": "", "message": "invalid"}
+        first = fields[0] if fields else {"field": "", "message": "invalid"}
         return problem(
             request,
             HTTPStatus.UNPROCESSABLE_ENTITY,
             "invalid-request",
             f"{first['field']}: {first['message']}",
             "Correct the named fields; /openapi.json shows what each takes.",
-            {"fields": found},
+            {"fields": fields},
         )
 
     @app.exception_handler(HTTPException)
     def _plain(request: Request, error: HTTPException) -> Response:
-        if isinstance(
-            error.__cause__, errors.TrueupError
-        ):  # it came up while the framework read a body, and says more
+        # An error of ours that occurred while the framework read a body says more.
+        if isinstance(error.__cause__, errors.TrueupError):
             return answer(request, error.__cause__)
         code = HTTPStatus(error.status_code).phrase.lower().replace(" ", "-")
-        found = problem(
+        response = problem(
             request,
             error.status_code,
             code,
             str(error.detail),
             "Compare the request with /openapi.json.",
         )
-        found.headers.update(error.headers or {})
-        return found
+        response.headers.update(error.headers or {})
+        return response
 
     @app.exception_handler(OperationalError)
     @app.exception_handler(PoolTimeout)

@@ -19,40 +19,36 @@ from trueup_service.wiring import Parts
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A listening socket with Nagle's algorithm off: small answers must not wait for the other
-    side's acknowledgement.
+    """A listening socket with Nagle's algorithm off, since small responses must not wait for an
+    acknowledgement.
 
     Accepted connections inherit the option, whatever event loop and number of processes serve them.
     """
-    found = socket.create_server(
+    listening = socket.create_server(
         (host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET, backlog=2048
     )
-    found.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return found
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return listening
 
 
-COLLECT_AFTER = (
-    20_000,
-    20,
-    50,
-)  # allocations; a request makes some thousands, nearly all freed without the collector
-SWEEP_TICKS = 10  # of 0.1 s
-# a writer back from its commit must not wait Python's usual 5 ms for its turn, with a lock in its
-# hands
+# Allocations; a request makes some thousands, nearly all freed without the collector.
+COLLECT_AFTER = (20_000, 20, 50)
+SWEEP_TICKS = 10  # ticks of 0.1 s
+# A writer that holds a lock after its commit must not wait Python's usual 5 ms for its turn.
 SWITCH_INTERVAL_S = 0.0005
 
 
 def _quiet_collector() -> None:
-    """Leave what was loaded at the start out of every garbage collection: looking through it stalls
-    requests for tens of ms."""
+    """Exclude what was loaded at the start from every garbage collection, which would stall
+    requests for tens of milliseconds."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(*COLLECT_AFTER)
 
 
 class _Server(uvicorn.Server):
-    """Lets those who wait for a change go as soon as it is told to stop, and those who keep it
-    waiting while it runs."""
+    """A server that releases long polls as soon as it is told to stop, and ends slow connections
+    while it runs."""
 
     def __init__(self, config: uvicorn.Config, door: Door) -> None:
         super().__init__(config)

@@ -1,55 +1,40 @@
-"""Answers to "what serves?", cheap enough for a fleet to poll, and never older than the last
+"""Responses to "what serves?", cheap enough for a fleet to poll, and never older than the last
 acknowledged move.
 
-On SQLite the answer is kept, and before it is given SQLite's change counter is read (`PRAGMA
-data_version`, a few microseconds, no table touched): any commit by any connection of any process
-moves it, and then the row is read again. A move is acknowledged after its commit, so whoever was
-told of it finds the counter moved. On PostgreSQL the row is read each time.
+On SQLite a response is remembered, and SQLite's change counter is read before it is used (`PRAGMA
+data_version`, a few microseconds, no table touched). Any commit by any connection of any process
+moves the counter, and then the row is read again. A move is acknowledged after its commit, so
+whoever knows of a move finds the counter moved. On PostgreSQL the row is read each time.
 """
 
 from __future__ import annotations
 
 import asyncio
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import orjson
 from starlette.concurrency import run_in_threadpool
 
 from trueup_service.actions import find
+from trueup_service.actions.move_pointer import position_document
 from trueup_service.registry.database import Database
-from trueup_service.registry.records import Move
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import ReadTransaction
 
 Asked = tuple[str, str | None]  # a plant, and one of its channels or None for its own pointer
 
 
 @dataclass(frozen=True, slots=True)
 class ServingAnswer:
-    """The body of an answer, its entity tag, and the headers that go with both."""
+    """The body of a response, its entity tag, and its headers."""
 
     etag: str
     body: bytes
     headers: dict[str, str]
 
 
-def document(move: Move) -> dict[str, Any]:
-    """A position of the pointer as it goes over the wire."""
-    return {
-        "plant": move.plant,
-        "version": move.version,
-        "artifact": move.artifact,
-        "generation": move.generation,
-        "since": move.at,
-        "decision": move.decision,
-        "move": str(move.kind),
-        "actor": move.actor,
-    }
-
-
 def matches(etag: str, asked: str) -> bool:
-    """Whether an If-None-Match header holds this tag: any of a list, weak ones too, or `*` (RFC
-    9110, section 13.1.2)."""
+    """Whether an If-None-Match header has this tag, in a list, as a weak one or as `*` (RFC 9110,
+    section 13.1.2)."""
     return (
         asked == etag
         or asked.strip() == "*"
@@ -58,8 +43,8 @@ def matches(etag: str, asked: str) -> bool:
 
 
 class ServingAnswers:
-    """Gives the answers; used on the event loop only. Once it is `closing` nobody waits any
-    more."""
+    """The responses of one server, used on its event loop only. Once `closing` is set nobody waits
+    any more."""
 
     closing = False
 
@@ -71,7 +56,7 @@ class ServingAnswers:
         self._moved = asyncio.Event()
 
     async def now(self, asked: Asked) -> ServingAnswer:
-        """What serves. Raises NotFound."""
+        """What serves now. Raises NotFound."""
         if self._counter is None:
             return await run_in_threadpool(self._read, asked)
         if self._counter.moved():
@@ -82,7 +67,7 @@ class ServingAnswers:
         return answer
 
     async def after(self, asked: Asked, etag: str, wait_s: float) -> ServingAnswer:
-        """What serves once its tag is another than `etag`, or what serves after `wait_s` [s]."""
+        """What serves once its tag differs from `etag`, or after `wait_s` [s]. Raises NotFound."""
         clock = asyncio.get_running_loop().time
         deadline = clock() + wait_s
         while (
@@ -94,7 +79,7 @@ class ServingAnswers:
         return answer
 
     def wake(self) -> None:
-        """Let everybody who waits look now: this process has moved a pointer."""
+        """Let everybody who waits look now, since this process has moved a pointer."""
         self._moved.set()
         self._moved = asyncio.Event()
 
@@ -107,12 +92,14 @@ class ServingAnswers:
     def _read(self, asked: Asked) -> ServingAnswer:
         plant, channel = asked
         with self._database.glance() as connection:
-            reader = Reader(connection)
+            tx = ReadTransaction(connection)
             if channel is None:
-                move = find.serving(reader, plant)
-                told, generation = document(move), move.generation
+                move = find.serving(tx, plant)
+                position, generation = position_document(move), move.generation
             else:
-                at = find.channel_move(reader, plant, channel)
-                told, generation = asdict(at), at.generation
+                at = find.channel_move(tx, plant, channel)
+                position, generation = asdict(at), at.generation
         etag = f'"{generation}"'
-        return ServingAnswer(etag, orjson.dumps(told), {"ETag": etag, "Cache-Control": "no-cache"})
+        return ServingAnswer(
+            etag, orjson.dumps(position), {"ETag": etag, "Cache-Control": "no-cache"}
+        )

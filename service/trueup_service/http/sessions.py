@@ -1,5 +1,5 @@
-"""Sessions: a browser trades a token for a cookie that scripts cannot read and other sites cannot
-send."""
+"""Sessions of browsers: a token is exchanged for a cookie that scripts cannot read and other sites
+cannot send."""
 
 from __future__ import annotations
 
@@ -8,26 +8,28 @@ from datetime import UTC, datetime, timedelta
 
 from fastapi import Request, Response
 
-from trueup_service.actions.stamp import time_text
+from trueup_service.actor_context import time_text
+from trueup_service.authentication import Authenticator, Principal, digest_of_secret
 from trueup_service.http.guard import COOKIE, origin_of
-from trueup_service.identity import Identities, Who, digest_of_secret
-from trueup_service.registry.store import writing
+from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 
 
-def begin_session(identities: Identities, parts: Parts, token: str) -> tuple[Who, str]:
-    """Who a token is of, and the secret of a session that lasts for a while. Raises
+def begin_session(authenticator: Authenticator, parts: Parts, token: str) -> tuple[Principal, str]:
+    """Begin a session with a token. Returns its principal and the session's secret. Raises
     Unauthenticated."""
-    who = identities.by_token(token)
+    principal = authenticator.by_token(token)
     now, secret = datetime.now(UTC), secrets.token_urlsafe(32)
     ends = now + timedelta(seconds=parts.settings.session_s)
-    with writing(parts.database) as writer:
-        writer.add_session(digest_of_secret(secret), who.token, time_text(now), time_text(ends))
-    return who, secret
+    with writing(parts.database) as tx:
+        tx.sessions.begin(
+            digest_of_secret(secret), principal.token, time_text(now), time_text(ends)
+        )
+    return principal, secret
 
 
 def give_cookie(request: Request, response: Response, parts: Parts, secret: str) -> None:
-    """Let a browser keep a session's secret, out of reach of scripts and of other sites."""
+    """Set the cookie that holds a session's secret, out of reach of scripts and of other sites."""
     is_https = origin_of(request).startswith("https:")
     response.set_cookie(
         COOKIE,
@@ -40,14 +42,14 @@ def give_cookie(request: Request, response: Response, parts: Parts, secret: str)
 
 
 def end_session(request: Request, parts: Parts) -> None:
-    """End the session that a browser's cookie is of."""
+    """End the session of a request's cookie."""
     cookie = request.cookies.get(COOKIE)
     if cookie is not None:
-        with writing(parts.database) as writer:
-            writer.end_session(digest_of_secret(cookie))
-    request.app.state.identities.forget()
+        with writing(parts.database) as tx:
+            tx.sessions.end(digest_of_secret(cookie))
+    request.app.state.authenticator.forget()
 
 
 def forget_cookie(response: Response) -> None:
-    """Take the cookie back."""
+    """Delete the cookie."""
     response.delete_cookie(COOKIE, httponly=True, samesite="strict")

@@ -1,4 +1,4 @@
-"""Receive a request's body into a file of ours, hashed while it streams, all or nothing."""
+"""Receive a request's body as a file on the spool, hashed while it streams, all or nothing."""
 
 from __future__ import annotations
 
@@ -9,43 +9,39 @@ import os
 import uuid
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 
-from fastapi import Request
+from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
+from trueup_service.actions.ingestion import ReceivedFile, ingest
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import BadRequest, DigestMismatch, TooLargeUpload
+from trueup_service.http.dependencies import created
+from trueup_service.http.schemas.episodes import Episode
+from trueup_service.inspection import Inspected
 from trueup_service.partial_uploads import write_all
+from trueup_service.wiring import Parts
 
 PART_BYTES, SYNC_BYTES = 256 << 10, 4 << 20
 ARRAYS_HINT = "Pack a smaller model, or raise TRUEUP_ARRAYS_LIMIT_BYTES."
 
 
-@dataclass(frozen=True, slots=True)
-class Received:
-    """A file that is ours until the request ends, its SHA-256 and its size."""
-
-    path: Path
-    digest: str
-    size_bytes: int
-
-
 @asynccontextmanager
 async def received(
     request: Request, spool: Path, limit_bytes: int, hint: str | None = None
-) -> AsyncIterator[Received]:
-    """The body as a file in `spool`, removed at the end. Raises TooLargeUpload with this hint or
-    its own, DigestMismatch, BadRequest."""
+) -> AsyncIterator[ReceivedFile]:
+    """The body as a file in `spool`, which is removed at the end. Raises BadRequest,
+    DigestMismatch, and TooLargeUpload with this hint or its own."""
     declared = request.headers.get("content-length", "")
     allow(int(declared) if declared.isdigit() else 0, limit_bytes, hint)
     path = spool / uuid.uuid4().hex
     try:
         digest, size = await _receive(request, path, limit_bytes, hint)
         _require_digest(request.headers.get("content-digest"), digest)
-        yield Received(path, digest, size)
+        yield ReceivedFile(path, digest, size)
     finally:
         path.unlink(missing_ok=True)
 
@@ -53,8 +49,8 @@ async def received(
 async def _receive(
     request: Request, path: Path, limit_bytes: int, hint: str | None
 ) -> tuple[str, int]:
-    """Digest and size of the body. While one part is hashed and written in a thread, the next one
-    is received."""
+    """Write the body to a file. Returns its digest and size. While one part is hashed and written
+    in a thread, the next one is received."""
     gathered, under_way, size = bytearray(), None, 0
     with path.open("xb", buffering=0) as file:
         sink = _Sink(file)
@@ -80,8 +76,7 @@ async def _receive(
 
 
 class _Sink:
-    """Hashes and writes parts, and syncs now and then, so that little is left to sync at the
-    end."""
+    """Hashes and writes parts, and syncs now and then, to leave little to sync at the end."""
 
     def __init__(self, file: FileIO) -> None:
         self.hashed = hashlib.sha256()
@@ -97,7 +92,7 @@ class _Sink:
 
 
 def allow(size: int, limit_bytes: int, hint: str | None = None) -> None:
-    """Raises TooLargeUpload for more bytes."""
+    """Raises TooLargeUpload where an upload has more bytes than the limit."""
     if size > limit_bytes:
         raise TooLargeUpload(
             f"the upload has more than {limit_bytes} bytes", hint=hint, limit_bytes=limit_bytes
@@ -105,8 +100,8 @@ def allow(size: int, limit_bytes: int, hint: str | None = None) -> None:
 
 
 def _require_digest(header: str | None, digest: str) -> None:
-    """Hold the body against RFC 9530's `Content-Digest: sha-256=:base64:`; other algorithms are not
-    ours to judge."""
+    """Raises DigestMismatch where `Content-Digest: sha-256=:base64:` (RFC 9530) names another
+    digest. Other algorithms are ignored."""
     for item in (header or "").split(","):
         name, _, value = item.strip().partition("=")
         if (
@@ -114,3 +109,15 @@ def _require_digest(header: str | None, digest: str) -> None:
             and value.strip(":") != base64.b64encode(bytes.fromhex(digest)).decode()
         ):
             raise DigestMismatch("the body is not what Content-Digest says", found=digest)
+
+
+def ingest_response(
+    parts: Parts,
+    context: ActorContext,
+    plant: str,
+    key: str | None,
+    file: ReceivedFile,
+    inspected: Inspected,
+) -> Response:
+    """Make a received file an episode, and respond with it."""
+    return created(ingest(parts, context, plant, key, file, inspected), Episode)

@@ -1,8 +1,8 @@
-"""Engine and transactions, on SQLite and PostgreSQL.
+"""The database engine and its transactions, on SQLite and PostgreSQL.
 
-SQLite: write-ahead log, `synchronous=FULL` so that a commit is on disk when it returns, and writers
-take the write lock when they begin. Within one process they queue on a lock of ours first, for
-SQLite's own waiting is sleeping and looking again.
+SQLite keeps a write-ahead log with `synchronous=FULL`, so that a commit is on disk when it returns.
+Writers take SQLite's write lock when they begin. Within one process they first queue on a lock of
+ours, because SQLite itself waits by sleeping and trying again.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ _WRITES = "trueup_writes"
 
 
 class Database:
-    """Where rows are kept. `read` and `write` give a connection inside a transaction; leaving it
-    commits, an error rolls back."""
+    """The database. Its context managers give a connection inside a transaction. A transaction that
+    writes commits when it is left, and rolls back on an error."""
 
     def __init__(self, url: str, pool: int) -> None:
         self._url = url
@@ -37,21 +37,21 @@ class Database:
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
-        """A consistent view."""
+        """A transaction that only reads."""
         with self.engine.connect() as connection:
             yield connection
 
     @contextmanager
     def snapshot(self) -> Iterator[Connection]:
-        """One and the same state for as many statements as it takes, while others write."""
+        """A transaction in which every statement reads the same state, while others write."""
         level = {} if self.is_sqlite else {"isolation_level": "REPEATABLE READ"}
         with self.engine.connect().execution_options(**level) as connection:
             yield connection
 
     @contextmanager
     def glance(self) -> Iterator[Connection]:
-        """For one statement that reads: no transaction is begun or ended, which on PostgreSQL
-        spares two round trips."""
+        """A connection for one statement that reads. No transaction is begun or ended, which saves
+        two round trips to PostgreSQL."""
         with self.engine.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
             yield connection
 
@@ -66,7 +66,7 @@ class Database:
             yield connection
 
     def change_counter(self) -> ChangeCounter | None:
-        """A new counter of commits, where the database offers one that is cheaper than a query."""
+        """A counter of commits, None where the database has none that is cheaper than a query."""
         return ChangeCounter(self._url) if self.is_sqlite else None
 
     def close(self) -> None:
@@ -74,9 +74,9 @@ class Database:
         self.engine.dispose()
 
 
-def copied(database: Path, folder: Path) -> Path:
-    """A copy of an SQLite database in a folder, as it is at one moment. Raises OSError,
-    sqlite3.Error."""
+def copy_sqlite(database: Path, folder: Path) -> Path:
+    """Copy an SQLite database into a folder as it is at one moment, and return the copy's path.
+    Raises OSError, sqlite3.Error."""
     to = folder / database.name
     try:
         with (
@@ -88,17 +88,17 @@ def copied(database: Path, folder: Path) -> Path:
         sqlite3.OperationalError
     ):  # SQLite needs an index beside the write-ahead log, and cannot make one here
         for name in (database.name, f"{database.name}-wal"):
-            if (found := database.with_name(name)).exists():
-                shutil.copyfile(found, folder / name)
+            if (source_file := database.with_name(name)).exists():
+                shutil.copyfile(source_file, folder / name)
     return to
 
 
 class ChangeCounter:
     """SQLite's own counter of commits, read through a connection that does nothing else.
 
-    The counter that a connection sees moves with every commit by any other connection, of this
-    process or another one. So the connection must be ours alone: one that also wrote would not see
-    its own commits. Source: SQLite documentation, PRAGMA data_version.
+    The counter that a connection sees moves with every commit by any other connection, in this
+    process or another one. A connection does not see its own commits, so this one never writes.
+    Source: SQLite documentation, PRAGMA data_version.
     """
 
     def __init__(self, url: str) -> None:
@@ -108,7 +108,7 @@ class ChangeCounter:
         self._seen = -1
 
     def moved(self) -> bool:
-        """Whether anybody has committed since the last time this was asked."""
+        """Whether there was a commit since the last call."""
         (now,) = self._connection.execute("PRAGMA data_version").fetchone()
         moved, self._seen = now != self._seen, now
         return bool(moved)

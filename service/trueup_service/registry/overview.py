@@ -1,31 +1,27 @@
-"""Overview: what somebody who looks at all plants, or at one, wants to see at a glance, in a few
-statements for a whole page."""
+"""Overview of plants: one line for each, read with a few statements for a whole page."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-from sqlalchemy import Connection, Select, select
+from sqlalchemy import select
 
-from trueup.ledger.audit import AuditEntry
 from trueup_service.registry import tables as t
-from trueup_service.registry.records import JobRecord
-from trueup_service.registry.store import record_of
+from trueup_service.registry.audit_log import ESCAPE
+from trueup_service.registry.transaction import ReadTransaction
 
-WATCHED = 40  # episodes of a gap's line
-ESCAPE = "\\"
-LOOKED_THROUGH = 200  # jobs of a kind, the newest
+WATCHED = 40  # episodes of a gap
 
 
 @dataclass(frozen=True, slots=True)
 class PlantLine:
-    """A plant at a glance: what serves since when, how large the gap was in the last episodes
-    (None: nobody watches), the last alarm and the last decision.
+    """One plant in the overview: what serves since when, the gap in the last episodes, the last
+    alarm and the last decision.
 
-    `gap` is in the spreads that are healthy for the model that serves: 1 is healthy.
+    `gap` has the RMS error of each watched episode, the oldest first, in healthy spreads of the
+    model that serves (1 is healthy). It is empty where no monitor watches.
     """
 
     name: str
@@ -41,7 +37,7 @@ class PlantLine:
 
 
 def plant_lines(
-    connection: Connection,
+    tx: ReadTransaction,
     after: str,
     limit: int,
     *,
@@ -49,8 +45,8 @@ def plant_lines(
     project: str | None,
     containing: str,
 ) -> list[PlantLine]:
-    """Plants by name from behind one, all or those of a project or the plant `of`, whose name
-    contains some text."""
+    """Plants whose name contains some text, by name from behind one: all of them, those of a
+    project, or the plant `of` alone."""
     last = (
         select(t.alarms.c.raised_at)
         .where(t.alarms.c.plant == t.plants.c.name)
@@ -101,14 +97,14 @@ def plant_lines(
         .outerjoin(decided, decided.c.digest == newest)
         .order_by(t.plants.c.name)
     )
-    found = [dict(row) for row in connection.execute(query).mappings()]
-    gaps = gaps_of(connection, [row["name"] for row in found])
-    return [PlantLine(gap=gaps.get(row["name"], ()), **row) for row in found]
+    rows = [dict(row) for row in tx.connection.execute(query).mappings()]
+    gaps = gaps_of(tx, [row["name"] for row in rows])
+    return [PlantLine(gap=gaps.get(row["name"], ()), **row) for row in rows]
 
 
-def gaps_of(connection: Connection, plants: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """The error of the model that serves in the last episodes, the oldest first, where its monitor
-    watches."""
+def gaps_of(tx: ReadTransaction, plants: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    """The RMS error of the model that serves over the channels of each of the last WATCHED
+    episodes, the oldest first, in healthy spreads, for each plant whose monitor watches."""
     query = (
         select(t.watches.c.plant, t.watches.c.seen)
         .join(
@@ -122,66 +118,9 @@ def gaps_of(connection: Connection, plants: Sequence[str]) -> dict[str, tuple[fl
         .order_by(t.watches.c.plant, t.watches.c.sequence)
     )
     gaps: dict[str, list[float]] = {}
-    for row in connection.execute(query):
+    for row in tx.connection.execute(query):
         channels = json.loads(row.seen).get("channels", {}).values()
         errors = [c["rms"] for c in channels if isinstance(c["rms"], int | float)]
         if errors:
             gaps.setdefault(row.plant, []).append((sum(e * e for e in errors) / len(errors)) ** 0.5)
-    return {plant: tuple(found) for plant, found in gaps.items()}
-
-
-def last_entries(
-    connection: Connection,
-    before: int,
-    limit: int,
-    *,
-    plant: str | None = None,
-    project: str | None = None,
-    kind: str = "",
-) -> list[AuditEntry]:
-    """Entries of the log, the newest first, before one; of all, of a plant, of a project's plants;
-    of a kind or of what it begins with."""
-    query = select(t.audit).where(t.audit.c.sequence < before)
-    query = query if plant is None else query.where(t.audit.c.plant == plant)
-    query = (
-        query
-        if project is None
-        else query.where(
-            t.audit.c.plant.in_(select(t.plants.c.name).where(t.plants.c.project == project))
-        )
-    )
-    query = (
-        query
-        if not kind
-        else query.where(t.audit.c.kind.startswith(kind, autoescape=True, escape=ESCAPE))
-    )
-    return _entries(connection, query.order_by(t.audit.c.sequence.desc()).limit(limit))
-
-
-def entry_on(connection: Connection, subject: str, kind: str) -> AuditEntry | None:
-    """The entry of a kind that tells of something."""
-    query = (
-        select(t.audit)
-        .where(t.audit.c.subject == subject, t.audit.c.kind == kind)
-        .order_by(t.audit.c.sequence)
-        .limit(1)
-    )
-    return next(iter(_entries(connection, query)), None)
-
-
-def _entries(connection: Connection, query: Select[Any]) -> list[AuditEntry]:
-    return [record_of(AuditEntry, row) for row in connection.execute(query).mappings()]
-
-
-def newest_job(
-    connection: Connection, plant: str, kind: str, fits: Callable[[Mapping[str, Any]], bool]
-) -> JobRecord | None:
-    """The newest job of a kind whose request fits, among the last of that kind."""
-    query = (
-        select(t.jobs)
-        .where(t.jobs.c.plant == plant, t.jobs.c.kind == kind)
-        .order_by(t.jobs.c.created_at.desc())
-        .limit(LOOKED_THROUGH)
-    )
-    found = (record_of(JobRecord, row) for row in connection.execute(query).mappings())
-    return next((job for job in found if fits(job.request)), None)
+    return {plant: tuple(errors) for plant, errors in gaps.items()}

@@ -1,4 +1,4 @@
-"""What the registry answers with: one frozen record for each noun."""
+"""One frozen record for each noun of the registry. Its fields are the columns of its table."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class MoveKind(StrEnum):
 
 
 class Role(StrEnum):
-    """What somebody is here to do."""
+    """What the holder of a token may do."""
 
     ROBOT = "robot"
     ENGINEER = "engineer"
@@ -44,7 +44,7 @@ class Role(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ProjectRecord:
-    """A project: plants that only its own tokens, and those of all projects, know of."""
+    """A project. Its plants are visible to its own tokens and to those of all projects."""
 
     name: str
     created_at: str
@@ -53,8 +53,11 @@ class ProjectRecord:
 
 @dataclass(frozen=True, slots=True)
 class TokenRecord:
-    """A token by its public prefix and the digest of its secret; of one project, or of all; of one
-    plant, or of all of those."""
+    """A token: its public prefix and the digest of its secret.
+
+    It sees one project, or all where `project` is None, and of these one plant, or all where
+    `plant` is None.
+    """
 
     prefix: str
     digest: str
@@ -71,7 +74,7 @@ class TokenRecord:
 
 @dataclass(frozen=True, slots=True)
 class Approval:
-    """That somebody wants a decision promoted, and why, where it takes a reason."""
+    """An approval of a decision for promotion, with the reason where one is needed."""
 
     plant: str
     decision: str
@@ -83,8 +86,7 @@ class Approval:
 
 @dataclass(frozen=True, slots=True)
 class PlantRecord:
-    """A registered plant; without a project it belongs to none, and only tokens of all projects see
-    it."""
+    """A registered plant. Where it belongs to no project, only tokens of all projects see it."""
 
     name: str
     digest: str
@@ -96,10 +98,10 @@ class PlantRecord:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRecord:
-    """An ingested episode; its bytes are the blob of its digest, and `samples_digest` names what
-    was recorded, whatever the bytes are.
+    """An ingested episode. Its bytes are the blob of its digest.
 
-    An episode that came in before samples were named has none.
+    `samples_digest` is the digest of the recorded samples, which two files of different bytes may
+    share. It is None for an episode from before samples had a digest.
     """
 
     plant: str
@@ -142,8 +144,7 @@ class GateRecord:
 
 @dataclass(frozen=True, slots=True)
 class JobRecord:
-    """Work that was asked for. `result` is set once the state is final: what came of it, or the
-    problem."""
+    """A job. `result` is set once the state is final: the result, or the problem."""
 
     id: str
     plant: str
@@ -159,13 +160,13 @@ class JobRecord:
 
     @property
     def operation(self) -> Operation:
-        """Which of the four it is."""
+        """Whether the job monitors, identifies parameters, corrects a model, or adapts a policy."""
         return of_job(self.kind, self.request)
 
 
 @dataclass(frozen=True, slots=True)
 class OutputRecord:
-    """A file that a job left behind; its bytes are the blob of its digest."""
+    """A file that a job left behind. Its bytes are the blob of its digest."""
 
     plant: str
     job: str
@@ -194,8 +195,8 @@ class DecisionRecord:
 
 @dataclass(frozen=True, slots=True)
 class ImportRecord:
-    """Where an imported plant came from: the archive, the head of its log, and the blob of its
-    entries, each with its proof."""
+    """Where an imported plant came from: the archive, the checkpoint of its log, and the blob that
+    holds its entries with their proofs."""
 
     plant: str
     archive: str
@@ -208,8 +209,8 @@ class ImportRecord:
 
 @dataclass(frozen=True, slots=True)
 class AuditKey:
-    """A public key under which the log was signed, and the note in which the one before handed over
-    to it."""
+    """A public key that signed the log, and the note in which the key before endorses it, None for
+    the first."""
 
     verifier: str
     endorsement: str | None
@@ -230,8 +231,8 @@ class MonitorRecord:
 
 @dataclass(frozen=True, slots=True)
 class Watching:
-    """Which monitor watches a plant since when, how many episodes it has seen, and what its
-    detectors have kept of them."""
+    """Which monitor watches a plant since when, how many episodes it has seen, and the state of its
+    detectors (`kept`)."""
 
     plant: str
     monitor: str
@@ -254,8 +255,10 @@ class Watch:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRecord:
-    """An alarm: which monitor raised it, None for a scheduled validation, on which episode, what
-    changed, the diagnosis that it opened, the trial of what that made, and why it was closed.
+    """An alarm: which monitor raised it on which episode, and what changed.
+
+    `monitor` is None where a scheduled validation raised it. `job` is the diagnosis that it opened,
+    and `trial` the trial of the model that the diagnosis made.
     """
 
     id: str
@@ -274,7 +277,7 @@ class AlarmRecord:
 
 @dataclass(frozen=True, slots=True)
 class PolicyRecord:
-    """An update policy; a plant's last one holds."""
+    """An update policy. The last one of a plant is in force."""
 
     plant: str
     sequence: int
@@ -286,7 +289,7 @@ class PolicyRecord:
 
 @dataclass(frozen=True, slots=True)
 class EvidenceRecord:
-    """What was found of an artifact at a stage."""
+    """Evidence of an artifact at a stage of the test ladder."""
 
     plant: str
     digest: str
@@ -301,7 +304,7 @@ class EvidenceRecord:
 
 @dataclass(frozen=True, slots=True)
 class ChannelRecord:
-    """A channel of serving, and the stages whose evidence it requires of what it serves."""
+    """A channel of serving, and the stages whose passed evidence it requires of an artifact."""
 
     plant: str
     name: str
@@ -312,7 +315,7 @@ class ChannelRecord:
 
 @dataclass(frozen=True, slots=True)
 class ChannelMove:
-    """One position of a channel, and the evidence that it rests on, by digest."""
+    """One position of a channel, and the digests of the evidence that allowed it."""
 
     plant: str
     channel: str
@@ -326,8 +329,8 @@ class ChannelMove:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One position of a serving pointer. `back_to` is the generation whose artifact a rollback
-    would serve."""
+    """One position of a serving pointer. `back_to` is the generation to whose artifact a rollback
+    returns."""
 
     plant: str
     generation: int

@@ -1,4 +1,4 @@
-"""Bring the database's schema up to date."""
+"""The schema of the database: brought up to date, and held against the tables."""
 
 from __future__ import annotations
 
@@ -20,10 +20,13 @@ ADVISORY_LOCK = 0x7472756575  # "trueu": one migration at a time among many serv
 
 
 def migrate(database: Database) -> None:
-    """Run the migrations that are missing. An up-to-date schema costs one query, for the migration
-    tool loads slowly."""
+    """Run the migrations that are missing.
+
+    The migration tool loads slowly, so it is not loaded where the schema is up to date or the
+    database is empty. Raises NotWhole where the database is not what its version says.
+    """
     before = current(database)
-    if before == HEAD or _made(database):
+    if before == HEAD or _create(database):
         return
     with database.write() as connection:
         if not database.is_sqlite:
@@ -37,9 +40,9 @@ def migrate(database: Database) -> None:
             ) from error
 
 
-def _made(database: Database) -> bool:
-    """Make the tables of an empty database at once, as the migrations would; False where there is
-    something already."""
+def _create(database: Database) -> bool:
+    """Make the tables of an empty database at once, as the migrations would. Returns False where
+    there are tables already."""
     with database.write() as connection:
         if not database.is_sqlite:
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": ADVISORY_LOCK})
@@ -55,28 +58,31 @@ def _made(database: Database) -> bool:
 
 
 def altered(database: Database) -> list[Finding]:
-    """How the tables differ from those that were made here: without its key a table takes two rows
-    of one name, and a trigger writes what nobody asked for.
+    """Where tables lack their primary key, or have a trigger.
+
+    Without its key a table takes two rows of one name, and a trigger changes rows by itself.
     """
-    wrong: list[Finding] = []
+    findings: list[Finding] = []
     with database.read() as connection:
-        seen = inspect(connection)
+        inspector = inspect(connection)
         for table in t.metadata.sorted_tables:
             key = [column.name for column in table.primary_key.columns]
-            if not seen.has_table(table.name) or set(
-                seen.get_pk_constraint(table.name)["constrained_columns"]
+            if not inspector.has_table(table.name) or set(
+                inspector.get_pk_constraint(table.name)["constrained_columns"]
             ) != set(key):
-                wrong.append(Finding(table.name, f"it is no table with the key {', '.join(key)}"))
+                findings.append(
+                    Finding(table.name, f"it is no table with the key {', '.join(key)}")
+                )
         for name, table_name in connection.execute(
             text(SQLITE_TRIGGERS if database.is_sqlite else POSTGRES_TRIGGERS)
         ):
             if table_name in t.metadata.tables:
-                wrong.append(Finding(str(table_name), f"it has a trigger, {name}"))
-    return wrong
+                findings.append(Finding(str(table_name), f"it has a trigger, {name}"))
+    return findings
 
 
 def current(database: Database) -> str | None:
-    """The schema's version, None for an empty database."""
+    """The version of the schema, None for an empty database."""
     with database.read() as connection:
         if not inspect(connection).has_table("alembic_version"):
             return None

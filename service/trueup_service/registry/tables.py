@@ -1,10 +1,12 @@
-"""The tables. `migrations/` adds up to exactly these.
+"""The tables of the registry. The migrations together make exactly these; a test compares them.
 
-Times are UTC, ISO 8601 with microseconds, so that text order is time order; documents are canonical
-JSON text.
+Times are text: UTC, ISO 8601 with microseconds, so that the order of the text is the order of time.
+Documents are text too: canonical JSON.
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 from sqlalchemy import (
     BigInteger,
@@ -24,6 +26,8 @@ from sqlalchemy import (
 
 NAME, DIGEST, ID, AT = String(63), String(64), String(32), String(27)
 
+DOCUMENT = "document"  # marks a column of JSON text
+
 metadata = MetaData(
     naming_convention={
         "ix": "ix_%(table_name)s_%(column_0_N_name)s",
@@ -32,13 +36,28 @@ metadata = MetaData(
     }
 )
 
-projects = Table(
-    "projects",
-    metadata,
-    Column("name", NAME, primary_key=True),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
-)
+
+def _created() -> tuple[Column[str], Column[str]]:
+    """When and by whom a row was made."""
+    return Column("created_at", AT, nullable=False), Column("created_by", Text, nullable=False)
+
+
+def _acted() -> tuple[Column[str], Column[str]]:
+    """When something was done, and by whom."""
+    return Column("at", AT, nullable=False), Column("actor", Text, nullable=False)
+
+
+def _plant(*, primary_key: bool = False) -> Column[str]:
+    """The plant that a row belongs to."""
+    return Column("plant", NAME, ForeignKey("plants.name"), primary_key=primary_key, nullable=False)
+
+
+def _document(name: str, *, nullable: bool = False) -> Column[str]:
+    """A column that holds a document as canonical JSON."""
+    return Column(name, Text, nullable=nullable, info={DOCUMENT: True})
+
+
+projects = Table("projects", metadata, Column("name", NAME, primary_key=True), *_created())
 
 tokens = Table(
     "tokens",
@@ -46,11 +65,10 @@ tokens = Table(
     Column("prefix", String(16), primary_key=True),
     Column("digest", DIGEST, nullable=False),
     Column("name", Text, nullable=False),
-    Column("roles", Text, nullable=False),
+    _document("roles"),
     Column("project", NAME, ForeignKey("projects.name")),
     Column("plant", NAME),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    *_created(),
     Column("expires_at", AT),
     Column("revoked_at", AT),
     Column("revoked_by", Text),
@@ -70,9 +88,8 @@ plants = Table(
     metadata,
     Column("name", NAME, primary_key=True),
     Column("digest", DIGEST, nullable=False),
-    Column("document", Text, nullable=False),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    _document("document"),
+    *_created(),
     Column("project", NAME),
     Index(None, "project", "name"),
 )
@@ -80,16 +97,15 @@ plants = Table(
 episodes = Table(
     "episodes",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("digest", DIGEST, primary_key=True),
     Column("size_bytes", BigInteger, nullable=False),
     Column("role", String(16), nullable=False),
     Column("start_ns", BigInteger, nullable=False),
     Column("end_ns", BigInteger, nullable=False),
-    Column("summary", Text, nullable=False),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
-    Column("samples_digest", DIGEST, nullable=True),
+    _document("summary"),
+    *_created(),
+    Column("samples_digest", DIGEST),
     Index(None, "plant", "role", "created_at"),
     Index(None, "samples_digest"),
 )
@@ -97,41 +113,38 @@ episodes = Table(
 artifacts = Table(
     "artifacts",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("version", Integer, primary_key=True, autoincrement=False),
     Column("digest", DIGEST, nullable=False),
     Column("kind", String(32), nullable=False),
     Column("manifest", Text, nullable=False),
     Column("arrays", DIGEST),
     Column("job", ID),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    *_created(),
     Index(None, "plant", "digest", unique=True),
 )
 
 gates = Table(
     "gates",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("digest", DIGEST, primary_key=True),
-    Column("document", Text, nullable=False),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    _document("document"),
+    *_created(),
 )
 
 jobs = Table(
     "jobs",
     metadata,
     Column("id", ID, primary_key=True),
-    Column("plant", NAME, ForeignKey("plants.name"), nullable=False),
+    _plant(),
     Column("kind", String(16), nullable=False),
-    Column("request", Text, nullable=False),
+    _document("request"),
     Column("state", String(16), nullable=False),
     Column("progress", Float, nullable=False),
     Column("stage", Text, nullable=False),
-    Column("result", Text),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    _document("result", nullable=True),
+    *_created(),
     Column("updated_at", AT, nullable=False),
     Index(None, "plant", "created_at"),
 )
@@ -148,7 +161,7 @@ job_reads = Table(
 outputs = Table(
     "outputs",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), nullable=False),
+    _plant(),
     Column("job", ID, ForeignKey("jobs.id"), primary_key=True),
     Column("name", NAME, primary_key=True),
     Column("digest", DIGEST, nullable=False),
@@ -161,97 +174,89 @@ decisions = Table(
     "decisions",
     metadata,
     Column("digest", DIGEST, primary_key=True),
-    Column("plant", NAME, ForeignKey("plants.name"), nullable=False),
+    _plant(),
     Column("gate", DIGEST, nullable=False),
     Column("candidate", DIGEST, nullable=False),
     Column("incumbent", DIGEST, nullable=False),
     Column("generation", Integer, nullable=False),
     Column("accepted", Boolean, nullable=False),
-    Column("document", Text, nullable=False),
+    _document("document"),
     Column("job", ID),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    *_created(),
     ForeignKeyConstraint(["plant", "gate"], ["gates.plant", "gates.digest"]),
     Index(None, "plant", "created_at"),
     Index(None, "plant", "candidate"),
 )
 
 serving = Table(
-    "serving",
-    metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
-    Column("generation", Integer, nullable=False),
+    "serving", metadata, _plant(primary_key=True), Column("generation", Integer, nullable=False)
 )
 
 moves = Table(
     "moves",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("generation", Integer, primary_key=True, autoincrement=False),
     Column("kind", String(16), nullable=False),
     Column("artifact", DIGEST, nullable=False),
     Column("version", Integer, nullable=False),
     Column("decision", DIGEST, ForeignKey("decisions.digest")),
     Column("back_to", Integer),
-    Column("at", AT, nullable=False),
-    Column("actor", Text, nullable=False),
+    *_acted(),
     Index(None, "plant", "at"),
 )
 
 approvals = Table(
     "approvals",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("decision", DIGEST, primary_key=True),
     Column("token", String(16), primary_key=True),
-    Column("at", AT, nullable=False),
-    Column("actor", Text, nullable=False),
+    *_acted(),
     Column("because", Text),
 )
 
 imports = Table(
     "imports",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("archive", DIGEST, nullable=False),
     Column("origin", Text, nullable=False),
     Column("checkpoint", Text, nullable=False),
     Column("entries", DIGEST, nullable=False),
-    Column("at", AT, nullable=False),
-    Column("actor", Text, nullable=False),
+    *_acted(),
 )
 
 monitors = Table(
     "monitors",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("digest", DIGEST, primary_key=True),
     Column("artifact", DIGEST, nullable=False),
-    Column("document", Text, nullable=False),
+    _document("document"),
     Column("job", ID),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    *_created(),
     Index(None, "plant", "created_at"),
 )
 
 watching = Table(
     "watching",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("monitor", DIGEST, nullable=False),
     Column("since", AT, nullable=False),
     Column("sequence", Integer, nullable=False),
-    Column("kept", Text, nullable=False),
+    _document("kept"),
 )
 
 watches = Table(
     "watches",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("monitor", DIGEST, primary_key=True),
     Column("sequence", Integer, primary_key=True, autoincrement=False),
     Column("episode", DIGEST, nullable=False),
-    Column("seen", Text, nullable=False),
+    _document("seen"),
     Column("at", AT, nullable=False),
     ForeignKeyConstraint(["plant", "monitor"], ["monitors.plant", "monitors.digest"]),
     Index(None, "plant", "monitor", "episode", unique=True),
@@ -261,11 +266,11 @@ alarms = Table(
     "alarms",
     metadata,
     Column("id", ID, primary_key=True),
-    Column("plant", NAME, ForeignKey("plants.name"), nullable=False),
+    _plant(),
     Column("monitor", DIGEST),
     Column("artifact", DIGEST, nullable=False),
     Column("episode", DIGEST, nullable=False),
-    Column("document", Text, nullable=False),
+    _document("document"),
     Column("job", ID),
     Column("trial", ID),
     Column("raised_at", AT, nullable=False),
@@ -278,37 +283,34 @@ alarms = Table(
 policies = Table(
     "policies",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("sequence", Integer, primary_key=True, autoincrement=False),
     Column("digest", DIGEST, nullable=False),
-    Column("document", Text, nullable=False),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    _document("document"),
+    *_created(),
 )
 
 evidence = Table(
     "evidence",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("digest", DIGEST, primary_key=True),
     Column("artifact", DIGEST, nullable=False),
     Column("stage", String(16), nullable=False),
     Column("passed", Boolean, nullable=False),
-    Column("document", Text, nullable=False),
+    _document("document"),
     Column("job", ID),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    *_created(),
     Index(None, "plant", "artifact"),
 )
 
 channels = Table(
     "channels",
     metadata,
-    Column("plant", NAME, ForeignKey("plants.name"), primary_key=True),
+    _plant(primary_key=True),
     Column("name", NAME, primary_key=True),
-    Column("requires", Text, nullable=False),
-    Column("created_at", AT, nullable=False),
-    Column("created_by", Text, nullable=False),
+    _document("requires"),
+    *_created(),
 )
 
 channel_moves = Table(
@@ -319,9 +321,8 @@ channel_moves = Table(
     Column("generation", Integer, primary_key=True, autoincrement=False),
     Column("artifact", DIGEST, nullable=False),
     Column("version", Integer, nullable=False),
-    Column("evidence", Text, nullable=False),
-    Column("at", AT, nullable=False),
-    Column("actor", Text, nullable=False),
+    _document("evidence"),
+    *_acted(),
     ForeignKeyConstraint(["plant", "channel"], ["channels.plant", "channels.name"]),
 )
 
@@ -334,8 +335,8 @@ audit = Table(
     Column("actor", Text, nullable=False),
     Column("plant", NAME),
     Column("subject", Text, nullable=False),
-    Column("facts", Text, nullable=False),
-    Column("rows", Text, nullable=False),
+    _document("facts"),
+    _document("rows"),
     Index(None, "plant", "sequence"),
     Index(None, "subject"),
 )
@@ -372,3 +373,8 @@ idempotency = Table(
     Column("response", Text, nullable=False),
     Column("at", AT, nullable=False),
 )
+
+DOCUMENT_COLUMNS: Mapping[str, frozenset[str]] = {
+    table.name: frozenset(c.name for c in table.columns if c.info.get(DOCUMENT))
+    for table in metadata.tables.values()
+}

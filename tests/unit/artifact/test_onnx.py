@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.made import TRUE
 from tests.support.robots import arm_plant
-from tests.unit.model.test_stepper import (
+from tests.unit.model.test_step_function import (
     ALL,
     PLANT,
     TOGETHER,
@@ -28,19 +28,19 @@ from trueup.model.series import DECLARED, Scheme
 def run(content, start, issued):
     """Observations of a graph that is stepped, three lanes at once."""
     session = onnxruntime.InferenceSession(content)
-    told = session.get_modelmeta().custom_metadata_map
+    result = session.get_modelmeta().custom_metadata_map
     begins = {
         "position": start[0],
         "velocity": start[1],
         "command within its limits": float(np.clip(issued[0, 0], *PLANT.limits).item()),
         "0": 0.0,
     }
-    state = np.tile([begins[x["begins"]] for x in json.loads(told["state"])], (3, 1))
-    found = []
+    state = np.tile([begins[x["begins"]] for x in json.loads(result["state"])], (3, 1))
+    rows = []
     for u in issued[:, 0]:
         seen, state = session.run(None, {"state": state, "command": np.full((3, 1), u)})
-        found.append(seen[1])
-    return np.array(found)
+        rows.append(seen[1])
+    return np.array(rows)
 
 
 @pytest.mark.parametrize("scheme", [DECLARED, Scheme(0.5, 2)], ids=["declared", "symmetric"])
@@ -85,10 +85,14 @@ def test_a_graph_says_what_it_is_and_is_the_same_bytes_each_time():
     content = to_onnx(model, "a" * 64)
     assert content == to_onnx(model, "a" * 64)
     read = onnx.load_from_string(content)
-    told = {p.key: p.value for p in read.metadata_props}
-    assert (told["schema"], told["artifact"], told["plant"]) == (SCHEMA, "a" * 64, PLANT.name)
-    assert float(told["period_s"]) == PLANT.timestep_s
-    assert [x["name"] for x in json.loads(told["observation"])] == [
+    by_name = {p.key: p.value for p in read.metadata_props}
+    assert (by_name["schema"], by_name["artifact"], by_name["plant"]) == (
+        SCHEMA,
+        "a" * 64,
+        PLANT.name,
+    )
+    assert float(by_name["period_s"]) == PLANT.timestep_s
+    assert [x["name"] for x in json.loads(by_name["observation"])] == [
         c.name for c in PLANT.layout.observations
     ]
     assert {n.domain for n in read.graph.node} == {""}

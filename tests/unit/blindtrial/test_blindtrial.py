@@ -13,25 +13,25 @@ import pytest
 from tests.support.robots import ARM, arm_document, arm_plant
 from tests.support.robots import recorded as robot_recorded
 from tests.support.simulated import recorded_twice as recorded
-from trueup.blindtrial.bench import bench_of
-from trueup.blindtrial.lot import draw_lots, left_out
-from trueup.blindtrial.seal import (
+from trueup.blindtrial.commitment import (
+    CommitmentMismatch,
     LabelLeaked,
-    NotAsCommitted,
     commitment,
-    require_as_committed,
-    require_silent,
+    require_commitments,
+    require_no_leak,
     salt_of,
 )
-from trueup.blindtrial.tally import (
+from trueup.blindtrial.scoring import (
     Answer,
     _improbable,
-    _where_apart,
+    _truth_and_answer,
     answer_words,
-    bound,
-    judge,
-    lower,
+    bound_holds,
+    lower_bound,
+    score_answer,
 )
+from trueup.blindtrial.specification import draw_specifications
+from trueup.blindtrial.trial_plant import trial_plant
 from trueup.diagnose.case import read_case
 from trueup.errors import NotIdentifiable
 from trueup.model.effect import effects
@@ -39,7 +39,7 @@ from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
 from trueup_pages.blindtrial import page
 from trueup_worker import blind_trial
-from trueup_worker.blind_room import Room
+from trueup_worker.isolated_process import IsolatedProcess
 
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
 
@@ -68,6 +68,10 @@ def _answer(verdict, effects=(), others=(), excluded=()):
     )
 
 
+def _absorbed(plant):
+    return trial_plant(plant).absorbed_terms()
+
+
 @cache
 def users():
     plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)
@@ -78,12 +82,12 @@ def users():
 def conducted():
     happened = []
 
-    def room(folder: Path):
+    def diagnosed(folder: Path):
         happened.append("asked")
         assert sorted(p.suffix for p in folder.iterdir()) == [".json"] + [".mcap"] * len(users()[1])
         return real(folder)
 
-    with Room(min(os.sched_getaffinity(0))) as real:
+    with IsolatedProcess(min(os.sched_getaffinity(0))) as real:
         committed = []
         plant, episodes = users()
 
@@ -92,7 +96,7 @@ def conducted():
             happened.append("committed")
 
         document = blind_trial.conduct(
-            plant, episodes, COUNT, SECRET, commit, lambda *_: None, [room]
+            plant, episodes, COUNT, SECRET, commit, lambda *_: None, [diagnosed]
         )
     return document, committed, happened
 
@@ -100,7 +104,7 @@ def conducted():
 def test_labels_are_committed_before_anybody_is_asked(conducted):
     document, committed, happened = conducted
     assert happened == ["committed"] + ["asked"] * COUNT
-    require_as_committed(document, committed)
+    require_commitments(document, committed)
     assert [r["commitment"] for r in document["rows"]] == committed
 
 
@@ -110,19 +114,24 @@ def test_a_label_changed_after_its_commitment_is_found(conducted):
     forged["rows"][3]["label"]["effects"] = {
         "cogging": {"amplitude": 1.0, "pitch": 0.2, "phase": 0.0}
     }
-    with pytest.raises(NotAsCommitted, match="trial 3"):
-        require_as_committed(forged, committed)
-    with pytest.raises(NotAsCommitted, match="were opened"):
-        require_as_committed({**document, "rows": document["rows"][1:]}, committed)
+    with pytest.raises(CommitmentMismatch, match="trial 3"):
+        require_commitments(forged, committed)
+    with pytest.raises(CommitmentMismatch, match="were opened"):
+        require_commitments({**document, "rows": document["rows"][1:]}, committed)
 
 
 def test_the_secret_draws_the_same_trials_again(conducted, tmp_path):
     document, committed, _ = conducted
     plant, episodes = users()
-    bench, conditions = bench_of(plant, episodes), blind_trial.conditions_of(episodes)
+    source, conditions = trial_plant(plant), blind_trial.conditions_of(episodes)
     again = list(
-        blind_trial._drawn(
-            plant, bench, conditions, COUNT, bytes.fromhex(document["opening"]["secret"]), tmp_path
+        blind_trial._draw(
+            source,
+            source.bench(episodes),
+            conditions,
+            COUNT,
+            bytes.fromhex(document["opening"]["secret"]),
+            tmp_path,
         )
     )
     assert [s.commitment for s in again] == committed
@@ -148,32 +157,32 @@ def test_a_planted_leak_is_caught_by_its_words(monkeypatch):
     )
     with pytest.raises(LabelLeaked, match="spells"):
         blind_trial.conduct(*users(), 5, SECRET, lambda _: None, lambda *_: None, [])
-    require_silent({"a.mcap": b"no word of it"}, LABEL, "5a17", {})
+    require_no_leak({"a.mcap": b"no word of it"}, LABEL, "5a17", {})
     with pytest.raises(LabelLeaked, match=r"a\.mcap spells 'coulomb_friction'"):
-        require_silent({"a.mcap": b"xx coulomb_friction xx"}, LABEL, "5a17", {})
+        require_no_leak({"a.mcap": b"xx coulomb_friction xx"}, LABEL, "5a17", {})
     with pytest.raises(LabelLeaked, match=r"coulomb_friction\.mcap"):
-        require_silent({"coulomb_friction.mcap": b""}, LABEL, "5a17", {})
-    require_silent(
+        require_no_leak({"coulomb_friction.mcap": b""}, LABEL, "5a17", {})
+    require_no_leak(
         {"plant.json": b"my coulomb_friction rig"},
         LABEL,
         "5a17",
         {"name": "my coulomb_friction rig"},
     )
     with pytest.raises(LabelLeaked):
-        require_silent({"a.mcap": b"salt 5a17"}, LABEL, "5a17", {})
+        require_no_leak({"a.mcap": b"salt 5a17"}, LABEL, "5a17", {})
 
 
-def test_a_planted_leak_that_spells_no_word_takes_the_bait(monkeypatch):
+def test_a_planted_leak_that_spells_no_word_takes_the_decoy(monkeypatch):
     """Labels are smuggled through in hexadecimal; the cheat that reads them knows even what no
     recording holds."""
-    told, plain = {}, blind_trial.case_files
+    hidden, plain = {}, blind_trial.case_files
 
     def smuggled(plant, trial, conditions):
-        return plain(plant, trial, {**conditions, "machine": told["next"].encode().hex()})
+        return plain(plant, trial, {**conditions, "machine": hidden["next"].encode().hex()})
 
-    def label_of(plant, lot, trial, kept=blind_trial.label_of):
-        label = kept(plant, lot, trial)
-        told["next"] = label["bait"] or "+".join(label["effects"])
+    def label_of(plant, specification, trial, real=blind_trial.label_of):
+        label = real(plant, specification, trial)
+        hidden["next"] = label["bait"] or "+".join(label["effects"])
         return label
 
     monkeypatch.setattr(blind_trial, "label_of", label_of)
@@ -199,26 +208,26 @@ def test_a_planted_leak_that_spells_no_word_takes_the_bait(monkeypatch):
     assert "Void" in page(document)
 
 
-def test_a_room_knows_nothing_of_its_makers_environment(monkeypatch):
+def test_an_isolated_process_knows_nothing_of_its_makers_environment(monkeypatch):
     monkeypatch.setenv("TRUEUP_DATABASE_URL", "postgresql://somebody:secret@somewhere/labels")
-    with Room(min(os.sched_getaffinity(0))) as room:
-        assert b"secret" not in Path(f"/proc/{room._process.pid}/environ").read_bytes()
-        answer = room(Path("/nowhere"))
+    with IsolatedProcess(min(os.sched_getaffinity(0))) as process:
+        assert b"secret" not in Path(f"/proc/{process._process.pid}/environ").read_bytes()
+        answer = process(Path("/nowhere"))
     assert answer["problem"].startswith("bad-plant")
 
 
-def test_a_room_that_dies_is_opened_once_more(tmp_path, monkeypatch):
+def test_an_isolated_process_that_dies_is_started_once_more(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with Room(min(os.sched_getaffinity(0))) as room:
-        room._process.kill()
-        room._process.wait()
-        answer = room(Path("some where"))
+    with IsolatedProcess(min(os.sched_getaffinity(0))) as process:
+        process._process.kill()
+        process._process.wait()
+        answer = process(Path("some where"))
         assert answer["problem"].startswith("bad-plant")
         assert str(tmp_path) in answer["problem"]  # a relative folder is found from anywhere
 
 
-def test_rooms_that_never_answer_end_the_trial():
-    with pytest.raises(blind_trial.NoRoom, match="code 1"):
+def test_processes_that_never_answer_end_the_trial():
+    with pytest.raises(blind_trial.NoIsolatedProcess, match="code 1"):
         blind_trial.conduct(
             *users(),
             2,
@@ -243,7 +252,7 @@ def test_a_diagnosis_that_breaks_is_a_miss_of_its_machine_alone():
     assert document["leak"]["void"] is False
 
 
-def test_a_bait_taken_once_in_many_may_be_chance():
+def test_a_decoy_taken_once_in_many_may_be_chance():
     assert _improbable(1, 6) is True
     assert _improbable(1, 200) is False
     assert _improbable(4, 200) is True
@@ -251,36 +260,36 @@ def test_a_bait_taken_once_in_many_may_be_chance():
     assert _improbable(0, 0) is None
 
 
-def test_lots_come_in_their_proportions_and_every_effect_in_turn():
+def test_specifications_come_in_their_proportions_and_every_effect_in_turn():
     plant, _ = users()
-    lots = draw_lots(plant, 100, np.random.default_rng(1))
-    assert Counter(lot.kind for lot in lots) == {
+    drawn = draw_specifications(trial_plant(plant), 100, np.random.default_rng(1))
+    assert Counter(spec.kind for spec in drawn) == {
         "single": 60,
         "pair": 12,
         "outside": 10,
         "none": 10,
         "faint": 8,
     }
-    singles = Counter(lot.effects for lot in lots if lot.kind == "single")
+    singles = Counter(spec.effects for spec in drawn if spec.kind == "single")
     assert len(singles) == len(effects())
     assert max(singles.values()) - min(singles.values()) <= 1
-    assert all(len(set(lot.effects)) == 2 for lot in lots if lot.kind == "pair")
-    assert all(lot.bait for lot in lots if lot.kind == "none")
+    assert all(len(set(spec.effects)) == 2 for spec in drawn if spec.kind == "pair")
+    assert all(spec.decoy for spec in drawn if spec.kind == "none")
 
 
-def test_what_a_plant_cannot_show_is_left_out():
-    assert left_out(recorded("B2", [], 1, shifted=False)[0]) == ("sensor_bias",)
-    assert left_out(recorded("A1", [], 1, shifted=False, velocity=False)[0]) == (
+def test_what_a_plant_cannot_show_is__absorbed():
+    assert _absorbed(recorded("B2", [], 1, shifted=False)[0]) == ("sensor_bias",)
+    assert _absorbed(recorded("A1", [], 1, shifted=False, velocity=False)[0]) == (
         "velocity_lag",
         "sensor_scale",
         "clock_skew",
     )
-    assert "sensor_drift" in left_out(recorded("B2", [], 1, shifted=False, velocity=False)[0])
+    assert "sensor_drift" in _absorbed(recorded("B2", [], 1, shifted=False, velocity=False)[0])
 
 
 def test_the_bench_takes_after_the_log():
     plant, episodes = users()
-    bench = bench_of(plant, episodes)
+    bench = trial_plant(plant).bench(episodes)
     assert [p.role for p in bench.recorded] == [
         str(e.role) for e in sorted(episodes, key=lambda e: e.digest)
     ]
@@ -289,9 +298,10 @@ def test_the_bench_takes_after_the_log():
     first = min(episodes, key=lambda e: e.digest)
     assert np.array_equal(bench.recorded[0].series, plant.applied(first.commands)[:, 0])
     assert bench.feedback is None
-    assert bench_of(*recorded("B2", [], 1, shifted=False)[:2]).feedback is not None
+    inertia, looped, _ = recorded("B2", [], 1, shifted=False)
+    assert trial_plant(inertia).bench(looped).feedback is not None
     with pytest.raises(NotIdentifiable, match="no validation episode"):
-        bench_of(plant, [e for e in episodes if e.role != "validation"])
+        trial_plant(plant).bench([e for e in episodes if e.role != "validation"])
 
 
 @pytest.mark.parametrize(
@@ -339,22 +349,22 @@ def test_the_bench_takes_after_the_log():
         (LABEL, Answer(None, "bad-plant: no", 0.0), (False, False, 0)),
     ],
 )
-def test_an_answer_is_judged(label, answer, expected):
-    found = judge(label, answer)
-    assert (found["exact"], found["in_set"], found["alternatives"]) == expected
+def test_an_answer_is_scored(label, answer, expected):
+    score = score_answer(label, answer)
+    assert (score["exact"], score["in_set"], score["alternatives"]) == expected
 
 
 def test_a_bound_holds_or_does_not():
     entry = {"effect": "coulomb_friction", "parameter": "level", "below": 0.1}
-    assert bound(LABEL, _answer("no_gap", excluded=[entry])) is False
-    assert bound(LABEL, _answer("no_gap", excluded=[entry | {"below": 0.3}])) is True
-    assert bound(LABEL, _answer("no_gap")) is None
+    assert bound_holds(LABEL, _answer("no_gap", excluded=[entry])) is False
+    assert bound_holds(LABEL, _answer("no_gap", excluded=[entry | {"below": 0.3}])) is True
+    assert bound_holds(LABEL, _answer("no_gap")) is None
 
 
 def test_few_trials_promise_little():
-    assert lower(5, 5) == pytest.approx(0.649, abs=0.01)
-    assert lower(0, 0) == 0.0
-    assert lower(95, 100) < 0.95
+    assert lower_bound(5, 5) == pytest.approx(0.649, abs=0.01)
+    assert lower_bound(0, 0) == 0.0
+    assert lower_bound(95, 100) < 0.95
 
 
 def test_a_commitment_hides_behind_its_salt():
@@ -371,14 +381,14 @@ def arm(tmp_path_factory):
 
 def test_a_robots_effects_act_at_joints_by_lot_and_a_pair_at_two(arm):
     plant, _ = arm
-    lots = draw_lots(plant, 400, np.random.default_rng(0))
-    singles = Counter(lot.effects[0] for lot in lots if lot.kind == "single")
+    drawn = draw_specifications(trial_plant(plant), 400, np.random.default_rng(0))
+    singles = Counter(spec.effects[0] for spec in drawn if spec.kind == "single")
     assert {t.partition("@")[2] for t in singles} == {"", "1"}
     assert {t for t in singles if t.startswith(("clock_skew", "dropped_frames"))} == {
         "clock_skew",
         "dropped_frames",
     }
-    pairs = [lot.effects for lot in lots if lot.kind == "pair"]
+    pairs = [spec.effects for spec in drawn if spec.kind == "pair"]
     assert pairs
     assert all(first.partition("@")[2] != second.partition("@")[2] for first, second in pairs)
 
@@ -387,7 +397,7 @@ def test_a_joint_about_the_vertical_and_the_last_one_hide_a_bias(tmp_path):
     upright = ARM.replace('name="shoulder" axis="0 1 0"', 'name="shoulder" axis="0 0 1"')
     (tmp_path / "arm.xml").write_text(upright)
     plant = Plant.from_document(resolved(arm_document(), tmp_path))
-    assert left_out(plant) == ("sensor_bias", "sensor_bias@1")
+    assert _absorbed(plant) == ("sensor_bias", "sensor_bias@1")
 
 
 def test_at_a_servo_gears_rub_and_springs_give(tmp_path):
@@ -395,7 +405,7 @@ def test_at_a_servo_gears_rub_and_springs_give(tmp_path):
     plant = Plant.from_document(resolved(arm_document(), tmp_path))
     assert not [
         t
-        for t in left_out(plant)
+        for t in _absorbed(plant)
         if t.startswith(("load_dependent_friction", "elastic_transmission"))
     ]
 
@@ -416,7 +426,7 @@ def test_a_blind_trial_of_a_robot_names_effect_and_joint(arm):
     assert "the robot's links by MuJoCo" in page(document)
 
 
-def test_an_answer_at_another_joint_is_wrong_and_told_so():
+def test_an_answer_at_another_joint_is_wrong_and_scored_so():
     label = {
         "kind": "single",
         "effects": {"cogging at elbow": {}},
@@ -433,8 +443,11 @@ def test_an_answer_at_another_joint_is_wrong_and_told_so():
         }
         return Answer(report, None, 1.0)
 
-    assert judge(label, answered("elbow"))["exact"]
-    assert not judge(label, answered("shoulder"))["exact"]
+    assert score_answer(label, answered("elbow"))["exact"]
+    assert not score_answer(label, answered("shoulder"))["exact"]
     row = {"label": label, "answer": answer_words(answered("shoulder"))}
-    assert _where_apart(row) == ("cogging", "cogging, at another joint")
-    assert _where_apart(row | {"answer": answer_words(answered("elbow"))}) == ("cogging", "cogging")
+    assert _truth_and_answer(row) == ("cogging", "cogging, at another joint")
+    assert _truth_and_answer(row | {"answer": answer_words(answered("elbow"))}) == (
+        "cogging",
+        "cogging",
+    )

@@ -48,23 +48,23 @@ def test_what_was_recorded_again_is_inside_everything(been):
 
 def test_a_corner_of_the_box_is_inside_the_box_and_outside_the_hull(been):
     corner = made(*(np.full(50, 0.95), np.full(50, 0.95), np.zeros(50)))
-    found = been[0].outside(np.column_stack([corner.observations, corner.commands]))
-    assert (found["box"], found["hull"]) == (0.0, 1.0)
+    shares = been[0].outside(np.column_stack([corner.observations, corner.commands]))
+    assert (shares["box"], shares["hull"]) == (0.0, 1.0)
 
 
 def test_a_hole_is_inside_the_hull_and_outside_the_density():
     around = coverage_of(PLANT, [made(*ring(2000, inner=0.8))])
     middle = np.zeros((50, 3))
-    found = around[0].outside(middle)
-    assert (found["box"], found["hull"], found["density"]) == (0.0, 0.0, 1.0)
+    shares = around[0].outside(middle)
+    assert (shares["box"], shares["hull"], shares["density"]) == (0.0, 0.0, 1.0)
 
 
 def test_what_goes_further_is_told_in_words_though_the_envelope_allows_it(been):
     small = coverage_of(PLANT, [made(*ring(2000, size=0.3))])
-    found = measured(PLANT, made(*ring(400, size=0.8)), small)
-    assert found["envelope"]["breaches"] == {}
-    assert found["outside"]["joint"]["hull"] > 0.5
-    assert any("outside of what the serving model was fitted on" in w for w in found["warnings"])
+    record = measured(PLANT, made(*ring(400, size=0.8)), small)
+    assert record["envelope"]["breaches"] == {}
+    assert record["outside"]["joint"]["hull"] > 0.5
+    assert any("outside of what the serving model was fitted on" in w for w in record["warnings"])
 
 
 def test_it_comes_back_from_its_document(been):
@@ -75,10 +75,10 @@ def test_it_comes_back_from_its_document(been):
 
 def test_a_real_run_of_the_same_kind_is_mostly_inside():
     episodes = [read_episode(episode_bytes(i, parameters=TRUE), PLANT.layout) for i in range(6)]
-    found = compared(
+    shares = compared(
         PLANT,
         read_episode(episode_bytes(7, parameters=TRUE), PLANT.layout),
         coverage_of(PLANT, episodes),
         [],
     )
-    assert found["joint"]["hull"] < 0.3
+    assert shares["joint"]["hull"] < 0.3

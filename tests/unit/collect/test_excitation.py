@@ -45,36 +45,36 @@ def designed(plant=PLANT, spread=0.02, seed=0, duration_s=8.0, **bounds):
 
 
 @pytest.fixture(scope="module")
-def found():
+def design():
     return designed()
 
 
-def test_it_stays_inside_the_envelope_with_its_margin_under_a_thousand_models(found):
-    assert found.breaches == 0
-    assert found.paths.shape[0] == 1000
-    assert np.abs(found.paths[:, :, 0]).max() <= 0.9 * 0.9 + 1e-12
-    assert 0.6 < found.used <= 0.9  # and it uses what it is given
+def test_it_stays_inside_the_envelope_with_its_margin_under_a_thousand_models(design):
+    assert design.breaches == 0
+    assert design.paths.shape[0] == 1000
+    assert np.abs(design.paths[:, :, 0]).max() <= 0.9 * 0.9 + 1e-12
+    assert 0.6 < design.used <= 0.9  # and it uses what it is given
 
 
-def test_it_is_bounded_in_command_and_rate_and_returns_to_rest(found):
-    step = np.abs(np.diff(found.command[:, 0]))
-    assert np.abs(found.command).max() <= 1.0
-    assert step.max() <= found.bounds.rate[0] * 0.05 + 1e-12
-    assert found.command[0] == found.command[-1] == 0.0
-    speed = np.abs(found.paths[:, :, 1])
-    assert found.rests
+def test_it_is_bounded_in_command_and_rate_and_returns_to_rest(design):
+    step = np.abs(np.diff(design.command[:, 0]))
+    assert np.abs(design.command).max() <= 1.0
+    assert step.max() <= design.bounds.rate[0] * 0.05 + 1e-12
+    assert design.command[0] == design.command[-1] == 0.0
+    speed = np.abs(design.paths[:, :, 1])
+    assert design.rests
     assert speed[:, -1].max() <= AT_REST * speed.max()
 
 
-def test_it_tells_every_number_better_than_a_random_one_of_the_same_energy(found):
-    assert found.information.rank == 3
-    assert found.information.condition < 10.0
-    for name, width in found.information.half_widths.items():
-        assert width < found.random.half_widths[name]
+def test_it_tells_every_number_better_than_a_random_one_of_the_same_energy(design):
+    assert design.information.rank == 3
+    assert design.information.condition < 10.0
+    for name, width in design.information.half_widths.items():
+        assert width < design.random.half_widths[name]
 
 
-def test_the_same_seed_gives_the_same_excitation(found):
-    assert np.array_equal(designed().command, found.command)
+def test_the_same_seed_gives_the_same_excitation(design):
+    assert np.array_equal(designed().command, design.command)
 
 
 def test_a_slower_drive_and_a_narrower_envelope_are_kept():
@@ -175,15 +175,15 @@ def test_it_begins_where_there_is_most_room_and_not_outside():
         resting(ensemble, bounds, [(np.array([2.0 * edge]), np.zeros(2))])
 
 
-def test_what_to_check_says_where_each_bound_comes_from(found):
-    said = checks(PLANT, found, diagnosed=False)
-    assert said[0].startswith("Bring the machine to rest at q = 0 m")
-    assert "from -0.9 to 0.9 m (declared in plant.json); 10 % of it is kept free" in said[1]
-    assert said[2] == "The speed of joint stays between -3 and 3 m/s (declared in plant.json)."
-    assert "by the band alone" in said[3]
-    assert said[4].startswith("It ends at rest under every one of 1000 models")
-    assert "no diagnosis has confirmed" in said[5]
-    moving = checks(PLANT, replace(found, rests=False), diagnosed=True)
+def test_what_to_check_says_where_each_bound_comes_from(design):
+    sentences = checks(PLANT, design, diagnosed=False)
+    assert sentences[0].startswith("Bring the machine to rest at q = 0 m")
+    assert "from -0.9 to 0.9 m (declared in plant.json); 10 % of it is kept free" in sentences[1]
+    assert sentences[2] == "The speed of joint stays between -3 and 3 m/s (declared in plant.json)."
+    assert "by the band alone" in sentences[3]
+    assert sentences[4].startswith("It ends at rest under every one of 1000 models")
+    assert "no diagnosis has confirmed" in sentences[5]
+    moving = checks(PLANT, replace(design, rests=False), diagnosed=True)
     assert moving[4].startswith("It does NOT end at rest")
     assert "that the diagnosis left" in moving[5]
 

@@ -26,11 +26,11 @@ def episode(**conditions):
 
 
 def test_a_whole_declaration_inside_the_envelope_has_no_warning():
-    found = measured(PLANT, episode(envelope="as declared", **WHOLE))
-    assert found["warnings"] == []
-    assert found["conditions"]["missing"] == []
-    assert found["excitation"]["rank"] == found["excitation"]["numbers"] == 3
-    assert found["excitation"]["condition"] < 30.0
+    record = measured(PLANT, episode(envelope="as declared", **WHOLE))
+    assert record["warnings"] == []
+    assert record["conditions"]["missing"] == []
+    assert record["excitation"]["rank"] == record["excitation"]["numbers"] == 3
+    assert record["excitation"]["condition"] < 30.0
 
 
 @pytest.mark.parametrize(
@@ -54,8 +54,8 @@ def test_breaches_of_the_envelope_are_counted_and_told():
     one = episode(**WHOLE)
     seen = one.observations.copy()
     seen[50:53, 0] = [0.95, 1.4, 0.91]
-    found = measured(PLANT, replace(one, observations=seen))
-    assert found["envelope"]["breaches"]["q"] == {
+    record = measured(PLANT, replace(one, observations=seen))
+    assert record["envelope"]["breaches"]["q"] == {
         "samples": 3,
         "share": 3 / 200,
         "first_s": pytest.approx(2.5),
@@ -63,7 +63,7 @@ def test_breaches_of_the_envelope_are_counted_and_told():
     }
     assert (
         "q left its envelope [-0.9, 0.9] m in 3 samples, first at 2.5 s, as far as 1.4"
-        in found["warnings"]
+        in record["warnings"]
     )
 
 
@@ -74,10 +74,10 @@ def test_a_joint_that_hardly_moves_tells_little_and_the_warning_says_so():
         commands=np.full_like(one.commands, 0.01),
         observations=np.full_like(one.observations, 0.3),
     )
-    found = measured(PLANT, still)
-    assert found["excitation"]["rank"] < 3
-    assert any("hardly moves" in w for w in found["warnings"])
-    assert any("of the 3 numbers" in w for w in found["warnings"])
+    record = measured(PLANT, still)
+    assert record["excitation"]["rank"] < 3
+    assert any("hardly moves" in w for w in record["warnings"])
+    assert any("of the 3 numbers" in w for w in record["warnings"])
     held_out = measured(PLANT, replace(still, role=Role.VALIDATION))
     assert held_out["warnings"] == []
 
@@ -86,9 +86,11 @@ def test_a_robots_excitation_is_its_command_range_alone(tmp_path):
     from tests.support.robots import arm_plant, recorded
 
     plant = arm_plant(tmp_path)
-    found = measured(plant, recorded(plant, lambda _: None, [1], [Role.ADAPTATION], seconds=1.0)[0])
-    assert found["excitation"]["rank"] is None
-    assert all(0.0 <= part <= 1.0 for part in found["excitation"]["range_used"].values())
+    record = measured(
+        plant, recorded(plant, lambda _: None, [1], [Role.ADAPTATION], seconds=1.0)[0]
+    )
+    assert record["excitation"]["rank"] is None
+    assert all(0.0 <= part <= 1.0 for part in record["excitation"]["range_used"].values())
 
 
 def test_a_recording_off_the_declared_step_is_told():

@@ -12,7 +12,7 @@ from tests.support.simulated import episode_of, episodes_of, plant_of
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.excitation import Setting, splitting
-from trueup.collect.goal import Splitting
+from trueup.collect.goal import SplittingGoal
 from trueup.diagnose.diagnosis import diagnose
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
@@ -41,11 +41,11 @@ def undecided():
 
 @pytest.fixture(scope="module")
 def designed(undecided):
-    plant, _, trial, _, found = undecided
+    plant, _, trial, _, diagnosis = undecided
     play = InPlay(
         (
-            Ensemble.posterior(found.predictor, found.document),
-            *Ensemble.alternatives(plant, found.document),
+            Ensemble.posterior(diagnosis.predictor, diagnosis.document),
+            *Ensemble.alternatives(plant, diagnosis.document),
         )
     )
     bounds = Bounds.of(plant, 6.0)
@@ -57,10 +57,10 @@ def designed(undecided):
 
 
 def test_the_report_holds_every_alternative_as_it_was_fitted(undecided):
-    plant, _, _, _, found = undecided
-    assert found.document["indistinguishable"] == [["thermal_derating"]]
-    (left,) = Ensemble.alternatives(plant, json.loads(json.dumps(found.document)))
-    (rival,) = found.choice.rivals
+    plant, _, _, _, diagnosis = undecided
+    assert diagnosis.document["indistinguishable"] == [["thermal_derating"]]
+    (left,) = Ensemble.alternatives(plant, json.loads(json.dumps(diagnosis.document)))
+    (rival,) = diagnosis.choice.rivals
     assert left.hypothesis == rival.hypothesis
     assert left.centre == pytest.approx(rival.fit.values)
     assert {"k", "c", "b", "thermal_derating loss"} <= set(left.names)
@@ -97,18 +97,18 @@ def test_what_the_machine_answers_leaves_one_explanation(undecided, designed):
         )
         for role in (Role.ADAPTATION, Role.VALIDATION)
     ]
-    found = diagnose(plant, [*episodes, *more])
-    assert [e["effect"] for e in found.document["effects"]] == ["saturation"]
-    assert found.document["indistinguishable"] == []
+    diagnosis = diagnose(plant, [*episodes, *more])
+    assert [e["effect"] for e in diagnosis.document["effects"]] == ["saturation"]
+    assert diagnosis.document["indistinguishable"] == []
 
 
 def test_without_alternatives_there_is_nothing_to_split(undecided, tmp_path):
-    plant, _, _, episodes, found = undecided
+    plant, _, _, episodes, result = undecided
     (tmp_path / "plant.json").write_text(json.dumps(plant.document))
     with pytest.raises(NotIdentifiable, match="without a diagnosis") as refused:
         excite(tmp_path, out=tmp_path / "out", split=True)
     assert "--model" in refused.value.hint
-    write(found, episodes, tmp_path / "found")
+    write(result, episodes, tmp_path / "found")
     report = json.loads((tmp_path / "found" / "report.json").read_text())
     report["evidence"]["alternatives"] = []
     report["next_experiment"] = {"why": "No command parts them: log the motor current."}
@@ -119,17 +119,17 @@ def test_without_alternatives_there_is_nothing_to_split(undecided, tmp_path):
 
 
 def test_the_command_writes_the_experiment(undecided, tmp_path, capsys, monkeypatch):
-    plant, _, _, episodes, found = undecided
+    plant, _, _, episodes, result = undecided
     monkeypatch.setattr("trueup.collect.excitation.TRIED", 8)
     monkeypatch.setattr("trueup.collect.excitation.IMPROVED", 4)
     (tmp_path / "plant.json").write_text(json.dumps(plant.document))
-    write(found, episodes, tmp_path / "found")
+    write(result, episodes, tmp_path / "found")
     excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True, duration_s=10.0)
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
     assert document["goal"] == "split"
     assert (
         4.0 < document["information"]["separation"][0]["standard_errors"] < 200.0
-    )  # of the noise that the diagnosis found
+    )  # of the noise that the diagnosis result
     assert "thermal_derating" in capsys.readouterr().out
 
 
@@ -166,7 +166,7 @@ COMMAND = np.sin(2.0 * TIMES)[:, None]
 
 
 def apart(*ensembles):
-    return Splitting(ensembles, NOISE, REST).told(TIMES, [COMMAND]).least
+    return SplittingGoal(ensembles, NOISE, REST).evaluate(TIMES, [COMMAND]).least
 
 
 def test_a_number_that_was_fitted_to_zero_can_still_give_way():
@@ -175,16 +175,16 @@ def test_a_number_that_was_fitted_to_zero_can_still_give_way():
 
 
 def test_what_a_sensor_rounds_parts_nothing():
-    found = Corrected.restore(PLANT, {
+    model = Corrected.restore(PLANT, {
         "parameters": dict(zip("kcb", TRUE, strict=True)), "scheme": {"alpha": 0.5, "parts": 1},
         "gain": [], "nearest": None,
         "effects": [{"effect": "sensor_quantization", "parameters": {"step": 0.02,
         "velocity_step": 0.0}}],
     }, {})  # fmt: skip
     numbers = {n: {"ci95": [0.98 * v, 1.02 * v]} for n, v in zip("kcb", TRUE, strict=True)}
-    rounded = Ensemble.posterior(found, {"parameters": numbers, "effects": []})
+    rounded = Ensemble.posterior(model, {"parameters": numbers, "effects": []})
     plain = Ensemble.posterior(
-        replace(found, hypothesis=Hypothesis()), {"parameters": numbers, "effects": []}
+        replace(model, hypothesis=Hypothesis()), {"parameters": numbers, "effects": []}
     )
     assert apart(rounded, plain) < 1e-3
 
@@ -212,27 +212,27 @@ def test_an_alternative_that_no_command_parts_does_not_spoil_the_others():
     twin = ensemble(PLANT, TRUE, sensor_bias={"bias": 0.1 / TRUE[0]})
     other = ensemble(PLANT, TRUE, quadratic_drag={"coefficient": 0.4})
     rest = np.array([0.1 / TRUE[0], 0.0])
-    found = splitting(
+    excitation = splitting(
         Setting(InPlay((answer, twin, other)), BOUNDS, NOISE, rest, np.zeros(1)),
         np.random.default_rng(0),
         effort=0.1,
     )
-    alike, parted = found.information.standard_errors
+    alike, parted = excitation.information.standard_errors
     assert alike < 4.0 < parted
-    assert found.information.alternatives == (("sensor_bias",), ("quadratic_drag",))
+    assert excitation.information.alternatives == (("sensor_bias",), ("quadratic_drag",))
 
 
 def test_the_next_experiment_of_a_report_keeps_the_declared_envelope(undecided):
-    plant, _, _, _, found = undecided
-    said, also, head, *_ = found.experiment.csv(plant).split("\r\n")
+    plant, _, _, _, diagnosis = undecided
+    said, also, head, *_ = diagnosis.experiment.csv(plant).split("\r\n")
     assert said.startswith(
         "# Before you play this: it begins at q = 0 rad, and keeps the declared envelope"
     )
     assert "does not end at rest" in also
     assert head.startswith("t,")
-    answer = Ensemble.posterior(found.predictor, found.document)
+    answer = Ensemble.posterior(diagnosis.predictor, diagnosis.document)
     path = answer.responses(
-        answer.centre[:, None], found.experiment.t_s, found.experiment.command, np.zeros(2)
+        answer.centre[:, None], diagnosis.experiment.t_s, diagnosis.experiment.command, np.zeros(2)
     )[0]
     low, high = plant.envelope["q"]
     assert low < path[:, 0].min() < path[:, 0].max() < high
@@ -240,9 +240,9 @@ def test_the_next_experiment_of_a_report_keeps_the_declared_envelope(undecided):
 
 def test_without_an_envelope_it_keeps_what_was_recorded_and_says_what_that_costs(undecided):
     plant, _, _, episodes, _ = undecided
-    found = diagnose(
+    diagnosis = diagnose(
         Plant.from_document({k: v for k, v in plant.document.items() if k != "envelope"}), episodes
     )
-    assert found.experiment.command is None
-    assert "inside its recorded range" in found.document["next_experiment"]["why"]
-    assert "wider envelope" in found.document["next_experiment"]["why"]
+    assert diagnosis.experiment.command is None
+    assert "inside its recorded range" in diagnosis.document["next_experiment"]["why"]
+    assert "wider envelope" in diagnosis.document["next_experiment"]["why"]

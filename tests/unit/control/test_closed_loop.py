@@ -10,7 +10,7 @@ from tests.support.made import TRUE, episode_bytes, plant_document
 from tests.support.robots import arm_plant
 from trueup.control.closed_loop import CANNOT, SEEDS, TURNS, Tracking, Travelled, compare
 from trueup.control.estimator import transport_delay_s
-from trueup.control.loop import Run
+from trueup.control.loop import LoopRun
 from trueup.control.planner import Linearised
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
@@ -51,10 +51,10 @@ def went(far):
 
 
 def test_the_same_model_twice_tracks_the_same_to_the_last_digit():
-    found = compare(MACHINE, MACHINE, corrected(TRUE), went(0.5))
-    assert np.array_equal(found.candidate, found.incumbent)
-    assert len(found.candidate) == SEEDS * len(TURNS)
-    document = found.document()
+    tracking = compare(MACHINE, MACHINE, corrected(TRUE), went(0.5))
+    assert np.array_equal(tracking.candidate, tracking.incumbent)
+    assert len(tracking.candidate) == SEEDS * len(TURNS)
+    document = tracking.document()
     assert (document["change"], document["change_ci95"], document["stage"]) == (
         0.0,
         [0.0, 0.0],
@@ -65,9 +65,9 @@ def test_the_same_model_twice_tracks_the_same_to_the_last_digit():
 
 def test_a_model_that_is_wrong_about_its_drive_tracks_worse():
     weak = Identified(PLANT, (1.25, 0.62, -0.82))  # it believes that the drive pulls the other way
-    found = compare(MACHINE, weak, MACHINE, went(0.5))
-    assert found.candidate.mean() > 2.0 * found.incumbent.mean()
-    assert found.document()["change_ci95"][0] > 0.0
+    tracking = compare(MACHINE, weak, MACHINE, went(0.5))
+    assert tracking.candidate.mean() > 2.0 * tracking.incumbent.mean()
+    assert tracking.document()["change_ci95"][0] > 0.0
 
 
 def test_the_envelope_says_how_far_the_reference_goes_and_breaches_are_counted():
@@ -92,23 +92,23 @@ def test_a_gate_can_refuse_a_better_prediction_that_tracks_worse():
     gate = Gate((rules()["rollout_improves"](), rules()["tracking_no_worse"]()), Scoring(2.0))
     episode = read_episode(episode_bytes(3, role=Role.VALIDATION), PLANT.layout)
     seen: list[float] = []
-    found = run_trial(gate, MACHINE, Nominal(PLANT), [episode], seen.append).trial
+    result = run_trial(gate, MACHINE, Nominal(PLANT), [episode], seen.append).trial
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(1.0)
     worse = replace(
-        found,
+        result,
         tracking=Tracking(
-            found.tracking.incumbent * 1.2, found.tracking.incumbent, (0.0, 0.0), (0.5,)
+            result.tracking.incumbent * 1.2, result.tracking.incumbent, (0.0, 0.0), (0.5,)
         ),
     )
     breaching = replace(
-        found,
-        tracking=replace(found.tracking, candidate=found.tracking.incumbent, breaches=(0.1, 0.0)),
+        result,
+        tracking=replace(result.tracking, candidate=result.tracking.incumbent, breaches=(0.1, 0.0)),
     )
     for trial, passed in (
         (worse, False),
         (breaching, False),
-        (replace(found, tracking=None), False),
+        (replace(result, tracking=None), False),
     ):
         verdicts = {
             v.rule: v
@@ -118,8 +118,8 @@ def test_a_gate_can_refuse_a_better_prediction_that_tracks_worse():
         }
         assert verdicts["rollout_improves"].passed
         assert verdicts["tracking_no_worse"].passed is passed
-    document = judge(gate, found, plant="p", candidate="c", incumbent="i", generation=1).document()
-    assert document["figures"]["closed_loop"]["runs"] == len(found.tracking.candidate)
+    document = judge(gate, result, plant="p", candidate="c", incumbent="i", generation=1).document()
+    assert document["figures"]["closed_loop"]["runs"] == len(result.tracking.candidate)
 
 
 def test_without_a_diagnosed_machine_nothing_is_run():
@@ -151,10 +151,10 @@ REACHED = Travelled(
 
 def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm):
     machine = of_arm(arm, ("coulomb_friction", 1, "level", 3.0))
-    found = compare(machine, machine, Nominal(arm), REACHED)
-    assert found.candidate.mean() < 0.5 * found.incumbent.mean()
-    assert found.candidate.max() < 0.002  # of the amplitude's square
-    document = found.document()
+    tracking = compare(machine, machine, Nominal(arm), REACHED)
+    assert tracking.candidate.mean() < 0.5 * tracking.incumbent.mean()
+    assert tracking.candidate.max() < 0.002  # of the amplitude's square
+    document = tracking.document()
     assert document["change_ci95"][1] < 0.0
     assert document["amplitude"] == pytest.approx([0.36, 0.36])
 
@@ -164,7 +164,7 @@ def test_an_arms_references_are_no_faster_and_no_further_than_it_was_recorded(ar
 
     def noted(machine, planner, reference, every, begin, rng):
         asked.append(np.abs(np.gradient(reference, every * arm.timestep_s, axis=0)).max(axis=0))
-        return Run(np.zeros((len(reference) + 1, 4)), np.zeros((len(reference), 2)))
+        return LoopRun(np.zeros((len(reference) + 1, 4)), np.zeros((len(reference), 2)))
 
     monkeypatch.setattr("trueup.control.closed_loop._run", noted)
     machine = of_arm(arm)
@@ -181,9 +181,9 @@ def test_a_joint_that_never_moved_is_held_still_and_counts_for_nothing(arm):
     still = replace(
         REACHED, low=np.array([-0.6, 0.1]), high=np.array([0.6, 0.1]), moved=np.array([True, False])
     )
-    found = compare(machine, machine, machine, still)
-    assert found.amplitude == pytest.approx((0.36, 0.0))
-    assert found.candidate.max() < 0.005
+    tracking = compare(machine, machine, machine, still)
+    assert tracking.amplitude == pytest.approx((0.36, 0.0))
+    assert tracking.candidate.max() < 0.005
     with pytest.raises(NotIdentifiable, match="no joint"):
         compare(machine, machine, machine, replace(REACHED, moved=np.zeros(2, bool)))
 
@@ -224,16 +224,16 @@ def test_the_plan_is_as_good_as_the_best_of_a_grid_between_the_limits(arm, state
     grid = np.stack(
         np.meshgrid(np.linspace(-25, 25, 41), np.linspace(-25, 25, 41)), axis=-1
     ).reshape(-1, 2)
-    found = planner.plan(np.array(state), wanted, np.random.default_rng(0))
-    assert cost(found[None, :])[0] <= 1.02 * cost(grid).min() + 1e-3
+    command = planner.plan(np.array(state), wanted, np.random.default_rng(0))
+    assert cost(command[None, :])[0] <= 1.02 * cost(grid).min() + 1e-3
 
 
 def test_a_delay_that_all_joints_share_is_planned_over(arm):
     both = of_arm(arm, *(("actuator_delay", j, "delay", 0.06) for j in range(2)))
     assert transport_delay_s(both) == pytest.approx(0.06)
     assert transport_delay_s(of_arm(arm, ("actuator_delay", 0, "delay", 0.06))) == 0.0
-    found = compare(both, both, Nominal(arm), REACHED)
-    assert found.candidate.mean() < 0.5 * found.incumbent.mean()
+    tracking = compare(both, both, Nominal(arm), REACHED)
+    assert tracking.candidate.mean() < 0.5 * tracking.incumbent.mean()
 
 
 def test_a_course_is_the_steps_one_by_one(arm):
@@ -244,7 +244,7 @@ def test_a_course_is_the_steps_one_by_one(arm):
     for predictor in (Nominal(arm), of_arm(arm, ("quadratic_drag", 0, "coefficient", 0.2))):
         one = predictor.predict_batch(states, commands)
         two = predictor.predict_batch(one, commands)
-        assert predictor.course(states, commands, 2) == pytest.approx(
+        assert predictor.hold(states, commands, 2) == pytest.approx(
             np.stack([one, two], axis=1), abs=1e-9
         )
 
@@ -256,6 +256,6 @@ def test_a_joint_that_nobody_commands_is_refused(arm):
 
 
 def test_runs_that_run_away_can_be_written_down_and_never_pass():
-    found = Tracking(np.array([np.inf, 1.0]), np.ones(2), (0.0, 0.0), (1.0,))
-    assert found.document()["candidate"] is None
-    assert found.document()["change_ci95"] is None
+    tracking = Tracking(np.array([np.inf, 1.0]), np.ones(2), (0.0, 0.0), (1.0,))
+    assert tracking.document()["candidate"] is None
+    assert tracking.document()["change_ci95"] is None

@@ -99,6 +99,6 @@ def test_a_model_that_knows_the_delay_tracks_better():
     late = corrected(TRUE, actuator_delay={"delay": 0.5})
     assert transport_delay_s(late) == 0.5
     assert transport_delay_s(Nominal(PLANT)) == transport_delay_s(MACHINE) == 0.0
-    found = compare(late, late, MACHINE, went(0.5))
-    assert found.candidate.mean() < 0.8 * found.incumbent.mean()
-    assert found.document()["change_ci95"][1] < 0.0
+    tracking = compare(late, late, MACHINE, went(0.5))
+    assert tracking.candidate.mean() < 0.8 * tracking.incumbent.mean()
+    assert tracking.document()["change_ci95"][1] < 0.0

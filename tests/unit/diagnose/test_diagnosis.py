@@ -7,18 +7,21 @@ import pytest
 
 from tests.support.simulated import recorded as recorded_thrice
 from tests.support.simulated import recorded_twice as recorded
-from trueup.diagnose.admission import admit
+from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.figures import figures
-from trueup.diagnose.problem import Problem
+from trueup.diagnose.problem_setup import Recordings, Setup
 from trueup.diagnose.search import Search
-from trueup.diagnose.words import sentence
+from trueup.diagnose.summary_text import sentence
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
-from trueup.fit.rollout_fit import PROVEN, Directions, Fitter
+from trueup.fit.fitter import Fitter
+from trueup.fit.free_numbers import Directions
+from trueup.fit.rollout_fit import PROVEN
+from trueup.fit.screening import screen
 from trueup.model.hypothesis import Hypothesis
-from trueup.model.known import Known, known
 from trueup.model.series import DECLARED, refined, series
+from trueup.model.velocity_prior import VelocityPrior, velocity_prior
 from trueup_pages.diagnosis import report_page
 
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
@@ -218,7 +221,7 @@ def test_the_noise_is_told_from_the_signal():
 
 def test_a_composition_that_fills_every_lane_has_no_bounds_beside_it():
     plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)
-    admission = admit(plant, [e for e in episodes if e.role == "adaptation"])
+    admission = assess(plant, [e for e in episodes if e.role == "adaptation"])
     fitter = Fitter(
         plant.form,
         Directions.of_family(plant.dynamics.parameter_names),
@@ -228,8 +231,8 @@ def test_a_composition_that_fills_every_lane_has_no_bounds_beside_it():
     full = Hypothesis(("stribeck_friction", "hysteresis", "hard_stop"))
     assert not fitter.has_room(full)
     data = [series(plant, episodes[0], refined(plant), 2.0)]
-    parent = fitter.fit(data, Hypothesis(), fitter.begin(plant.parameters), iterations=1)
-    screened = fitter.screen(data, replace(parent, hypothesis=full), "cogging")
+    parent = fitter.fit(data, Hypothesis(), fitter.initial_values(plant.parameters), iterations=1)
+    screened = screen(fitter, data, replace(parent, hypothesis=full), "cogging")
     assert np.isinf(screened.error).all()
     assert (screened.cost == parent.cost).all()
 
@@ -282,16 +285,10 @@ def test_either_sign_of_an_effect_is_named(effect, seed):
 
 def test_a_lag_below_one_sample_is_no_effect():
     plant, episodes, _ = recorded("A0", [], 5)
-    admission = admit(plant, episodes)
-    fitter = Fitter(
-        plant.form,
-        Directions.of_family(plant.dynamics.parameter_names),
-        admission.scales,
-        admission.sigma,
-    )
-    data = [series(plant, e, DECLARED, 2.0) for e in episodes]
-    search = Search(Problem(fitter, data, data, data))
-    values = fitter.begin(plant.parameters)
+    recordings = Recordings.of(plant, episodes)
+    problem, _ = Setup(recordings, assess(plant, episodes), DECLARED).problem(1)
+    search, fitter, data = Search(problem, found={}), problem.fitter, problem.adaptation
+    values = fitter.initial_values(plant.parameters)
     for periods, resolved in ((0.5, False), (3.0, True)):
         values[plant.block.rows_of("velocity_lag")["time_constant"]] = (
             periods * episodes[0].period_s
@@ -304,7 +301,7 @@ def test_a_lag_below_one_sample_is_no_effect():
 def test_a_first_velocity_is_known_from_like_moments():
     t = np.linspace(0.0, 8.0 * np.pi, 4000)
     loop = np.column_stack([np.sin(t), np.cos(t) + 2.0 * np.cos(3.0 * t), np.cos(t)])
-    moments, missed = known([loop[:2000], loop[2000:]])
+    moments, missed = velocity_prior([loop[:2000], loop[2000:]])
     assert moments.nearest > 0
     assert missed < 0.1
     assert moments.velocity(np.sin(1.0), np.cos(1.0) + 2.0 * np.cos(3.0)) == pytest.approx(
@@ -313,7 +310,7 @@ def test_a_first_velocity_is_known_from_like_moments():
     rng = np.random.default_rng(1)
     cloud = rng.normal(size=(2000, 3))
     cloud[:, 2] += 0.5 * cloud[:, 0] - 0.2 * cloud[:, 1]
-    line, missed = known([cloud[:1000], cloud[1000:]])
+    line, missed = velocity_prior([cloud[:1000], cloud[1000:]])
     assert line.nearest == 0
     assert missed == pytest.approx(1.0, abs=0.1)
     assert line.velocity(2.0, 1.0) == pytest.approx(0.8, abs=0.1)
@@ -324,7 +321,7 @@ def test_a_first_velocity_is_known_from_like_moments():
 )
 def test_moments_that_are_none_are_refused(moments):
     with pytest.raises(ValueError, match="position, command and velocity"):
-        Known(moments, 1)
+        VelocityPrior(moments, 1)
 
 
 def test_where_impacts_make_whole_windows_too_rough_for_a_proof_shorter_ones_prove_the_answer():

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from tests.support.simulated import recorded_twice as recorded
-from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import Verdict, agreeing
+from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.measure import Gap
-from trueup.diagnose.noise import FAR_STRIDES, Noise, gain, noise_of
-from trueup.simulate.noise import Noise as Law
+from trueup.diagnose.model_selection import Verdict, agreeing
+from trueup.diagnose.noise import Noise, gain, noise_of
+from trueup.diagnose.tuning import DATA_QUALITY
+from trueup.simulate.noise import NoiseModel
 
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
 
@@ -25,20 +26,20 @@ def tracks(law, seed=1):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_white_noise_is_white(seed):
-    found = noise_of(tracks(Law(), seed))
+    found = noise_of(tracks(NoiseModel(), seed))
     assert found.correlation == 0.0
     assert found.sigma == pytest.approx(0.3, rel=0.05)
 
 
 @pytest.mark.parametrize("correlation", [0.5, 0.7, 0.9])
 def test_noise_that_remembers_itself_is_told_with_its_size(correlation):
-    found = noise_of(tracks(Law(correlation)), strides=FAR_STRIDES)
+    found = noise_of(tracks(NoiseModel(correlation)), strides=DATA_QUALITY.residual_strides)
     assert found.correlation == pytest.approx(correlation, abs=0.08)
     assert found.sigma == pytest.approx(0.3, rel=0.2)
 
 
 def test_outliers_count_in_what_a_model_leaves():
-    heavy = tracks(Law(0.0, 3.0))
+    heavy = tracks(NoiseModel(0.0, 3.0))
     assert noise_of(heavy).sigma < 0.85 * 0.3
     assert noise_of(heavy, smallest=0.995).sigma > noise_of(heavy).sigma * 1.1
 
@@ -53,7 +54,7 @@ def test_a_motion_is_no_noise():
 
 @pytest.mark.parametrize(("correlation", "stride"), [(0.0, 1), (0.6, 1), (0.9, 3)])
 def test_the_gain_is_that_of_the_differences(correlation, stride):
-    x = Law(correlation).drawn(np.random.default_rng(3), 200_000, 1)[:, 0]
+    x = NoiseModel(correlation).drawn(np.random.default_rng(3), 200_000, 1)[:, 0]
     n = len(x) - 4 * stride
     fourth = sum(
         w * x[k * stride : k * stride + n] for k, w in enumerate((1.0, -4.0, 6.0, -4.0, 1.0))
@@ -69,7 +70,7 @@ def test_noise_is_drawn_with_its_colour():
     assert lag == pytest.approx([0.9, 0.0], abs=0.03)
 
 
-@pytest.mark.parametrize("law", [Law(0.9), Law(0.0, 3.0), Law(0.9, 4.0)])
+@pytest.mark.parametrize("law", [NoiseModel(0.9), NoiseModel(0.0, 3.0), NoiseModel(0.9, 4.0)])
 def test_a_friction_is_named_under_noise_that_is_not_white(law):
     plant, episodes, trial = recorded("B1", ["coulomb_friction"], 18, law=law)
     found = diagnose(plant, episodes)
@@ -85,7 +86,7 @@ def test_a_friction_is_named_under_noise_that_is_not_white(law):
 
 def test_white_noise_stays_white_and_is_searched_once():
     plant, episodes, trial = recorded("B1", ["coulomb_friction"], 18)
-    admission = admit(plant, [e for e in episodes if e.role == "adaptation"])
+    admission = assess(plant, [e for e in episodes if e.role == "adaptation"])
     assert not admission.correlation.any()
     assert admission.noise == pytest.approx(trial.sigma, rel=0.1)
 

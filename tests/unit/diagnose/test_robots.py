@@ -9,22 +9,21 @@ import pytest
 
 from tests.support.robots import PERIOD_S, arm_machine, arm_plant, recorded
 from trueup.artifact.artifact import pack, unpack
-from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import selection_criteria
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
-from trueup.diagnose.explore import _astray
+from trueup.diagnose.explore import went_astray
 from trueup.diagnose.figures import figures
-from trueup.diagnose.laying_out import by_role
 from trueup.diagnose.locate import Strides, _pushed
-from trueup.diagnose.periodicity import pitches
-from trueup.diagnose.problem import Candidate, Problem
+from trueup.diagnose.problem_setup import Recordings, Setup
 from trueup.diagnose.search import Search
-from trueup.diagnose.words import sentence, warnings
+from trueup.diagnose.spatial_periods import spatial_periods
+from trueup.diagnose.summary_text import sentence, warnings
 from trueup.episode.role import Role
 from trueup.fit.base_parameters import directions
+from trueup.fit.fitter import Fitter
 from trueup.fit.identify import identify
 from trueup.fit.residual import fit_residual
-from trueup.fit.rollout_fit import Fitter
 from trueup.model.block import BLOCK
 from trueup.model.hypothesis import Hypothesis, switches
 from trueup.model.predictor import Nominal, predict_observations
@@ -243,11 +242,11 @@ def test_the_pitch_of_a_force_is_found_at_its_joint(plant):
     )
     (like,) = recorded(plant, lambda _spec: None, (0,), ("adaptation",))
     episode = replace(like, t_s=found.t_s, commands=found.issued, observations=found.observed)
-    admission = admit(plant, [episode])
-    ((_, (_, _, pitch)), *_), taken = pitches(plant, admission, 1, [episode])
+    admission = assess(plant, [episode])
+    ((_, (_, _, pitch)), *_), taken = spatial_periods(plant, admission, 1, [episode])
     assert taken > 0.3
     assert pitch * admission.scales[1].position == pytest.approx(0.17, rel=0.03)
-    assert pitches(plant, admission, 0, [episode])[1] < 0.3
+    assert spatial_periods(plant, admission, 0, [episode])[1] < 0.3
 
 
 def test_a_joint_behind_a_spring_is_stepped_with_second_order(plant):
@@ -269,9 +268,12 @@ def test_a_joint_behind_a_spring_is_stepped_with_second_order(plant):
     (like,) = recorded(plant, lambda _spec: None, (0,), ("adaptation",))
     episode = replace(like, t_s=found.t_s, commands=found.issued, observations=found.observed)
     fitter = Fitter(
-        plant.form, directions(plant, [episode]), admit(plant, [episode]).scales, np.ones(4)
+        plant.form, directions(plant, [episode]), assess(plant, [episode]).scales, np.ones(4)
     )
-    values, rows = fitter.begin(plant.parameters), fitter.block.rows_of("elastic_transmission@1")
+    values, rows = (
+        fitter.initial_values(plant.parameters),
+        fitter.block.rows_of("elastic_transmission@1"),
+    )
     rigid = np.repeat(values[:, None], BLOCK, axis=1)
     values[[rows["period"], rows["ratio"], rows["share"]]] = period, ratio, part
     p, on = (
@@ -295,23 +297,16 @@ def test_a_robot_is_searched_in_shorter_windows_where_a_fit_ends_far_behind_none
     plant, times, astray
 ):
     (episode,) = recorded(plant, rubs, (0,), ("adaptation",))
-    admission, windows = admit(plant, [episode]), [series(plant, episode, DECLARED, 0.5)]
-    fitter = Fitter(plant.form, directions(plant, [episode]), admission.scales, admission.sigma)
-    problem = Problem(
-        fitter,
-        windows,
-        windows,
-        windows,
-        pieces={episode.digest: series(plant, episode, DECLARED, 0.5, 4)},
-    )
-    base = problem.refitted([plant.parameters])
+    other = replace(episode, role=Role.VALIDATION, digest="other")
+    recordings = Recordings.of(plant, [episode, other])
+    problem, base = Setup(recordings, assess(plant, [episode]), DECLARED).problem(1)
     search = Search(problem, found={base.hypothesis: base})
     far = replace(base.fit, hypothesis=Hypothesis() | "cogging", cost=times * base.fit.cost)
     search.found[far.hypothesis] = Candidate(far, base.check)
-    assert _astray(search) is astray
-    assert not _astray(
-        replace(search, problem=replace(problem, pieces={}))
-    )  # a joint's windows are as long as its motion is foretold
+    assert went_astray(search) is astray
+    joint = replace(problem.strategy, in_pieces=False)  # whose windows are short enough
+    fits = replace(problem.fits, strategy=joint)
+    assert not went_astray(replace(search, problem=replace(problem, fits=fits)))
 
 
 @pytest.mark.parametrize("stage", ["SIL", "physical"])
@@ -323,5 +318,5 @@ def test_a_recording_that_is_neither_fitted_nor_compared_on_changes_no_criterion
     reference = replace(
         used[0], role=Role.REFERENCE, conditions={"stage": "physical"}, digest="reference"
     )
-    adaptation, validation = by_role([*used, reference])
-    assert selection_criteria(plant, [*adaptation, *validation]).of_machine is (stage == "physical")
+    criteria = Recordings.of(plant, [*used, reference]).criteria
+    assert criteria.of_machine is (stage == "physical")

@@ -6,9 +6,9 @@ from threading import Event
 import numpy as np
 import pytest
 
-from trueup.diagnose.problem import Candidate
+import trueup.cores
+from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.search import Search
-from trueup.fit import rollout_fit
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.hypothesis import Hypothesis
 
@@ -39,6 +39,10 @@ class Fits:
     def fitter(self):
         return self
 
+    @property
+    def fits(self):
+        return self
+
     def fit(self, _, hypothesis, values, *__, **___):
         return fit(hypothesis, float(values[0]) if hypothesis == SHARED else 5.0)
 
@@ -53,7 +57,7 @@ class Fits:
 
 @pytest.mark.parametrize("slow", [8.0, 9.0])
 def test_the_cheaper_fit_of_a_part_is_kept_whichever_thread_is_faster(slow, monkeypatch):
-    monkeypatch.setattr(rollout_fit, "cores", lambda: 2)
+    monkeypatch.setattr(trueup.cores, "cores", lambda: 2)
     done = Event()
     search = Search(Fits(slow, done))
     pair = [

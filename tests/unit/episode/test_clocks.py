@@ -32,16 +32,16 @@ def relogged(data, at):
     """The recording with other log times: `at` makes them of an array of the old ones, for each
     topic."""
     reader, out = make_reader(io.BytesIO(data)), io.BytesIO()
-    found = list(reader.iter_messages(log_time_order=False))
-    first = min(m.log_time for *_, m in found)
+    messages = list(reader.iter_messages(log_time_order=False))
+    first = min(m.log_time for *_, m in messages)
     times = {}
-    for topic in {c.topic for _, c, _ in found}:
-        of = np.array([m.log_time for _, c, m in found if c.topic == topic], np.int64)
+    for topic in {c.topic for _, c, _ in messages}:
+        of = np.array([m.log_time for _, c, m in messages if c.topic == topic], np.int64)
         times[topic] = iter(first + at(of - first))
     writer = Writer(out)
     writer.start()
     schemas, channels = {}, {}
-    for schema, channel, message in found:
+    for schema, channel, message in messages:
         if channel.topic not in channels:
             schemas[schema.id] = schemas.get(schema.id) or writer.register_schema(
                 schema.name, schema.encoding, schema.data
@@ -86,11 +86,11 @@ def test_latency_is_no_contradiction(name):
 @pytest.mark.parametrize("name", AMISS)
 def test_clocks_that_contradict_each_other_are_told_of_on_each_topic(name):
     at, words = AMISS[name]
-    found = logged(at)
+    doubts = logged(at)
     assert [
-        topic in w for topic, w in zip(("/joint_states", "/joint_commands"), found, strict=True)
+        topic in w for topic, w in zip(("/joint_states", "/joint_commands"), doubts, strict=True)
     ] == [True, True]
-    assert all(words in w for w in found)
+    assert all(words in w for w in doubts)
 
 
 def test_a_short_recording_whose_log_stands_still_is_told_of():

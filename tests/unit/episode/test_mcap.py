@@ -73,24 +73,24 @@ def pair(i, q=0.0, u=0.0):
 
 @pytest.mark.parametrize("encoding", list(Encoding))
 def test_several_joints_come_back_bit_for_bit(encoding):
-    found = read_episode(
+    episode = read_episode(
         mcap_bytes(LAYOUT, OBSERVED, ISSUED, encoding=encoding, stage="MIL"), LAYOUT
     )
-    assert np.array_equal(found.observations, OBSERVED)
-    assert np.array_equal(found.commands, ISSUED)
-    assert (found.role, dict(found.conditions), found.start_ns, found.missing) == (
+    assert np.array_equal(episode.observations, OBSERVED)
+    assert np.array_equal(episode.commands, ISSUED)
+    assert (episode.role, dict(episode.conditions), episode.start_ns, episode.missing) == (
         Role.ADAPTATION,
         {"stage": "MIL"},
         T0_NS,
         (),
     )
-    assert found.period_s == pytest.approx(0.05)
+    assert episode.period_s == pytest.approx(0.05)
 
 
 def test_the_arrays_cannot_be_written_to():
-    found = read_episode(episode_bytes(), PLANT.layout)
+    episode = read_episode(episode_bytes(), PLANT.layout)
     with pytest.raises(ValueError, match="read-only"):
-        found.observations[0, 0] = 1.0
+        episode.observations[0, 0] = 1.0
 
 
 def test_the_digest_is_that_of_the_file():
@@ -150,36 +150,36 @@ def test_what_the_stock_ros2_writer_writes_is_read():
     layout = Layout(
         (Channel("q", "rad", Field.POSITION, "a"),), (Channel("u", "N·m", Field.EFFORT, "bcd"),)
     )
-    found = read_episode(stream.getvalue(), layout)
+    result = read_episode(stream.getvalue(), layout)
     assert (
-        found.observations[:, 0].tolist()
-        == found.commands[:, 0].tolist()
+        result.observations[:, 0].tolist()
+        == result.commands[:, 0].tolist()
         == [float(i) for i in range(30)]
     )
-    assert np.diff(found.t_s) == pytest.approx(1e-6)
+    assert np.diff(result.t_s) == pytest.approx(1e-6)
 
 
 def test_irregular_times_and_gaps_are_kept():
     stamps = T0_NS + np.cumsum(RNG.integers(1_000_000, 9_000_000, 50))
     stamps[25:] += 2_000_000_000
-    found = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED, stamps_ns=stamps), LAYOUT)
-    assert np.array_equal(np.rint(found.t_s * 1e9), stamps - stamps[0])
-    assert found.gaps.tolist() == [25]
+    episode = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED, stamps_ns=stamps), LAYOUT)
+    assert np.array_equal(np.rint(episode.t_s * 1e9), stamps - stamps[0])
+    assert episode.gaps.tolist() == [25]
 
 
 def test_a_missing_channel_is_a_column_of_nan_and_is_named():
     wider = Layout(
         (*LAYOUT.observations, Channel("vx", "rad/s", Field.VELOCITY, "absent")), LAYOUT.commands
     )
-    found = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED), wider)
-    assert found.missing == ("vx",)
-    assert np.isnan(found.observations[:, -1]).all()
+    episode = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED), wider)
+    assert episode.missing == ("vx",)
+    assert np.isnan(episode.observations[:, -1]).all()
 
 
 def test_there_may_be_one_command_less_than_states():
-    found = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED[:-1]), LAYOUT)
-    assert np.array_equal(found.commands[:-1], ISSUED[:-1])
-    assert np.array_equal(found.commands[-1], ISSUED[-2])
+    episode = read_episode(mcap_bytes(LAYOUT, OBSERVED, ISSUED[:-1]), LAYOUT)
+    assert np.array_equal(episode.commands[:-1], ISSUED[:-1])
+    assert np.array_equal(episode.commands[-1], ISSUED[-2])
 
 
 def test_a_command_acts_from_its_stamp_on_and_samples_before_the_first_are_dropped():
@@ -188,9 +188,9 @@ def test_a_command_acts_from_its_stamp_on_and_samples_before_the_first_are_dropp
         for i in range(1, 8)
     ]
     orders = [("/joint_commands", t, {"name": ["j"], "effort": [float(t)]}) for t in (25, 40, 41)]
-    found = read_episode(raw(sorted(states + orders, key=lambda m: m[1])), PLANT.layout)
-    assert found.observations[:, 0].tolist() == [3.0, 4.0, 5.0, 6.0, 7.0]
-    assert found.commands[:, 0].tolist() == [25.0, 0.1 * 40.0 + 0.9 * 41.0, 41.0, 41.0, 41.0]
+    episode = read_episode(raw(sorted(states + orders, key=lambda m: m[1])), PLANT.layout)
+    assert episode.observations[:, 0].tolist() == [3.0, 4.0, 5.0, 6.0, 7.0]
+    assert episode.commands[:, 0].tolist() == [25.0, 0.1 * 40.0 + 0.9 * 41.0, 41.0, 41.0, 41.0]
 
 
 def test_a_command_between_samples_acts_for_its_part_of_the_interval():
@@ -212,8 +212,8 @@ def test_a_command_between_samples_acts_for_its_part_of_the_interval():
         messages += [
             ("/joint_commands", 1 + i * dt, {"name": ["j"], "effort": [fine[i]]}) for i in range(n)
         ]
-        found = read_episode(raw(sorted(messages, key=lambda m: m[1])), PLANT.layout)
-        assert identify(PLANT, [found])[1].parameters["b"] == pytest.approx(0.82, rel=0.03)
+        episode = read_episode(raw(sorted(messages, key=lambda m: m[1])), PLANT.layout)
+        assert identify(PLANT, [episode])[1].parameters["b"] == pytest.approx(0.82, rel=0.03)
 
 
 @pytest.mark.parametrize(
@@ -246,8 +246,8 @@ def test_two_clocks_are_not_mixed():
 
 
 def test_log_time_counts_where_every_stamp_is_zero():
-    found = read_episode(raw([m for i in range(1, 5) for m in pair(i * 10**9)]), PLANT.layout)
-    assert found.t_s.tolist() == [0.0, 1.0, 2.0, 3.0]
+    episode = read_episode(raw([m for i in range(1, 5) for m in pair(i * 10**9)]), PLANT.layout)
+    assert episode.t_s.tolist() == [0.0, 1.0, 2.0, 3.0]
 
 
 CDR_EMPTY = b"\0\1\0\0" + bytes(32)
@@ -431,7 +431,7 @@ def test_unchunked_messages_are_gathered(monkeypatch):
 
 
 def test_a_role_is_required():
-    found = read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)
-    assert found.require(Role.VALIDATION) is found
+    episode = read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)
+    assert episode.require(Role.VALIDATION) is episode
     with pytest.raises(RoleRefused):
-        found.require(Role.ADAPTATION)
+        episode.require(Role.ADAPTATION)

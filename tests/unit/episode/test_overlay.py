@@ -46,13 +46,13 @@ def test_what_was_recorded_is_copied_as_it_was(made):
 def test_predictions_and_residuals_stand_at_their_samples(made):
     _, _, episode, written = made
     reader = make_reader(BytesIO(written), decoder_factories=[DecoderFactory()])
-    found = [d for *_, d in reader.iter_decoded_messages(topics=["/trueup/v3/residual"])]
-    assert len(found) == len(episode.t_s)
-    stamps = [d.header.stamp.sec * 10**9 + d.header.stamp.nanosec for d in found]
+    rows = [d for *_, d in reader.iter_decoded_messages(topics=["/trueup/v3/residual"])]
+    assert len(rows) == len(episode.t_s)
+    stamps = [d.header.stamp.sec * 10**9 + d.header.stamp.nanosec for d in rows]
     np.testing.assert_allclose(np.array(stamps) - episode.start_ns, episode.t_s * 1e9, atol=1.0)
     np.testing.assert_allclose(
-        [(d.position[0], d.velocity[0]) for d in found],
-        np.tile([-0.5, 0.25], (len(found), 1)),
+        [(d.position[0], d.velocity[0]) for d in rows],
+        np.tile([-0.5, 0.25], (len(rows), 1)),
         atol=1e-12,
     )
 
@@ -61,10 +61,10 @@ def test_regions_are_told_whenever_they_change(made):
     import orjson
 
     plant, _, episode, written = made
-    told = [orjson.loads(data)["regions"] for _, data in messages(written, "/trueup/regions")]
-    assert all(a != b for a, b in pairwise(told))
+    rows = [orjson.loads(data)["regions"] for _, data in messages(written, "/trueup/regions")]
+    assert all(a != b for a, b in pairwise(rows))
     inside = regions_of_samples(plant, episode)
-    assert told[0] == [name for name, of in inside.items() if of[0]]
-    assert {name for names in told for name in names} == {
+    assert rows[0] == [name for name, of in inside.items() if of[0]]
+    assert {name for names in rows for name in names} == {
         name for name, of in inside.items() if of.any()
     }

@@ -17,7 +17,7 @@ from trueup.model.plant import Plant
 LAYOUT = Plant.from_document(plant_document()).layout
 
 
-def told(start_ns, t_s):
+def episode_of(start_ns, t_s):
     n = len(t_s)
     columns = {"observations": {"q": [0.0] * n, "v": [0.0] * n}, "commands": {"u": [0.0] * n}}
     out = io.BytesIO()
@@ -26,8 +26,8 @@ def told(start_ns, t_s):
 
 
 def test_times_count_from_the_start():
-    assert told(10**18, [0.0, 0.02, 0.04]).t_s == pytest.approx([0.0, 0.02, 0.04])
-    assert told(10**18, [-0.5, 1.5]).t_s == pytest.approx([0.0, 2.0])
+    assert episode_of(10**18, [0.0, 0.02, 0.04]).t_s == pytest.approx([0.0, 0.02, 0.04])
+    assert episode_of(10**18, [-0.5, 1.5]).t_s == pytest.approx([0.0, 2.0])
 
 
 @pytest.mark.parametrize(
@@ -46,7 +46,7 @@ def test_times_count_from_the_start():
 )
 def test_times_that_no_clock_shows_are_refused(start_ns, t_s):
     with pytest.raises(NotAnEpisode) as refused:
-        told(start_ns, t_s)
+        episode_of(start_ns, t_s)
     assert refused.value.facts["rule"] == "t_s"
 
 
@@ -56,4 +56,4 @@ def test_times_that_no_clock_shows_are_refused(start_ns, t_s):
 )
 def test_whatever_the_times_are_it_is_an_episode_or_refused(start_ns, t_s):
     with suppress(NotAnEpisode):
-        assert (told(start_ns, t_s).t_s >= 0.0).all()
+        assert (episode_of(start_ns, t_s).t_s >= 0.0).all()

@@ -33,10 +33,10 @@ CONFORMANCE = sorted((Path(__file__).parents[2] / "golden" / "mcap-conformance")
 
 
 def walk(data: bytes, limits: Limits = LIMITS) -> Walk:
-    found = Walk(io.BytesIO(data), len(data), limits, wanted=("m",))
-    for _ in found:
+    file_walk = Walk(io.BytesIO(data), len(data), limits, wanted=("m",))
+    for _ in file_walk:
         pass
-    return found
+    return file_walk
 
 
 def record(op: int, body: bytes) -> bytes:
@@ -93,10 +93,10 @@ def test_a_conformance_file_reads_as_published(path):
         for key, value in r["fields"]
         if key == "name"
     ]
-    found = Walk(io.BytesIO(path.read_bytes()), path.stat().st_size, wanted=names)
+    file_walk = Walk(io.BytesIO(path.read_bytes()), path.stat().st_size, wanted=names)
     messages = [
         (channel, log_ns, block.data[start : start + length])
-        for block in found
+        for block in file_walk
         for channel, entries in block.messages.items()
         for start, length, log_ns in entries
     ]
@@ -106,18 +106,18 @@ def test_a_conformance_file_reads_as_published(path):
         for kind, f in fields
         if kind == "Message"
     ]
-    assert {t.id: t.name for t in found.contents.topics.values()} == {
+    assert {t.id: t.name for t in file_walk.contents.topics.values()} == {
         int(f["id"]): f["topic"] for kind, f in fields if kind == "Channel"
     }
-    assert {s.id: (s.name, s.encoding, s.data) for s in found.contents.schemas.values()} == {
+    assert {s.id: (s.name, s.encoding, s.data) for s in file_walk.contents.schemas.values()} == {
         int(f["id"]): (f["name"], f["encoding"], bytes(map(int, f["data"])))
         for kind, f in fields
         if kind == "Schema"
     }
-    assert [(m.name, m.values) for m in found.contents.metadata] == [
+    assert [(m.name, m.values) for m in file_walk.contents.metadata] == [
         (f["name"], f["metadata"]) for kind, f in fields if kind == "Metadata"
     ]
-    assert found.contents.attachments == sum(kind == "Attachment" for kind, _ in fields)
+    assert file_walk.contents.attachments == sum(kind == "Attachment" for kind, _ in fields)
 
 
 def test_there_are_72_conformance_files_and_we_write_them_and_the_other_344_alike():
@@ -130,19 +130,23 @@ def test_there_are_72_conformance_files_and_we_write_them_and_the_other_344_alik
 
 def test_all_416_variants_of_the_conformance_suite_are_read():
     for variant in variants():
-        found = Walk(io.BytesIO(variant.data), len(variant.data), wanted=tuple(variant.metadata))
+        file_walk = Walk(
+            io.BytesIO(variant.data), len(variant.data), wanted=tuple(variant.metadata)
+        )
         messages = [
             (channel, log_ns, block.data[start : start + length])
-            for block in found
+            for block in file_walk
             for channel, entries in block.messages.items()
             for start, length, log_ns in entries
         ]
         assert messages == variant.messages, variant.name
-        assert {t.id: t.name for t in found.contents.topics.values()} == variant.channels, (
+        assert {t.id: t.name for t in file_walk.contents.topics.values()} == variant.channels, (
             variant.name
         )
-        assert {m.name: m.values for m in found.contents.metadata} == variant.metadata, variant.name
-        assert found.contents.attachments == variant.attachments, variant.name
+        assert {m.name: m.values for m in file_walk.contents.metadata} == variant.metadata, (
+            variant.name
+        )
+        assert file_walk.contents.attachments == variant.attachments, variant.name
 
 
 def pad(data: bytes) -> bytes:
@@ -180,8 +184,8 @@ def test_what_the_stock_writer_writes_is_read(compression):
         writer.add_message(channel, log_time=i, data=b"x" * (i % 50), publish_time=i)
     writer.add_attachment(0, 0, "a", "text/plain", b"hello")
     writer.finish()
-    found = walk(stream.getvalue())
-    assert (found.contents.messages, found.contents.attachments) == (300, 1)
+    file_walk = walk(stream.getvalue())
+    assert (file_walk.contents.messages, file_walk.contents.attachments) == (300, 1)
 
 
 SOUND = file(SCHEMA, CHANNEL, MESSAGE, summary=statistics(1))

@@ -7,14 +7,17 @@ import numpy as np
 import pytest
 
 from tests.support.simulated import recorded
-from trueup.diagnose.admission import admit
+from trueup.diagnose.data_quality import assess
 from trueup.diagnose.intervals import half_widths, intervals
 from trueup.fit.convergence import PROVEN, converge, minima
-from trueup.fit.rollout_fit import Directions, Fitter, Start
+from trueup.fit.fitter import Fitter
+from trueup.fit.free_numbers import Directions
+from trueup.fit.multiple_shooting import best_of_scattered, estimate_starts
+from trueup.fit.rollout_fit import Start
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.rounding import STEP_BITS, rounded
 from trueup.model.series import refined, series
-from trueup.simulate.noise import Noise
+from trueup.simulate.noise import NoiseModel
 
 FRICTION = Hypothesis(("coulomb_friction",))
 
@@ -27,7 +30,7 @@ def posed():
 def _posed(of, correlation=None):
     plant, episodes, trial = of
     adaptation = [e for e in episodes if e.role == "adaptation"]
-    admission = admit(plant, adaptation)
+    admission = assess(plant, adaptation)
     fitter = Fitter(
         plant.form,
         Directions.of_family(plant.dynamics.parameter_names),
@@ -36,7 +39,7 @@ def _posed(of, correlation=None):
         correlation,
     )
     data = [series(plant, e, refined(plant), 2.0) for e in adaptation]
-    values = fitter.with_effect(fitter.begin(plant.parameters), "coulomb_friction", (0.2,))
+    values = fitter.with_effect(fitter.initial_values(plant.parameters), "coulomb_friction", (0.2,))
     return fitter, data, fitter.fit(data, FRICTION, values), trial
 
 
@@ -44,7 +47,7 @@ def test_a_minimum_is_proven_and_the_same_from_far_to_both_sides(posed):
     fitter, data, fit, _ = posed
     best = converge(fitter, data, fit)
     assert best.converged
-    assert best.off <= PROVEN
+    assert best.distance <= PROVEN
     widths = np.array(list(half_widths(best, best).values()))
     for side in (-3.0, 3.0):
         values = best.free.moved(best.values, side * widths)
@@ -64,7 +67,7 @@ def test_a_proven_minimum_costs_no_more_than_its_neighbours(posed):
     for which in range(len(widths)):
         for side in (-0.5, 0.5):
             values = best.free.moved(best.values, side * widths * (np.arange(len(widths)) == which))
-            assert fitter.started(data, FRICTION, values, best.starts).cost > best.cost
+            assert estimate_starts(fitter, data, FRICTION, values, best.starts).cost > best.cost
 
 
 def test_where_errors_grow_within_a_window_its_start_is_found_by_steps_as_short_as_the_log_tells():
@@ -72,7 +75,7 @@ def test_where_errors_grow_within_a_window_its_start_is_found_by_steps_as_short_
     fitter, data, _, _ = _posed((plant, episodes, trial))
     cogging, machine = Hypothesis(("cogging",)), trial.machine
     law = machine.imperfections["cogging"]
-    values = fitter.begin(
+    values = fitter.initial_values(
         [
             {"k": machine.k, "c": machine.c, "b": machine.b}[n]
             for n in plant.dynamics.parameter_names
@@ -83,10 +86,11 @@ def test_where_errors_grow_within_a_window_its_start_is_found_by_steps_as_short_
     values[rows["cosine"]] = law["amplitude"] * np.sin(law["phase"])
     values[rows["pitch"]] = law["pitch"]
     coarse, fine = (
-        fitter.started(data, cogging, values, iterations=25, fine=fine) for fine in (False, True)
+        estimate_starts(fitter, data, cogging, values, iterations=25, fine=fine)
+        for fine in (False, True)
     )
-    assert fine.misfit < coarse.misfit - 0.02
-    assert fine.misfit < 1.05
+    assert fine.reduced_chi_square < coarse.reduced_chi_square - 0.02
+    assert fine.reduced_chi_square < 1.05
 
 
 def test_a_start_in_another_valley_is_found_around(posed):
@@ -96,9 +100,9 @@ def test_a_start_in_another_valley_is_found_around(posed):
         windows = fit.starts[s.digest].windows.copy()
         windows[0, 1] += 2.5 * fitter.sigma[1]
         astray[s.digest] = Start(windows, {})
-    found = fitter.scattered(data, FRICTION, fit.values, astray)
+    found = best_of_scattered(fitter, data, FRICTION, fit.values, astray)
     costs = [
-        fitter.started(data, FRICTION, fit.values, starts, iterations=0).cost
+        estimate_starts(fitter, data, FRICTION, fit.values, starts, iterations=0).cost
         for starts in (astray, found)
     ]
     assert costs[1] < 0.9 * costs[0]
@@ -122,16 +126,16 @@ def test_intervals_hold_the_truth_and_span_every_minimum(posed):
 def test_where_something_else_acts_intervals_are_as_wide_as_recordings_disagree():
     fitter, data, fit, _ = _posed(recorded("B1", ["coulomb_friction", "cubic_stiffness"], 18))
     best = converge(fitter, data, fit)
-    assert best.misfit > 2.0
+    assert best.reduced_chi_square > 2.0
     alone = replace(best, scores=np.zeros_like(best.scores))
     wide, narrow = (half_widths(f, f)["coulomb_friction", "level"] for f in (best, alone))
     assert wide > 1.5 * narrow
 
 
 def test_errors_under_coloured_noise_are_taken_less_what_was_expected():
-    of = recorded("B1", ["coulomb_friction"], 18, law=Noise(0.9))
+    of = recorded("B1", ["coulomb_friction"], 18, law=NoiseModel(0.9))
     (fitter, data, fit, _), (plain, _, white, _) = _posed(of, np.full(2, 0.9)), _posed(of)
-    assert fit.misfit == pytest.approx(1.0, abs=0.15)
+    assert fit.reduced_chi_square == pytest.approx(1.0, abs=0.15)
     ratio = [half_widths(f, f)["", "k"] for f in (fit, white)]
     assert ratio[0] > 1.5 * ratio[1]  # samples that repeat each other tell less
     fresh = fitter.fit(data, FRICTION, fit.values, fit.starts, iterations=0)

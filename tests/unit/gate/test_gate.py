@@ -33,8 +33,8 @@ def trial(candidate, incumbent=(1.0, 1.0)):
     )
 
 
-def decide(found, gate=GATE):
-    return judge(gate, found, plant="p", candidate="c", incumbent="i", generation=3)
+def decide(judged_trial, gate=GATE):
+    return judge(gate, judged_trial, plant="p", candidate="c", incumbent="i", generation=3)
 
 
 @pytest.mark.parametrize(
@@ -53,9 +53,9 @@ def test_the_default_gate_accepts_only_better_rollouts_with_one_step_no_worse(ca
 
 
 def test_every_reason_is_kept():
-    found = decide(trial((2.0, 2.0)))
-    assert [v.rule for v in found.verdicts] == ["rollout_improves", "one_step_no_worse"]
-    assert not any(v.passed for v in found.verdicts)
+    decision = decide(trial((2.0, 2.0)))
+    assert [v.rule for v in decision.verdicts] == ["rollout_improves", "one_step_no_worse"]
+    assert not any(v.passed for v in decision.verdicts)
 
 
 def test_a_decision_names_the_generation_and_every_figure():
@@ -177,15 +177,15 @@ def test_a_model_is_no_better_than_itself():
 
 def test_one_worse_episode_is_found():
     rule = rules()["no_worse_anywhere"]()
-    found = rule(
+    verdict = rule(
         Trial(
             Score(np.array([0.1, 1.2, 0.1]), np.ones(3)),
             Score(np.ones(3), np.ones(3)),
             ("a" * 64, "b" * 64, "c" * 64),
         )
     )
-    assert not found.passed
-    assert "b" * 12 in found.because
+    assert not verdict.passed
+    assert "b" * 12 in verdict.because
 
 
 def test_a_true_model_is_accepted():
@@ -224,10 +224,10 @@ def test_a_covered_condition_that_gets_worse_rejects_and_is_named():
 
 def test_cells_that_no_episode_covers_are_told_as_not_covered():
     cells = [("0", "slow"), ("2 kg", "fast")]
-    found = matrix(cells, ("payload", "speed"), np.array([0.5, np.nan]), np.ones(2))
+    rows = matrix(cells, ("payload", "speed"), np.array([0.5, np.nan]), np.ones(2))
     assert [
         (row["cell"]["payload"], row["cell"]["speed"], row["episodes"], row["candidate"])
-        for row in found
+        for row in rows
     ] == [
         ("0", "fast", 0, None),
         ("0", "slow", 1, 0.5),
@@ -239,12 +239,12 @@ def test_cells_that_no_episode_covers_are_told_as_not_covered():
 
 def test_an_incumbent_that_runs_away_is_beaten_and_the_decision_can_be_written_down():
     away = trial((0.5, 0.5), (np.inf, np.inf))
-    found = decide(
+    decision = decide(
         away, Gate((rules()["rollout_improves"](), rules()["retained_conditions"]()), GATE.scoring)
     )
-    assert found.accepted
-    assert [v["threshold"] for v in found.document()["verdicts"]] == [None, None]
-    assert len(found.digest) == 64
+    assert decision.accepted
+    assert [v["threshold"] for v in decision.document()["verdicts"]] == [None, None]
+    assert len(decision.digest) == 64
 
 
 def windowed(rollout, one_step=None):
@@ -261,12 +261,12 @@ def windowed(rollout, one_step=None):
 def test_every_verdict_carries_the_interval_of_its_ratio():
     rng = np.random.default_rng(1)
     incumbent = rng.lognormal(sigma=0.3, size=60)
-    found = Trial(
+    windowed_trial = Trial(
         windowed(incumbent * rng.lognormal(-0.2, 0.1, 60)), windowed(incumbent), ("a" * 64,)
     )
     for kind in rules().values():
         if not kind.closed_loop:
-            verdict = kind()(found)
+            verdict = kind()(windowed_trial)
             assert verdict.ci95[0] < verdict.ratio < verdict.ci95[1] < 1.0
             assert verdict.document()["ci95"] == list(verdict.ci95)
 
@@ -276,11 +276,11 @@ def test_a_rule_can_require_the_bound_instead_of_the_mean():
         np.ones(40),
         np.tile([0.2, 1.6], 20),
     )  # 0.9 of the error on average, and nobody knows whether it is less than 1
-    found = Trial(windowed(swing), windowed(incumbent), ("a" * 64,))
+    windowed_trial = Trial(windowed(swing), windowed(incumbent), ("a" * 64,))
     rng_swing = Trial(
         windowed(np.random.default_rng(0).permutation(swing)), windowed(incumbent), ("a" * 64,)
     )
-    assert rules()["rollout_improves"](0.98)(found).passed
+    assert rules()["rollout_improves"](0.98)(windowed_trial).passed
     verdict = rules()["rollout_improves"](0.98, "bound")(rng_swing)
     assert not verdict.passed
     assert verdict.ci95[1] > 0.98
@@ -376,7 +376,7 @@ def test_a_gate_that_can_reject_is_not(given):
 def test_the_controls_are_judged_and_told():
     held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
     run = run_trial(default_gate(0.5), Identified(PLANT, NEAR), Nominal(PLANT), held_out)
-    assert {name: found["accepted"] for name, found in run.controls.items()} == {
+    assert {name: control["accepted"] for name, control in run.controls.items()} == {
         "incumbent": False,
         "copy": False,
         "noise": False,
@@ -386,8 +386,8 @@ def test_the_controls_are_judged_and_told():
 
 
 def test_a_channel_that_no_episode_observed_adds_no_noise_to_the_controls():
-    found = read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)
-    blind = replace(found, observations=np.where([False, True], np.nan, found.observations))
+    episode = read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)
+    blind = replace(episode, observations=np.where([False, True], np.nan, episode.observations))
     run = run_trial(default_gate(0.5), Identified(PLANT, NEAR), Nominal(PLANT), [blind])
     assert run.controls["noise"]["accepted"] is False
     assert np.isfinite(_spreads([blind])).all()
@@ -411,8 +411,8 @@ def test_how_the_verdict_hangs_on_the_reporting_scales():
     held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
     gate = default_gate(0.5)
     run = run_trial(gate, Identified(PLANT, NEAR), Nominal(PLANT), held_out)
-    found = sensitivity(gate, run, PLANT.scales, [c.name for c in PLANT.layout.observations])
-    assert [(row["channel"], row["factor"]) for row in found] == [
+    rows = sensitivity(gate, run, PLANT.scales, [c.name for c in PLANT.layout.observations])
+    assert [(row["channel"], row["factor"]) for row in rows] == [
         ("q", 0.5),
         ("q", 2.0),
         ("v", 0.5),
@@ -428,8 +428,8 @@ def test_how_the_verdict_hangs_on_the_reporting_scales():
         }
     )
     anew = decide(run_trial(gate, Identified(finer, NEAR), Nominal(finer), held_out).trial, gate)
-    assert found[0]["verdicts"][0]["value"] == pytest.approx(anew.verdicts[0].value)
-    assert found[0]["verdicts"][0]["value"] != found[1]["verdicts"][0]["value"]
+    assert rows[0]["verdicts"][0]["value"] == pytest.approx(anew.verdicts[0].value)
+    assert rows[0]["verdicts"][0]["value"] != rows[1]["verdicts"][0]["value"]
 
 
 def test_a_decision_of_before_intervals_is_recomputed_as_far_as_it_tells():

@@ -3,7 +3,7 @@
 import pytest
 
 from trueup.ledger.audit import AuditEntry
-from trueup.ledger.gate_lines import GateLines
+from trueup.ledger.gate_lines import GateLineCheck
 
 PLANT, GATE, CANDIDATE = "arm", "a" * 64, "b" * 64
 REJECTED, ACCEPTED = "c" * 64, "d" * 64
@@ -14,7 +14,7 @@ class Log:
     on the same episode is the last."""
 
     def __init__(self) -> None:
-        self.lines, self.size = GateLines(), 0
+        self.lines, self.size = GateLineCheck(), 0
         self.add("plant:registered", PLANT, {"project": None})
         self.add("episode:ingested", "e" * 64, {"role": "validation"})
         rules = {"rules": [], "scoring": {"horizon_s": 0.5, "windows": "every"}}
@@ -60,7 +60,7 @@ def log():
 def test_somebody_elses_approval_counts_and_is_told(log):
     log.approve("ben", "3")
     assert log.promote("ana", token="1") == []
-    assert log.lines.notes[-1].endswith("with the approval of ben and a reason")
+    assert log.lines.remarks[-1].endswith("with the approval of ben and a reason")
 
 
 def test_ones_own_second_token_does_not_count(log):
@@ -87,7 +87,7 @@ def test_a_promotion_that_names_no_token_is_held_by_the_name_of_its_actor(log):
 OTHER = "f" * 64
 
 
-def judged(log, candidate, *, beside=(), **told):
+def judged(log, candidate, *, beside=(), **claimed):
     """A trial of a candidate on the log's only episode, asked for and decided; what is found in its
     decision."""
     figures = {"rollout": [1.0], "one_step": [1.0]}
@@ -101,7 +101,7 @@ def judged(log, candidate, *, beside=(), **told):
         "verdicts": [{"rule": "rollout_improves", "passed": True}],
         "known": {"candidate": [], "episodes": [], "compared": []}, "uses": [1],
         "figures": {"candidate": figures, "beside": dict.fromkeys(beside, figures)},
-        "selection": {"held_out": 1, "accepted": 1, "rejected": 1, "comparisons": 0, **told},
+        "selection": {"held_out": 1, "accepted": 1, "rejected": 1, "comparisons": 0, **claimed},
     }  # fmt: skip
     return [
         f.what for f in log.add("decision:made", "9" * 64, {"decision": document, "job": "job"})
@@ -110,23 +110,23 @@ def judged(log, candidate, *, beside=(), **told):
 
 def test_a_decision_that_tells_all_is_as_the_log_says(log):
     assert judged(log, OTHER, beside=[CANDIDATE]) == []
-    assert "Its errors are within 1 % of those of candidate bbbb" in log.lines.notes[-1]
+    assert "Its errors are within 1 % of those of candidate bbbb" in log.lines.remarks[-1]
 
 
 @pytest.mark.parametrize(
-    "told", [{"held_out": 2}, {"rejected": 0}, {"accepted": 0}, {"comparisons": 1}]
+    "claimed", [{"held_out": 2}, {"rejected": 0}, {"accepted": 0}, {"comparisons": 1}]
 )
-def test_a_decision_that_tells_another_selection_is_found(log, told):
+def test_a_decision_that_tells_another_selection_is_found(log, claimed):
     assert (
         "the selection that decision 999999999999 tells is not what the log tells"
-        in judged(log, OTHER, beside=[CANDIDATE], **told)[0]
+        in judged(log, OTHER, beside=[CANDIDATE], **claimed)[0]
     )
 
 
 @pytest.mark.parametrize("beside", [(), (CANDIDATE, "0" * 64)])
 def test_a_decision_that_hides_who_was_rejected_before_or_makes_somebody_up_is_found(log, beside):
-    (found,) = judged(log, OTHER, beside=beside)
-    assert found == (
+    (findings,) = judged(log, OTHER, beside=beside)
+    assert findings == (
         "the candidates scored beside that of decision 999999999999 are not those that "
         "the log calls for"
     )
@@ -134,7 +134,7 @@ def test_a_decision_that_hides_who_was_rejected_before_or_makes_somebody_up_is_f
 
 def test_what_errs_as_a_rejected_candidate_does_is_held_to_its_rejection(log):
     judged(log, OTHER, beside=[CANDIDATE])
-    found = log.add(
+    findings = log.add(
         "pointer:moved", OTHER, {"move": "promoted", "decision": "9" * 64, "token": "1"}
     )
-    assert "with nobody else's approval" in found[0].what
+    assert "with nobody else's approval" in findings[0].what

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from trueup.errors import BrokenChain, PointerMoved
 from trueup.ledger.audit import AuditEntry, rebuild
 from trueup.ledger.pointer import (
-    Judged,
+    JudgedDecision,
     NotAccepted,
     NothingToRollBackTo,
     ServingPointer,
@@ -21,7 +21,9 @@ from trueup_service.registry.tables import metadata
 
 NOW = "2026-01-01T00:00:00.000000Z"
 POINTER = ServingPointer("p", 4, "incumbent", "d0", NOW)
-DECISION = Judged("d1", accepted=True, candidate="candidate", incumbent="incumbent", generation=4)
+DECISION = JudgedDecision(
+    "d1", accepted=True, candidate="candidate", incumbent="incumbent", generation=4
+)
 
 
 def test_an_accepted_decision_moves_the_pointer_by_one():

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from trueup.ledger import merkle
-from trueup.ledger.note import BadKey, Signer
+from trueup.ledger.signed_note import BadKey, Signer
 from trueup_client import ed25519, proof
 from trueup_client.problem import NotSigned
 from trueup_client.proof import Checkpoint, Key

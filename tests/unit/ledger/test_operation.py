@@ -26,14 +26,14 @@ def test_a_fit_that_keeps_the_form_identifies():
 
 
 def test_an_artifact_is_what_it_changes():
-    found = {kind: of_artifact(kind, {"effects": [{"effect": "cogging"}]}) for kind in KINDS}
-    assert found["nominal"] is None
-    assert found["identified"] == "parameter identification"
+    by_name = {kind: of_artifact(kind, {"effects": [{"effect": "cogging"}]}) for kind in KINDS}
+    assert by_name["nominal"] is None
+    assert by_name["identified"] == "parameter identification"
     assert (
-        found["residual"]
-        == found["corrected"]
-        == found["blind"]
-        == found["conditioned"]
+        by_name["residual"]
+        == by_name["corrected"]
+        == by_name["blind"]
+        == by_name["conditioned"]
         == "model correction"
     )
     assert of_artifact("corrected", {"effects": []}) == "parameter identification"

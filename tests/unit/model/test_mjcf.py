@@ -9,11 +9,12 @@ import pytest
 
 from tests.support.robots import ARM, EVERYTHING, URDF, arm_document, arm_plant
 from trueup.errors import BadPlant, NotInstalled
-from trueup.model.dynamics import CompiledTree, inverse_dynamics, mass_matrix
+from trueup.model.dynamics import CompiledTree
 from trueup.model.fields import Reader
 from trueup.model.mjcf import compile_file, resolved
 from trueup.model.plant import Plant
 from trueup.model.tree import FRICTION, JOINT, LINK, Tree
+from trueup.model.tree_regressors import inverse_dynamics, mass_matrix
 
 ROUNDING = 1e-9
 MANY = 40

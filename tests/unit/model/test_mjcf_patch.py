@@ -13,7 +13,7 @@ from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.block import term
 from trueup.model.corrected import Corrected
-from trueup.model.dynamics import CompiledTree, inverse_dynamics
+from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Port, effects
 from trueup.model.feasible import feasible
 from trueup.model.hypothesis import Hypothesis
@@ -23,6 +23,7 @@ from trueup.model.mjcf_writer import tags, write
 from trueup.model.plant import Plant
 from trueup.model.series import Scheme
 from trueup.model.tree import LINK
+from trueup.model.tree_regressors import inverse_dynamics
 from trueup.model.windows import cut
 
 SAMPLES = 250

@@ -14,14 +14,14 @@ from trueup.monitor.achieved import poisson_interval
 from trueup.monitor.change import Before, changed, onset
 from trueup.monitor.detector import detectors
 from trueup.monitor.monitor import Monitor, _halves, calibrate
-from trueup.monitor.residuals import blocks, missed
+from trueup.monitor.residuals import blocks, unscaled_residuals
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, run
-from trueup.simulate.trial import Bench
+from trueup.simulate.trial import JointBench
 
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
 
-BENCH = Bench("oscillator", 2.0, 0.5, 1.0, 1.0, 0.02, 20, 8.0, 0.01, None, 1.0)
+BENCH = JointBench("oscillator", 2.0, 0.5, 1.0, 1.0, 0.02, 20, 8.0, 0.01, None, 1.0)
 PLANT = plant_of(BENCH)
 SIGMA = (0.005, 0.01)
 KINDS = ("quantile_run", "likelihood_ratio_cusum", "effect_cusum")
@@ -147,12 +147,12 @@ def test_a_spoiled_document_is_refused(monitor, spoil):
 
 
 def test_residuals_begin_anew_with_every_window_and_leave_its_start_out():
-    found = missed(Nominal(PLANT), recorded(machine(), 1))
-    assert len(found.first) == 4
-    assert found.age.min() > 0.0
-    assert found.age.max() == pytest.approx(1.0, abs=0.02)
-    assert not set(found.rows) & set(found.first)
-    assert set(found.window) == {0, 1, 2, 3}
+    residuals = unscaled_residuals(Nominal(PLANT), recorded(machine(), 1))
+    assert len(residuals.first) == 4
+    assert residuals.age.min() > 0.0
+    assert residuals.age.max() == pytest.approx(1.0, abs=0.02)
+    assert not set(residuals.rows) & set(residuals.first)
+    assert set(residuals.window) == {0, 1, 2, 3}
 
 
 def test_a_predictor_that_runs_away_is_far_off_and_no_number_is_lost(monitor):
@@ -164,7 +164,7 @@ def test_a_predictor_that_runs_away_is_far_off_and_no_number_is_lost(monitor):
 
 def test_blocks_are_whole_windows_of_one_episode(monitor):
     residuals = monitor.healthy.residuals(
-        missed(Nominal(PLANT), recorded(machine(), 3, seconds=11.0))
+        unscaled_residuals(Nominal(PLANT), recorded(machine(), 3, seconds=11.0))
     )
     parts = blocks(replace(residuals, evidence=np.zeros((residuals.windows, 2, 2))), 2)
     assert [p.windows for p in parts] == [2] * (residuals.windows // 2)
@@ -212,11 +212,11 @@ def test_what_changed_tells_the_machine_from_its_task(reference):
         conditions={"stage": ["SIL"], "payload": ["2 kg"]},
         period_s=0.04,
     )
-    found = changed(before, {"q": np.array([2.0, 2.0]), "v": np.array([1.0, 1.0])}, now)
-    assert found["channels"]["q"]["error"] == pytest.approx(2.0)
-    assert set(found["outside"]) == {"u"}
-    assert found["conditions"] == {"payload": {"reference": [], "now": ["2 kg"]}}
-    assert len(found["words"]) == 4
+    change = changed(before, {"q": np.array([2.0, 2.0]), "v": np.array([1.0, 1.0])}, now)
+    assert change["channels"]["q"]["error"] == pytest.approx(2.0)
+    assert set(change["outside"]) == {"u"}
+    assert change["conditions"] == {"payload": {"reference": [], "now": ["2 kg"]}}
+    assert len(change["words"]) == 4
     quiet = changed(before, {"q": np.array([1.0])}, before)
     assert quiet["words"] == []
     assert Before.from_document(before.document()) == replace(

@@ -11,7 +11,8 @@ from tests.support.robots import ARM, EVERYTHING, arm_machine, arm_plant
 from trueup.model.mjcf import mujoco as engine
 from trueup.model.mjcf import tree_of
 from trueup.simulate.magnitude import as_large_as
-from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, mjcf, rotor, run
+from trueup.simulate.robot import Follow, RobotMachine, RobotPlan, rotor, run
+from trueup.simulate.robot_mjcf import mjcf
 
 PERIOD_S = 0.004
 

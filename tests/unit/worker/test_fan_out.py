@@ -8,13 +8,11 @@ import pytest
 
 import trueup_worker.fan_out as module
 from tests.support.simulated import recorded_twice as recorded
-from trueup.diagnose.admission import admit
-from trueup.diagnose.decide import selection_criteria
-from trueup.diagnose.help import Helper
-from trueup.diagnose.laying_out import by_role, lay_out
-from trueup.diagnose.parcel import pack_answers
-from trueup.diagnose.search import searchable
-from trueup.diagnose.task import Race, in_threads
+from trueup.diagnose.data_quality import assess
+from trueup.diagnose.problem_setup import Recordings, Setup, searchable
+from trueup.diagnose.task_batch import pack_answers
+from trueup.diagnose.task_worker import TaskWorker
+from trueup.diagnose.tasks import Screen, in_threads
 from trueup.model.series import refined
 from trueup_service.jobs import Help, Helped
 from trueup_worker.compute_fingerprint import compute_fingerprint
@@ -49,19 +47,12 @@ class Others:
 @pytest.fixture(scope="module")
 def case():
     plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21)
-    adaptation, validation = by_role(episodes)
-    problem, base = lay_out(
-        plant,
-        admit(plant, adaptation),
-        adaptation,
-        validation,
-        selection_criteria(plant, adaptation),
-        refined(plant),
-        1,
-    )
-    tasks = [Race(base.fit, term, np.zeros(1)) for term in TERMS]
+    recordings = Recordings.of(plant, episodes)
+    quality = assess(plant, recordings.adaptation)
+    problem, base = Setup(recordings, quality, refined(plant)).problem(1)
+    tasks = [Screen(base.fit, term, np.zeros(1)) for term in TERMS]
     return (
-        Helper(plant, episodes),
+        TaskWorker(plant, episodes),
         problem,
         tasks,
         pack_answers(in_threads(problem, tasks, lambda _: None)),
@@ -157,6 +148,6 @@ def test_a_cancelled_job_takes_back_what_it_asked_for(case):
 def test_a_task_that_fails_fails_the_step(case):
     _, problem, tasks, _ = case
     others = Others(lambda *_: Help(Helped.WAITING, None))
-    broken = Race(tasks[0].parent, "no such effect", np.zeros(1))
+    broken = Screen(tasks[0].parent, "no such effect", np.zeros(1))
     with pytest.raises(KeyError), FanOut(others, "job") as fan_out:
         fan_out(problem, [broken, *tasks], lambda _: None)

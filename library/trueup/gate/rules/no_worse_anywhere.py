@@ -18,5 +18,8 @@ class NoWorseAnywhere(Rule):
         at = self.nearest(each, self.slack)
         because = f"episode {trial.episodes[at][:12]} is the nearest to its bound or beyond"
         return self.verdict(
-            all(self.within(found, self.slack) for found in each), each[at], self.slack, because
+            all(self.within(compared, self.slack) for compared in each),
+            each[at],
+            self.slack,
+            because,
         )

@@ -14,6 +14,8 @@ class OneStepNoWorse(Rule):
     name = "one_step_no_worse"
 
     def __call__(self, trial: Trial) -> Verdict:
-        found = trial.compared(ONE_STEP)
-        because = f"one-step error {found.candidate:.5g}, the incumbent's is {found.incumbent:.5g}"
-        return self.verdict(self.within(found, self.slack), found, self.slack, because)
+        compared = trial.compared(ONE_STEP)
+        because = (
+            f"one-step error {compared.candidate:.5g}, the incumbent's is {compared.incumbent:.5g}"
+        )
+        return self.verdict(self.within(compared, self.slack), compared, self.slack, because)

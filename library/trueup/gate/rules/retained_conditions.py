@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from trueup.gate.cells import told
+from trueup.gate.cells import cell_words
 from trueup.gate.rule import MEAN, ROLLOUT, Rule, Trial, Verdict
 
 
@@ -27,13 +27,13 @@ class RetainedConditions(Rule):
         ]
         at = self.nearest(each, self.slack)
         worse = [
-            told(c, trial.conditions)
-            for c, found in zip(cells, each, strict=True)
-            if not self.within(found, self.slack)
+            cell_words(c, trial.conditions)
+            for c, compared in zip(cells, each, strict=True)
+            if not self.within(compared, self.slack)
         ]
         because = (
             f"worse in: {'; '.join(worse)}"
             if worse
-            else f"nearest to its bound in: {told(cells[at], trial.conditions)}"
+            else f"nearest to its bound in: {cell_words(cells[at], trial.conditions)}"
         )
         return self.verdict(not worse, each[at], self.slack, because)

@@ -14,6 +14,10 @@ class RolloutImproves(Rule):
     name = "rollout_improves"
 
     def __call__(self, trial: Trial) -> Verdict:
-        found = trial.compared(ROLLOUT)
-        because = f"rollout error {found.candidate:.5g}, the incumbent's is {found.incumbent:.5g}"
-        return self.verdict(self.within(found, self.ratio, below=True), found, self.ratio, because)
+        compared = trial.compared(ROLLOUT)
+        because = (
+            f"rollout error {compared.candidate:.5g}, the incumbent's is {compared.incumbent:.5g}"
+        )
+        return self.verdict(
+            self.within(compared, self.ratio, below=True), compared, self.ratio, because
+        )

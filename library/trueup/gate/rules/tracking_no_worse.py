@@ -32,7 +32,7 @@ class TrackingNoWorse(Rule):
                 "there are no runs in closed loop",
                 require=self.require,
             )
-        found = Compared(
+        compared = Compared(
             float(runs.candidate.mean()), float(runs.incumbent.mean()), lambda: _ratios(runs)
         )
         calm = runs.breaches[0] <= runs.breaches[1]
@@ -40,10 +40,12 @@ class TrackingNoWorse(Rule):
             f"breaches {runs.breaches[0]:.4f} of the time, the incumbent "
             f"{runs.breaches[1]:.4f}; {len(runs.candidate)} paired runs"
         )
-        return self.verdict(calm and self.within(found, self.slack), found, self.slack, because)
+        return self.verdict(
+            calm and self.within(compared, self.slack), compared, self.slack, because
+        )
 
 
 def _ratios(runs: Tracking) -> tuple[float, float] | None:
-    """The interval that the runs tell of, of the ratio instead of the change."""
+    """The interval of the ratio of the runs' errors, from that of their change."""
     change = runs.change_ci95()
     return None if change is None else (1.0 + change[0], 1.0 + change[1])

@@ -1,1 +1,1 @@
-"""One file for each way to detect a change."""
+"""One file for each detector of changes."""

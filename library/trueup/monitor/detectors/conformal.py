@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.monitor.detector import Detector, Followed, Reference, State
+from trueup.monitor.detector import Detector, FollowedEpisode, Reference, State
 from trueup.monitor.residuals import Residuals, blocks
 
 Array = NDArray[np.float64]
@@ -31,10 +31,8 @@ CERTAIN = 1.0 - 1e-4  # nearer to 1 the formula loses its digits; its limit is 1
 @dataclass(frozen=True)
 class ConformalTest(Detector):
     """An alarm when the sum of bets passes `level`, the number of blocks in the promised time;
-    blocks have `windows` rollouts each.
-
-    `scores` are those of the healthy blocks that it begins with.
-    """
+    blocks have `windows` rollouts each. `scores` are those of the healthy blocks that the ranking
+    begins with."""
 
     level: float
     windows: int
@@ -56,7 +54,7 @@ class ConformalTest(Detector):
     def begin(self) -> State:
         return (0.0, *self.scores)
 
-    def follow(self, state: State, residuals: Residuals) -> Followed:
+    def follow(self, state: State, residuals: Residuals) -> FollowedEpisode:
         gathered, known = state[0], np.array(state[1:])
         if len(known) > len(self.scores) + MOST:
             known = np.array(self.scores)
@@ -71,7 +69,7 @@ class ConformalTest(Detector):
             statistic[end - 1 :] = gathered
             if gathered > self.level:
                 alarm, gathered = end - 1 if alarm is None else alarm, 0.0
-        return Followed(
+        return FollowedEpisode(
             statistic,
             alarm,
             None if alarm is None else int((residuals.weight @ residuals.values**2).argmax()),
@@ -98,7 +96,7 @@ class ConformalTest(Detector):
 
 
 def bet(rank: int, count: int) -> float:
-    """What a rank from the top, 1 to `count`, is worth: 1 on the mean over all ranks."""
+    """The value of a bet on a rank from the top, 1 to `count`: 1 on the mean over all ranks."""
     return float(_power(np.array([rank / count]))[0] / _mean(count))
 
 
@@ -116,6 +114,6 @@ def _power(p: Array) -> Array:
 
 
 def _score(block: Residuals) -> float:
-    """Root mean square of the channel that has the largest."""
+    """The root mean square of the channel that has the largest."""
     share = block.weight / block.weight.sum()
     return float(np.sqrt((share @ block.values**2).max()))

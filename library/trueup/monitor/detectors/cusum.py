@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.monitor.detector import Detector, Followed, Reference, State
+from trueup.monitor.detector import Detector, FollowedEpisode, Reference, State
 from trueup.monitor.residuals import Residuals
 from trueup.monitor.tail import Tail
 
@@ -24,9 +24,8 @@ Array = NDArray[np.float64]
 LARGEST = 8.0  # healthy spreads that one residual counts at most: a single wild sample is no change
 SHIFT = 1.0  # of the mean, in healthy spreads, for which the tabular sum is the best
 GROWTH = 1.5  # of the spread, for which the likelihood ratio is the best: less than twice
-NOTICED = (
-    0.5  # of one channel's healthy power: the error has grown by a fifth where two are observed
-)
+# of one channel's healthy power: the error has grown by a fifth where two are observed
+NOTICED = 0.5
 LEAST_POWER = 1e-12  # of a signature: the data show nothing of it
 # standard errors of what the reference tells of a signature: smaller effects are not looked for
 SURE = 3.0
@@ -42,7 +41,8 @@ C = TypeVar("C", bound="Cusum")
 
 @dataclass(frozen=True)
 class Cusum(Detector):
-    """The largest of several sums, each at least 0, of what speaks for one change."""
+    """Base of detectors whose statistic is the largest of several sums, each at least 0, of the
+    evidence for one change."""
 
     level: float
     rests_on = (
@@ -52,12 +52,12 @@ class Cusum(Detector):
 
     @abstractmethod
     def increments(self, residuals: Residuals) -> Array:
-        """What each step, a sample or a window, adds to each sum, `(steps, sums)`, negative on the
-        mean while all is well."""
+        """The increment of each sum at each step, a sample or a window, `(steps, sums)`: negative
+        on the mean for healthy residuals."""
 
     @abstractmethod
     def sums(self) -> int:
-        """How many there are."""
+        """The number of sums."""
 
     @staticmethod
     def ends(residuals: Residuals) -> NDArray[np.int64]:
@@ -67,7 +67,7 @@ class Cusum(Detector):
     def begin(self) -> State:
         return (0.0,) * self.sums()
 
-    def follow(self, state: State, residuals: Residuals) -> Followed:
+    def follow(self, state: State, residuals: Residuals) -> FollowedEpisode:
         sums = np.cumsum(self.increments(residuals), axis=0)
         path = sums - np.minimum(np.minimum.accumulate(sums, axis=0), -np.array(state))
         highest, ends = path.max(axis=1), self.ends(residuals)
@@ -76,8 +76,8 @@ class Cusum(Detector):
         beyond = np.flatnonzero(highest > self.level)
         if len(beyond):
             at = int(beyond[0])
-            return Followed(statistic, int(ends[at]), int(path[at].argmax()), self.begin())
-        return Followed(
+            return FollowedEpisode(statistic, int(ends[at]), int(path[at].argmax()), self.begin())
+        return FollowedEpisode(
             statistic, None, None, tuple(float(x) for x in path[-1]) if len(path) else state
         )
 
@@ -87,8 +87,8 @@ class Cusum(Detector):
 
 @dataclass(frozen=True)
 class TabularCusum(Cusum):
-    """Two sums of each channel, for a mean that rises above what it was, and one that falls: S =
-    max(0, S +- (z - centre) - SHIFT / 2)."""
+    """Two sums for each channel, for a mean that rises and for one that falls: S = max(0, S +- (z -
+    centre) - SHIFT / 2)."""
 
     centre: tuple[float, ...]
     name = "tabular_cusum"
@@ -120,8 +120,8 @@ class TabularCusum(Cusum):
 
 @dataclass(frozen=True)
 class LikelihoodRatioCusum(Cusum):
-    """One sum of each channel, of the log likelihood ratio of a spread GROWTH times as large: z^2/2
-    (1 - 1/GROWTH^2) - ln GROWTH."""
+    """One sum for each channel, of the log likelihood ratio of a spread GROWTH times as large:
+    z^2/2 (1 - 1/GROWTH^2) - ln GROWTH."""
 
     channels: int
     name = "likelihood_ratio_cusum"
@@ -279,12 +279,12 @@ def _summary(detector: Cusum, blocks: Sequence[Residuals]) -> _Summary:
 
 
 def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C:
-    """The detector at the level that resampled futures pass as seldom as promised.
+    """The detector with the level that resampled futures pass as rarely as promised.
 
-    Each future draws its blocks from a resampled reference, so that what a short reference leaves
-    open is in the rate, and its largest blocks from a tail. Rates too small to be counted are read
-    off the line through the logarithms of those that are: a sum that falls on the mean has an
-    exponential tail.
+    Each future draws its blocks from a resampled reference, so that the uncertainty of a short
+    reference is part of the rate, and its largest blocks from a tail. Rates too small to be counted
+    are extrapolated along the line through the logarithms of those that are: a sum that falls on
+    the mean has an exponential tail.
     """
     of = _summary(detector, reference.fitted)
     levels = _passed_once(of, rng)
@@ -307,13 +307,14 @@ def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C
             )
         )
         return replace(detector, level=level)
-    kept = np.flatnonzero(counted)[-LEVELS // 2 :]
-    slope, at = np.polyfit(levels[kept], np.log(rates[kept]), 1)
+    tail = np.flatnonzero(counted)[-LEVELS // 2 :]
+    slope, at = np.polyfit(levels[tail], np.log(rates[tail]), 1)
     return replace(detector, level=float((np.log(reference.cautious_rate) - at) / slope))
 
 
 def _passed_once(of: _Summary, rng: np.random.Generator) -> Array:
-    """Levels `(LEVELS,)` from what a block reaches by itself to what hardly any future passes."""
+    """Levels `(LEVELS,)`, from what one block reaches by itself to what hardly any future
+    passes."""
     state, highest = np.zeros((STREAMS, of.total.shape[1])), np.zeros(STREAMS)
     for _ in range(LENGTH):
         block = of.drawn(rng.integers(0, len(of.rise), STREAMS), rng)

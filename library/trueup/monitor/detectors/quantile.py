@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.monitor.detector import Detector, Followed, Reference, State
+from trueup.monitor.detector import Detector, FollowedEpisode, Reference, State
 from trueup.monitor.residuals import Residuals
 from trueup.monitor.tail import Tail
 
@@ -47,14 +47,14 @@ class QuantileRun(Detector):
     def begin(self) -> State:
         return ()
 
-    def follow(self, state: State, residuals: Residuals) -> Followed:
+    def follow(self, state: State, residuals: Residuals) -> FollowedEpisode:
         statistic = np.concatenate(
             [np.zeros(min(self.run - 1, len(residuals.values))), _in_a_row(residuals, self.run)]
         )
         beyond = np.flatnonzero(statistic > self.level)
         if not len(beyond):
-            return Followed(statistic, None, None, state)
-        return Followed(
+            return FollowedEpisode(statistic, None, None, state)
+        return FollowedEpisode(
             statistic, int(beyond[0]), int(np.abs(residuals.values[beyond[0]]).argmax()), state
         )
 
@@ -77,7 +77,7 @@ def _largest(residuals: Residuals) -> Array:
 
 
 def _in_a_row(residuals: Residuals, run: int) -> Array:
-    """What the last `run` samples all reach, `(samples - run + 1,)`."""
+    """The largest level that all of the last `run` samples reach, `(samples - run + 1,)`."""
     largest = _largest(residuals)
     return (
         np.asarray(sliding_window_view(largest, run).min(axis=1))

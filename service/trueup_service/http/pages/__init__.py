@@ -1,2 +1,2 @@
-"""Pages: what a browser is shown, one module for each. A page asks the registry as the routes do,
-and changes it by the same actions."""
+"""Pages for browsers, one module for each. A page reads the registry as the routes do, and changes
+it by the same actions."""

@@ -1,5 +1,5 @@
-"""The log: its entries, filtered, each held against the signed head; and whether it extends a head
-that somebody kept."""
+"""The page of the audit log: its entries, each proven against the head, and whether the log extends
+a checkpoint that somebody kept."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from starlette.concurrency import run_in_threadpool
 from trueup.errors import TrueupError
 from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import inclusion, leaf_hash, prove
-from trueup.ledger.note import head_of
+from trueup.ledger.signed_note import head_of
 from trueup_client.proof import includes
-from trueup_service.http.context import With
-from trueup_service.http.guard import Asking, guarded
+from trueup_service.authentication import Principal
+from trueup_service.http.dependencies import RequestParts
+from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.pages.page import form, show
-from trueup_service.identity import Who
-from trueup_service.registry.overview import last_entries
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import SignedLog, root_at
 from trueup_service.wiring import Parts
 
@@ -30,43 +29,45 @@ NO_END = 2**62
 @router.get("/audit")
 def audit(
     request: Request,
-    parts: With,
-    who: Asking,
+    parts: RequestParts,
+    principal: CurrentPrincipal,
     plant: Annotated[str, Query(max_length=63)] = "",
     kind: Annotated[str, Query(max_length=32)] = "",
     before: Annotated[int, Query(ge=1, le=NO_END)] = NO_END,
 ) -> Response:
-    """The newest entries, or those before one, of a plant, of a kind or of what it begins with."""
+    """The newest entries, or those before one, of all plants or of one, and of the kinds that begin
+    with `kind`."""
     return show(
         request,
         "audit.html",
-        **_listed(request, parts, who, plant, kind, before),
+        **_listed(request, parts, principal, plant, kind, before),
         compared=None,
         pasted="",
     )
 
 
 @router.post("/audit/compare")
-async def compare(request: Request, parts: With, who: Asking) -> Response:
-    """Whether the log extends the head in a checkpoint that somebody kept."""
+async def compare(request: Request, parts: RequestParts, principal: CurrentPrincipal) -> Response:
+    """Whether the log extends the head of a pasted checkpoint."""
     pasted = (await form(request)).get("checkpoint", "")
-    found = await run_in_threadpool(_compared, parts, pasted)
-    listed = await run_in_threadpool(_listed, request, parts, who, "", "", NO_END)
-    return show(request, "audit.html", **listed, compared=found, pasted=pasted)
+    comparison = await run_in_threadpool(_compared, parts, pasted)
+    listed = await run_in_threadpool(_listed, request, parts, principal, "", "", NO_END)
+    return show(request, "audit.html", **listed, compared=comparison, pasted=pasted)
 
 
 def _listed(
-    request: Request, parts: Parts, who: Who, plant: str, kind: str, before: int
+    request: Request, parts: Parts, principal: Principal, plant: str, kind: str, before: int
 ) -> dict[str, Any]:
     log: SignedLog = request.app.state.log
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        of = who.plant if who.plant is not None else plant or None
-        entries = last_entries(connection, before, LINES, plant=of, project=who.project, kind=kind)
-        tree = reader.audit_tree()
+    with reading(parts.database) as tx:
+        of = principal.plant if principal.plant is not None else plant or None
+        entries = tx.log.newest_entries(
+            before, LINES, plant=of, project=principal.project, kind=kind
+        )
+        tree = tx.log.tree()
         root, held = tree.root(), []
         plans = [inclusion(entry.sequence - 1, tree.size) for entry in entries]
-        hashes = reader.audit_nodes({node for plan in plans for part in plan for node in part})
+        hashes = tx.log.nodes({node for plan in plans for part in plan for node in part})
         for entry, plan in zip(entries, plans, strict=True):
             held.append(
                 includes(
@@ -90,7 +91,7 @@ def _listed(
 
 
 def _compared(parts: Parts, pasted: str) -> tuple[bool, str]:
-    """Whether the log extends a head, and that in words."""
+    """Whether the log extends the head of a checkpoint, and the answer in words."""
     try:
         size, root = head_of(pasted.strip().replace("\r\n", "\n") + "\n")
     except (TrueupError, ValueError, IndexError):
@@ -101,9 +102,8 @@ def _compared(parts: Parts, pasted: str) -> tuple[bool, str]:
                 "entries, the root, and a signature."
             ),
         )
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        now = reader.audit_tree().size
+    with reading(parts.database) as tx:
+        now = tx.log.tree().size
         if size > now:
             return (
                 False,
@@ -112,7 +112,7 @@ def _compared(parts: Parts, pasted: str) -> tuple[bool, str]:
                     "cut, or this is another one."
                 ),
             )
-        same = root_at(reader, size) == root
+        same = root_at(tx, size) == root
     if not same:
         return (
             False,

@@ -1,4 +1,4 @@
-"""Two versions beside each other: what changed, and where the second is better and worse."""
+"""The page of two versions: what changed, and where the second is better or worse."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ import orjson
 from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from trueup.diagnose.words import name, short
+from trueup.diagnose.summary_text import name, short
 from trueup_pages.diagnosis import recordings_of
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
 from trueup_service.actions.submit_job import SUBMIT
-from trueup_service.http.context import By, PlantName, With
+from trueup_service.actor_context import ActorContext
+from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import form, go, show
-from trueup_service.registry.overview import newest_job
 from trueup_service.registry.records import FINAL, ArtifactRecord, JobRecord
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 
 router = guarded("", ["pages"])
@@ -31,20 +30,18 @@ LISTED = 200  # versions to choose from, the newest
 
 @router.get("/plants/{plant}/compare")
 def compare(
-    request: Request, parts: With, plant: PlantName, first: Version, second: Version
+    request: Request, parts: RequestParts, plant: PlantName, first: Version, second: Version
 ) -> Response:
-    """What changed, and what a comparison found, if there was one."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        both = [find.version(reader, plant, v) for v in (first, second)]
+    """What changed, and the result of the newest comparison, if there is one."""
+    with reading(parts.database) as tx:
+        both = [find.version(tx, plant, v) for v in (first, second)]
         asked = [a.digest for a in both]
-        job = newest_job(
-            connection,
+        job = tx.jobs.last_matching(
             plant,
             "compare",
             lambda r: [r["first"], r["second"]] == asked and len(r["episodes"]) > 1,
         )
-        latest = reader.latest_version(plant)
+        latest = tx.artifacts.latest_version(plant)
     values = {
         "plant": plant,
         "first": both[0],
@@ -57,37 +54,38 @@ def compare(
 
 
 @router.post("/plants/{plant}/compare")
-async def begin(request: Request, parts: With, stamp: By, plant: PlantName) -> Response:
-    """Compare on what was held out."""
-    given = await form(request)
+async def begin(
+    request: Request, parts: RequestParts, context: RequestContext, plant: PlantName
+) -> Response:
+    """Submit a comparison on the held-out episodes."""
+    fields = await form(request)
     first, second = await run_in_threadpool(
-        _begin, parts, stamp, plant, given.get("first", ""), given.get("second", "")
+        _begin, parts, context, plant, fields.get("first", ""), fields.get("second", "")
     )
     return go(f"/plants/{plant}/compare", first=str(first), second=str(second))
 
 
-def _begin(parts: Parts, stamp: Stamp, plant: str, first: str, second: str) -> tuple[int, int]:
+def _begin(
+    parts: Parts, context: ActorContext, plant: str, first: str, second: str
+) -> tuple[int, int]:
     parts.queue.prepare()
-    with writing(parts.database) as writer:
-        both = (
-            find.artifact(writer, plant, first).version,
-            find.artifact(writer, plant, second).version,
-        )
+    with writing(parts.database) as tx:
+        both = (find.artifact(tx, plant, first).version, find.artifact(tx, plant, second).version)
         SUBMIT["compare"](
-            writer, parts.queue, uuid.uuid4().hex, plant, {"first": first, "second": second}, stamp
+            tx, parts.queue, uuid.uuid4().hex, plant, {"first": first, "second": second}, context
         )
     return both
 
 
 def comparison(parts: Parts, job: JobRecord | None, both: list[ArtifactRecord]) -> dict[str, Any]:
-    """What a comparison of two versions found, or how far it is; the values of `recordings.html`
-    among them."""
+    """The values of a comparison's page: its result or its progress, and the values of
+    `recordings.html`."""
     waiting = job is not None and job.state not in FINAL
     drawn = None
     if job is not None and not waiting:
-        with parts.database.read() as connection:
-            found = Reader(connection).output(job.id, COMPARISON)
-        drawn = orjson.loads(parts.blobs.get(found.digest)) if found is not None else None
+        with reading(parts.database) as tx:
+            output = tx.outputs.get(job.id, COMPARISON)
+        drawn = orjson.loads(parts.blobs.get(output.digest)) if output is not None else None
     kinds = zip(("first", "second"), both, ("nominal", "corrected"), strict=True)
     models = [{"key": key, "label": f"version {a.version}", "kind": kind} for key, a, kind in kinds]
     problem = (job.result or {}).get("problem") if job is not None else None
@@ -101,22 +99,22 @@ def comparison(parts: Parts, job: JobRecord | None, both: list[ArtifactRecord]) 
 
 
 def _changes(first: ArtifactRecord, second: ArtifactRecord) -> list[dict[str, Any]]:
-    """What each version is, a row for each thing that can be told in a line."""
-    told = [_told(a) for a in (first, second)]
+    """What differs between two versions, one row for each property."""
+    summaries = [_summary(a) for a in (first, second)]
     rows = []
-    for what in dict.fromkeys([*told[0], *told[1]]):
-        pair = [t.get(what, "–") for t in told]
+    for what in dict.fromkeys([*summaries[0], *summaries[1]]):
+        pair = [t.get(what, "–") for t in summaries]
         rows.append(
             {"what": what, "first": pair[0], "second": pair[1], "differs": pair[0] != pair[1]}
         )
     return rows
 
 
-def _told(record: ArtifactRecord) -> dict[str, str]:
+def _summary(record: ArtifactRecord) -> dict[str, str]:
     manifest: dict[str, Any] = json.loads(record.manifest)
     predictor, provenance = manifest.get("predictor", {}), manifest.get("provenance", {})
     nominal = manifest["plant"]["document"]["nominal"].get("parameters", {})
-    told = {
+    summary = {
         "kind": record.kind,
         "artifact": record.digest[:16],
         "made": record.created_at[:19].replace("T", " "),
@@ -124,22 +122,22 @@ def _told(record: ArtifactRecord) -> dict[str, str]:
     }
     numbers = predictor.get("parameters") or nominal
     if isinstance(numbers, dict):
-        told |= {
+        summary |= {
             f"parameter {key}": short(value)
             for key, value in numbers.items()
             if isinstance(value, int | float)
         }
     for effect in predictor.get("effects", []):
-        told |= {
+        summary |= {
             f"{name(effect)}, {key}": short(value) for key, value in effect["parameters"].items()
         }
     if predictor.get("features"):
-        told["features"] = ", ".join(predictor["features"])
-    told["origin"] = str(
+        summary["features"] = ", ".join(predictor["features"])
+    summary["origin"] = str(
         provenance.get("origin")
         or provenance.get("configuration", {}).get("document", {}).get("method", "–")
     )
-    told["code"] = str(provenance.get("code", {}).get("sha256", "–"))[:16]
+    summary["code"] = str(provenance.get("code", {}).get("sha256", "–"))[:16]
     read = provenance.get("configuration", {}).get("document", {}).get("episodes")
-    told["episodes"] = str(len(read)) if read else "–"
-    return told
+    summary["episodes"] = str(len(read)) if read else "–"
+    return summary

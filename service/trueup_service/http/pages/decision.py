@@ -1,5 +1,5 @@
-"""A decision: every figure against its threshold, on what it rests, its place in the log, and the
-same made anew."""
+"""The page of a decision: every figure against its threshold, the episodes, the place in the log,
+and the newest recomputation."""
 
 from __future__ import annotations
 
@@ -15,43 +15,39 @@ from trueup.ledger.merkle import inclusion, leaf_hash, prove
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import known_at, place
 from trueup_service.actions.submit_job import SUBMIT
-from trueup_service.http.context import By, DigestPath, PlantName, With
+from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import go, show
-from trueup_service.registry.overview import entry_on, newest_job
 from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import ReadTransaction, reading, writing
 
 router = guarded("", ["pages"])
 
 
 @router.get("/plants/{plant}/decisions/{digest}")
-def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Response:
-    """The decision, with its proof and its newest recomputation."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        made = find.decision(reader, plant, digest)
-        gate = find.gate(reader, plant, made.gate)
+def decision(request: Request, parts: RequestParts, plant: PlantName, digest: Digest) -> Response:
+    """A decision, with its proof in the log and its newest recomputation."""
+    with reading(parts.database) as tx:
+        made = find.decision(tx, plant, digest)
+        gate = find.gate(tx, plant, made.gate)
         both = {
-            which: find.artifact(reader, plant, getattr(made, which))
+            which: find.artifact(tx, plant, getattr(made, which))
             for which in ("candidate", "incumbent")
         }
-        entry, proof = entry_on(connection, digest, "decision:made"), []
-        tree = reader.audit_tree()
+        entry, proof = tx.log.first_entry(digest, "decision:made"), []
+        tree = tx.log.tree()
         if entry is not None:
             plan = inclusion(entry.sequence - 1, tree.size)
-            proof = [
-                h.hex() for h in prove(plan, reader.audit_nodes([n for part in plan for n in part]))
-            ]
-        anew = newest_job(connection, plant, "recompute", lambda r: r["decision"] == digest)
+            proof = [h.hex() for h in prove(plan, tx.log.nodes([n for part in plan for n in part]))]
+        anew = tx.jobs.last_matching(plant, "recompute", lambda r: r["decision"] == digest)
         values: dict[str, Any] = {
             "plant": plant,
             "made": made,
             "whole": digest_of(made.document) == digest,
             "gate": gate,
             "artifacts": both,
-            "approvals": reader.approvals(plant, digest),
-            **_known(reader, gate, made),
+            "approvals": tx.approvals.of_decision(plant, digest),
+            **_known(tx, gate, made),
             "entry": entry,
             "leaf": None if entry is None else leaf_hash(entry_bytes(entry)).hex(),
             "proof": proof,
@@ -63,28 +59,28 @@ def decision(request: Request, parts: With, plant: PlantName, digest: DigestPath
     return show(request, "decision.html", **values)
 
 
-def _known(reader: Reader, gate: GateRecord, made: DecisionRecord) -> dict[str, Any]:
-    """What was known when the gate was declared, told by the decision or worked out, and what is
+def _known(tx: ReadTransaction, gate: GateRecord, made: DecisionRecord) -> dict[str, Any]:
+    """What was known when the gate was declared, from the decision or worked out now, and what is
     looser in the gate."""
     document: dict[str, Any] = made.document
     known = document.get("known") or known_at(
-        reader, made.plant, gate, made.candidate, document["episodes"]
+        tx, made.plant, gate, made.candidate, document["episodes"]
     )
     return {
         "known": known,
         "disclosure": " ".join([disclosure_of(made.candidate, known), *selected(document)]),
         "warns": bool(known["candidate"] or known["compared"] or alike(document)),
-        "place": place(reader, made.plant, gate.digest),
+        "place": place(tx, made.plant, gate.digest),
         "budget": budget_of(gate.document),
     }
 
 
 @router.post("/plants/{plant}/decisions/{digest}/recompute")
-def recompute(parts: With, stamp: By, plant: PlantName, digest: DigestPath) -> Response:
-    """Make it anew, from its bytes."""
+def recompute(
+    parts: RequestParts, context: RequestContext, plant: PlantName, digest: Digest
+) -> Response:
+    """Submit the recomputation of a decision from its bytes."""
     parts.queue.prepare()
-    with writing(parts.database) as writer:
-        SUBMIT["recompute"](
-            writer, parts.queue, uuid.uuid4().hex, plant, {"decision": digest}, stamp
-        )
+    with writing(parts.database) as tx:
+        SUBMIT["recompute"](tx, parts.queue, uuid.uuid4().hex, plant, {"decision": digest}, context)
     return go(f"/plants/{plant}/decisions/{digest}")

@@ -1,7 +1,6 @@
-"""Page: how values become an answer for a browser, and how what a browser sends is read.
+"""How pages are rendered, and how forms are read.
 
-Forms work without a script; a script only saves reloading. What an answer may load is its own
-server's files, nothing else.
+Forms work without a script, which only saves reloading. A page loads files of its own server only.
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from fastapi import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from trueup_pages.rendering import render
+from trueup_service.authentication import Principal
 from trueup_service.errors import TooLargeUpload
-from trueup_service.identity import Who
 from trueup_service.registry.records import Role
 
 HEADERS = {
@@ -22,7 +21,7 @@ HEADERS = {
     "img-src 'self' data:; "
     "connect-src 'self'; "
     "base-uri 'none'; form-action 'self'; frame-ancestors 'none'",
-    # without any, a browser would not say that a form comes from a page of ours
+    # without a referrer policy a browser would not send the origin of a form
     "Referrer-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
@@ -32,38 +31,38 @@ SEE_OTHER = 303
 
 
 def show(request: Request, template: str, status: int = 200, **values: Any) -> HTMLResponse:
-    """A page, with who is looking at it."""
-    who: Who | None = request.scope.get("who")
+    """A rendered page, with who is signed in."""
+    principal: Principal | None = request.scope.get("principal")
     here = {
-        "who": who,
+        "who": principal,
         "path": request.url.path,
         "status": int(status),
-        "may": lambda *roles: may(who, *roles),
+        "may": lambda *roles: may(principal, *roles),
     }
     return HTMLResponse(render(template, **here, **values), status, headers=HEADERS)
 
 
-def may(who: Who | None, *roles: str) -> bool:
-    """Whether somebody may do what takes one of these roles, as an admin may everything."""
-    return who is not None and bool(who.roles & {Role.ADMIN, *map(Role, roles)})
+def may(principal: Principal | None, *roles: str) -> bool:
+    """Whether somebody has one of these roles, or is an admin."""
+    return principal is not None and bool(principal.roles & {Role.ADMIN, *map(Role, roles)})
 
 
 def go(path: str, **query: str) -> Response:
-    """Send a browser on, after something was done."""
+    """Redirect a browser after something was done."""
     return RedirectResponse(
         path + (f"?{urlencode(query)}" if query else ""), SEE_OTHER, headers=HEADERS
     )
 
 
 def wants_page(request: Request) -> bool:
-    """Whether a browser asks for something to look at."""
+    """Whether the request comes from a browser that wants a page."""
     return not request.url.path.startswith("/v1/") and "text/html" in request.headers.get(
         "accept", ""
     )
 
 
 def to_sign_in(request: Request) -> Response:
-    """Send a browser to sign in, and back to where it was."""
+    """Redirect a browser to the sign-in page, and from there back to where it was."""
     query = f"?{request.url.query}" if request.url.query else ""
     return (
         go(SIGN_IN, next=quote(request.url.path) + query)

@@ -1,5 +1,4 @@
-"""One plant: what serves and how it came to, what happened when, the way back, and a diagnosis to
-start."""
+"""The page of a plant: what serves and its history, the way back, and a diagnosis to start."""
 
 from __future__ import annotations
 
@@ -15,15 +14,15 @@ from trueup.ledger.pointer import NothingToRollBackTo
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import place
 from trueup_service.actions.move_pointer import previous_artifact
-from trueup_service.actions.stamp import END_OF_TIME
+from trueup_service.actions.promotion import rehearse_way_back, roll_back
 from trueup_service.actions.submit_job import SUBMIT
-from trueup_service.http.context import By, PlantName, With
+from trueup_service.actor_context import END_OF_TIME
+from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.moving import roll_back_tested, tested_way_back
 from trueup_service.http.pages.page import form, go, show, wants_page
 from trueup_service.http.problems import status_of
-from trueup_service.registry.overview import gaps_of, last_entries
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.overview import gaps_of
+from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 
 router = guarded("", ["pages"])
@@ -33,67 +32,69 @@ NOT_A_NUMBER = -1
 
 
 @router.get("/plants/{plant}")
-def plant_page(request: Request, parts: With, plant: PlantName) -> Response:
-    """What serves, what happened, and the newest of everything."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        record = find.plant(reader, plant)
-        serving = find.serving(reader, plant)
-        artifact = find.artifact(reader, plant, serving.artifact)
-        back = None if serving.back_to is None else reader.move(plant, serving.back_to)
-        last = reader.last_evidence(plant, serving.artifact)
-        jobs = reader.jobs(plant, END_OF_TIME, ROWS * 3)
-        latest = reader.latest_version(plant)
-        policy = reader.policy(plant)
+def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Response:
+    """What serves, the newest entries, and the newest of everything."""
+    with reading(parts.database) as tx:
+        record = find.plant(tx, plant)
+        serving = find.serving(tx, plant)
+        artifact = find.artifact(tx, plant, serving.artifact)
+        back = None if serving.back_to is None else tx.serving.at_generation(plant, serving.back_to)
+        last = tx.evidence.last_by_stage(plant, serving.artifact)
+        jobs = tx.jobs.page(plant, END_OF_TIME, ROWS * 3)
+        latest = tx.artifacts.latest_version(plant)
+        policy = tx.policies.in_force(plant)
         values: dict[str, Any] = {
             "plant": record,
             "serving": serving,
             "artifact": artifact,
             "back": back,
-            "alarm": reader.open_alarm(plant),
+            "alarm": tx.alarms.open(plant),
             "policy": policy,
             "policy_gate": None
             if policy is None
-            else place(reader, plant, str(policy.document["gate"])),
-            "gap": gaps_of(connection, [plant]).get(plant, ()),
+            else place(tx, plant, str(policy.document["gate"])),
+            "gap": gaps_of(tx, [plant]).get(plant, ()),
             "ladder": [
-                (stage, stage in last and reader.evidence(plant, last[stage][0]))
+                (stage, stage in last and tx.evidence.get(plant, last[stage][0]))
                 for stage in STAGES
             ],
-            "decisions": reader.decisions(plant, END_OF_TIME, ROWS),
-            "versions": list(reversed(reader.artifacts(plant, max(latest - ROWS, 0), ROWS))),
+            "decisions": tx.decisions.page(plant, END_OF_TIME, ROWS),
+            "versions": list(reversed(tx.artifacts.page(plant, max(latest - ROWS, 0), ROWS))),
             "diagnoses": [j for j in jobs if j.kind == "diagnose"][:ROWS],
-            "episodes": reader.episodes_of_role(plant, ("adaptation", "validation"))[:ROWS],
-            "entries": last_entries(connection, NO_END, ENTRIES, plant=plant),
+            "episodes": tx.episodes.of_roles(plant, ("adaptation", "validation"))[:ROWS],
+            "entries": tx.log.newest_entries(NO_END, ENTRIES, plant=plant),
         }
     return show(request, "plant.html", **values)
 
 
 @router.post("/plants/{plant}/diagnoses")
-def diagnose(parts: With, stamp: By, plant: PlantName) -> Response:
-    """Start a diagnosis, and show how it goes."""
+def diagnose(parts: RequestParts, context: RequestContext, plant: PlantName) -> Response:
+    """Submit a diagnosis, and go to its page."""
     job = uuid.uuid4().hex
     parts.queue.prepare()
-    with writing(parts.database) as writer:
-        SUBMIT["diagnose"](writer, parts.queue, job, plant, {"seed": 0}, stamp)
+    with writing(parts.database) as tx:
+        SUBMIT["diagnose"](tx, parts.queue, job, plant, {"seed": 0}, context)
     return go(f"/plants/{plant}/diagnoses/{job}")
 
 
 @router.get("/plants/{plant}/rollback")
-def rollback_page(request: Request, parts: With, plant: PlantName) -> Response:
-    """What a rollback would do: tested now, moved only if somebody says so."""
+def rollback_page(request: Request, parts: RequestParts, plant: PlantName) -> Response:
+    """What a rollback would do. The switchback test runs now, and the pointer moves only when the
+    form is sent."""
     return _offer(request, parts, plant, None)
 
 
 @router.post("/plants/{plant}/rollback")
-async def rollback(request: Request, parts: With, stamp: By, plant: PlantName) -> Response:
-    """Move the pointer back, if it is where whoever asks has seen it."""
-    given = await form(request)
-    text = given.get("generation", "").strip()
+async def rollback(
+    request: Request, parts: RequestParts, context: RequestContext, plant: PlantName
+) -> Response:
+    """Roll the pointer back, if it is at the generation that the form was shown for."""
+    fields = await form(request)
+    text = fields.get("generation", "").strip()
     generation = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else NOT_A_NUMBER  # noqa: PLR2004
     try:
         await run_in_threadpool(
-            roll_back_tested, parts, stamp, plant, generation, given.get("key") or None
+            roll_back, parts, context, plant, generation, fields.get("key") or None
         )
     except TrueupError as error:
         if not wants_page(request):
@@ -104,19 +105,18 @@ async def rollback(request: Request, parts: With, stamp: By, plant: PlantName) -
 
 
 def _offer(request: Request, parts: Parts, plant: str, refused: TrueupError | None) -> Response:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        serving = find.serving(reader, plant)
+    with reading(parts.database) as tx:
+        serving = find.serving(tx, plant)
         try:
-            back, _ = previous_artifact(reader, plant, serving.generation)
+            back, _ = previous_artifact(tx, plant, serving.generation)
         except NothingToRollBackTo:
             back = None
     tested, fails = None, None
     if back is not None:
         try:
-            tested = tested_way_back(parts, plant, serving.generation)
+            tested = rehearse_way_back(parts, plant, serving.generation)
         except PointerMoved:
-            pass  # it moved while we looked; the form's generation will say so
+            pass  # the pointer moved meanwhile; sending the form will report it
         except TrueupError as error:
             fails = error
     values = {

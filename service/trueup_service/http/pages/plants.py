@@ -1,4 +1,4 @@
-"""All plants: a line each."""
+"""The page of all plants, one line each."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from typing import Annotated
 
 from fastapi import Query, Request, Response
 
-from trueup_service.http.context import With
-from trueup_service.http.guard import Asking, guarded
+from trueup_service.http.dependencies import RequestParts
+from trueup_service.http.guard import CurrentPrincipal, guarded
 from trueup_service.http.pages.page import show
 from trueup_service.registry.overview import plant_lines
+from trueup_service.registry.transaction import reading
 
 router = guarded("", ["pages"])
 LINES = 50
@@ -18,15 +19,15 @@ LINES = 50
 @router.get("/")
 def plants(
     request: Request,
-    parts: With,
-    who: Asking,
+    parts: RequestParts,
+    principal: CurrentPrincipal,
     q: Annotated[str, Query(max_length=63)] = "",
     after: Annotated[str, Query(max_length=63)] = "",
 ) -> Response:
-    """The plants that somebody sees, by name, whose name contains `q`."""
-    with parts.database.read() as connection:
+    """The plants that the token sees and whose name contains `q`, by name."""
+    with reading(parts.database) as tx:
         lines = plant_lines(
-            connection, after, LINES + 1, of=who.plant, project=who.project, containing=q
+            tx, after, LINES + 1, of=principal.plant, project=principal.project, containing=q
         )
     more = lines[LINES - 1].name if len(lines) > LINES else None
     return show(request, "plants.html", lines=lines[:LINES], q=q, after=after, more=more)

@@ -1,4 +1,4 @@
-"""Signing in and out, and the files that pages load."""
+"""The pages to sign in and out, and the files that pages load."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from starlette.concurrency import run_in_threadpool
 
 from trueup_pages.assets import by_url, bytes_of, type_of
 from trueup_service.errors import NotFound, Unauthenticated
-from trueup_service.http.context import With
+from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import guarded, require_own_page
 from trueup_service.http.pages.page import form, go, show
 from trueup_service.http.problems import status_of
@@ -24,15 +24,17 @@ async def sign_in_page(request: Request) -> Response:
 
 
 @router.post("/sign-in")
-async def sign_in(request: Request, parts: With) -> Response:
+async def sign_in(request: Request, parts: RequestParts) -> Response:
     """Begin a session with a token, and go on to where the browser wanted to be."""
     require_own_page(request)
-    given = await form(request)
-    to = given.get("next", "/")
-    to = to if to.startswith("/") and not to.startswith(("//", "/\\")) else "/"  # nowhere but here
+    fields = await form(request)
+    to = fields.get("next", "/")
+    to = (
+        to if to.startswith("/") and not to.startswith(("//", "/\\")) else "/"
+    )  # never to another site
     try:
         _, secret = await run_in_threadpool(
-            begin_session, request.app.state.identities, parts, given.get("token", "").strip()
+            begin_session, request.app.state.authenticator, parts, fields.get("token", "").strip()
         )
     except Unauthenticated as error:
         return show(request, "sign_in.html", status_of(error), next=to, problem=error)
@@ -42,8 +44,8 @@ async def sign_in(request: Request, parts: With) -> Response:
 
 
 @router.post("/sign-out")
-async def sign_out(request: Request, parts: With) -> Response:
-    """End the session, and ask for a token again."""
+async def sign_out(request: Request, parts: RequestParts) -> Response:
+    """End the session, and go to the sign-in page."""
     await run_in_threadpool(end_session, request, parts)
     answer = go("/sign-in")
     forget_cookie(answer)
@@ -52,8 +54,8 @@ async def sign_out(request: Request, parts: With) -> Response:
 
 @router.get("/static/{name}")
 async def static(name: str) -> Response:
-    """A file under the name that holds its digest."""
-    found = by_url().get(name)
-    if found is None:
+    """A file, whose name holds its digest."""
+    path = by_url().get(name)
+    if path is None:
         raise NotFound(f"there is no file {name!r} here", noun="file", name=name)
-    return Response(bytes_of(found), media_type=type_of(found), headers=FOR_EVER)
+    return Response(bytes_of(path), media_type=type_of(path), headers=FOR_EVER)

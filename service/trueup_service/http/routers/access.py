@@ -1,4 +1,4 @@
-"""Access: sessions of browsers, projects, and tokens."""
+"""Routes of sessions, projects and tokens."""
 
 from __future__ import annotations
 
@@ -7,46 +7,54 @@ from typing import Annotated
 
 from fastapi import Query, Request, Response
 
-from trueup_service.actions.stamp import time_text
 from trueup_service.actions.tokens import create_project, issue_token, revoke_token
-from trueup_service.http.context import By, IdempotencyKey, Limit, PrefixPath, With, create
-from trueup_service.http.guard import Asking, guarded
-from trueup_service.http.openapi import there
-from trueup_service.http.schemas import (
+from trueup_service.actor_context import time_text
+from trueup_service.authentication import new_token
+from trueup_service.http.dependencies import (
+    IdempotencyKey,
+    Limit,
+    RequestContext,
+    RequestParts,
+    TokenPrefix,
+    create,
+)
+from trueup_service.http.guard import CurrentPrincipal, guarded
+from trueup_service.http.openapi import already_exists
+from trueup_service.http.schemas.access import (
     Identity,
     IssuedToken,
     NewProject,
     NewToken,
-    Page,
     Project,
     SignIn,
     Token,
-    page,
 )
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.http.sessions import begin_session, end_session, forget_cookie, give_cookie
-from trueup_service.identity import new_token
 from trueup_service.registry.records import Role, TokenRecord
-from trueup_service.registry.store import Reader, writing
+from trueup_service.registry.transaction import reading, writing
 
 router = guarded("/v1", ["access"])
 
 
 @router.post("/session", summary="Sign in with a token, for a browser")
-def sign_in(request: Request, response: Response, parts: With, given: SignIn) -> Identity:
+def sign_in(
+    request: Request, response: Response, parts: RequestParts, credential: SignIn
+) -> Identity:
     """Sets a cookie that scripts cannot read and other sites cannot send. Programs send their token
     with every request instead."""
-    who, secret = begin_session(request.app.state.identities, parts, given.token)
+    principal, secret = begin_session(request.app.state.authenticator, parts, credential.token)
     give_cookie(request, response, parts, secret)
-    return Identity.model_validate(who)
+    return Identity.model_validate(principal)
 
 
 @router.get("/session", summary="Who asks")
-async def session(who: Asking) -> Identity:
-    return Identity.model_validate(who)
+async def session(principal: CurrentPrincipal) -> Identity:
+    return Identity.model_validate(principal)
 
 
 @router.delete("/session", summary="Sign out", status_code=204)
-def sign_out(request: Request, response: Response, parts: With) -> None:
+def sign_out(request: Request, response: Response, parts: RequestParts) -> None:
     end_session(request, parts)
     forget_cookie(response)
 
@@ -56,71 +64,72 @@ def sign_out(request: Request, response: Response, parts: With) -> None:
     status_code=201,
     response_model=Project,
     summary="Create a project",
-    responses=there(Project),
+    responses=already_exists(Project),
 )
 def add_project(
-    parts: With, stamp: By, project: NewProject, key: IdempotencyKey = None
+    parts: RequestParts, context: RequestContext, project: NewProject, key: IdempotencyKey = None
 ) -> Response:
     return create(
         parts,
-        stamp,
+        context,
         "projects",
         key,
         project.model_dump(),
-        lambda w: create_project(w, project.name, stamp),
+        lambda tx: create_project(tx, project.name, context),
         Project,
     )
 
 
 @router.get("/projects", summary="List projects")
 def list_projects(
-    parts: With, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
+    parts: RequestParts, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
 ) -> Page[Project]:
-    with parts.database.read() as connection:
-        found = Reader(connection).projects(after, limit)
-    return page(Project, found, limit, "name")
+    with reading(parts.database) as tx:
+        projects = tx.projects.page(after, limit)
+    return page(Project, projects, limit, "name")
 
 
 @router.post("/tokens", status_code=201, summary="Issue a token")
-def issue(parts: With, stamp: By, wanted: NewToken) -> IssuedToken:
-    """`token` is shown this once; its hash alone is kept. A robot's is of one plant. It takes no
-    idempotency key: a repeated answer would have to keep the secret. Revoke one that did not
-    arrive.
-    """
+def issue(parts: RequestParts, context: RequestContext, wanted: NewToken) -> IssuedToken:
+    """The response is the only one that has `token`; the service stores its hash. A robot's token
+    is of one plant. The route takes no idempotency key, since a repeated response would have to
+    keep the secret. Revoke a token that did not arrive."""
     text, prefix, digest = new_token()
     expires = (
         None if wanted.days is None else time_text(datetime.now(UTC) + timedelta(days=wanted.days))
     )
     roles = [role.value for role in Role if role in wanted.roles]
     record = TokenRecord(
-        prefix,
-        digest,
-        wanted.name,
-        roles,
-        wanted.project,
-        wanted.plant,
-        stamp.now,
-        stamp.actor,
-        expires,
+        prefix=prefix,
+        digest=digest,
+        name=wanted.name,
+        roles=roles,
+        project=wanted.project,
+        plant=wanted.plant,
+        created_at=context.now,
+        created_by=context.actor,
+        expires_at=expires,
     )
-    with writing(parts.database) as writer:
-        issued = issue_token(writer, record, stamp)
+    with writing(parts.database) as tx:
+        issued = issue_token(tx, record, context)
     return IssuedToken(**Token.model_validate(issued).model_dump(), token=text)
 
 
 @router.get("/tokens", summary="List tokens")
 def list_tokens(
-    parts: With, after: Annotated[str, Query(max_length=16)] = "", limit: Limit = 100
+    parts: RequestParts, after: Annotated[str, Query(max_length=16)] = "", limit: Limit = 100
 ) -> Page[Token]:
-    with parts.database.read() as connection:
-        found = Reader(connection).tokens(after, limit)
-    return page(Token, found, limit, "prefix")
+    with reading(parts.database) as tx:
+        tokens = tx.tokens.page(after, limit)
+    return page(Token, tokens, limit, "prefix")
 
 
 @router.post("/tokens/{prefix}/revoke", summary="Revoke a token")
-def revoke(request: Request, parts: With, stamp: By, prefix: PrefixPath) -> Token:
-    """For good. Other servers refuse it within `token_memory_s`."""
-    with writing(parts.database) as writer:
-        revoked = revoke_token(writer, prefix, stamp)
-    request.app.state.identities.forget()
+def revoke(
+    request: Request, parts: RequestParts, context: RequestContext, prefix: TokenPrefix
+) -> Token:
+    """A token is revoked for good. Other servers refuse it within `token_memory_s`."""
+    with writing(parts.database) as tx:
+        revoked = revoke_token(tx, prefix, context)
+    request.app.state.authenticator.forget()
     return Token.model_validate(revoked)

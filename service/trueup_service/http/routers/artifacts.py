@@ -1,4 +1,4 @@
-"""Artifacts: versions of a plant's model, and the arrays that they name."""
+"""Routes of artifacts, the versions of a plant's model, and of the arrays that they name."""
 
 from __future__ import annotations
 
@@ -13,25 +13,27 @@ from trueup.canonical import Json, digest_of_bytes, is_digest
 from trueup.errors import BadArtifact, BrokenChain
 from trueup.ledger.provenance import PAYLOAD_TYPE, of_artifact
 from trueup_service.actions import find
-from trueup_service.actions.stamp import Stamp
-from trueup_service.errors import DigestMismatch, Kept, NotFound
-from trueup_service.http.context import (
-    By,
-    DigestPath,
+from trueup_service.actions.ingestion import ReceivedFile
+from trueup_service.actor_context import ActorContext
+from trueup_service.errors import CannotBeDeleted, DigestMismatch, NotFound
+from trueup_service.http.dependencies import (
+    Digest,
     IdempotencyKey,
     Limit,
     PlantName,
-    With,
+    RequestContext,
+    RequestParts,
     create,
+    inspector_of,
 )
-from trueup_service.http.downloads import UNCHANGING, send_kept
+from trueup_service.http.downloads import UNCHANGING, send_blob
 from trueup_service.http.guard import guarded
-from trueup_service.http.ingesting import inspector_of
-from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Artifact, Envelope, Page, page
-from trueup_service.http.uploads import ARRAYS_HINT, Received, allow, received
+from trueup_service.http.openapi import already_exists
+from trueup_service.http.schemas.serving import Artifact
+from trueup_service.http.schemas.wire import Envelope, Page, page
+from trueup_service.http.uploads import ARRAYS_HINT, allow, received
 from trueup_service.registry.blobs import Blobs
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 router = guarded("/v1", ["artifacts"])
@@ -55,15 +57,15 @@ ARRAYS = {
     summary="Upload arrays under their digest",
     openapi_extra=ARRAYS,
 )
-async def put_blob(request: Request, parts: With, digest: DigestPath) -> dict[str, str | int]:
-    """Durable once answered. The digest in the path is verified while the bytes stream."""
+async def put_blob(request: Request, parts: RequestParts, digest: Digest) -> dict[str, str | int]:
+    """The bytes are durable once answered. The digest in the path is verified while they stream."""
     limit = min(parts.settings.upload_limit_bytes, parts.settings.arrays_limit_bytes)
     async with received(request, parts.spool, limit, ARRAYS_HINT) as file:
         await run_in_threadpool(_keep, parts.blobs, digest, file)
         return {"digest": digest, "size_bytes": file.size_bytes}
 
 
-def _keep(blobs: Blobs, digest: str, file: Received) -> None:
+def _keep(blobs: Blobs, digest: str, file: ReceivedFile) -> None:
     if file.digest != digest:
         raise DigestMismatch(
             "the body is not what the path names", expected=digest, found=file.digest
@@ -76,14 +78,14 @@ def _keep(blobs: Blobs, digest: str, file: Received) -> None:
     summary="Download bytes by their digest, for auditors",
     response_class=Response,
 )
-def get_blob(parts: With, digest: DigestPath) -> StreamingResponse:
+def get_blob(parts: RequestParts, digest: Digest) -> StreamingResponse:
     return _blob(parts.blobs, digest)
 
 
 def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     if not blobs.holds(digest):
         raise NotFound(f"there is no blob {digest!r} here", noun="blob", name=digest)
-    return send_kept(blobs, digest)
+    return send_blob(blobs, digest)
 
 
 @router.post(
@@ -91,23 +93,27 @@ def _blob(blobs: Blobs, digest: str) -> StreamingResponse:
     status_code=201,
     response_model=Artifact,
     summary="Add an artifact as the next version",
-    responses=there(Artifact),
+    responses=already_exists(Artifact),
     openapi_extra=MANIFEST,
 )
 async def add(
-    request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None
+    request: Request,
+    parts: RequestParts,
+    context: RequestContext,
+    plant: PlantName,
+    key: IdempotencyKey = None,
 ) -> Response:
-    """The body is the manifest's exact bytes; arrays that it names were uploaded before. The
-    predictor must load and answer its probe."""
+    """The body is the exact bytes of the manifest. Arrays that it names must have been uploaded
+    before. The predictor must load and answer its probe."""
     manifest = await request.body()
     arrays = await run_in_threadpool(_arrays, parts, manifest)
     if arrays is None:
         await inspector_of(request).try_artifact(manifest, None)
-        return await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
-    async with contextmanager_in_threadpool(parts.blobs.at_hand(arrays, parts.spool)) as path:
+        return await run_in_threadpool(_add, parts, context, plant, manifest, key)
+    async with contextmanager_in_threadpool(parts.blobs.local_copy(arrays, parts.spool)) as path:
         await inspector_of(request).try_artifact(manifest, path)
-        answer = await run_in_threadpool(_add, parts, stamp, plant, manifest, key)
-        # they may have been put long ago, and been taken for left over before this row was there
+        answer = await run_in_threadpool(_add, parts, context, plant, manifest, key)
+        # Bytes that were put long ago may have been collected before this row named them.
         await run_in_threadpool(parts.blobs.put, arrays, path)
         return answer
 
@@ -131,7 +137,9 @@ def _arrays(parts: Parts, manifest: bytes) -> str | None:
     return digest
 
 
-def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | None) -> Response:
+def _add(
+    parts: Parts, context: ActorContext, plant: str, manifest: bytes, key: str | None
+) -> Response:
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415
     from trueup_service.actions.add_artifact import add_artifact  # noqa: PLC0415
 
@@ -139,46 +147,45 @@ def _add(parts: Parts, stamp: Stamp, plant: str, manifest: bytes, key: str | Non
     request = {"digest": artifact.digest}
     return create(
         parts,
-        stamp,
+        context,
         f"artifacts/{plant}",
         key,
         request,
-        lambda w: add_artifact(w, plant, artifact, None, stamp),
+        lambda tx: add_artifact(tx, plant, artifact, None, context),
         Artifact,
     )
 
 
 @router.get("/plants/{plant}/artifacts", summary="List versions")
 def list_artifacts(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="version")] = 0,
     limit: Limit = 100,
 ) -> Page[Artifact]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.artifacts(plant, after, limit)
-    return page(Artifact, found, limit, "version")
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        artifacts = tx.artifacts.page(plant, after, limit)
+    return page(Artifact, artifacts, limit, "version")
 
 
 @router.get("/plants/{plant}/artifacts/{digest}", summary="Get an artifact's registration")
-def get_artifact(parts: With, plant: PlantName, digest: DigestPath) -> Artifact:
-    with parts.database.read() as connection:
-        return Artifact.model_validate(find.artifact(Reader(connection), plant, digest))
+def get_artifact(parts: RequestParts, plant: PlantName, digest: Digest) -> Artifact:
+    with reading(parts.database) as tx:
+        return Artifact.model_validate(find.artifact(tx, plant, digest))
 
 
 @router.get(
     "/plants/{plant}/versions/{version}", summary="Get an artifact's registration by version"
 )
-def get_version(parts: With, plant: PlantName, version: int) -> Artifact:
-    with parts.database.read() as connection:
-        found = Reader(connection).artifact_version(plant, version) if 0 < version < 2**31 else None
-    if found is None:
+def get_version(parts: RequestParts, plant: PlantName, version: int) -> Artifact:
+    with reading(parts.database) as tx:
+        record = tx.artifacts.by_version(plant, version) if 0 < version < 2**31 else None
+    if record is None:
         raise NotFound(
             f"plant {plant!r} has no version {version}", noun="version", name=str(version)
         )
-    return Artifact.model_validate(found)
+    return Artifact.model_validate(record)
 
 
 @router.get(
@@ -186,14 +193,14 @@ def get_version(parts: With, plant: PlantName, version: int) -> Artifact:
     summary="Download the manifest's exact bytes",
     response_class=Response,
 )
-def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
-    """Their SHA-256 is the artifact's name."""
-    with parts.database.read() as connection:
-        found = find.artifact(Reader(connection), plant, digest)
-    if digest_of_bytes(found.manifest.encode()) != digest:
+def get_manifest(parts: RequestParts, plant: PlantName, digest: Digest) -> Response:
+    """The SHA-256 of the bytes is the artifact's name."""
+    with reading(parts.database) as tx:
+        record = find.artifact(tx, plant, digest)
+    if digest_of_bytes(record.manifest.encode()) != digest:
         raise BrokenChain("the kept manifest is not the one that its digest names", artifact=digest)
     headers = {"ETag": f'"{digest}"', "Cache-Control": UNCHANGING}
-    return Response(found.manifest, media_type="application/json", headers=headers)
+    return Response(record.manifest, media_type="application/json", headers=headers)
 
 
 @router.get(
@@ -201,10 +208,10 @@ def get_manifest(parts: With, plant: PlantName, digest: DigestPath) -> Response:
     summary="Download an artifact's arrays",
     response_class=Response,
 )
-def get_arrays(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
-    """The bytes that its manifest names."""
-    with parts.database.read() as connection:
-        arrays = find.artifact(Reader(connection), plant, digest).arrays
+def get_arrays(parts: RequestParts, plant: PlantName, digest: Digest) -> StreamingResponse:
+    """The bytes that the manifest names."""
+    with reading(parts.database) as tx:
+        arrays = find.artifact(tx, plant, digest).arrays
     if arrays is None:
         raise NotFound(f"artifact {digest[:12]} has no arrays", noun="arrays", name=digest)
     return _blob(parts.blobs, arrays)
@@ -213,35 +220,38 @@ def get_arrays(parts: With, plant: PlantName, digest: DigestPath) -> StreamingRe
 @router.get(
     "/plants/{plant}/artifacts/{digest}/provenance", summary="Where an artifact comes from, signed"
 )
-def get_provenance(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Envelope:
+def get_provenance(
+    request: Request, parts: RequestParts, plant: PlantName, digest: Digest
+) -> Envelope:
     """An in-toto statement (SLSA provenance) in a DSSE envelope: episodes, plant, parent,
     configuration and code by digest."""
     from trueup.artifact.artifact import Artifact as Bytes  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    with parts.database.read() as connection:
-        found = find.artifact(Reader(connection), plant, digest)
-    kept = Bytes(found.manifest.encode(), b"")
-    if kept.digest != digest:
+    with reading(parts.database) as tx:
+        record = find.artifact(tx, plant, digest)
+    artifact = Bytes(record.manifest.encode(), b"")
+    if artifact.digest != digest:
         raise BrokenChain("the kept manifest is not the one that its digest names", artifact=digest)
     facts: dict[str, Json] = {
-        name: getattr(found, name)
+        name: getattr(record, name)
         for name in ("plant", "version", "job", "created_at", "created_by")
     }
     return Envelope(
-        **request.app.state.log.envelope(PAYLOAD_TYPE, of_artifact(kept.document, digest, facts))
+        **request.app.state.log.envelope(
+            PAYLOAD_TYPE, of_artifact(artifact.document, digest, facts)
+        )
     )
 
 
 @router.delete(
     "/plants/{plant}/artifacts/{digest}", summary="Refused: artifacts are kept", status_code=204
 )
-def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.artifact(reader, plant, digest)
-        serves = find.serving(reader, plant).artifact == digest
-        raise Kept(
+def delete(parts: RequestParts, plant: PlantName, digest: Digest) -> None:
+    with reading(parts.database) as tx:
+        find.artifact(tx, plant, digest)
+        serves = find.serving(tx, plant).artifact == digest
+        raise CannotBeDeleted(
             f"artifact {digest[:12]} is kept",
             serves=serves,
-            decisions=reader.decisions_naming(plant, digest),
+            decisions=tx.decisions.naming(plant, digest),
         )

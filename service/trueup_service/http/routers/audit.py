@@ -18,14 +18,15 @@ from fastapi import Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup.ledger.audit import entry_bytes
-from trueup.ledger.merkle import Plan, consistency, inclusion, prove
+from trueup.ledger.merkle import ProofPlan, consistency, inclusion, prove
 from trueup.ledger.rows import KEYS
 from trueup_service.errors import BadRequest, NotFound
-from trueup_service.http.context import Limit, With
-from trueup_service.http.guard import Asking, guarded
-from trueup_service.http.schemas import AuditEntry, AuditKey, AuditKeys, Page, Proof, Rows, page
-from trueup_service.registry.store import Reader
+from trueup_service.http.dependencies import Limit, RequestParts
+from trueup_service.http.guard import CurrentPrincipal, guarded
+from trueup_service.http.schemas.audit import AuditEntry, AuditKey, AuditKeys, Proof, Rows
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.tables import metadata
+from trueup_service.registry.transaction import ReadTransaction, reading
 from trueup_service.signed_log import SignedLog
 
 router = guarded("/v1/audit", ["audit"])
@@ -54,81 +55,79 @@ IMMUTABLE = {"Cache-Control": "private, max-age=31536000, immutable"}
 
 @router.get("", summary="List entries in order")
 def list_entries(
-    parts: With,
-    who: Asking,
+    parts: RequestParts,
+    principal: CurrentPrincipal,
     plant: str | None = None,
     after: Annotated[int, Query(ge=0, le=2**62, description="sequence")] = 0,
     limit: Limit = 100,
 ) -> Page[AuditEntry]:
-    """Entry n is leaf n - 1 of the tree; an entry's leaf holds the digests of `facts` and of
-    `rows`. A token of a project sees its own."""
-    with parts.database.read() as connection:
-        found = Reader(connection).audit_entries(
-            after, limit, plant if who.plant is None else who.plant, who.project
+    """Entry n is leaf n - 1 of the tree. A leaf holds the digests of `facts` and of `rows`. A token
+    of a project sees the entries of its plants."""
+    with reading(parts.database) as tx:
+        entries = tx.log.entries(
+            after, limit, plant if principal.plant is None else principal.plant, principal.project
         )
-    return page(AuditEntry, found, limit, "sequence")
+    return page(AuditEntry, entries, limit, "sequence")
 
 
 @router.get("/key", summary="The public key of the log", response_class=Response, responses=TEXT)
 async def key(request: Request) -> Response:
-    """`<name>+<hash>+<key>`, as C2SP signed-note has it. Keep it: whoever asks again at each use
-    believes whoever answers."""
+    """`<name>+<hash>+<key>`, as C2SP signed-note defines it. Pin it: a caller that fetches the key
+    at each use trusts whoever responds."""
     return Response(_log(request).signer.verifier + "\n", media_type="text/plain")
 
 
 @router.get("/keys", summary="The keys under which the log was signed")
-def keys(parts: With) -> AuditKeys:
-    """In order, each but the first endorsed by the one before: whoever pinned an earlier one need
-    not be told of the last by hand."""
-    with parts.database.read() as connection:
-        return AuditKeys(items=[AuditKey(**asdict(key)) for key in Reader(connection).audit_keys()])
+def keys(parts: RequestParts) -> AuditKeys:
+    """In order. Each key but the first is endorsed by the one before, so a caller that pinned an
+    earlier key can verify the last one."""
+    with reading(parts.database) as tx:
+        return AuditKeys(items=[AuditKey(**asdict(key)) for key in tx.log.signing_keys()])
 
 
 @router.get(
     "/checkpoint", summary="The signed head of the log", response_class=Response, responses=TEXT
 )
 async def checkpoint(request: Request) -> Response:
-    """Origin, number of entries and root, signed. The file `checkpoint` in the data folder is the
-    same, for mirrors."""
+    """Origin, number of entries and root, signed. The file `checkpoint` in the data folder has the
+    same text, for mirrors."""
     note = await run_in_threadpool(_log(request).checkpoint)
     return Response(note, media_type="text/plain", headers={"Cache-Control": "no-cache"})
 
 
 @router.get("/inclusion", summary="Prove that an entry is in the log")
 def prove_inclusion(
-    parts: With, sequence: Annotated[int, Query(ge=1, le=2**62)], size: Size | None = None
+    parts: RequestParts, sequence: Annotated[int, Query(ge=1, le=2**62)], size: Size | None = None
 ) -> Proof:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        size = _reached(reader, size)
+    with reading(parts.database) as tx:
+        size = _reached(tx, size)
         if sequence > size:
             raise BadRequest(f"a log of {size} entries has no entry {sequence}", size=size)
-        return _proof(reader, inclusion(sequence - 1, size), size)
+        return _proof(tx, inclusion(sequence - 1, size), size)
 
 
 @router.get("/consistency", summary="Prove that the log extends an earlier one")
 def prove_consistency(
-    parts: With,
+    parts: RequestParts,
     old: Annotated[int, Query(ge=0, le=2**62, description="entries then")],
     size: Size | None = None,
 ) -> Proof:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        size = _reached(reader, size)
+    with reading(parts.database) as tx:
+        size = _reached(tx, size)
         if old > size:
             raise BadRequest(f"a log of {size} entries does not extend one of {old}", size=size)
-        return _proof(reader, consistency(old, size), size)
+        return _proof(tx, consistency(old, size), size)
 
 
-def _reached(reader: Reader, size: int | None) -> int:
-    now = reader.audit_tree().size
+def _reached(tx: ReadTransaction, size: int | None) -> int:
+    now = tx.log.tree().size
     if size is not None and size > now:
         raise BadRequest(f"the log has {now} entries yet", size=now)
     return now if size is None else size
 
 
-def _proof(reader: Reader, plan: Plan, size: int) -> Proof:
-    hashes = reader.audit_nodes([node for part in plan for node in part])
+def _proof(tx: ReadTransaction, plan: ProofPlan, size: int) -> Proof:
+    hashes = tx.log.nodes([node for part in plan for node in part])
     return Proof(size=size, hashes=[base64.b64encode(h).decode() for h in prove(plan, hashes)])
 
 
@@ -138,13 +137,13 @@ def _proof(reader: Reader, plan: Plan, size: int) -> Proof:
     response_class=Response,
     responses=OCTETS,
 )
-def entries(parts: With, tile: TilePath) -> Response:
-    """Each leaf's bytes behind their length (16 bits, big-endian); the tree's leaf hashes are over
-    these bytes."""
+def entries(parts: RequestParts, tile: TilePath) -> Response:
+    """The bytes of each leaf behind their length (16 bits, big-endian). The leaf hashes of the tree
+    are over these bytes."""
     number, width = _tile(tile)
-    with parts.database.read() as connection:
-        found = Reader(connection).audit_entries(number * TILE, width)
-    leaves = [entry_bytes(e) for e in found]
+    with reading(parts.database) as tx:
+        tile_entries = tx.log.entries(number * TILE, width)
+    leaves = [entry_bytes(e) for e in tile_entries]
     return _tile_answer(
         tile, len(leaves), width, b"".join(struct.pack(">H", len(leaf)) + leaf for leaf in leaves)
     )
@@ -156,17 +155,19 @@ def entries(parts: With, tile: TilePath) -> Response:
     response_class=Response,
     responses=OCTETS,
 )
-def hashes(parts: With, level: Annotated[int, Path(ge=0, le=7)], tile: TilePath) -> Response:
+def hashes(
+    parts: RequestParts, level: Annotated[int, Path(ge=0, le=7)], tile: TilePath
+) -> Response:
     """Neighbouring subtrees of 256^level leaves each, 32 bytes each."""
     number, width = _tile(tile)
-    with parts.database.read() as connection:
-        found = Reader(connection).audit_tile(8 * level, number * TILE, width)
-    return _tile_answer(tile, len(found), width, b"".join(found))
+    with reading(parts.database) as tx:
+        nodes = tx.log.tile(8 * level, number * TILE, width)
+    return _tile_answer(tile, len(nodes), width, b"".join(nodes))
 
 
 def _tile(path: str) -> tuple[int, int]:
-    """Number and width of a tile. Raises NotFound for what no log reaches, BadRequest for a width
-    beyond a tile."""
+    """The number and width of a tile. Raises NotFound where no log can have it, and BadRequest for
+    a width beyond a tile."""
     name, _, part = path.partition(".p/")
     number, width = int(re.sub(r"[x/]", "", name)), int(part) if part else TILE
     if not 0 < width <= TILE or (part and width == TILE):
@@ -176,8 +177,8 @@ def _tile(path: str) -> tuple[int, int]:
     return number, width
 
 
-def _tile_answer(tile: str, found: int, width: int, content: bytes) -> Response:
-    if found < width:
+def _tile_answer(tile: str, filled: int, width: int, content: bytes) -> Response:
+    if filled < width:
         raise NotFound(
             f"the log does not fill tile {tile!r} yet",
             noun="tile",
@@ -189,24 +190,23 @@ def _tile_answer(tile: str, found: int, width: int, content: bytes) -> Response:
 
 @router.get("/rows/{table}", summary="The registry's rows as they are stored")
 def rows(
-    parts: With,
+    parts: RequestParts,
     table: str,
     after: Annotated[str, Query(max_length=400, description="`next` of the page before")] = "",
     limit: Limit = 100,
 ) -> Rows:
-    """What the entries' `rows` name, to be held against their digests: SHA-256 of the canonical
-    {"row": …, "table": …}; and what the log keeps beside its entries: its hashes, its head and its
-    keys.
-    """
-    found = TABLES.get(table)
-    if found is None:
+    """The rows that entries name in `rows`, to be held against their digests: SHA-256 of the
+    canonical {"row": …, "table": …}. Also what the log stores beside its entries: its hashes, its
+    head and its keys."""
+    stored = TABLES.get(table)
+    if stored is None:
         raise NotFound(
             f"the log names no rows of {table!r}",
             noun="table",
             name=table,
             hint=f"It names those of {', '.join(TABLES)}.",
         )
-    columns = list(found.primary_key.columns)
+    columns = list(stored.primary_key.columns)
     try:
         key = orjson.loads(after) if after else []
         key = (
@@ -218,8 +218,8 @@ def rows(
             raise ValueError
     except (orjson.JSONDecodeError, ValueError, TypeError) as error:
         raise BadRequest("after is `next` of the page before") from error
-    with parts.database.read() as connection:
-        items = Reader(connection).rows(found, key, limit)
+    with reading(parts.database) as tx:
+        items = tx.rows.page(stored, key, limit)
     return Rows(
         items=items,
         next=orjson.dumps([items[-1][c.name] for c in columns]).decode()

@@ -1,5 +1,4 @@
-"""Evidence of artifacts at the stages of the test ladder, and the channels of serving that require
-it."""
+"""Routes of evidence of artifacts, and of the channels of serving that require it."""
 
 from __future__ import annotations
 
@@ -12,35 +11,34 @@ from starlette.concurrency import run_in_threadpool
 from trueup_service.actions import find
 from trueup_service.actions.add_evidence import add_evidence
 from trueup_service.actions.channels import declare_channel, move_channel
-from trueup_service.http.context import (
-    By,
-    DigestPath,
+from trueup_service.actions.idempotency import run_once
+from trueup_service.http.dependencies import (
+    Digest,
     IdempotencyKey,
     Limit,
     PlantName,
-    With,
+    RequestContext,
+    RequestParts,
     create,
-    run_once,
 )
 from trueup_service.http.guard import guarded
-from trueup_service.http.openapi import there
+from trueup_service.http.openapi import already_exists
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
-from trueup_service.http.schemas import (
+from trueup_service.http.schemas.serving import (
     Channel,
     ChannelDeclaration,
     ChannelMove,
     ChannelPosition,
     Evidence,
-    Page,
-    page,
 )
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.http.schemas.wire import Page, page
+from trueup_service.registry.transaction import Transaction, reading
 
 router = guarded("/v1/plants/{plant}", ["channels"])
 ChannelName = Annotated[
     str, Path(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$", description="A channel's name")
 ]
-PAGE_BYTES = 2 << 20  # of documents in a page, unless the first one alone has more
+PAGE_BYTES = 2 << 20  # documents of one page, unless the first one alone has more
 CHANNEL = {
     "name": "channel",
     "in": "path",
@@ -55,11 +53,11 @@ CHANNEL = {
     status_code=201,
     response_model=Evidence,
     summary="Add evidence of an artifact",
-    responses=there(Evidence),
+    responses=already_exists(Evidence),
 )
 def add(
-    parts: With,
-    stamp: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     document: Annotated[
         dict[str, Any],
@@ -67,36 +65,36 @@ def add(
     ],
     key: IdempotencyKey = None,
 ) -> Response:
-    """It is kept as it is said: by whom stands beside it, and what it cannot show is part of it."""
+    """The document is stored as it is, with who sent it. What the evidence cannot show is part of
+    it."""
     return create(
         parts,
-        stamp,
+        context,
         f"evidence/{plant}",
         key,
         document,
-        lambda w: add_evidence(w, plant, document, None, stamp),
+        lambda tx: add_evidence(tx, plant, document, None, context),
         Evidence,
     )
 
 
 @router.get("/artifacts/{digest}/evidence", summary="List the evidence of an artifact")
 def list_evidence(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
-    digest: DigestPath,
+    digest: Digest,
     after: Annotated[str, Query(max_length=92)] = "",
     limit: Limit = 100,
 ) -> Page[Evidence]:
-    """In the order in which it came; `after` is `next` of the page before. A page ends early where
-    its documents are long."""
+    """In the order of time; `after` is `next` of the page before. A page ends early where its
+    documents are long."""
     at, _, last = after.partition("_")
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.artifact(reader, plant, digest)
-        found, more = reader.evidence_of(plant, digest, (at, last), limit, PAGE_BYTES)
+    with reading(parts.database) as tx:
+        find.artifact(tx, plant, digest)
+        evidence, more = tx.evidence.page(plant, digest, (at, last), limit, PAGE_BYTES)
     return Page(
-        items=[Evidence.model_validate(e) for e in found],
-        next=f"{found[-1].created_at}_{found[-1].digest}" if more else None,
+        items=[Evidence.model_validate(e) for e in evidence],
+        next=f"{evidence[-1].created_at}_{evidence[-1].digest}" if more else None,
     )
 
 
@@ -105,41 +103,40 @@ def list_evidence(
     status_code=201,
     response_model=Channel,
     summary="Declare a channel of serving",
-    responses=there(Channel),
+    responses=already_exists(Channel),
 )
 def declare(
-    parts: With,
-    stamp: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     channel: ChannelDeclaration,
     key: IdempotencyKey = None,
 ) -> Response:
-    """What it requires never changes."""
+    """What a channel requires never changes."""
     request = channel.model_dump()
 
     return create(
         parts,
-        stamp,
+        context,
         f"channels/{plant}",
         key,
         request,
-        lambda w: declare_channel(w, plant, channel.name, channel.requires, stamp),
+        lambda tx: declare_channel(tx, plant, channel.name, channel.requires, context),
         Channel,
     )
 
 
 @router.get("/channels", summary="List channels")
 def list_channels(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     after: Annotated[str, Query(max_length=63)] = "",
     limit: Limit = 100,
 ) -> Page[Channel]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.channels(plant, after, limit)
-    return page(Channel, found, limit, "name")
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        channels = tx.channels.page(plant, after, limit)
+    return page(Channel, channels, limit, "name")
 
 
 @router.get(
@@ -150,31 +147,31 @@ def list_channels(
     openapi_extra={"parameters": [PLANT, CHANNEL, *ASKED]},
 )
 async def serving(request: Request) -> Response:
-    """As of the plant's own pointer: with `If-None-Match` and `wait_s` it answers at the channel's
-    next move, or 304."""
+    """As for the plant's own pointer: with `If-None-Match` and `wait_s` the response comes at the
+    channel's next move, or is 304."""
     return await polled(request, request.path_params["plant"], request.path_params["channel"])
 
 
 @router.post("/channels/{channel}/move", summary="Serve an artifact on a channel")
 async def move(
     request: Request,
-    parts: With,
-    stamp: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     channel: ChannelName,
     wanted: ChannelMove,
     key: IdempotencyKey = None,
 ) -> ChannelPosition:
-    """409 if the channel is elsewhere, the artifact never served the plant itself, or evidence of a
-    required stage is missing or failed."""
+    """409 if the channel is at another generation, the artifact never served the plant itself, or
+    evidence of a required stage is missing or failed."""
 
-    def act(writer: Writer) -> dict[str, Any]:
+    def act(tx: Transaction) -> dict[str, Any]:
         return asdict(
-            move_channel(writer, plant, channel, wanted.artifact, wanted.expected_generation, stamp)
+            move_channel(tx, plant, channel, wanted.artifact, wanted.expected_generation, context)
         )
 
     moved = await run_in_threadpool(
-        run_once, parts, stamp, f"channels/{plant}/{channel}", key, wanted.model_dump(), act
+        run_once, parts, context, f"channels/{plant}/{channel}", key, wanted.model_dump(), act
     )
     request.app.state.answers.wake()
     return ChannelPosition(**moved)

@@ -1,66 +1,72 @@
-"""Decisions: what gates decided, with every figure."""
+"""Routes of decisions, with every figure, and of their approvals."""
 
 from __future__ import annotations
 
-from fastapi import Request, Response
+from typing import Annotated
+
+from fastapi import Body, Request, Response
 
 from trueup.canonical import Json, digest_of
 from trueup.errors import BrokenChain
 from trueup.ledger.provenance import PAYLOAD_TYPE, of_decision
 from trueup_service.actions import find
 from trueup_service.actions.approve import approve
-from trueup_service.actions.stamp import END_OF_TIME
-from trueup_service.http.context import (
-    Before,
-    By,
-    DigestPath,
+from trueup_service.actor_context import END_OF_TIME
+from trueup_service.http.dependencies import (
+    BeforeTime,
+    Digest,
     IdempotencyKey,
     Limit,
     PlantName,
-    With,
+    RequestContext,
+    RequestParts,
     create,
 )
-from trueup_service.http.guard import Asking, guarded, require_seen
-from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Approval, ApprovalRequest, Decision, Envelope, Page, page
-from trueup_service.registry.store import Reader
+from trueup_service.http.guard import CurrentPrincipal, guarded, require_visible
+from trueup_service.http.openapi import already_exists
+from trueup_service.http.schemas.decisions import Approval, ApprovalRequest, Decision
+from trueup_service.http.schemas.wire import Envelope, Page, page
+from trueup_service.registry.transaction import reading
 
 router = guarded("/v1", ["decisions"])
 
 
 @router.get("/plants/{plant}/decisions", summary="List decisions, the newest first")
 def list_decisions(
-    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+    parts: RequestParts, plant: PlantName, before: BeforeTime = END_OF_TIME, limit: Limit = 100
 ) -> Page[Decision]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.decisions(plant, before, limit)
-    return page(Decision, found, limit, "created_at")
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        decisions = tx.decisions.page(plant, before, limit)
+    return page(Decision, decisions, limit, "created_at")
 
 
 @router.get("/plants/{plant}/decisions/{digest}", summary="Get a decision of a plant")
-def get_decision(parts: With, plant: PlantName, digest: DigestPath) -> Decision:
-    with parts.database.read() as connection:
-        return Decision.model_validate(find.decision(Reader(connection), plant, digest))
+def get_decision(parts: RequestParts, plant: PlantName, digest: Digest) -> Decision:
+    with reading(parts.database) as tx:
+        return Decision.model_validate(find.decision(tx, plant, digest))
 
 
 @router.get(
     "/plants/{plant}/decisions/{digest}/provenance",
     summary="What a gate said of a candidate, signed",
 )
-def get_provenance(request: Request, parts: With, plant: PlantName, digest: DigestPath) -> Envelope:
+def get_provenance(
+    request: Request, parts: RequestParts, plant: PlantName, digest: Digest
+) -> Envelope:
     """An in-toto statement (test-result) in a DSSE envelope: candidate, gate, incumbent and
     held-out episodes by digest."""
-    with parts.database.read() as connection:
-        found = find.decision(Reader(connection), plant, digest)
-    if digest_of(found.document) != digest:
+    with reading(parts.database) as tx:
+        decision = find.decision(tx, plant, digest)
+    if digest_of(decision.document) != digest:
         raise BrokenChain("the kept decision is not the one that its digest names", decision=digest)
     facts: dict[str, Json] = {
-        name: getattr(found, name) for name in ("plant", "job", "created_at", "created_by")
+        name: getattr(decision, name) for name in ("plant", "job", "created_at", "created_by")
     }
     return Envelope(
-        **request.app.state.log.envelope(PAYLOAD_TYPE, of_decision(found.document, digest, facts))
+        **request.app.state.log.envelope(
+            PAYLOAD_TYPE, of_decision(decision.document, digest, facts)
+        )
     )
 
 
@@ -69,44 +75,44 @@ def get_provenance(request: Request, parts: With, plant: PlantName, digest: Dige
     status_code=201,
     response_model=Approval,
     summary="Approve a decision for promotion",
-    responses=there(Approval),
+    responses=already_exists(Approval),
 )
 def add_approval(
-    parts: With,
-    stamp: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
-    digest: DigestPath,
-    given: ApprovalRequest | None = None,
+    digest: Digest,
+    approval: Annotated[ApprovalRequest | None, Body(title="Given")] = None,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Once for each token. Where the plant's policy takes two people for a promotion, one approves
-    and the other promotes: two names, for tokens of one name are one person. Of a candidate that
-    was rejected before, it takes a reason.
-    """
-    because = None if given is None else given.because
+    """One approval for each token. Where the plant's policy needs two people for a promotion, one
+    approves and the other promotes. Tokens of one name count as one person. A candidate that was
+    rejected before needs a reason."""
+    because = None if approval is None else approval.because
     request: dict[str, Json] = {"decision": digest, "because": because}
     return create(
         parts,
-        stamp,
+        context,
         f"approvals/{plant}",
         key,
         request,
-        lambda w: approve(w, plant, digest, because, stamp),
+        lambda tx: approve(tx, plant, digest, because, context),
         Approval,
     )
 
 
 @router.get("/plants/{plant}/decisions/{digest}/approvals", summary="List who approved a decision")
-def list_approvals(parts: With, plant: PlantName, digest: DigestPath) -> Page[Approval]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.decision(reader, plant, digest)
-        return Page(items=[Approval.model_validate(a) for a in reader.approvals(plant, digest)])
+def list_approvals(parts: RequestParts, plant: PlantName, digest: Digest) -> Page[Approval]:
+    with reading(parts.database) as tx:
+        find.decision(tx, plant, digest)
+        return Page(
+            items=[Approval.model_validate(a) for a in tx.approvals.of_decision(plant, digest)]
+        )
 
 
 @router.get("/decisions/{digest}", summary="Get a decision by its digest alone")
-def find_decision(parts: With, who: Asking, digest: DigestPath) -> Decision:
-    with parts.database.read() as connection:
-        found = find.any_decision(Reader(connection), digest)
-    require_seen(parts.database, who, found.plant, find.missing("decision", digest))
-    return Decision.model_validate(found)
+def find_decision(parts: RequestParts, principal: CurrentPrincipal, digest: Digest) -> Decision:
+    with reading(parts.database) as tx:
+        decision = find.any_decision(tx, digest)
+    require_visible(parts.database, principal, decision.plant, find.not_found("decision", digest))
+    return Decision.model_validate(decision)

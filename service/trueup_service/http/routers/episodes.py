@@ -1,4 +1,4 @@
-"""Episodes: upload recordings as MCAP, list, get, download."""
+"""Routes of episodes: upload recordings as MCAP, list, get, download."""
 
 from __future__ import annotations
 
@@ -10,17 +10,27 @@ from starlette.responses import StreamingResponse
 
 from trueup.episode.role import Role
 from trueup_service.actions import find
-from trueup_service.errors import Kept
-from trueup_service.http.context import By, DigestPath, IdempotencyKey, Limit, PlantName, With
-from trueup_service.http.downloads import send_kept
+from trueup_service.actions.ingestion import plant_context
+from trueup_service.actions.move_pointer import position_document
+from trueup_service.errors import CannotBeDeleted
+from trueup_service.http.dependencies import (
+    Digest,
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    inspector_of,
+)
+from trueup_service.http.downloads import send_blob
 from trueup_service.http.guard import guarded
-from trueup_service.http.ingesting import against, ingest, inspect
-from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Episode, EpisodeContext, Page, Serving, page
-from trueup_service.http.serving_answers import document
-from trueup_service.http.uploads import received
+from trueup_service.http.openapi import already_exists
+from trueup_service.http.schemas.episodes import Episode, EpisodeContext
+from trueup_service.http.schemas.serving import Serving
+from trueup_service.http.schemas.wire import Page, page
+from trueup_service.http.uploads import ingest_response, received
 from trueup_service.inspection import Inspected
-from trueup_service.registry.store import Reader
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 router = guarded("/v1/plants/{plant}/episodes", ["episodes"])
@@ -37,79 +47,85 @@ MCAP = {
     status_code=201,
     response_model=Episode,
     summary="Upload an episode",
-    responses=there(Episode),
+    responses=already_exists(Episode),
     openapi_extra=MCAP,
 )
 async def upload(
-    request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None
+    request: Request,
+    parts: RequestParts,
+    context: RequestContext,
+    plant: PlantName,
+    key: IdempotencyKey = None,
 ) -> Response:
-    """The body is an MCAP file. It is hashed while it streams and held against `Content-Digest`
+    """The body is an MCAP file. It is hashed while it streams, and compared with `Content-Digest`
     (RFC 9530) if that is sent.
 
     All or nothing: once answered, the bytes and their audit entry are durable. The same bytes again
     are the same episode.
     """
-    held = await run_in_threadpool(against, parts, plant)
+    against = await run_in_threadpool(plant_context, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
         known = await run_in_threadpool(_known, parts, plant, file.digest)
-        inspected = known or await inspect(request, file.path, held)
-        return await run_in_threadpool(ingest, parts, stamp, plant, key, file, inspected)
+        inspected = known or await inspector_of(request).inspect(file.path, against)
+        return await run_in_threadpool(ingest_response, parts, context, plant, key, file, inspected)
 
 
 def _known(parts: Parts, plant: str, digest: str) -> Inspected | None:
-    with parts.database.read() as connection:
-        found = Reader(connection).episode(plant, digest)
+    with reading(parts.database) as tx:
+        record = tx.episodes.get(plant, digest)
     return (
         None
-        if found is None
+        if record is None
         else Inspected(
-            digest, found.role, found.start_ns, found.end_ns, found.summary, found.samples_digest
+            digest,
+            record.role,
+            record.start_ns,
+            record.end_ns,
+            record.summary,
+            record.samples_digest,
         )
     )
 
 
 @router.get("", summary="List episodes")
 def list_episodes(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     role: Role | None = None,
     after: Annotated[str, Query(max_length=64)] = "",
     limit: Limit = 100,
 ) -> Page[Episode]:
-    """In the order of their digests; `after` is the digest that the page before ended with."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.episodes(plant, role, after, limit)
-    return page(Episode, found, limit, "digest")
+    """In the order of their digests; `after` is the last digest of the page before."""
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        episodes = tx.episodes.page(plant, role, after, limit)
+    return page(Episode, episodes, limit, "digest")
 
 
 @router.get("/{digest}", summary="Get an episode with what was serving while it was recorded")
-def get_episode(parts: With, plant: PlantName, digest: DigestPath) -> EpisodeContext:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        found = find.episode(reader, plant, digest)
-        uses, served = find.uses(reader, digest), find.served_during(reader, found)
+def get_episode(parts: RequestParts, plant: PlantName, digest: Digest) -> EpisodeContext:
+    with reading(parts.database) as tx:
+        episode = find.episode(tx, plant, digest)
+        uses, served = find.uses(tx, digest), find.served_during(tx, episode)
     return EpisodeContext(
-        **Episode.model_validate(found).model_dump(),
-        served=[Serving(**document(m)) for m in served],
+        **Episode.model_validate(episode).model_dump(),
+        served=[Serving(**position_document(m)) for m in served],
         uses=uses,
     )
 
 
 @router.get("/{digest}/content", summary="Download an episode's bytes", response_class=Response)
-def download(parts: With, plant: PlantName, digest: DigestPath) -> StreamingResponse:
-    with parts.database.read() as connection:
-        found = find.episode(Reader(connection), plant, digest)
-    return send_kept(parts.blobs, digest, found.size_bytes)
+def download(parts: RequestParts, plant: PlantName, digest: Digest) -> StreamingResponse:
+    with reading(parts.database) as tx:
+        episode = find.episode(tx, plant, digest)
+    return send_blob(parts.blobs, digest, episode.size_bytes)
 
 
 @router.delete("/{digest}", summary="Refused: episodes are kept", status_code=204)
-def delete(parts: With, plant: PlantName, digest: DigestPath) -> None:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.episode(reader, plant, digest)
-        raise Kept(
+def delete(parts: RequestParts, plant: PlantName, digest: Digest) -> None:
+    with reading(parts.database) as tx:
+        find.episode(tx, plant, digest)
+        raise CannotBeDeleted(
             f"episode {digest[:12]} is kept: fits and decisions name it",
-            uses=sum(find.uses(reader, digest).values()),
+            uses=sum(find.uses(tx, digest).values()),
         )

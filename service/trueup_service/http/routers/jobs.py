@@ -1,4 +1,4 @@
-"""Jobs: fits, trials and diagnoses, run by workers, with progress and cancellation."""
+"""Routes of jobs, which workers run, with progress and cancellation."""
 
 from __future__ import annotations
 
@@ -10,13 +10,21 @@ from starlette.responses import StreamingResponse
 
 from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
-from trueup_service.actions.stamp import END_OF_TIME
 from trueup_service.actions.submit_job import SUBMIT
-from trueup_service.http.context import Before, By, IdempotencyKey, Limit, PlantName, With, create
-from trueup_service.http.downloads import send_kept
-from trueup_service.http.guard import Asking, guarded, require_seen
-from trueup_service.http.openapi import there
-from trueup_service.http.schemas import (
+from trueup_service.actor_context import END_OF_TIME
+from trueup_service.http.dependencies import (
+    BeforeTime,
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    create,
+)
+from trueup_service.http.downloads import send_blob
+from trueup_service.http.guard import CurrentPrincipal, guarded, require_visible
+from trueup_service.http.openapi import already_exists
+from trueup_service.http.schemas.jobs import (
     BlindtrialRequest,
     CalibrationRequest,
     ComparisonRequest,
@@ -26,12 +34,11 @@ from trueup_service.http.schemas import (
     Job,
     JobWithReads,
     Output,
-    Page,
     RecomputationRequest,
     ValidationRequest,
-    page,
 )
-from trueup_service.registry.store import Reader, writing
+from trueup_service.http.schemas.wire import Page, page
+from trueup_service.registry.transaction import reading, writing
 
 router = guarded("/v1", ["jobs"])
 JobId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
@@ -54,50 +61,51 @@ JobRequest = Annotated[
     status_code=201,
     response_model=Job,
     summary="Submit a fit, a trial, a diagnosis or a calibration",
-    responses=there(Job),
+    responses=already_exists(Job),
 )
 def submit(
-    parts: With, stamp: By, plant: PlantName, request: JobRequest, key: IdempotencyKey = None
+    parts: RequestParts,
+    context: RequestContext,
+    plant: PlantName,
+    request: JobRequest,
+    key: IdempotencyKey = None,
 ) -> Response:
-    """Everything that the job will read is frozen now. A fit reads adaptation episodes alone, a
-    trial held-out ones alone; a diagnosis fits the former and compares on the latter. A calibration
-    makes a monitor of what serves, on healthy episodes.
-    """
+    """Everything that the job will read is frozen now. A fit reads adaptation episodes only, and a
+    trial held-out ones only. A diagnosis fits adaptation episodes and compares on held-out ones. A
+    calibration makes a monitor of what serves, on healthy episodes."""
     chosen, job = request.model_dump(exclude={"kind"}, exclude_none=True), uuid.uuid4().hex
     act = SUBMIT[request.kind]
     parts.queue.prepare()
     frozen = {"kind": request.kind, **chosen}
     return create(
         parts,
-        stamp,
+        context,
         f"jobs/{plant}",
         key,
         frozen,
-        lambda w: (act(w, parts.queue, job, plant, chosen, stamp), True),
+        lambda w: (act(w, parts.queue, job, plant, chosen, context), True),
         Job,
     )
 
 
 @router.get("/plants/{plant}/jobs", summary="List jobs, the newest first")
 def list_jobs(
-    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+    parts: RequestParts, plant: PlantName, before: BeforeTime = END_OF_TIME, limit: Limit = 100
 ) -> Page[Job]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.jobs(plant, before, limit)
-    return page(Job, found, limit, "created_at")
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        jobs = tx.jobs.page(plant, before, limit)
+    return page(Job, jobs, limit, "created_at")
 
 
 @router.get("/jobs/{job}", summary="Get a job with its progress and what it has read")
-def get_job(parts: With, who: Asking, job: JobId) -> JobWithReads:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        found = find.job(reader, job)
-        require_seen(parts.database, who, found.plant, find.missing("job", job))
-        outputs = [Output.model_validate(o) for o in reader.outputs(job)]
+def get_job(parts: RequestParts, principal: CurrentPrincipal, job: JobId) -> JobWithReads:
+    with reading(parts.database) as tx:
+        record = find.job(tx, job)
+        require_visible(parts.database, principal, record.plant, find.not_found("job", job))
+        outputs = [Output.model_validate(o) for o in tx.outputs.of_job(job)]
         return JobWithReads(
-            **Job.model_validate(found).model_dump(), reads=reader.job_reads(job), outputs=outputs
+            **Job.model_validate(record).model_dump(), reads=tx.jobs.reads(job), outputs=outputs
         )
 
 
@@ -106,26 +114,31 @@ def get_job(parts: With, who: Asking, job: JobId) -> JobWithReads:
     summary="Download a file that a job left behind",
     response_class=Response,
 )
-def get_output(parts: With, who: Asking, job: JobId, name: OutputName) -> StreamingResponse:
+def get_output(
+    parts: RequestParts, principal: CurrentPrincipal, job: JobId, name: OutputName
+) -> StreamingResponse:
     """A diagnosis leaves `figures.json`, the numbers behind its pictures, and `next_experiment.csv`
-    where there is one."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        require_seen(parts.database, who, find.job(reader, job).plant, find.missing("job", job))
-        found = find.output(reader, job, name)
-    named = f'attachment; filename="{found.name}"'
-    return send_kept(
-        parts.blobs, found.digest, found.size_bytes, found.media_type, Content_Disposition=named
+    where it proposes one."""
+    with reading(parts.database) as tx:
+        require_visible(
+            parts.database, principal, find.job(tx, job).plant, find.not_found("job", job)
+        )
+        output = find.output(tx, job, name)
+    named = f'attachment; filename="{output.name}"'
+    return send_blob(
+        parts.blobs, output.digest, output.size_bytes, output.media_type, Content_Disposition=named
     )
 
 
 @router.post("/jobs/{job}/cancel", summary="Cancel a job")
-def cancel(parts: With, stamp: By, who: Asking, job: JobId) -> Job:
-    """A waiting job is cancelled at once, a running one at its next report of progress; a finished
-    one stays as it is."""
-    with parts.database.read() as connection:
-        require_seen(
-            parts.database, who, find.job(Reader(connection), job).plant, find.missing("job", job)
+def cancel(
+    parts: RequestParts, context: RequestContext, principal: CurrentPrincipal, job: JobId
+) -> Job:
+    """A waiting job is cancelled at once, and a running one at its next report of progress. A
+    finished job stays as it is."""
+    with reading(parts.database) as tx:
+        require_visible(
+            parts.database, principal, find.job(tx, job).plant, find.not_found("job", job)
         )
-    with writing(parts.database) as writer:
-        return Job.model_validate(cancel_job(writer, job, stamp))
+    with writing(parts.database) as tx:
+        return Job.model_validate(cancel_job(tx, job, context))

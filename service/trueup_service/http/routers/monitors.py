@@ -1,4 +1,4 @@
-"""Monitors: what watches a plant, what it saw, and its alarms."""
+"""Routes of monitors, what they saw, and alarms."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from fastapi import Path, Query
 
 from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm
-from trueup_service.actions.stamp import END_OF_TIME
-from trueup_service.http.context import (
-    Before,
-    By,
-    DigestPath,
+from trueup_service.actions.idempotency import run_once
+from trueup_service.actor_context import END_OF_TIME
+from trueup_service.http.dependencies import (
+    BeforeTime,
+    Digest,
     IdempotencyKey,
     Limit,
     PlantName,
-    With,
-    run_once,
+    RequestContext,
+    RequestParts,
 )
 from trueup_service.http.guard import guarded
-from trueup_service.http.schemas import Alarm, Closing, Monitor, MonitorState, Page, Watch, page
-from trueup_service.registry.store import Reader
+from trueup_service.http.schemas.monitors import Alarm, Closing, Monitor, MonitorState, Watch
+from trueup_service.http.schemas.wire import Page, page
+from trueup_service.registry.transaction import reading
 
 router = guarded("/v1/plants/{plant}", ["monitors"])
 AlarmId = Annotated[str, Path(pattern=r"^[0-9a-f]{32}$")]
@@ -32,15 +33,14 @@ CALIBRATE = (
 
 
 @router.get("/monitor", summary="Whether the model that serves is watched")
-def state(parts: With, plant: PlantName) -> MonitorState:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
+def state(parts: RequestParts, plant: PlantName) -> MonitorState:
+    with reading(parts.database) as tx:
         serving, watching, alarm = (
-            find.serving(reader, plant).artifact,
-            reader.watching(plant),
-            reader.open_alarm(plant),
+            find.serving(tx, plant).artifact,
+            tx.watches.current(plant),
+            tx.alarms.open(plant),
         )
-        monitor = None if watching is None else reader.monitor(plant, watching.monitor)
+        monitor = None if watching is None else tx.monitors.get(plant, watching.monitor)
     watches = monitor is not None and monitor.artifact == serving
     hint = (
         ""
@@ -60,71 +60,68 @@ def state(parts: With, plant: PlantName) -> MonitorState:
 
 @router.get("/monitors", summary="List monitors, the newest first")
 def list_monitors(
-    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+    parts: RequestParts, plant: PlantName, before: BeforeTime = END_OF_TIME, limit: Limit = 100
 ) -> Page[Monitor]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.monitors(plant, before, limit)
-    return page(Monitor, found, limit, "created_at")
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        monitors = tx.monitors.page(plant, before, limit)
+    return page(Monitor, monitors, limit, "created_at")
 
 
 @router.get("/monitors/{digest}", summary="Get a monitor with its calibration")
-def get_monitor(parts: With, plant: PlantName, digest: DigestPath) -> Monitor:
-    with parts.database.read() as connection:
-        return Monitor.model_validate(find.monitor(Reader(connection), plant, digest))
+def get_monitor(parts: RequestParts, plant: PlantName, digest: Digest) -> Monitor:
+    with reading(parts.database) as tx:
+        return Monitor.model_validate(find.monitor(tx, plant, digest))
 
 
 @router.get("/monitors/{digest}/watches", summary="What a monitor saw, episode by episode")
 def list_watches(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
-    digest: DigestPath,
+    digest: Digest,
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="sequence")] = 0,
     limit: Limit = 100,
 ) -> Page[Watch]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.monitor(reader, plant, digest)
-        found = reader.watches(plant, digest, after, limit)
-    return page(Watch, found, limit, "sequence")
+    with reading(parts.database) as tx:
+        find.monitor(tx, plant, digest)
+        watches = tx.watches.page(plant, digest, after, limit)
+    return page(Watch, watches, limit, "sequence")
 
 
 @router.get("/alarms", summary="List alarms, the newest first")
 def list_alarms(
-    parts: With, plant: PlantName, before: Before = END_OF_TIME, limit: Limit = 100
+    parts: RequestParts, plant: PlantName, before: BeforeTime = END_OF_TIME, limit: Limit = 100
 ) -> Page[Alarm]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.alarms(plant, before, limit)
-    return page(Alarm, found, limit, "raised_at")
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        alarms = tx.alarms.page(plant, before, limit)
+    return page(Alarm, alarms, limit, "raised_at")
 
 
 @router.get(
     "/alarms/{alarm}", summary="Get an alarm: what changed, and the diagnosis that it opened"
 )
-def get_alarm(parts: With, plant: PlantName, alarm: AlarmId) -> Alarm:
-    with parts.database.read() as connection:
-        return Alarm.model_validate(find.alarm(Reader(connection), plant, alarm))
+def get_alarm(parts: RequestParts, plant: PlantName, alarm: AlarmId) -> Alarm:
+    with reading(parts.database) as tx:
+        return Alarm.model_validate(find.alarm(tx, plant, alarm))
 
 
 @router.post("/alarms/{alarm}/close", summary="Close an alarm, and say why")
 def close(
-    parts: With,
-    stamp: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     alarm: AlarmId,
     closing: Closing,
     key: IdempotencyKey = None,
 ) -> Alarm:
-    """The next one may then be raised."""
+    """After that the next alarm may be raised."""
     closed = run_once(
         parts,
-        stamp,
+        context,
         f"alarms/{alarm}",
         key,
         closing.model_dump(),
-        lambda w: asdict(close_alarm(w, plant, alarm, closing.because, stamp)),
+        lambda w: asdict(close_alarm(w, plant, alarm, closing.because, context)),
     )
     return Alarm(**closed)

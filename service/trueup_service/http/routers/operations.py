@@ -1,4 +1,4 @@
-"""Operations: health, readiness, metrics."""
+"""Routes of operations: health, readiness, metrics."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from trueup import __version__
 from trueup_service.errors import LogRewound
-from trueup_service.http.context import With
+from trueup_service.http.dependencies import RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.schemas import Health, Readiness
-from trueup_service.registry.store import Reader
+from trueup_service.http.schemas.wire import Health, Readiness
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 LEAST_ROOM_BYTES = 64 << 20
@@ -28,22 +28,22 @@ async def health() -> Health:
 
 
 @router.get("/readyz", summary="The service can do its work", responses={503: {"model": Readiness}})
-def ready(request: Request, parts: With, response: Response) -> Readiness:
+def ready(request: Request, parts: RequestParts, response: Response) -> Readiness:
     checks = {
         "database": _database(parts),
         "blobs": _blobs(parts),
         "spool": _spool(parts),
         "log": _log(request),
     }
-    is_ready = all(found == "ok" for found in checks.values())
+    is_ready = all(result == "ok" for result in checks.values())
     response.status_code = 200 if is_ready else 503
     return Readiness(ready=is_ready, checks=checks)
 
 
 def _database(parts: Parts) -> str:
     try:
-        with parts.database.read() as connection:
-            Reader(connection).audit_tree()
+        with reading(parts.database) as tx:
+            tx.log.tree()
     except SQLAlchemyError as error:
         return f"fails: {type(error).__name__}"
     return "ok"
@@ -68,7 +68,7 @@ def _blobs(parts: Parts) -> str:
 
 
 def _spool(parts: Parts) -> str:
-    """The disk that takes uploads and, where storage is embedded, everything."""
+    """The check of the disk that takes uploads and, with embedded storage, everything."""
     path = parts.spool / f"ready-{uuid.uuid4().hex}"
     try:
         with path.open("wb") as file:

@@ -1,4 +1,4 @@
-"""Plants: register a machine by its plant.json, list, get."""
+"""Routes of plants: register a machine by its plant.json, list, get."""
 
 from __future__ import annotations
 
@@ -8,73 +8,87 @@ from fastapi import Body, Query, Response
 
 from trueup_service.actions import find
 from trueup_service.errors import Forbidden
-from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
-from trueup_service.http.guard import Asking, guarded
-from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Page, Plant, page
-from trueup_service.registry.store import Reader
+from trueup_service.http.dependencies import (
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    create,
+)
+from trueup_service.http.guard import CurrentPrincipal, guarded
+from trueup_service.http.openapi import already_exists
+from trueup_service.http.schemas.episodes import Plant
+from trueup_service.http.schemas.wire import Page, page
+from trueup_service.registry.transaction import reading
 
 router = guarded("/v1/plants", ["plants"])
 
 
 @router.post(
-    "", status_code=201, response_model=Plant, summary="Register a plant", responses=there(Plant)
+    "",
+    status_code=201,
+    response_model=Plant,
+    summary="Register a plant",
+    responses=already_exists(Plant),
 )
 def register(
-    parts: With,
-    stamp: By,
-    who: Asking,
+    parts: RequestParts,
+    context: RequestContext,
+    principal: CurrentPrincipal,
     document: Annotated[dict[str, Any], Body(description="plant.json")],
     project: Annotated[
         str | None, Query(max_length=63, description="default: the token's own")
     ] = None,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Its declared model becomes version 1 and serves at generation 1. The same description again
-    answers 200.
+    """The declared model becomes version 1 and serves at generation 1. The same description again
+    responds 200.
 
-    Names are unique over all projects: one that another project has is refused, and nothing more is
-    said of it.
+    Names are unique over all projects. A name that another project has is refused without further
+    information.
     """
     from trueup_service.actions.register_plant import register_plant  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
-    if who.plant is not None:
+    if principal.plant is not None:
         raise Forbidden(
-            f"the token is of plant {who.plant!r} alone",
+            f"the token is of plant {principal.plant!r} alone",
             hint="Ask an admin for a token of the project.",
         )
-    if who.project is not None and project not in (None, who.project):
-        raise find.missing("project", str(project))
-    of = who.project or project
+    if principal.project is not None and project not in (None, principal.project):
+        raise find.not_found("project", str(project))
+    of = principal.project or project
     return create(
         parts,
-        stamp,
+        context,
         "plants",
         key,
         document,
-        lambda w: register_plant(w, document, stamp, of),
+        lambda tx: register_plant(tx, document, context, of),
         Plant,
     )
 
 
 @router.get("", summary="List plants by name")
 def list_plants(
-    parts: With, who: Asking, after: Annotated[str, Query(max_length=63)] = "", limit: Limit = 100
+    parts: RequestParts,
+    principal: CurrentPrincipal,
+    after: Annotated[str, Query(max_length=63)] = "",
+    limit: Limit = 100,
 ) -> Page[Plant]:
-    """Those that the token sees."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        if who.plant is not None:
+    """The plants that the token sees."""
+    with reading(parts.database) as tx:
+        if principal.plant is not None:
             return Page(
-                items=[Plant.model_validate(find.plant(reader, who.plant))]
-                if who.plant > after
+                items=[Plant.model_validate(find.plant(tx, principal.plant))]
+                if principal.plant > after
                 else []
             )
-        found = reader.plants(after, limit, who.project)
-    return page(Plant, found, limit, "name")
+        plants = tx.plants.page(after, limit, principal.project)
+    return page(Plant, plants, limit, "name")
 
 
 @router.get("/{plant}", summary="Get a plant")
-def get_plant(parts: With, plant: PlantName) -> Plant:
-    with parts.database.read() as connection:
-        return Plant.model_validate(find.plant(Reader(connection), plant))
+def get_plant(parts: RequestParts, plant: PlantName) -> Plant:
+    with reading(parts.database) as tx:
+        return Plant.model_validate(find.plant(tx, plant))

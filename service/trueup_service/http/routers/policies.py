@@ -1,4 +1,4 @@
-"""Update policies: what may happen to a plant's model without a person."""
+"""Routes of update policies: what may happen to a plant's model without a person."""
 
 from __future__ import annotations
 
@@ -9,12 +9,20 @@ from fastapi import Body, Query, Response
 from trueup_service.actions import find
 from trueup_service.actions.declare_policy import declare_policy
 from trueup_service.errors import NotFound
-from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With, create
-from trueup_service.http.guard import Asking, guarded
-from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Page, Policy, page
+from trueup_service.http.dependencies import (
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    create,
+)
+from trueup_service.http.guard import CurrentPrincipal, guarded
+from trueup_service.http.openapi import already_exists
+from trueup_service.http.schemas.decisions import Policy
+from trueup_service.http.schemas.wire import Page, page
 from trueup_service.registry.records import PolicyRecord, Role
-from trueup_service.registry.store import Reader, Writer
+from trueup_service.registry.transaction import Transaction, reading
 
 router = guarded("/v1/plants/{plant}", ["policies"])
 
@@ -24,12 +32,12 @@ router = guarded("/v1/plants/{plant}", ["policies"])
     status_code=201,
     response_model=Policy,
     summary="Declare an update policy",
-    responses=there(Policy),
+    responses=already_exists(Policy),
 )
 def declare(
-    parts: With,
-    stamp: By,
-    who: Asking,
+    parts: RequestParts,
+    context: RequestContext,
+    principal: CurrentPrincipal,
     plant: PlantName,
     document: Annotated[
         dict[str, Any],
@@ -37,40 +45,38 @@ def declare(
     ],
     key: IdempotencyKey = None,
 ) -> Response:
-    """It holds from now on; the ones before it stay on record. That promotions take fewer people
-    than before, an admin alone can say."""
+    """The policy is in force from now on, and earlier ones stay on record. Only an admin may let
+    promotions take fewer people than before."""
 
-    def act(writer: Writer) -> tuple[PolicyRecord, bool]:
-        return declare_policy(writer, plant, document, stamp, by_admin=Role.ADMIN in who.roles)
+    def act(tx: Transaction) -> tuple[PolicyRecord, bool]:
+        return declare_policy(tx, plant, document, context, by_admin=Role.ADMIN in principal.roles)
 
-    return create(parts, stamp, f"policies/{plant}", key, document, act, Policy)
+    return create(parts, context, f"policies/{plant}", key, document, act, Policy)
 
 
 @router.get("/policies", summary="List the policies that held, in order")
 def list_policies(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="sequence")] = 0,
     limit: Limit = 100,
 ) -> Page[Policy]:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.policies(plant, after, limit)
-    return page(Policy, found, limit, "sequence")
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        policies = tx.policies.page(plant, after, limit)
+    return page(Policy, policies, limit, "sequence")
 
 
 @router.get("/policy", summary="Get the policy that holds")
-def get_policy(parts: With, plant: PlantName) -> Policy:
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
-        found = reader.policy(plant)
-    if found is None:
+def get_policy(parts: RequestParts, plant: PlantName) -> Policy:
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
+        policy = tx.policies.in_force(plant)
+    if policy is None:
         raise NotFound(
             f"plant {plant!r} has no policy",
             noun="policy",
             name=plant,
             hint="Declare one; until then every step is a person's.",
         )
-    return Policy.model_validate(found)
+    return Policy.model_validate(policy)

@@ -1,4 +1,4 @@
-"""Serving: which version answers for a plant, its history, promotion and rollback."""
+"""Routes of serving: which version serves a plant, its history, promotion and rollback."""
 
 from __future__ import annotations
 
@@ -9,15 +9,21 @@ from fastapi import Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from trueup.canonical import Json
-from trueup_service.actions import find
-from trueup_service.actions.stamp import time_text
-from trueup_service.http.context import By, IdempotencyKey, Limit, PlantName, With
+from trueup_service.actions import find, promotion
+from trueup_service.actions.move_pointer import position_document
+from trueup_service.actor_context import time_text
+from trueup_service.http.dependencies import (
+    IdempotencyKey,
+    Limit,
+    PlantName,
+    RequestContext,
+    RequestParts,
+)
 from trueup_service.http.guard import guarded
-from trueup_service.http.moving import promote_tested, roll_back_tested
 from trueup_service.http.polling import ASKED, PLANT, UNCHANGED, polled
-from trueup_service.http.schemas import Envelope, Page, Promotion, Rollback, Serving
-from trueup_service.http.serving_answers import document
-from trueup_service.registry.store import Reader
+from trueup_service.http.schemas.serving import Promotion, Rollback, Serving
+from trueup_service.http.schemas.wire import Envelope, Page
+from trueup_service.registry.transaction import reading
 from trueup_service.signed_log import SignedLog
 
 router = guarded("/v1/plants/{plant}/serving", ["serving"])
@@ -39,24 +45,22 @@ AtTime = Annotated[
     openapi_extra={"parameters": [PLANT, *ASKED]},
 )
 async def now(request: Request) -> Response:
-    """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` it answers at
-    the next move, or 304."""
+    """Never older than the last acknowledged move. With `If-None-Match` and `wait_s` the response
+    comes at the next move, or is 304."""
     return await polled(request, request.path_params["plant"])
 
 
 @router.get("/envelope", summary="What is serving now, signed for a robot")
-def envelope(request: Request, parts: With, plant: PlantName) -> Envelope:
-    """A DSSE envelope: artifact, generation (which only grows), decision, expiry, the artifact that
-    served before as the fallback, and the log's checkpoint, so that every robot is a witness of the
-    log.
-    """
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        move = find.serving(reader, plant)
-        back = None if move.back_to is None else reader.move(plant, move.back_to)
+def envelope(request: Request, parts: RequestParts, plant: PlantName) -> Envelope:
+    """A DSSE envelope with artifact, generation (which only grows), decision, expiry, the artifact
+    that served before as the fallback, and the log's checkpoint, which makes every robot a witness
+    of the log."""
+    with reading(parts.database) as tx:
+        move = find.serving(tx, plant)
+        back = None if move.back_to is None else tx.serving.at_generation(plant, move.back_to)
     log: SignedLog = request.app.state.log
     issued = datetime.now(UTC)
-    told: dict[str, Json] = {
+    statement: dict[str, Json] = {
         "schema": ENVELOPE_SCHEMA,
         "plant": plant,
         "artifact": move.artifact,
@@ -68,28 +72,27 @@ def envelope(request: Request, parts: With, plant: PlantName) -> Envelope:
         "expires_at": time_text(issued + timedelta(seconds=parts.settings.serving_lease_s)),
         "checkpoint": log.checkpoint(),
     }
-    return Envelope(**log.envelope(ENVELOPE_TYPE, told))
+    return Envelope(**log.envelope(ENVELOPE_TYPE, statement))
 
 
 @router.get("/history", summary="What served when")
 def history(
-    parts: With,
+    parts: RequestParts,
     plant: PlantName,
     at: AtTime = None,
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="generation")] = 0,
     limit: Limit = 100,
 ) -> Page[Serving]:
-    """Every position of the pointer in order, or with `at` the one that was live at that time."""
-    with parts.database.read() as connection:
-        reader = Reader(connection)
-        find.plant_digest(reader, plant)
+    """Every position of the pointer in order, or with `at` the one at that time."""
+    with reading(parts.database) as tx:
+        find.plant_digest(tx, plant)
         if at is not None:
-            live = reader.served_at(plant, _padded(at))
-            return Page(items=[Serving(**document(live))] if live else [])
-        found = reader.moves(plant, after, limit)
+            live = tx.serving.at_time(plant, _padded(at))
+            return Page(items=[Serving(**position_document(live))] if live else [])
+        moves = tx.serving.history(plant, after, limit)
     return Page(
-        items=[Serving(**document(m)) for m in found],
-        next=str(found[-1].generation) if len(found) == limit else None,
+        items=[Serving(**position_document(m)) for m in moves],
+        next=str(moves[-1].generation) if len(moves) == limit else None,
     )
 
 
@@ -101,16 +104,16 @@ def _padded(at: str) -> str:
 @router.post("/promote", summary="Serve an accepted candidate")
 async def promote(
     request: Request,
-    parts: With,
-    stamp: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
-    promotion: Promotion,
+    wanted: Promotion,
     key: IdempotencyKey = None,
 ) -> Serving:
-    """Compare and swap: 409 if the pointer is elsewhere, the decision was judged at another one, or
-    others must approve."""
+    """Compare and swap: 409 if the pointer is at another generation, the decision was judged at
+    another one, or approvals are missing."""
     moved = await run_in_threadpool(
-        promote_tested, parts, stamp, plant, promotion.decision, promotion.expected_generation, key
+        promotion.promote, parts, context, plant, wanted.decision, wanted.expected_generation, key
     )
     request.app.state.answers.wake()
     return Serving(**moved)
@@ -119,16 +122,16 @@ async def promote(
 @router.post("/rollback", summary="Serve what served before")
 async def rollback(
     request: Request,
-    parts: With,
-    stamp: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
     wanted: Rollback,
     key: IdempotencyKey = None,
 ) -> Serving:
-    """Only after the switchback test: the artifact loads, its digests hold, it answers its recorded
-    probe, it fits the plant."""
+    """The pointer moves after the switchback test: the artifact loads, its digests hold, it answers
+    its recorded probe, and it fits the plant."""
     moved = await run_in_threadpool(
-        roll_back_tested, parts, stamp, plant, wanted.expected_generation, key
+        promotion.roll_back, parts, context, plant, wanted.expected_generation, key
     )
     request.app.state.answers.wake()
     return Serving(**moved)

@@ -1,17 +1,23 @@
-"""Telemetry: live batches of samples, each an episode that is watched and nothing else."""
+"""The route of telemetry: live batches of samples, each an episode that is only watched."""
 
 from __future__ import annotations
 
 from fastapi import Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from trueup_service.http.context import By, IdempotencyKey, PlantName, With
+from trueup_service.actions.ingestion import ReceivedFile, plant_context
+from trueup_service.http.dependencies import (
+    IdempotencyKey,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    inspector_of,
+)
 from trueup_service.http.guard import guarded
-from trueup_service.http.ingesting import against, ingest, inspect
-from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Episode
-from trueup_service.http.uploads import Received, received
-from trueup_service.inspection import as_mcap
+from trueup_service.http.openapi import already_exists
+from trueup_service.http.schemas.episodes import Episode
+from trueup_service.http.uploads import ingest_response, received
+from trueup_service.inspection import mcap_path
 
 router = guarded("/v1/plants/{plant}/telemetry", ["episodes"])
 NUMBERS = {"type": "array", "items": {"type": "number"}, "minItems": 2}
@@ -51,24 +57,30 @@ BATCH = {
     status_code=201,
     response_model=Episode,
     summary="Send a batch of samples",
-    responses=there(Episode),
+    responses=already_exists(Episode),
     openapi_extra=BATCH,
 )
 async def send(
-    request: Request, parts: With, stamp: By, plant: PlantName, key: IdempotencyKey = None
+    request: Request,
+    parts: RequestParts,
+    context: RequestContext,
+    plant: PlantName,
+    key: IdempotencyKey = None,
 ) -> Response:
-    """The batch becomes an episode of the role telemetry, or reference: durable once answered, and
-    shown to the plant's monitor.
+    """The batch becomes an episode of the role telemetry or reference. It is durable once answered,
+    and shown to the plant's monitor.
 
     Residuals begin anew with each batch, so a batch should be several horizons long. The same batch
     again is the same episode.
     """
-    held = await run_in_threadpool(against, parts, plant)
+    against = await run_in_threadpool(plant_context, parts, plant)
     async with received(request, parts.spool, parts.settings.upload_limit_bytes) as file:
-        path = as_mcap(file.path)
+        path = mcap_path(file.path)
         try:
-            inspected = await inspect(request, file.path, held, telemetry=True)
-            episode = Received(path, inspected.digest, path.stat().st_size)
-            return await run_in_threadpool(ingest, parts, stamp, plant, key, episode, inspected)
+            inspected = await inspector_of(request).inspect(file.path, against, telemetry=True)
+            episode = ReceivedFile(path, inspected.digest, path.stat().st_size)
+            return await run_in_threadpool(
+                ingest_response, parts, context, plant, key, episode, inspected
+            )
         finally:
             path.unlink(missing_ok=True)

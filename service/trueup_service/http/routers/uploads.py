@@ -1,5 +1,5 @@
-"""Uploads in parts, for long recordings over lines that break: ask how far it came, go on from
-there, finish."""
+"""Routes of uploads in parts, for long recordings over unreliable connections: ask for the offset,
+go on from there, finish."""
 
 from __future__ import annotations
 
@@ -12,15 +12,22 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect
 
 from trueup.errors import BadEpisode
-from trueup_service.actions.stamp import Stamp
+from trueup_service.actions.ingestion import ReceivedFile, known_episode, plant_context
+from trueup_service.actor_context import ActorContext
 from trueup_service.errors import DigestMismatch, NotFound
-from trueup_service.http.context import By, DigestPath, IdempotencyKey, PlantName, With
+from trueup_service.http.dependencies import (
+    Digest,
+    IdempotencyKey,
+    PlantName,
+    RequestContext,
+    RequestParts,
+    inspector_of,
+)
 from trueup_service.http.guard import guarded
-from trueup_service.http.ingesting import against, ingest, inspect, known_episode
-from trueup_service.http.openapi import there
-from trueup_service.http.schemas import Episode, Upload
-from trueup_service.http.uploads import Received
-from trueup_service.inspection import Against
+from trueup_service.http.openapi import already_exists
+from trueup_service.http.schemas.episodes import Episode, Upload
+from trueup_service.http.uploads import ingest_response
+from trueup_service.inspection import PlantContext
 from trueup_service.partial_uploads import PartialUploads, Quota, digest_of_file
 from trueup_service.wiring import Parts
 
@@ -31,7 +38,7 @@ PART = {
         "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
     }
 }
-SILENCE_S = 60.0  # of a line that neither sends nor breaks
+SILENCE_S = 60.0  # after which a connection that neither sends nor breaks is given up [s]
 Offset = Annotated[
     int,
     Header(
@@ -43,8 +50,8 @@ Offset = Annotated[
 
 
 @router.get("", summary="How far an upload came")
-def offset(parts: With, plant: PlantName, digest: DigestPath) -> Upload:
-    """Zero where nothing came yet, at this server."""
+def offset(parts: RequestParts, plant: PlantName, digest: Digest) -> Upload:
+    """Zero where this server has no part of the upload."""
     return Upload(
         digest=digest, offset_bytes=PartialUploads(parts.settings.data_dir).offset(plant, digest)
     )
@@ -52,11 +59,11 @@ def offset(parts: With, plant: PlantName, digest: DigestPath) -> Upload:
 
 @router.patch("", summary="Send a part of an upload", openapi_extra=PART)
 async def append(
-    request: Request, parts: With, plant: PlantName, digest: DigestPath, at: Offset
+    request: Request, parts: RequestParts, plant: PlantName, digest: Digest, at: Offset
 ) -> Upload:
-    """What is answered is durable. Where the connection breaks, what came is kept; 409 says where
-    to go on."""
-    await run_in_threadpool(against, parts, plant)
+    """What is answered is durable. Where the connection breaks, the received bytes are kept. 409
+    tells the offset at which to go on."""
+    await run_in_threadpool(plant_context, parts, plant)  # raises NotFound for an unknown plant
     uploads = PartialUploads(parts.settings.data_dir)
     quota = Quota(parts.settings.uploads_under_way, parts.settings.uploads_under_way_bytes)
     here = await uploads.append(
@@ -66,7 +73,7 @@ async def append(
 
 
 async def _until_it_breaks(request: Request) -> AsyncIterator[bytes]:
-    """The body, until the connection breaks or falls silent."""
+    """Yields the body, until the connection breaks or falls silent."""
     parts = request.stream()
     while True:
         try:
@@ -81,25 +88,24 @@ async def _until_it_breaks(request: Request) -> AsyncIterator[bytes]:
     status_code=201,
     response_model=Episode,
     summary="Make an upload an episode",
-    responses=there(Episode),
+    responses=already_exists(Episode),
 )
 async def finish(
     request: Request,
-    parts: With,
-    stamp: By,
+    parts: RequestParts,
+    context: RequestContext,
     plant: PlantName,
-    digest: DigestPath,
+    digest: Digest,
     key: IdempotencyKey = None,
 ) -> Response:
-    """Its bytes must have the digest; then it is as if it had come at once. What is no episode, or
-    other bytes, is dropped; where the service itself fails, the upload stays, and can be finished
-    again.
-    """
+    """The bytes must have the digest of the path; then it is as if they had come at once. What is
+    not an episode, or has another digest, is dropped. Where the service itself fails, the upload
+    stays and can be finished again."""
     uploads = PartialUploads(parts.settings.data_dir)
-    held = await run_in_threadpool(against, parts, plant)
+    against = await run_in_threadpool(plant_context, parts, plant)
     try:
         with uploads.alone(plant, digest):
-            answer = await _finished(request, parts, stamp, plant, digest, key, held)
+            answer = await _finished(request, parts, context, plant, digest, key, against)
             uploads.drop(plant, digest)
             return answer
     except FileNotFoundError as error:
@@ -117,24 +123,30 @@ async def finish(
 async def _finished(
     request: Request,
     parts: Parts,
-    stamp: Stamp,
+    context: ActorContext,
     plant: str,
     digest: str,
     key: str | None,
-    held: Against,
+    against: PlantContext,
 ) -> Response:
     uploads = PartialUploads(parts.settings.data_dir)
     path = uploads.path(plant, digest)
     try:
-        found = await run_in_threadpool(digest_of_file, path)
-        if found != digest:
+        received = await run_in_threadpool(digest_of_file, path)
+        if received != digest:
             raise DigestMismatch(
-                "the parts together are not what the path names", expected=digest, found=found
+                "the parts together are not what the path names", expected=digest, found=received
             )
-        inspected = await inspect(request, path, held)
+        inspected = await inspector_of(request).inspect(path, against)
     except (DigestMismatch, BadEpisode):
         uploads.drop(plant, digest)
         raise
     return await run_in_threadpool(
-        ingest, parts, stamp, plant, key, Received(path, digest, path.stat().st_size), inspected
+        ingest_response,
+        parts,
+        context,
+        plant,
+        key,
+        ReceivedFile(path, digest, path.stat().st_size),
+        inspected,
     )

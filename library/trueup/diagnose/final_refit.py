@@ -1,0 +1,103 @@
+"""Final refit: the answer fitted once more on every sample and on finer steps, so that integration
+leaves no mark on its estimates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.problem_setup import Recordings, in_pieces
+from trueup.diagnose.search_problem import SearchProblem
+from trueup.diagnose.tuning import SEARCH
+from trueup.diagnose.windowed_fits import WindowedFits, remembering
+from trueup.fit.rollout_fit import RolloutFit
+from trueup.model.series import Scheme, series
+
+
+@dataclass(frozen=True)
+class FinalRefit:
+    """The answer as it was fitted last, its scheme of integration, and the `other` fit of the same
+    composition, on other steps."""
+
+    answer: Candidate
+    scheme: Scheme
+    other: RolloutFit
+
+
+def final_refit(recordings: Recordings, problem: SearchProblem, best: Candidate) -> FinalRefit:
+    """The final refit of a search's best composition.
+
+    Where its cost on whole windows is so rough that no minimum can be proven, on shorter ones, in
+    which errors grow less. A machine's windows are those of its predictions: there the search's own
+    fit does, where it is proven, or where it predicts better.
+    """
+    scheme, strategy = problem.scheme, problem.strategy
+    if scheme.alpha == 0.0 and not strategy.physical:
+        return FinalRefit(best, scheme, best.fit)
+    finer = scheme
+    if scheme.alpha and strategy.exact:
+        finer = Scheme(scheme.alpha, SEARCH.finer_steps * scheme.parts)
+    shortens = not strategy.robot and not strategy.physical
+    refits: list[Candidate] = []
+    for part in SEARCH.shortened if shortens else SEARCH.shortened[:1]:
+        last = _last_windows(recordings, problem, finer, problem.fits.length_s * part)
+        refit = _refit(last, problem, best)
+        # from where the log says, or from where fits best
+        before = last.candidate(best.fit) if strategy.physical else best
+        limit = SEARCH.went_astray * before.reduced_chi_square
+        if refit is not None and refit.reduced_chi_square < limit:
+            refits.append(refit)
+        if refits and refits[-1].fit.proven:
+            break
+    proven = [c for c in (*refits, best) if c.fit.proven]
+    fair = [
+        c
+        for c in refits
+        if not strategy.physical or c.reduced_chi_square < before.reduced_chi_square
+    ]
+    answer = [*proven, *fair, best][0]
+    other = refits[0].fit if refits and answer is best else best.fit
+    return FinalRefit(answer, scheme if answer is best else finer, other)
+
+
+def _last_windows(
+    recordings: Recordings, problem: SearchProblem, scheme: Scheme, length_s: float
+) -> WindowedFits:
+    """Every sample in windows of a length [s] under a scheme.
+
+    On a machine the windows start where the log says: what no law explains must not hide in their
+    starts.
+    """
+    plant, strategy = recordings.plant, problem.strategy
+    in_parts = strategy.in_pieces and strategy.exact
+    return WindowedFits(
+        problem.fitter.holding() if strategy.physical else problem.fitter,
+        strategy,
+        [series(plant, e, scheme, length_s) for e in recordings.adaptation],
+        [series(plant, e, scheme, length_s) for e in recordings.validation],
+        length_s,
+        in_pieces(plant, recordings.every, scheme, length_s) if in_parts else {},
+    )
+
+
+def _refit(last: WindowedFits, problem: SearchProblem, best: Candidate) -> Candidate | None:
+    """The answer of a problem taken to its minimum on the last windows; None where it runs away
+    there."""
+    if last.pieces:
+        starts = last.placed(last.adaptation, best.fit)
+    else:
+        starts = remembering(last.adaptation, best.fit)
+    fit = last.fitter.fit(
+        last.adaptation,
+        best.hypothesis,
+        best.fit.values,
+        starts,
+        iterations=SEARCH.converge_iterations,
+        tolerance=1e-7 if problem.strategy.exact else 1e-4,
+        fixed=problem.fits.resting(best.fit.values, best.hypothesis.effects),
+    )
+    if not np.isfinite(fit.cost):
+        return None
+    return last.converged(fit if last.fitter.held else last.pruned(fit))

@@ -1,0 +1,267 @@
+"""Problem setup: from a plant and its episodes to what is searched.
+
+    Recordings      the plant with its episodes by role, and how they are judged
+    Setup           the recordings with the quality of their data and one scheme of integration
+    WindowedFits    the setup's episodes in windows, and the nominal form refitted on them
+    SearchProblem   that with everything that a search of terms needs
+
+Each is whole when it exists. A setup says how a problem is made again elsewhere, from the windows'
+length and the refitted nominal form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from trueup.diagnose.candidate import Candidate
+from trueup.diagnose.data_quality import DataQuality
+from trueup.diagnose.model_selection import SelectionCriteria, selection_criteria
+from trueup.diagnose.search_problem import SearchProblem
+from trueup.diagnose.spatial_periods import spatial_periods
+from trueup.diagnose.strategy import Strategy, strategy_for
+from trueup.diagnose.tuning import SETUP
+from trueup.diagnose.windowed_fits import WindowedFits
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
+from trueup.errors import NotIdentifiable
+from trueup.fit.base_parameters import directions
+from trueup.fit.fitter import Fitter
+from trueup.fit.identify import identify
+from trueup.fit.rollout_fit import RolloutFit
+from trueup.model.block import joint, kind, term
+from trueup.model.effect import Port, effects
+from trueup.model.plant import Plant
+from trueup.model.rounding import GUESS_BITS, rounded
+from trueup.model.series import Scheme, Series, series
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """A plant with the episodes that are fitted and those that compare, each in the order of their
+    digests: however they were handed in, the report is the same."""
+
+    plant: Plant
+    adaptation: Sequence[Episode]
+    validation: Sequence[Episode]
+
+    @staticmethod
+    def of(plant: Plant, episodes: Sequence[Episode]) -> Recordings:
+        """Episodes by role. Raises NotIdentifiable without a validation episode."""
+        ordered = sorted(episodes, key=lambda e: e.digest)
+        adaptation = [e for e in ordered if e.role is Role.ADAPTATION]
+        validation = [e for e in ordered if e.role is Role.VALIDATION]
+        if not validation:
+            raise NotIdentifiable(
+                "there is no validation episode to compare on",
+                hint="Give at least one episode the role validation.",
+            )
+        return Recordings(plant, adaptation, validation)
+
+    @property
+    def every(self) -> list[Episode]:
+        """All of them, those that are fitted first."""
+        return [*self.adaptation, *self.validation]
+
+    @cached_property
+    def criteria(self) -> SelectionCriteria:
+        """How exact a law may be expected to be on these episodes."""
+        return selection_criteria(self.plant, self.every)
+
+    @cached_property
+    def strategy(self) -> Strategy:
+        """How the plant is diagnosed."""
+        return strategy_for(self.plant, self.criteria)
+
+    @cached_property
+    def terms(self) -> list[str]:
+        """Terms that are found by fitting the plant."""
+        return searchable([bool(c >= 0) for c in self.plant.command_columns])
+
+    @property
+    def window_s(self) -> float:
+        """Length of the windows that are fitted [s]: the horizon of evaluation on a machine, whose
+        disturbances no model foresees, and of a robot, which soon goes its own way; else some
+        seconds at least."""
+        horizon_s = self.plant.horizon_s
+        if not self.strategy.horizon_windows:
+            horizon_s = max(SETUP.window_s, horizon_s)
+        return min(horizon_s, *(float(e.t_s[-1]) for e in self.every))
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Recordings with the quality of their data, under one scheme of integration."""
+
+    recordings: Recordings
+    quality: DataQuality
+    scheme: Scheme
+
+    @cached_property
+    def episodes(self) -> tuple[Sequence[Episode], Sequence[Episode]]:
+        """The episodes that are fitted and those that compare, thinned under a scheme whose steps
+        need not be the log's."""
+        adaptation, validation = self.recordings.adaptation, self.recordings.validation
+        if not self.scheme.alpha:
+            return adaptation, validation
+        every = thinning(self.quality, adaptation)
+        return [thinned(e, every) for e in adaptation], [thinned(e, every) for e in validation]
+
+    def problem(self, parts: int) -> tuple[SearchProblem, Candidate]:
+        """The search problem, and the nominal form refitted, on windows of which so many `parts`
+        make one of full length, or more where the nominal form runs away."""
+        length_s = self.recordings.window_s / parts
+        guesses = self._nominal_guesses()
+        for part_s in length_s / 2.0 ** np.arange(SETUP.halvings + 1):
+            fits = self.windowed_fits(float(part_s))
+            base = fits.fit_nominal_form(guesses)
+            if np.isfinite(base.total):
+                break
+        return self._search_problem(fits, base.fit), base
+
+    def problem_again(self, length_s: float, base: RolloutFit) -> SearchProblem:
+        """The search problem once more, from what was fitted in setting it up: the windows' length
+        [s] and the nominal form refitted."""
+        return self._search_problem(self.windowed_fits(length_s), base)
+
+    def windowed_fits(self, length_s: float) -> WindowedFits:
+        """The episodes in windows of a length [s], whose starts are found on whole windows."""
+        plant, (adaptation, validation) = self.recordings.plant, self.episodes
+        fitter = Fitter(
+            plant.form,
+            directions(plant, adaptation),
+            self.quality.scales,
+            self.quality.sigma,
+            self.quality.correlation,
+            held=self.recordings.strategy.held_starts,
+        )
+        return WindowedFits(
+            fitter,
+            self.recordings.strategy,
+            [series(plant, e, self.scheme, length_s) for e in adaptation],
+            [series(plant, e, self.scheme, length_s) for e in validation],
+            length_s,
+        )
+
+    def _nominal_guesses(self) -> list[Sequence[float]]:
+        """Parameters from which the nominal form is fitted: the declared ones, and of a robot those
+        of a regression."""
+        plant = self.recordings.plant
+        guesses: list[Sequence[float]] = [plant.parameters]
+        if self.recordings.strategy.robot:
+            identified, _ = identify(plant, self.episodes[0])
+            guesses.append(rounded(np.array(identified.parameters), GUESS_BITS))
+        return guesses
+
+    def _search_problem(self, fits: WindowedFits, base: RolloutFit) -> SearchProblem:
+        plant, (adaptation, validation) = self.recordings.plant, self.episodes
+        robot = self.recordings.strategy.robot
+        periodic = {
+            t: spatial_periods(plant, self.quality, joint(t), adaptation)
+            for t in self.recordings.terms
+            if kind(t).periodic
+        }
+        short_s, screened = SETUP.screening_window_s, adaptation
+        if robot:
+            fits = replace(
+                fits,
+                pieces=in_pieces(plant, [*adaptation, *validation], fits.scheme, fits.length_s),
+            )
+            fewest_s = SETUP.fewest_samples * max(e.period_s for e in adaptation)
+            short_s = min(short_s, max(fits.length_s / SETUP.pieces, fewest_s))
+            screened = _screening_episodes(base, adaptation, len(plant.joints))
+        else:
+            short_s = min(short_s, fits.length_s)
+        return SearchProblem(
+            fits,
+            [series(plant, e, fits.scheme, short_s) for e in screened],
+            base,
+            plant.parameters,
+            {t: guesses for t, (guesses, _) in periodic.items()},
+            [t for t, (_, part) in periodic.items() if part > SETUP.evident and robot],
+        )
+
+
+def in_pieces(
+    plant: Plant, episodes: Sequence[Episode], scheme: Scheme, length_s: float
+) -> dict[str, Series]:
+    """A robot's windows of a length [s] in pieces, in which their starts are found, by episode
+    digest."""
+    return {e.digest: series(plant, e, scheme, length_s, SETUP.pieces) for e in episodes}
+
+
+def searchable(joints: Sequence[bool] = (True,)) -> list[str]:
+    """Terms that are found by fitting, of `joints` of which each is driven or not. What acts on a
+    whole log acts at the first.
+
+    Of effects that are the same on the log of one joint, both are sought on that of several.
+    """
+    terms = []
+    for j, driven in enumerate(joints):
+        for name, effect in effects().items():
+            here = (driven or effect.port is not Port.COMMAND) and (
+                j == 0 or effect.port is not Port.TIMING
+            )
+            if here and not effect.counted and not (effect.same_as and len(joints) == 1):
+                terms.append(term(name, j))
+    return terms
+
+
+def _screening_episodes(
+    base: RolloutFit, episodes: Sequence[Episode], joints: int
+) -> list[Episode]:
+    """Where terms of a robot are screened: the episodes that the nominal form explains worst, and
+    of a long one the stretch that it explains worst."""
+    by_episode = base.by_episode
+    worst = sorted(episodes, key=lambda e: -by_episode[e.digest])[: SETUP.screening_episodes]
+    most = SETUP.screening_rows // (len(worst) * joints)
+    ends = np.cumsum([len(s.windows) for s in base.starts.values()])
+    costs = dict(zip(base.starts, np.split(base.costs, ends[:-1]), strict=True))
+    return [_costliest_stretch(e, costs[e.digest], most) for e in worst]
+
+
+def _costliest_stretch(episode: Episode, costs: np.ndarray, most: int) -> Episode:
+    """No more than so many samples of an episode that follow each other, those whose windows cost
+    most `(windows,)`."""
+    samples = len(episode.t_s)
+    if samples <= most:
+        return episode
+    many = max(1, int(len(costs) * most / samples))
+    first = int(np.argmax(np.convolve(costs, np.ones(many), "valid"))) * samples // len(costs)
+    kept = slice(min(first, samples - most), min(first, samples - most) + most)
+    return replace(
+        episode,
+        t_s=episode.t_s[kept] - episode.t_s[kept][0],
+        commands=episode.commands[kept].copy(),
+        observations=episode.observations[kept].copy(),
+        # another digest, for its hidden states begin elsewhere
+        digest=f"{episode.digest}, samples {kept.start} to {kept.stop}",
+    )
+
+
+def thinning(quality: DataQuality, episodes: Sequence[Episode]) -> int:
+    """How many samples become one, where there are many and they follow each other much faster than
+    the motion."""
+    many = sum(len(e.t_s) for e in episodes) // SETUP.enough_samples
+    crossing_s = min(s.position / s.velocity for s in quality.scales)
+    fast = int(SETUP.finest_step * crossing_s / max(e.period_s for e in episodes))
+    return max(1, min(many, fast))
+
+
+def thinned(episode: Episode, every: int) -> Episode:
+    """Each `every`-th sample of an episode, with the mean of the commands in between."""
+    if every == 1:
+        return episode
+    kept = slice(0, len(episode.t_s), every)
+    spans = np.diff(episode.t_s, append=2.0 * episode.t_s[-1] - episode.t_s[-2])[:, None]
+    starts = np.arange(0, len(episode.t_s), every)
+    commands = np.add.reduceat(episode.commands * spans, starts) / np.add.reduceat(spans, starts)
+    return replace(
+        episode,
+        t_s=episode.t_s[kept].copy(),
+        commands=commands,
+        observations=episode.observations[kept].copy(),
+    )

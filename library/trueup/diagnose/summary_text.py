@@ -1,0 +1,211 @@
+"""Summary text: a report's answer in a sentence, and the names that people read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from trueup.diagnose.tuning import EVIDENCE
+from trueup.model.clock import off_step
+
+PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
+DIGITS = 2  # of an uncertainty that are worth writing
+MOSTLY = (
+    "New numbers in the nominal form explain most of the gap; no effect of the catalogue "
+    "takes a material part of what remains"
+)
+WORDS = {
+    "no_gap": "The nominal model already predicts as well as the noise allows",
+    "parameters_only": "New numbers in the nominal form explain the gap; no effect is missing",
+    "unknown_effect": "A gap remains that no composition of the catalogue explains",
+}
+
+
+def sentence(document: Mapping[str, Any]) -> str:
+    """The answer of a report in a sentence or two."""
+    verdict, gap = document["verdict"], document["gap"]
+    if verdict == "effect":
+        text = _effects(document)
+    else:
+        text = MOSTLY if verdict == "parameters_only" and is_above_floor(gap) else WORDS[verdict]
+    if gap["closed"] is not None:
+        text += (
+            f"; held-out error falls from {short(gap['before'])} to {short(gap['after'])}, "
+            f"the noise floor is {short(gap['floor'])}"
+        )
+    others = document["indistinguishable"]
+    if others:
+        text += ". The data cannot tell this from " + ", or ".join(composition(o) for o in others)
+    return text + "."
+
+
+def _effects(document: Mapping[str, Any]) -> str:
+    """What acts, and how much of the gap it explains; new numbers first where they explain most."""
+    parts, effects = waterfall(document), document["effects"]
+    named = [_with_estimate(e) for e in effects]
+    joined = " and ".join(named)
+    if parts and parts[0]["share"] > EVIDENCE.most_of_it:
+        text = (
+            f"New numbers in the nominal form explain {percent(parts[0]['share'])} of the "
+            f"gap; what they leave is {joined.rstrip(',')}"
+        )
+    elif parts:
+        explained = sum(p["share"] for p in parts[1:] if p["effect"])
+        text = (
+            f"{joined} {'explains' if len(named) == 1 else 'explain'} {percent(explained)} "
+            "of the gap"
+        )
+        if parts[0]["share"] >= EVIDENCE.worth_naming:
+            text += f" and new numbers {percent(parts[0]['share'])}"
+    else:
+        text = joined.rstrip(",")
+    return text[0].upper() + text[1:]
+
+
+def is_above_floor(gap: Mapping[str, Any]) -> bool:
+    """Whether a report's gap has an error left that is clearly no noise."""
+    return bool(gap["after"] > EVIDENCE.clearly_above_floor * gap["floor"])
+
+
+def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The parts of the held-out squared error, the nominal model's being 1: what new numbers take,
+    each effect, what is left, the noise.
+
+    What all effects take together is measured; it is split between several as each one's removal
+    brings back. Empty where there is no gap.
+    """
+    gap = document["gap"]
+    if gap["closed"] is None or not gap["before"] > 0.0:
+        return []
+    whole = gap["before"] ** 2
+    numbers, after, floor = (
+        min(gap[name] ** 2 / whole, 1.0) for name in ("parameters_only", "after", "floor")
+    )
+    after, floor = min(after, numbers), min(floor, after)
+    parts = [{"what": "new numbers", "effect": False, "share": 1.0 - numbers}]
+    effects = document["effects"]
+    back = sum(e["share"] for e in effects)
+    for e in effects:
+        part = e["share"] / back if back else 1.0 / len(effects)
+        parts.append({"what": name(e), "effect": True, "share": (numbers - after) * part})
+    if not effects and numbers > after:
+        parts[0]["share"] = 1.0 - after
+    return [
+        *parts,
+        {"what": "not explained", "effect": False, "share": after - floor},
+        {"what": "noise floor", "effect": False, "share": floor},
+    ]
+
+
+def _with_estimate(entry: Mapping[str, Any]) -> str:
+    words = name(entry) if "joint" in entry else f"{name(entry)} at the {entry['channel']}"
+    estimate = next(iter(entry["estimate"].items()), None)
+    if estimate is None:
+        return words
+    low, high = estimate[1]["ci95"]
+    value = plus_minus(estimate[1]["value"], (high - low) / 2.0)
+    return (
+        f"{words}, {estimate[0].replace('_', ' ')} {value} {unit(estimate[1]['unit'])}".rstrip()
+        + ","
+    )
+
+
+def name(entry: Any) -> str:
+    """An effect in words; where a report names its joint, at that joint."""
+    effect, at = (
+        (entry, None) if isinstance(entry, str) else (str(entry["effect"]), entry.get("joint"))
+    )
+    words = " ".join(PROPER.get(word, word) for word in effect.split("_"))
+    return f"{words} at {at}" if at else words
+
+
+def composition(effects: Sequence[Any], nothing: str = "no effect") -> str:
+    """Effects that act together, in words."""
+    return " with ".join(map(name, effects)) or nothing
+
+
+def warnings(document: Mapping[str, Any]) -> list[str]:
+    """What a reader of the answer should know first, a sentence each: of pushes, the clock, new
+    numbers that mislead, noise, the fit."""
+    push = (
+        "Something outside pushes, as a contact does: {}. Leave it out: a contact is not simulated."
+    )
+    sentences = [push.format(when) for when in _pushed(document)]
+    evidence, gap = document["evidence"], document["gap"]
+    episodes = (
+        evidence["episodes"] if "timestep_s" in evidence else []
+    )  # a report of before does not tell its clock
+    late = [off for e in episodes if (off := off_step(e["period_s"], evidence["timestep_s"]))]
+    if late:
+        sentences.append(
+            f"{len(late)} of {len(episodes)} episodes are off the declared step, the first "
+            f"{late[0]}."
+        )
+    if (
+        gap["before"] > EVIDENCE.clearly_above_floor * gap["floor"]
+        and gap["parameters_only"] > EVIDENCE.misleading * gap["before"]
+    ):
+        sentences.append(
+            "New numbers alone are worse held out than the nominal model "
+            f"({short(gap['parameters_only'])}, was {short(gap['before'])}): "
+            "they bend to what the form lacks; do not use them without it."
+        )
+    coloured = {
+        channel: part for channel, part in evidence.get("noise_correlation", {}).items() if part
+    }
+    if coloured:
+        parts = ", ".join(f"{part:.2g} of it in {channel}" for channel, part in coloured.items())
+        sentences.append(
+            f"Noise goes on from one sample to the next ({parts}): weights, noise floor and "
+            "intervals take that into account."
+        )
+    off = next((c["off"] for c in evidence.get("convergence", [])), None)
+    if off is not None and off > EVIDENCE.off_minimum:
+        sentences.append(
+            f"The fit of the answer ended {short(off)} half-widths from its minimum: its "
+            "cost is too rough there for a proof."
+        )
+    return sentences
+
+
+def _pushed(document: Mapping[str, Any]) -> list[str]:
+    """When something outside pushes a robot, in words."""
+    roles = {e["sha256"]: e["role"] for e in document["evidence"]["episodes"]}
+    phrases = []
+    for push in document["where"].get("pushed", []):
+        joints = " and ".join(f"{j['joint']} by {j['force']:.2g}" for j in push["joints"])
+        phrases.append(
+            f"{roles[push['episode']]} episode {push['episode'][:12]}, {push['from_s']:g} to "
+            f"{push['to_s']:g} s: {joints}"
+        )
+    return phrases
+
+
+def unit(text: str) -> str:
+    """A unit as it is printed: that of a bare number is nothing."""
+    return "" if text == "1" else text.replace("^2", "²").replace("^3", "³")
+
+
+def short(x: float | None) -> str:
+    """Three digits of a number; a dash where there is none."""
+    return "–" if x is None else f"{x:.3g}".replace("-", "−")
+
+
+def plus_minus(value: float, half: float) -> str:
+    """A value and its uncertainty, to the uncertainty's own digits."""
+    if not (math.isfinite(half) and half > 0.0):
+        return short(value)
+    places = DIGITS - 1 - math.floor(math.log10(half))
+    if not 0 <= places <= 6:  # noqa: PLR2004  (longer numbers are read by their powers of ten)
+        return f"{short(value)} ± {half:.2g}"
+    return f"{value:.{places}f} ± {half:.{places}f}".replace("-", "−")
+
+
+def percent(share: float) -> str:
+    """A share, with a digit more where it is small."""
+    if share == 0.0:
+        return "0 %"
+    if share < 0.001:  # noqa: PLR2004 - the digits of a percentage
+        return "< 0.1 %"
+    return f"{100.0 * share:.{0 if share >= 0.1 else 1}f} %"  # noqa: PLR2004

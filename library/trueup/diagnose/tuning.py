@@ -1,0 +1,349 @@
+"""Tuning: every number that steers a diagnosis and is not a law of statistics, in one place.
+
+Each has a unit and a reason. They were set on the open development set (simulated machines whose
+effects are known, `bench/diagnosis.py`) and are the same for every machine; what is expected of the
+laws themselves is in `model_selection.SelectionCriteria`. `docs/tuning.md` is made from this file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+def number(value: Any, unit: str, why: str) -> Any:
+    """A field with its value, its unit and the reason for it."""
+    return field(default=value, metadata={"unit": unit, "why": why})
+
+
+def required(unit: str, why: str) -> Any:
+    """A field without a value of its own, with its unit and the reason for it."""
+    return field(metadata={"unit": unit, "why": why})
+
+
+@dataclass(frozen=True, slots=True)
+class DataQualityTuning:
+    """What is noise, what is quantization, and what is missing, before anything is fitted."""
+
+    numerical_floor: float = number(
+        3e-4, "standard deviations of the channel", "Smaller errors come from integration."
+    )
+    lattice_fit: float = number(
+        0.02, "quantization steps", "How far a value may lie off the lattice of a quantizer."
+    )
+    lattice_values: float = number(
+        0.5, "of the samples", "A quantizer leaves fewer distinct values than that."
+    )
+    coarse: float = number(
+        0.01, "standard deviations of the channel", "A finer quantizer makes no gap worth naming."
+    )
+    held_frames: float = number(
+        0.005, "of the samples", "Fewer repeated frames make no gap worth naming."
+    )
+    trimmed: float = number(
+        0.8, "of the differences", "The largest ones hold kinks and lost frames, not noise."
+    )
+    trimmed_residuals: float = number(
+        0.995, "of the differences", "A model's residuals have few kinks: outliers count."
+    )
+    strides: tuple[int, ...] = number(
+        (1, 2, 3, 4), "samples", "Distances at which differences tell a correlation in a motion."
+    )
+    residual_strides: tuple[int, ...] = number(
+        (1, 2, 4, 8, 16), "samples", "Residuals have little motion in them: longer ones tell more."
+    )
+    correlations: tuple[float, ...] = number(
+        (0.0, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8, 0.85, 0.88, 0.9, 0.92, 0.94, 0.96),
+        "1",
+        "From one sample to the next: the values that are tried.",
+    )
+    motion_growth: tuple[int, ...] = number(
+        (2, 8), "powers of the stride", "How differences of a kink and of a smooth motion grow."
+    )
+    coloured: float = number(
+        1.5,
+        "times the power over one sample",
+        "Noise with a third of the sample before has that over two; less is called white.",
+    )
+    clearly_coloured: float = number(
+        4.0, "times the squared error", "So much better must correlated noise fit the differences."
+    )
+    fewest_differences: int = number(200, "differences", "Fewer do not tell a correlation.")
+    noise_changed: float = number(
+        1.1, "times the standard deviation", "A quarter more power would be no noise any more."
+    )
+    correlation_changed: float = number(
+        0.15, "1", "Residuals with a correlation that differs more start the search again."
+    )
+    most_outliers: float = number(
+        2.0, "times the noise's power", "What leaves more is no outlier of a sensor."
+    )
+    mostly_noise: float = number(
+        4.0, "times the noise's power", "Of larger residuals noise is no good part."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SetupTuning:
+    """How episodes are cut into windows, thinned, and chosen for screening."""
+
+    window_s: float = number(
+        2.0, "s", "Windows of one simulated joint: long against its motion, short against drift."
+    )
+    screening_window_s: float = number(
+        0.5, "s", "Short windows, in which a linear model reaches further."
+    )
+    pieces: int = number(
+        4,
+        "of one window",
+        "A robot's windows are screened, and their starts found, in such parts: the further the "
+        "nominal form is off, the shorter a linear model reaches.",
+    )
+    halvings: int = number(
+        3, "times", "How often windows in which the nominal form runs away are halved."
+    )
+    fewest_samples: int = number(16, "samples", "A shorter window shows nothing but noise.")
+    screening_episodes: int = number(
+        2, "episodes", "A robot's terms are screened where the nominal form explains least."
+    )
+    screening_rows: int = number(
+        15_000, "samples of all joints", "At most, on which a robot's terms are screened."
+    )
+    enough_samples: int = number(
+        6000, "samples", "More than twice as many are thinned where they are close together."
+    )
+    finest_step: float = number(
+        0.02,
+        "of the time in which the joint crosses its travel",
+        "A step of that length still integrates well.",
+    )
+    evident: float = number(
+        0.3,
+        "of the force that is missing at a joint",
+        "What repeats with the position and is so much of it is screened in any case.",
+    )
+    periods_kept: int = number(5, "spatial periods", "The most promising go on.")
+    period_steps: float = number(
+        4.0, "for each wave over the travel", "How densely spatial periods are scanned."
+    )
+    shortest_period: float = number(0.02, "of the largest deflection", "The scan's lower end.")
+    longest_period: float = number(1.0, "of the largest deflection", "The scan's upper end.")
+    period_noise: float = number(
+        0.2,
+        "of the acceleration",
+        "Spans are so long that the noise of a mean acceleration is no larger.",
+    )
+    longest_span: int = number(12, "samples", "Of a mean acceleration in the scan.")
+    period_samples: int = number(6000, "samples", "At most, of all episodes, in the scan.")
+
+
+@dataclass(frozen=True, slots=True)
+class SearchTuning:
+    """How compositions of effects are screened, fitted, grown and refined."""
+
+    glance_iterations: int = number(2, "iterations", "After which half of the guesses are left.")
+    screen_iterations: int = number(
+        6, "iterations", "Of each initial guess, before the best go on."
+    )
+    fit_iterations: int = number(16, "iterations", "Of the best guesses.")
+    converge_iterations: int = number(25, "iterations", "Until nothing moves.")
+    screen_tolerance: float = number(1e-2, "of the cost", "A smaller decrease ends a short fit.")
+    fit_tolerance: float = number(1e-3, "of the cost", "A smaller decrease ends a fit.")
+    guesses: int = number(3, "guesses", "Tried of each term; twice as many where it has many.")
+    many_guesses: int = number(50, "guesses", "Of so many, twice as many are tried.")
+    neighbours: int = number(
+        50, "to one distance", "Guesses within a fiftieth of all are neighbours: one is tried."
+    )
+    guesses_kept: int = number(2, "guesses", "That go on from screening.")
+    same_place: float = number(0.02, "of a value", "Nearer fits are one.")
+    same_cost: float = number(1e-3, "of the cost", "Nearer fits are one.")
+    grids: tuple[float, ...] = number(
+        (0.04, 0.013, 0.004, 0.0013),
+        "of a value",
+        "Half-widths of ever finer grids around a number between whose corners the error is flat.",
+    )
+    grid_points: tuple[float, ...] = number(
+        (-1.0, -0.66, -0.33, 0.33, 0.66, 1.0), "half-widths", "Where a grid is tried."
+    )
+    optional_worth: float = number(
+        18.0, "squared standard errors", "What an optional number of an effect must be worth."
+    )
+    pasts: tuple[float, ...] = number(
+        (
+            0.0,
+            *(sign * x for x in (0.03, 0.07, 0.12, 0.18, 0.25, 0.35, 0.5) for sign in (1.0, -1.0)),
+        ),
+        "of a hidden state's scale",
+        "What a state with corners may have begun with: descent does not find it.",
+    )
+    robot_looks: int = number(8, "looks", "Of a robot's fit towards its minimum: each takes long.")
+    start_iterations: int = number(10, "iterations", "For the starts of validation windows.")
+    partners: int = number(
+        2,
+        "terms",
+        "That screened best, tried with further parents, and so many of the parents' own: where "
+        "two effects act, many may stand for the one, and the other is the same.",
+    )
+    explained: float = number(
+        1.5, "reduced chi-square", "Screening that leaves so little is over; poor ones are dropped."
+    )
+    poor: float = number(30.0, "reduced chi-square", "Poor once another one explained the log.")
+    part_does_as_well: float = number(
+        4.0, "times the reduced chi-square", "A part of a composition that does about as well."
+    )
+    spread: int = number(
+        2, "compositions", "Tried at every joint, where the gap is not explained at one."
+    )
+    hopeless: float = number(
+        0.25, "of the gap", "What the best of a size leaves: one effect more explains no such gap."
+    )
+    hopeless_pair: float = number(
+        0.5, "of the gap", "The limit for two effects of a robot, before one is exchanged."
+    )
+    hopeless_on_machine: float = number(
+        0.6, "of the gap", "The limit for one effect in a robot's real recording."
+    )
+    noise_looks: int = number(3, "searches", "At most, each with the noise of the one before.")
+    finer_steps: int = number(4, "for one of the search", "In the final refit.")
+    exchanged: int = number(5, "terms", "That each effect of the best composition may give way to.")
+    far_behind: float = number(4.0, "times the best reduced chi-square", "Not followed further.")
+    shortened: tuple[float, ...] = number(
+        (1.0, 0.5, 0.25, 0.125),
+        "of the length of windows",
+        "Tried in turn where a cost on whole windows is too rough for a proven minimum.",
+    )
+    worth_following: float = number(
+        0.5,
+        "of a robot's reduced chi-square",
+        "Another integration, or an effect at every joint, must leave less.",
+    )
+    went_astray: float = number(
+        2.0, "times the reduced chi-square", "A final refit that does so much worse is dropped."
+    )
+    refits: int = number(
+        4, "rounds", "At most, until all that a choice names is fitted to its minimum."
+    )
+    mirrored: int = number(
+        2, "times", "An alias that turns out better shows its own alias a better place."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SelectionTuning:
+    """When one composition is better than another, whatever the recordings."""
+
+    log_likelihood: float = number(
+        9.0, "units of log-likelihood", "That separate two compositions whose windows agree."
+    )
+    certain: float = number(
+        3.0, "times that", "That separate two compositions whose windows do not agree."
+    )
+    agreement: float = number(
+        3.0, "of the evidence against a difference", "So much windows must have for it to agree."
+    )
+    next_to: float = number(
+        1.02,
+        "times the reduced chi-square",
+        "Aliases are no further apart, but for where their fits stopped.",
+    )
+    least_chi_square: float = number(
+        0.5, "reduced chi-square", "Noise is known to some per cent: none is far below 1."
+    )
+    finished: float = number(
+        0.2, "of what was left", "A composition that leaves no more explains it."
+    )
+    noise_power: float = number(
+        0.06, "of the noise's power", "The least that an effect must remove."
+    )
+    adequate: float = number(1.25, "reduced chi-square", "Up to it, noise is all that is left.")
+    clearly_no_noise: float = number(
+        0.5, "of the reduced chi-square", "What is removed beyond it was clearly no noise."
+    )
+    scraps: float = number(
+        0.1, "of what was left", "An accident does not take so much that so little is left."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FilterTuning:
+    """The gain with which a corrected model follows an episode before it predicts."""
+
+    doublings: int = number(24, "doublings", "Of the time to settle: from one sample to days.")
+    least_disturbance: float = number(
+        -7.0, "decades of the motion's acceleration", "In each second, the least that is tried."
+    )
+    most_disturbance: float = number(
+        5.0, "decades of the motion's acceleration", "In each second, the most that is tried."
+    )
+    coarse_decades: float = number(2.0, "decades", "Between the first sizes that are tried.")
+    fine_decades: float = number(0.4, "decades", "Between the last ones.")
+    beginning: int = number(24, "samples", "Until the steady gain is used.")
+    alike: float = number(2.0, "standard errors", "Gains that differ by less predict alike.")
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceTuning:
+    """What is said of the answer: bounds, regions, pushes, the floor, sentences."""
+
+    bound_errors: float = number(
+        3.0, "standard errors", "Of a bound: what the linear model neglects is among them."
+    )
+    linear_reach: float = number(
+        1.5, "times an initial guess", "Up to there what was computed at the guess is believed."
+    )
+    ruled_out: float = number(0.5, "of a limit's whole effect", "A limit below is ruled out.")
+    stride_s: float = number(
+        0.1, "s", "Over which residuals are taken: one place's error is not carried to the next."
+    )
+    stride_samples: int = number(3, "samples", "At least, in a stride.")
+    band_edges_hz: tuple[float, ...] = number((0.3, 1.0, 3.0), "Hz", "Between frequency bands.")
+    pushed: float = number(
+        8.0, "times what is usual", "A force of something outside that leans on a robot."
+    )
+    pushed_s: float = number(0.8, "s", "How long such a force lasts at least.")
+    pushed_of_motion: float = number(
+        0.2, "of the force of the joint's own motion", "A smaller push is not worth a word."
+    )
+    around_reversal_s: float = number(0.1, "s", "About a reversal of the motion.")
+    resamples: int = number(400, "bootstrap resamples", "For the intervals of held-out errors.")
+    at_the_floor: float = number(
+        1.1, "times the floor's power", "An error below is not told from the noise."
+    )
+    clearly_above_floor: float = number(
+        2.0, "times the floor", "An error above is clearly no noise."
+    )
+    misleading: float = number(
+        1.05, "times the nominal error", "New numbers that do worse are no improvement."
+    )
+    worth_naming: float = number(0.05, "of the gap", "A smaller part is not named in a sentence.")
+    most_of_it: float = number(0.5, "of the gap", "More than that is called most of it.")
+    off_minimum: float = number(
+        0.1, "half-widths", "A fit that ended further from its minimum is worth a word."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ExperimentTuning:
+    """The commands among which the next experiment is chosen."""
+
+    duration_s: float = number(6.0, "s", "Of the experiment.")
+    rates_hz: tuple[float, ...] = number((0.15, 0.4, 1.0, 2.5), "Hz", "Of the waves.")
+    sizes: tuple[float, ...] = number(
+        (0.02, 0.07, 0.25, 0.5, 0.95), "of the command's limit", "Of the waves."
+    )
+    free: float = number(
+        0.01, "of its travel", "A joint that moves no further by itself stays wherever it is."
+    )
+    part_of_recorded: float = number(
+        0.3, "of the largest recorded command", "The largest wave at a robot's joint."
+    )
+
+
+DATA_QUALITY = DataQualityTuning()
+SETUP = SetupTuning()
+SEARCH = SearchTuning()
+SELECTION = SelectionTuning()
+FILTER = FilterTuning()
+EVIDENCE = EvidenceTuning()
+EXPERIMENT = ExperimentTuning()
+GROUPS = (DATA_QUALITY, SETUP, SEARCH, SELECTION, FILTER, EVIDENCE, EXPERIMENT)

@@ -1,0 +1,390 @@
+"""Rollouts of a hypothesis over windows, with their derivatives: the normal equations at a place.
+
+Blocks of lanes give the error and all its derivatives at once, one lane for each number that moves.
+The only noisy input of a rollout is its start, and starts are estimated too (multiple shooting):
+two unknowns of each joint for each window, eliminated by their Schur complement, so that noise in
+the observed states does not bias the parameters. Source: H. G. Bock, Recent Advances in Parameter
+Identification Techniques for O.D.E. (1983), on multiple shooting; elimination: B. Triggs et al.,
+Bundle Adjustment (1999), 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trueup.cores import in_parallel
+from trueup.fit.free_numbers import CORNER_STEP, STEP, Directions, Free
+from trueup.fit.lanes import Lanes, Task
+from trueup.fit.normal_equations import Errors, KeptDerivatives, NormalEquations
+from trueup.fit.rollout_fit import Start
+from trueup.model.block import BLOCK, joint, kind
+from trueup.model.dynamics import Form
+from trueup.model.effect import Port, Scale
+from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
+from trueup.model.series import Series, roll, seen_by
+
+Array = NDArray[np.float64]
+MEMORY_STEP = 1e-3  # of its scale: the finite difference of a hidden state's past
+START_STEP = 1e-3  # of a scale: the finite difference of where a window starts
+
+Derivatives = Mapping[str, KeptDerivatives]  # that are kept, by episode digest
+
+
+@dataclass(frozen=True, slots=True)
+class CentralDifferences:
+    """The normal equations at a place by differences on both sides of each free number.
+
+    `states` are the hidden ones whose past is among them. `gradient` `(free,)` is minus half that
+    of the cost with windows' starts fixed, `curvature` half the cost's second difference, nan at a
+    bound, and `diagonal` the normal equations' own before starts are eliminated.
+    """
+
+    equations: NormalEquations
+    states: tuple[tuple[str, str], ...]
+    gradient: Array
+    curvature: Array
+    diagonal: Array
+
+
+class Rollouts:
+    """What rollouts of one nominal form are compared with, and how they are differentiated. Holds
+    no state but what it was built with.
+
+    `scales` are the joints' own sizes, `sigma` `(2 x joints,)` what counts as noise of each
+    position and velocity, `correlation` that of the noise with itself one sample before, 0 where
+    not given. Where starts are `held`, windows start as observed, as a prediction's do: what no law
+    explains must not hide in their starts.
+    """
+
+    def __init__(
+        self,
+        form: Form,
+        directions: Directions,
+        scales: Sequence[Scales],
+        sigma: Array,
+        correlation: Array | None = None,
+        *,
+        held: bool = False,
+    ) -> None:
+        self.form = form
+        self.block = form.block
+        self.of_tree = form.of_tree
+        self.joints = form.block.joints
+        self.directions = directions
+        self.scales = tuple(scales)
+        self.sigma = np.where(np.isfinite(sigma), sigma, np.inf)
+        self.held = held
+        self.correlation = np.zeros(len(sigma)) if correlation is None else correlation
+        self.start_steps = START_STEP * np.array(
+            [s.position for s in scales] + [s.velocity for s in scales]
+        )
+
+    def holding(self) -> Self:
+        """A copy whose windows start as observed."""
+        held = copy(self)
+        held.held = True
+        return held
+
+    def unit(self, of: str, scale: Scale) -> float:
+        """The value of one unit of a scale at a term's joint."""
+        return self.scales[joint(of)].of(scale)
+
+    def has_room(self, hypothesis: Hypothesis) -> bool:
+        """Whether the lanes suffice for every number of a composition."""
+        return len(self.free(hypothesis).rows) <= self.room()
+
+    def room(self) -> int:
+        """How many numbers may be free: a family's fit in one block, a tree's take as many as they
+        need."""
+        return BLOCK - 1 - 2 * self.joints if not self.of_tree else 1_000
+
+    def free(self, hypothesis: Hypothesis, fixed: Iterable[tuple[str, str]] = ()) -> Free:
+        """What a hypothesis leaves free, the nominal form's numbers first."""
+        fixed, rows = set(fixed), list[tuple[int, str, str, float, float, float, Array]]()
+        ways, nothing = self.directions, np.zeros(self.directions.along.shape[1])
+        for name, row, way, size, low in zip(
+            ways.names, ways.alone, ways.along, ways.steps, ways.low, strict=True
+        ):
+            rows.append((int(row), "", name, float(size), float(low), np.inf, way))
+        for term in hypothesis.effects:
+            effect = kind(term)
+            for row, number in zip(self.block.rows(term), effect.params, strict=True):
+                unit = self.unit(term, number.scale)
+                size = unit * (CORNER_STEP if number.name in effect.threshold else STEP)
+                low, high = number.low * unit, number.high * unit
+                rows.append((row, term, number.name, size, low, high, nothing))
+        rows = [row for row in rows if row[1:3] not in fixed]
+        steps, lows, highs = np.array([row[3:6] for row in rows]).reshape(-1, 3).T
+        return Free(
+            np.array([row[0] for row in rows], np.int64),
+            tuple((row[1], row[2]) for row in rows),
+            steps.copy(),
+            lows.copy(),
+            highs.copy(),
+            np.array([row[6] for row in rows]).reshape(len(rows), -1),
+        )
+
+    def initial_values(self, parameters: Sequence[float]) -> Array:
+        """The block's parameter vector with these parameters of the nominal form, in which nothing
+        acts."""
+        values = self.block.nulls.copy()
+        values[: len(parameters)] = parameters
+        return values
+
+    def with_effect(self, values: Array, term: str, guess: Sequence[float]) -> Array:
+        """The block's vector with one term set to an initial guess in units of its scales."""
+        return begun(self.block, values, self.scales[joint(term)], term, guess)
+
+    def expected(self, free: Free) -> tuple[Array, Array]:
+        """Where a robot's numbers are expected, and the inverse squares of how far from there, 0
+        where nothing is known, `(free,)` each."""
+        own = np.array([owner == "" for owner, _ in free.names], np.bool_) & self.of_tree
+        nominal = np.zeros(len(self.block.nulls))
+        nominal[: len(self.directions.nominal)] = self.directions.nominal
+        return np.where(own, (STEP / free.step) ** 2, 0.0), np.where(own, free.at(nominal), 0.0)
+
+    def initial_starts(
+        self, starts: Mapping[str, Start] | None, data: Sequence[Series], hypothesis: Hypothesis
+    ) -> dict[str, Start]:
+        """Where rollouts start: as given, or as observed; where they are held, as observed whatever
+        was given, and by positions alone a joint whose velocity the log hides.
+        """
+        given = {s.digest: (starts or {}).get(s.digest, Start(s.begin, {})) for s in data}
+        if not self.held:
+            return given
+        hidden = np.zeros(2 * self.joints, np.bool_)
+        hidden[[self.joints + joint(t) for t in hypothesis.effects if kind(t).hides_velocity]] = (
+            True
+        )
+        seen = np.isfinite(self.sigma)
+        observed = {s.digest: np.where(hidden, s.begin_by_positions, s.begin) for s in data}
+        return {
+            key: replace(start, windows=np.where(seen, observed[key], start.windows))
+            for key, start in given.items()
+        }
+
+    def repeated(self, values: Array, start: Start) -> Array:
+        """A block of lanes `(rows, BLOCK)` that all hold the same numbers and what hidden states
+        began with."""
+        p = np.repeat(values[:, None], BLOCK, axis=1)
+        for key, value in start.memory.items():
+            p[self.block.memories[key]] += value
+        return p
+
+    def samples(self, data: Sequence[Series]) -> int:
+        """Numbers that are compared."""
+        return sum(
+            int((s.usable & (s.window_of >= 0)[:, None] & np.isfinite(self.sigma)).sum())
+            for s in data
+        )
+
+    def task(self, data: Sequence[Series], hypothesis: Hypothesis, free: Free) -> Task:
+        keys = [key for key in self.block.memories if key[0] in hypothesis.effects]
+        states = tuple(keys[: max(0, self.room() - len(free.rows))])  # as far as lanes are left
+        directions = sum(owner == "" for owner, _ in free.names)
+        several = 1 + len(free.rows) + len(states) + 2 * self.joints > BLOCK
+        return Task(data, hypothesis, free, states, directions if several else 0)
+
+    def evaluate(
+        self, task: Task, values: Array, starts: Mapping[str, Start], old: Derivatives | None = None
+    ) -> tuple[NormalEquations, Derivatives | None]:
+        """The normal equations at a place, and the derivatives that may be kept of them; given
+        `old` derivatives, those are used."""
+        lanes = self.lanes(task, values, task.keeps if old else 0, len(task.states))
+        return self._equations(task, lanes, starts, old)[:2]
+
+    def _equations(
+        self, task: Task, lanes: Lanes, starts: Mapping[str, Start], old: Derivatives | None = None
+    ) -> tuple[NormalEquations, Derivatives | None, Array]:
+        """The normal equations of lanes laid out, the derivatives that may be kept, and what each
+        lane costs by itself where differences are central, `(lanes,)`."""
+        scales = np.array(
+            [self.unit(t, kind(t).memory[kind(t).states.index(state)]) for t, state in task.states]
+        )
+        at = lanes.of[len(lanes.of) - len(task.states) :]
+        pasts = {
+            key: (lane, MEMORY_STEP * scale)
+            for lane, key, scale in zip(at, task.states, scales, strict=True)
+        }
+        parts, linear, costs = self.sums(task, lanes, starts, pasts, old)
+        began = {
+            s.digest: np.array([starts[s.digest].memory.get(key, 0.0) for key in task.states])
+            for s in task.data
+        }
+        return NormalEquations(parts, began, scales, len(task.free.rows)), linear, costs
+
+    def around(
+        self,
+        data: Sequence[Series],
+        hypothesis: Hypothesis,
+        values: Array,
+        starts: Mapping[str, Start],
+        free: Free,
+    ) -> CentralDifferences:
+        """The normal equations at a place by differences on both sides, with the gradient of the
+        cost itself.
+
+        That gradient compares the costs on either side of each number: it does not see kinks that
+        are finer than the numbers' steps.
+        """
+        task = replace(self.task(data, hypothesis, replace(free, central=True)), keeps=0)
+        lanes = self.lanes(task, values, 0, len(task.states))
+        equations, _, costs = self._equations(task, lanes, starts)
+        n = len(free.rows)
+        if not np.isfinite(equations.cost):
+            return CentralDifferences(equations, task.states, np.zeros(n), np.zeros(n), np.zeros(n))
+        total = np.sum(
+            [g[:, : n + 1, : n + 1].sum(axis=0) for g in equations.parts.values()], axis=0
+        )
+        up, down, per, sides = (
+            costs[lanes.of[:n]],
+            costs[lanes.against[:n]],
+            lanes.inverse[lanes.of[:n]],
+            lanes.against[:n] > 0,
+        )
+        return CentralDifferences(
+            equations,
+            task.states,
+            np.where(sides, 0.5 * (down - up) * per, total[0, 1:]),
+            np.where(sides, 2.0 * (up + down - 2.0 * total[0, 0]) * per**2, np.nan),
+            np.diag(total)[1:],
+        )
+
+    def lanes(self, task: Task, values: Array, kept: int, more: int) -> Lanes:
+        """One lane for each free number but the first `kept`, and `more` lanes; where none are
+        kept, lanes of the start before them.
+
+        Parameters of a lane differ from lane 0's by the step of its number.
+        """
+        numbers = range(kept, len(task.free.rows))
+        starts = 0 if kept else 2 * self.joints
+        of = 1 + starts + np.arange(len(numbers) + more)
+        behind = 1 + starts + len(of)
+        count = -(-(behind + len(numbers) * task.free.central) // BLOCK) * BLOCK
+        p = np.repeat(values[:, None], count, axis=1)
+        inverse, against = np.zeros(count), np.zeros(len(of) + starts, np.int64)
+        for i, (lane, which) in enumerate(zip(of, numbers, strict=False)):
+            row, size = task.free.rows[which], task.free.step[which]
+            if 0 <= row < self.block.nominal and not self.of_tree:
+                size *= 1.0 if task.free.central else max(1.0, abs(values[row]))
+            elif row >= 0:
+                size = -size if values[row] + size > task.free.high[which] else size
+            task.free.nudge(p[:, lane], which, size)
+            inverse[lane] = 1.0 / size
+            if task.free.central and (
+                row < 0 or task.free.low[which] <= values[row] - size <= task.free.high[which]
+            ):
+                task.free.nudge(p[:, behind + i], which, -size)
+                inverse[lane], against[i] = 0.5 / size, behind + i
+        free = ~np.isfinite(self.sigma[:starts]) if self.held else np.ones(starts, np.bool_)
+        inverse[1 : 1 + starts] = np.where(free, 1.0 / self.start_steps[:starts], 0.0)
+        return Lanes(p, inverse, of, starts, against)
+
+    def sums(
+        self,
+        task: Task,
+        lanes: Lanes,
+        starts: Mapping[str, Start],
+        pasts: Mapping[tuple[str, str], tuple[int, float]],
+        old: Derivatives | None,
+    ) -> tuple[dict[str, Array], Derivatives | None, Array]:
+        """Sums of outer products by episode, the derivatives that may be kept, and what each lane
+        costs.
+
+        `pasts` are the lanes and steps of hidden states' derivatives: inwards, for beyond its end a
+        play has none.
+        """
+        several = lanes.p.shape[1] > BLOCK and len(task.data) > 1
+        by_episode = list(
+            (in_parallel if several else map)(
+                lambda s: self._sums_of(task, lanes, s, starts[s.digest], pasts, old), task.data
+            )
+        )
+        linear = {
+            s.digest: part
+            for s, (_, part, _) in zip(task.data, by_episode, strict=True)
+            if part is not None
+        }
+        costs = np.sum([cost for *_, cost in by_episode], axis=0)
+        return (
+            {s.digest: sums for s, (sums, *_) in zip(task.data, by_episode, strict=True)},
+            linear or None,
+            costs,
+        )
+
+    def _sums_of(
+        self,
+        task: Task,
+        lanes: Lanes,
+        s: Series,
+        start: Start,
+        pasts: Mapping[tuple[str, str], tuple[int, float]],
+        old: Derivatives | None,
+    ) -> tuple[Array, KeptDerivatives | None, Array]:
+        """Sums of outer products of one episode, its derivatives that may be kept, and what each
+        lane costs."""
+        on, inverse = switches(task.hypothesis, self.joints), lanes.inverse.copy()
+        block = lanes.p.copy()
+        errors = self.errors(s, task.hypothesis, block[:, 0])
+        for key, value in start.memory.items():
+            block[self.block.memories[key]] += value
+        for key, (lane, size) in pasts.items():
+            inwards = -size if start.memory.get(key, 0.0) > 0.0 else size
+            block[self.block.memories[key], lane] += inwards
+            inverse[lane] = 1.0 / inwards
+        init = np.repeat(start.windows[:, :, None], block.shape[1], axis=2)
+        if old is not None:
+            out = roll(s, self.form, block, on, init)
+            return errors.renewed(out, inverse, lanes.of, old[s.digest]), old[s.digest], np.zeros(0)
+        steps = (
+            np.broadcast_to(self.start_steps, start.windows.shape)
+            if start.steps is None or task.keeps
+            else start.steps
+        )
+        for state in range(lanes.starts):
+            init[:, state, 1 + state] += steps[:, state]
+        out = roll(s, self.form, block, on, init, starts=lanes.starts)
+        columns = np.concatenate([lanes.of, 1 + np.arange(lanes.starts)])
+        sums = errors.summed(out, inverse, columns, lanes.against, len(init))
+        if steps is start.steps:
+            per = np.concatenate(
+                [np.ones((len(steps), 1 + len(lanes.of))), self.start_steps / steps], axis=1
+            )
+            sums *= per[:, :, None] * per[:, None, :]
+        kept = (
+            errors.kept(out, inverse, columns, sums, task.keeps, len(lanes.of) + 1)
+            if task.keeps
+            else None
+        )
+        return (
+            sums,
+            kept,
+            errors.costs(out, len(init)).sum(axis=0) if task.free.central else np.zeros(0),
+        )
+
+    def errors(self, s: Series, hypothesis: Hypothesis, values: Array) -> Errors:
+        """What a rollout of an episode is compared with."""
+        window_of, weight = seen_by(s, self._late_s(hypothesis, values))
+        return Errors(
+            s.observed,
+            weight * s.usable / self.sigma,
+            window_of,
+            s.t_s,
+            s.period_s,
+            self.correlation,
+        )
+
+    def _late_s(self, hypothesis: Hypothesis, values: Array) -> Array:
+        """How late each joint is seen [s], `(joints,)`; a log of one joint does not show that apart
+        from a late drive, and is shifted."""
+        late_s = np.zeros(self.joints)
+        for t in hypothesis.effects:
+            if self.of_tree and kind(t).port is Port.OBSERVATION and kind(t).delays():
+                late_s[joint(t)] += values[self.block.rows(t)[0]]
+        return late_s

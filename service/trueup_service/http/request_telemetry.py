@@ -1,0 +1,88 @@
+"""Telemetry of requests: an id, metrics, and one line of JSON in the log. A read that succeeds is
+logged at DEBUG only, since fleets poll."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import re
+import secrets
+import time
+
+from prometheus_client import Counter, Histogram
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+log = logging.getLogger("trueup.access")
+REQUESTS = Counter("trueup_http_requests_total", "Requests answered", ["method", "route", "status"])
+SECONDS = Histogram(
+    "trueup_http_request_seconds",
+    "Time to answer [s]",
+    ["method", "route"],
+    buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1, 5, 30),
+)
+FIRST_ERROR_STATUS = 400
+FOR_BROWSERS = (
+    (
+        b"content-security-policy",
+        b"default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'self'",
+    ),
+    (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"),
+    # A response is data: nothing in it may run, or be shown inside another site. A page sets its
+    # own policy.
+)
+PLAIN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
+
+
+class RequestTelemetry:
+    """ASGI middleware. It takes over the caller's `X-Request-Id` where that is a plain one, and
+    responds with the id."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+        self._measures: dict[tuple[str, str, int], tuple[Counter, Histogram]] = {}
+        self._ids = (f"{secrets.token_hex(4)}-{n}" for n in itertools.count(1))
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        header = next((v for k, v in scope["headers"] if k == b"x-request-id"), b"")
+        name = header.decode() if PLAIN_ID.fullmatch(header) else next(self._ids)
+        scope["request_id"] = name
+        began, status = time.perf_counter(), 500
+
+        async def answer(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                present = {k for k, _ in message["headers"]}
+                more = [(k, v) for k, v in FOR_BROWSERS if k not in present]
+                message["headers"] = [*message["headers"], (b"x-request-id", name.encode()), *more]
+            await send(message)
+
+        try:
+            await self._app(scope, receive, answer)
+        finally:
+            self._note(scope, name, status, time.perf_counter() - began)
+
+    def _note(self, scope: Scope, name: str, status: int, seconds: float) -> None:
+        method, route = scope["method"], getattr(scope.get("route"), "path", "none")
+        measures = self._measures.get((method, route, status))
+        if measures is None:
+            measures = self._measures[method, route, status] = (
+                REQUESTS.labels(method, route, status),
+                SECONDS.labels(method, route),
+            )
+        measures[0].inc()
+        measures[1].observe(seconds)
+        level = logging.DEBUG if method == "GET" and status < FIRST_ERROR_STATUS else logging.INFO
+        if log.isEnabledFor(level):
+            fields = {
+                "request_id": name,
+                "method": method,
+                "path": scope["path"],
+                "status": status,
+                "seconds": round(seconds, 6),
+            }
+            log.log(level, "request", extra=fields)

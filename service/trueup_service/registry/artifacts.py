@@ -1,0 +1,39 @@
+"""Artifacts: the versions of a plant's model."""
+
+from __future__ import annotations
+
+from sqlalchemy import bindparam, func, select
+
+from trueup_service.registry import tables as t
+from trueup_service.registry.records import ArtifactRecord
+from trueup_service.registry.repository import Repository
+
+_OF_PLANT = t.artifacts.c.plant == bindparam("plant")
+_ARTIFACT = select(t.artifacts).where(_OF_PLANT, t.artifacts.c.digest == bindparam("digest"))
+_LATEST_VERSION = select(func.max(t.artifacts.c.version)).where(_OF_PLANT)
+
+
+class Artifacts(Repository[ArtifactRecord]):
+    """Versions of models."""
+
+    table, record = t.artifacts, ArtifactRecord
+
+    def get(self, plant: str, digest: str) -> ArtifactRecord | None:
+        """An artifact of a plant by the digest of its manifest."""
+        return self._one(_ARTIFACT, plant=plant, digest=digest)
+
+    def by_version(self, plant: str, version: int) -> ArtifactRecord | None:
+        """An artifact of a plant by its version."""
+        return self._one(
+            select(t.artifacts).where(
+                t.artifacts.c.plant == plant, t.artifacts.c.version == version
+            )
+        )
+
+    def page(self, plant: str, after: int, limit: int) -> list[ArtifactRecord]:
+        """Artifacts in the order of their versions from behind one."""
+        return self._page(t.artifacts.c.version, after, limit, t.artifacts.c.plant == plant)
+
+    def latest_version(self, plant: str) -> int:
+        """The highest version of a plant, 0 where there is none."""
+        return int(self._connection.scalar(_LATEST_VERSION, {"plant": plant}) or 0)

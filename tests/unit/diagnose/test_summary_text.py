@@ -1,0 +1,162 @@
+"""A report in words: the sentence, the shares, the digits of an uncertainty."""
+
+import pytest
+
+from trueup.diagnose.summary_text import (
+    composition,
+    plus_minus,
+    sentence,
+    short,
+    warnings,
+    waterfall,
+)
+from trueup.model.clock import off_step
+
+
+def report(
+    effects=(),
+    *,
+    verdict="effect",
+    before=0.21,
+    numbers=0.12,
+    after=0.013,
+    floor=0.012,
+    closed=0.99,
+    rivals=(),
+):
+    return {
+        "verdict": verdict,
+        "effects": list(effects),
+        "indistinguishable": list(rivals),
+        "gap": {
+            "before": before,
+            "parameters_only": numbers,
+            "after": after,
+            "floor": floor,
+            "closed": closed,
+            "ci95": [0.98, 1.0],
+        },
+    }
+
+
+def recorded(*periods_s, step_s=0.005, **gap):
+    episodes = [
+        {"sha256": f"{i}" * 64, "role": "adaptation", "period_s": period}
+        for i, period in enumerate(periods_s)
+    ]
+    return {**report(**gap), "where": {}, "evidence": {"timestep_s": step_s, "episodes": episodes}}
+
+
+def friction(share=0.6, **more):
+    level = {"value": 0.2104, "unit": "m/s^2", "ci95": [0.1904, 0.2304]}
+    return {
+        "effect": "coulomb_friction",
+        "channel": "joint",
+        "estimate": {"level": level},
+        "share": share,
+        **more,
+    }
+
+
+def test_an_effect_is_told_with_its_level_its_part_and_the_errors():
+    assert sentence(report([friction()], numbers=0.2)) == (
+        "Coulomb friction at the joint, level 0.210 ± 0.020 m/s², explains 90 % of the gap "
+        "and new numbers 9.3 %; "
+        "held-out error falls from 0.21 to 0.013, the noise floor is 0.012."
+    )
+
+
+def test_new_numbers_come_first_where_they_explain_most():
+    told = sentence(report([friction()]))
+    assert told.startswith(
+        "New numbers in the nominal form explain 67 % of the gap; what they leave is "
+        "Coulomb friction at the joint, level"
+    )
+
+
+def test_a_robots_joint_is_named_and_so_is_what_cannot_be_told():
+    rival = [{"effect": "stribeck_friction", "joint": "elbow"}]
+    told = sentence(report([friction(joint="elbow")], numbers=0.2, rivals=[rival]))
+    assert "Coulomb friction at elbow" in told
+    assert told.endswith("The data cannot tell this from Stribeck friction at elbow.")
+
+
+@pytest.mark.parametrize(
+    ("verdict", "said"),
+    [
+        ("no_gap", "already predicts"),
+        ("unknown_effect", "no composition"),
+        ("parameters_only", "New"),
+    ],
+)
+def test_other_verdicts_have_their_words(verdict, said):
+    assert said in sentence(report(verdict=verdict, closed=None if verdict == "no_gap" else 0.9))
+
+
+def test_the_waterfall_adds_up_to_the_whole():
+    two = report([friction(0.3), {**friction(0.1), "effect": "backlash"}])
+    parts = waterfall(two)
+    assert [p["what"] for p in parts] == [
+        "new numbers",
+        "Coulomb friction",
+        "backlash",
+        "not explained",
+        "noise floor",
+    ]
+    assert sum(p["share"] for p in parts) == pytest.approx(1.0)
+    assert parts[1]["share"] == pytest.approx(3.0 * parts[2]["share"])
+    assert parts[0]["share"] == pytest.approx(1.0 - (0.12 / 0.21) ** 2)
+
+
+def test_shares_are_never_negative_however_the_errors_lie():
+    for numbers, after, floor in ((0.3, 0.1, 0.2), (0.1, 0.2, 0.05), (0.21, 0.21, 0.21)):
+        parts = waterfall(report([friction()], numbers=numbers, after=after, floor=floor))
+        assert min(p["share"] for p in parts) >= 0.0
+        assert sum(p["share"] for p in parts) == pytest.approx(1.0)
+
+
+def test_without_a_gap_there_is_no_waterfall():
+    assert waterfall(report(verdict="no_gap", closed=None)) == []
+
+
+def test_numbers_are_written_to_their_uncertainty():
+    assert plus_minus(0.23364, 0.01025) == "0.234 ± 0.010"
+    assert plus_minus(-3.14159, 0.5) == "−3.14 ± 0.50"
+    assert plus_minus(1234.5, 200.0) == "1.23e+03 ± 2e+02"
+    assert plus_minus(2.0, 0.0) == "2"
+    assert short(None) == "–"
+    assert composition([]) == "no effect"
+
+
+@pytest.mark.parametrize("period_s", [0.005, 0.0051, 0.01, 0.0333, 0.00495])
+def test_a_clock_of_whole_steps_is_passed_over(period_s):
+    assert warnings(recorded(period_s)) == []
+
+
+@pytest.mark.parametrize(
+    ("period_s", "told"), [(0.0053, "5.3 ms"), (0.0083, "8.3 ms"), (0.004, "4 ms")]
+)
+def test_a_clock_off_the_declared_step_is_told(period_s, told):
+    (warning,) = warnings(recorded(0.005, period_s))
+    assert warning.startswith(
+        f"1 of 2 episodes are off the declared step, the first recorded every {told}, "
+    )
+    assert "declares steps of 5 ms" in warning
+
+
+def test_new_numbers_that_do_worse_than_nominal_are_told_where_there_is_a_gap():
+    (warning,) = warnings(recorded(0.005, before=0.21, numbers=0.3))
+    assert "worse held out than the nominal model (0.3, was 0.21)" in warning
+    assert warnings(recorded(0.005, before=0.013, numbers=0.02)) == []
+    assert warnings(recorded(0.005, before=0.21, numbers=0.215)) == []
+
+
+def test_a_report_of_before_says_nothing_of_its_clock():
+    old = recorded(0.0053)
+    del old["evidence"]["timestep_s"]
+    assert warnings(old) == []
+
+
+def test_recordings_of_one_loop_are_told_alike():
+    assert off_step(0.005303, 0.005) == off_step(0.005326, 0.005)
+    assert "every 120 ms" in off_step(0.1203, 0.1)
