@@ -10,13 +10,15 @@ PARTS := library client pages migrations service worker cli
 PROJECTS := $(PARTS:%=%/pyproject.toml)
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo look demo-arm serve test quick advisories check laws flow bench docs site pictures lock clean
+.PHONY: help setup demo look demo-arm serve test quick advisories check laws flow bench docs site \
+	pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 $(BIN)/uv:
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "trueup needs Python 3.11 or newer: make PYTHON=python3.12 …")'
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and \
+		"trueup needs Python 3.11 or newer: make PYTHON=python3.12 …")'
 	@echo "making $(VENV) …"
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
@@ -42,20 +44,20 @@ demo: $(RUN) ## run the main job on a real recording, with embedded storage
 look: $(RUN) ## look at what the demo left behind, in a browser, until Ctrl-C
 	@$(BIN)/trueup look --data .trueup/demo/data
 
-demo-arm: $(RUN) ## the same for a six-joint arm given as MJCF, on its real recordings; about two minutes
+demo-arm: $(RUN) ## run the main job for a six-joint arm given as MJCF; about two minutes
 	@$(BIN)/trueup demo examples/so101 --work .trueup/demo-arm
 
-serve: $(RUN) ## run the service on embedded storage in .trueup, with a worker beside
+serve: $(RUN) ## run the service with a worker, on embedded storage in .trueup
 	@$(BIN)/trueup serve
 
 test: $(DEV) ## run every test; brings its own PostgreSQL, S3 server and strace
 	@$(BIN)/python tools/advisories.py --tell
 	@$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
-quick: $(DEV) ## run what answers in a minute: the units, laws and structure, without whole diagnoses
+quick: $(DEV) ## run the units, laws and structure without whole diagnoses; about a minute
 	@$(BIN)/python -m pytest tests/unit tests/laws tests/structure -m 'not slow' -n 2 --dist loadfile
 
-advisories: $(DEV) ## look the pinned packages up among published advisories, where those can be reached; exit 1 if there are any
+advisories: $(DEV) ## look the pinned packages up among published advisories; exit 1 if one is known
 	@$(BIN)/python tools/advisories.py
 
 check: $(DEV) ## format, lint, types, layers
@@ -92,12 +94,15 @@ pictures: $(DEV) ## take the pictures of the documentation anew, from a diagnosi
 	@PYTHONPATH=. $(BIN)/python docs/make_pictures.py
 
 OURS := trueup $(patsubst %,trueup-%,$(filter-out library,$(PARTS)))
-COMPILE := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header $(OURS:%=--no-emit-package %)
+COMPILE := $(BIN)/uv pip compile --quiet --universal --generate-hashes --no-annotate --no-header \
+	$(OURS:%=--no-emit-package %)
 lock: $(BIN)/uv ## pin the dependencies anew
 	@$(COMPILE) --extra mujoco --extra onnx --extra server $(PROJECTS) -o requirements.txt
-	@$(COMPILE) -c requirements.txt --extra server --extra mlflow --extra mujoco --extra onnx --group pyproject.toml:dev $(PROJECTS) -o requirements-dev.txt
+	@$(COMPILE) -c requirements.txt --extra server --extra mlflow --extra mujoco --extra onnx \
+		--group pyproject.toml:dev $(PROJECTS) -o requirements-dev.txt
 	@$(COMPILE) -c requirements.txt cli/pyproject.toml service/pyproject.toml -o deploy/server.txt
-	@$(COMPILE) -c requirements.txt --extra mujoco --extra onnx cli/pyproject.toml worker/pyproject.toml library/pyproject.toml -o deploy/worker.txt
+	@$(COMPILE) -c requirements.txt --extra mujoco --extra onnx cli/pyproject.toml \
+		worker/pyproject.toml library/pyproject.toml -o deploy/worker.txt
 
 clean: ## remove the environment and everything that was made
 	@rm -rf $(VENV) .trueup build

@@ -46,7 +46,7 @@ def _cycle(client: Client, folder: Path) -> list[Figure]:
     fleet = Fleet(client, "wearing", folder, {"rule": "tracking_no_worse", "slack": 1.1})
     fleet.commission()
     fleet.watch(REFERENCE, PROMISE_H)
-    fleet.let_go(promise_h=PROMISE_H, reference_episodes=REFERENCE)
+    fleet.automate(promise_h=PROMISE_H, reference_episodes=REFERENCE)
     for _ in range(5):
         fleet.visit(Role.ADAPTATION)
     fleet.until(lambda: client.monitor(fleet.name)["episodes"] == 10, "healthy episodes are seen")
@@ -113,7 +113,7 @@ def _forgetting(client: Client, folder: Path) -> list[Figure]:
     fleet.commission()
     fleet.friction *= WORN
     fleet.visit(Role.VALIDATION, Role.VALIDATION)
-    decision = fleet.judge(fleet.forgetful())
+    decision = fleet.judge(fleet.add_forgetting_candidate())
     said = next(
         v["because"] for v in decision["document"]["verdicts"] if v["rule"] == "retained_conditions"
     )

@@ -51,7 +51,7 @@ def main() -> None:
         differences = {
             case: difference(found[first][case], found[name][case]) for case in found[first]
         }
-        missed = {case: d for case, d in differences.items() if not d.met}
+        missed = {case: d for case, d in differences.items() if not d.is_negligible}
         target = f"moved {MOVED:g}, width {WIDTH:g}, error {ERROR:g}"
         figures.append(
             Figure(

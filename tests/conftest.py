@@ -24,14 +24,14 @@ EXAMPLE = Path(__file__).parent.parent / "examples" / "emps"
 
 @pytest.fixture(scope="session")
 def postgres(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Postgres]:
-    with start_postgres() as found:
-        yield found
+    with start_postgres() as server:
+        yield server
 
 
 @pytest.fixture(scope="session")
 def s3() -> Iterator[S3]:
-    with start_s3() as found:
-        yield found
+    with start_s3() as server:
+        yield server
 
 
 @pytest.fixture(params=["embedded", "scaled"])
@@ -48,23 +48,21 @@ def storage(request: pytest.FixtureRequest, tmp_path: Path) -> Storage:
 def service(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Service]:
-    """A running server with a worker, shared by the tests of a session: each uses plants of its
-    own."""
+    """A running server with a worker, for all tests of a session. Each test uses its own plants."""
     data = tmp_path_factory.mktemp("service")
     storage = (
         embedded(data)
         if request.param == "embedded"
         else scaled(data, request.getfixturevalue("postgres"), request.getfixturevalue("s3"))
     )
-    with Service(storage).running() as found:
-        yield found
+    with Service(storage).running() as running:
+        yield running
 
 
 @pytest.fixture
 def client(service: Service) -> Iterator[Client]:
-    found = Client(service.url, actor="tester")
-    yield found
-    found.close()
+    with Client(service.url, actor="tester") as opened:
+        yield opened
 
 
 @pytest.fixture

@@ -1,10 +1,9 @@
-"""Look the pinned packages up among published advisories, and say so where their source does not
-answer.
+"""Look the pinned packages up among published advisories.
 
     python tools/advisories.py [--tell]
 
-Exit 1 if an advisory is known for a package, 3 if not one package could be looked up; always 0 with
---tell, for tests, which say the same of one commit today and in a year.
+Exits with 1 if an advisory is known for a package, and with 3 if no package could be looked up.
+With --tell it always exits with 0, for tests, whose result for a commit must not depend on the day.
 """
 
 from __future__ import annotations
@@ -31,20 +30,20 @@ OPTIONS = (
 )
 
 
-def looked_up(root: Path) -> list[dict[str, Any]]:
-    """What is known of each pinned package; nothing where the source does not answer."""
+def look_up(root: Path) -> list[dict[str, Any]]:
+    """Returns what is known of each pinned package; nothing if the source does not answer."""
     files = [word for name in PINNED for word in ("--requirement", str(root / name))]
     command = [sys.executable, "-m", "pip_audit", *OPTIONS, *files]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=LIMIT_S)
-        found: list[dict[str, Any]] = json.loads(done.stdout)["dependencies"]
+        packages: list[dict[str, Any]] = json.loads(done.stdout)["dependencies"]
     except (subprocess.TimeoutExpired, ValueError, KeyError):
         return []
-    return found
+    return packages
 
 
-def told(packages: Sequence[Mapping[str, Any]]) -> tuple[list[str], int]:
-    """The same in words, and how it ends."""
+def summary(packages: Sequence[Mapping[str, Any]]) -> tuple[list[str], int]:
+    """Returns what is known in words, and the exit code."""
     known = [p for p in packages if "skip_reason" not in p]
     if not known:
         return [
@@ -56,9 +55,9 @@ def told(packages: Sequence[Mapping[str, Any]]) -> tuple[list[str], int]:
     lines = [f"advisories: {len(known)} of {len(packages)} pinned packages looked up"]
     for package in known:
         for advisory in package["vulns"]:
-            mended = ", ".join(advisory["fix_versions"]) or "no version yet"
+            fixed = ", ".join(advisory["fix_versions"]) or "no version yet"
             lines.append(
-                f"  {package['name']} {package['version']}: {advisory['id']}, mended in {mended}"
+                f"  {package['name']} {package['version']}: {advisory['id']}, mended in {fixed}"
             )
     if len(lines) == 1:
         return [f"{lines[0]}, none is known"], NONE
@@ -66,8 +65,8 @@ def told(packages: Sequence[Mapping[str, Any]]) -> tuple[list[str], int]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Look up, and tell."""
-    lines, code = told(looked_up(Path(__file__).parent.parent))
+    """Looks the packages up, prints the summary, and returns the exit code."""
+    lines, code = summary(look_up(Path(__file__).parent.parent))
     print(*lines, sep="\n")
     return 0 if "--tell" in arguments else code
 

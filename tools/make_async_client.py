@@ -1,108 +1,95 @@
-"""Write client/trueup_client/asynchronous.py: the client for an event loop, method by method what
-the client has."""
+"""Write client/trueup_client/async_calls/: for an event loop, what client/trueup_client/calls/ has.
+
+Run it, then `ruff format client`, after a change of the client's calls.
+"""
 
 import ast
 from pathlib import Path
 
-ROOT = Path(__file__).parent.parent
-SOURCE, MADE = (
-    ROOT / "client" / "trueup_client" / "client.py",
-    ROOT / "client" / "trueup_client" / "asynchronous.py",
-)
-APART = ("close", "abort", "aborted")
-HEAD = '''"""The client for an event loop: the methods of `Client`, to be awaited or iterated over.
+CLIENT = Path(__file__).parent.parent / "client" / "trueup_client"
+SOURCES, WRITTEN = CLIENT / "calls", CLIENT / "async_calls"
+PACKAGE = '''"""The calls of `AsyncClient`, one file for each noun of the service.
 
-    async with AsyncClient("http://127.0.0.1:8321") as client:
-        serving = await client.serving("emps")
-        async for moved in client.watch("emps"):
-            ...
+Made by tools/make_async_client.py from trueup_client.calls.
+"""
+'''
+MODULE = '''"""The calls of trueup_client.calls.{noun} for an event loop.
 
-Made by tools/make_async_client.py from the client itself.
+Made by tools/make_async_client.py.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import AsyncIterator, Callable
-from pathlib import Path
-
-from trueup_client.client import Client, Share, silent
-from trueup_client.pool import Pool
-from trueup_client.proof import Checkpoint
-{records}
-from trueup_client.witness import Witness
+{imports}
 
 
-class AsyncClient:
-    """Talks to one service, with at most `at_once` requests on their way.
-
-    The other arguments are those of `Client`.
-
-    `progress` and `confirmed` are called in the thread that asks. A call that is cancelled is
-    broken off, and what it asked for may have been done: ask, or repeat it with its key. A watch
-    holds one of the requests for as long as it lasts.
-    """
-
-    def __init__(
-        self,
-        url: str | None = None,
-        actor: str | None = None,
-        timeout_s: float = 120.0,
-        token: str | None = None,
-        *,
-        at_once: int = 8,
-    ) -> None:
-        self._pool = Pool(lambda: Client(url, actor, timeout_s, token), at_once)
-
-    async def __aenter__(self) -> AsyncClient:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await self.close()
-
-    async def close(self) -> None:
-        """Close every connection; what still asks or waits for its turn ends with Unreachable."""
-        await self._pool.close()
+class Async{name}(Pooled):
+    """{doc} For an event loop."""
 '''
 
 
-def module() -> str:
-    """The module's text."""
-    tree = ast.parse(SOURCE.read_text())
-    client = next(
-        node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Client"
-    )
-    records = next(
-        n
-        for n in tree.body
-        if isinstance(n, ast.ImportFrom) and n.module == "trueup_client.records"
-    )
-    return HEAD.replace("{records}", ast.unparse(records)) + "".join(
-        method(node)
-        for node in client.body
-        if isinstance(node, ast.FunctionDef) and node.name not in APART
-    )
+def modules() -> dict[Path, str]:
+    """Returns the text of every module by its path, before formatting."""
+    sources = sorted(path for path in SOURCES.glob("*.py") if path.name != "__init__.py")
+    texts = {WRITTEN / path.name: module(path) for path in sources}
+    return {WRITTEN / "__init__.py": PACKAGE, **texts}
 
 
-def method(node: ast.FunctionDef) -> str:
-    """One method, "" for what is not public."""
-    if node.name.startswith("_"):
-        return ""
-    names = [a.arg for a in node.args.args[1:]]
-    named = [f"{a.arg}={a.arg}" for a in node.args.kwonlyargs]
-    given = ", ".join([f"Client.{node.name}", *names, *named])
-    answer, doc = ast.unparse(node.returns), ast.get_docstring(node, clean=False)
-    told = f'        """{doc}"""\n' if doc else ""
-    if answer.startswith("Iterator["):
-        return (
-            f"\n    def {node.name}({ast.unparse(node.args)}) -> Async{answer}:\n{told}      "
-            f"  return self._pool.each({given})\n"
-        )
-    return (
-        f"\n    async def {node.name}({ast.unparse(node.args)}) -> {answer}:\n{told}        "
-        f"return await self._pool.run({given})\n"
+def module(path: Path) -> str:
+    """Returns the asynchronous form of one module of calls."""
+    tree = ast.parse(path.read_text())
+    calls = next(node for node in tree.body if isinstance(node, ast.ClassDef))
+    methods = [
+        node
+        for node in calls.body
+        if isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
+    ]
+    head = MODULE.format(
+        doc=ast.get_docstring(calls),
+        noun=path.stem,
+        name=calls.name,
+        imports=imports(tree, methods, f"trueup_client.calls.{path.stem}", calls.name),
     )
+    return head + "".join(method(node, calls.name) for node in methods)
+
+
+def imports(tree: ast.Module, methods: list[ast.FunctionDef], home: str, calls: str) -> str:
+    """Returns the imports that the signatures of these methods need, sorted."""
+    names = {
+        "AsyncIterator" if node.id == "Iterator" else node.id
+        for method in methods
+        for part in (method.args, method.returns)
+        for node in ast.walk(part)
+        if isinstance(node, ast.Name)
+    }
+    outside, ours = [], [f"from {home} import {calls}", "from trueup_client.pool import Pooled"]
+    for node in tree.body:
+        if isinstance(node, ast.Import):
+            outside += [f"import {alias.name}" for alias in node.names if alias.name in names]
+        elif isinstance(node, ast.ImportFrom) and node.module != "__future__":
+            imported = [alias.name.replace("Iterator", "AsyncIterator") for alias in node.names]
+            used = ", ".join(sorted(set(imported) & names))
+            own = node.module.startswith("trueup_client")
+            (ours if own else outside).extend([f"from {node.module} import {used}"] if used else [])
+    outside.sort(key=lambda line: (line.startswith("from"), line))
+    return "\n".join(outside) + "\n\n" + "\n".join(sorted(ours))
+
+
+def method(node: ast.FunctionDef, calls: str) -> str:
+    """Returns one method: awaited, or iterated over where it yields."""
+    positional = [a.arg for a in node.args.args[1:]]
+    keywords = [f"{a.arg}={a.arg}" for a in node.args.kwonlyargs]
+    arguments = ", ".join([f"{calls}.{node.name}", *positional, *keywords])
+    signature = f"def {node.name}({ast.unparse(node.args)})"
+    returns, doc = ast.unparse(node.returns), ast.get_docstring(node, clean=False)
+    if returns.startswith("Iterator["):
+        head, body = f"{signature} -> Async{returns}", f"return self._pool.each({arguments})"
+    else:
+        head, body = f"async {signature} -> {returns}", f"return await self._pool.run({arguments})"
+    return f'\n    {head}:\n        """{doc}"""\n        {body}\n'
 
 
 if __name__ == "__main__":
-    MADE.write_text(module())
+    WRITTEN.mkdir(exist_ok=True)
+    for path, text in modules().items():
+        path.write_text(text)

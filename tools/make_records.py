@@ -1,5 +1,7 @@
-"""Write client/trueup_client/records.py: what the service answers with, from its OpenAPI
-document."""
+"""Write client/trueup_client/records.py from the service's OpenAPI document on standard input.
+
+Run it, then `ruff format client`.
+"""
 
 import json
 import sys
@@ -23,7 +25,7 @@ PLAIN = {
     "object": "Document",
     "null": "None",
 }
-HEAD = '''"""What the service answers with. Made by tools/make_records.py from its OpenAPI."""
+HEAD = '''"""The service's answers as types. Made by tools/make_records.py from its OpenAPI."""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ class Serving:
 
 
 def module(document):
-    """The module's text."""
+    """Returns the text of the module, before formatting."""
     schemas = document["components"]["schemas"]
     fields = [
         f"    {name}: {kind(schema)}" for name, schema in schemas["Serving"]["properties"].items()
@@ -52,7 +54,7 @@ def module(document):
 
 
 def record(name, schema):
-    """One record."""
+    """Returns one record as a class."""
     description = schema.get("description") or f"{name}, as the service keeps it."
     docstring = textwrap.fill(" ".join(description.split()), 90)
     docstring = docstring.replace("\n", "\n    ") + ("\n    " if "\n" in docstring else "")
@@ -61,7 +63,7 @@ def record(name, schema):
 
 
 def kind(schema):
-    """A field's type."""
+    """Returns the Python type of a field."""
     if "anyOf" in schema:
         return " | ".join(dict.fromkeys(kind(one) for one in schema["anyOf"]))
     if "$ref" in schema:

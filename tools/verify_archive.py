@@ -3,26 +3,25 @@
 
     python verify_archive.py ARCHIVE [KEY]
 
-ARCHIVE is what `trueup export` or `trueup backup` wrote, a folder or a tar file; KEY is the log's
-public key as its operator gave it to you (<name>+<hash>+<base64>). Without it the archive is
-believed to name its own, which shows that it is whole and not whose it is, and this program says
-so. Exit 0 if all of this holds, 4 with a list otherwise:
+ARCHIVE is the folder or tar file that `trueup export` or `trueup backup` wrote. KEY is the log's
+public key from its operator (<name>+<hash>+<base64>). Without KEY the key that the archive names is
+used, which shows that the archive is whole, not whose it is; this program then says so. It exits
+with 0 if all of this holds, and otherwise with 4 and a list:
 
 - every part of the archive is what its digest names;
 - the head of the log, and the archive itself, are signed by the key (Ed25519, C2SP signed note);
 - every entry is in that log (RFC 9162): a plant's by its proof, a whole registry's by rebuilding
   the tree;
-- every row is as the last entry that names it left it, every row is named, and every named row is
-  there;
+- every row is as the last entry that names it left it, every row is named by an entry, and every
+  named row is there;
 - artifacts, gates, decisions and episodes have the content that names them, and every byte that a
   row names is there;
-- every move of a pointer is told by an entry that may tell of one.
+- every move of a pointer is named by an entry of a kind that may move one.
 
-Whatever holds, it lists on standard error what a reader should know of the gates: which took the
-place of another, and which decisions were made by a gate that was declared after their candidate
-had been judged.
+On standard error it lists what a reader should know of the gates: which one replaced another, and
+which decisions were made by a gate that was declared after their candidate had been judged.
 
-Written apart from the service and its library, so that one mistake is not made twice.
+It shares no code with the service and its library, so that no mistake is made twice.
 """
 
 import base64
@@ -49,28 +48,22 @@ KEYS = {
     "channel_moves": "plant channel generation",
 }  # fmt: skip
 ENDORSEMENT = "trueup: the log is signed from here on by"
-APART = ("projects", "tokens")
-BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")
-TELL_OF_MOVES = {
+OF_NO_PLANT = ("projects", "tokens")
+NAMED_BY_DOCUMENT = ("plants", "gates", "decisions", "monitors", "policies", "evidence")
+MOVING_KINDS = {
     "moves": ("pointer:moved", "plant:registered"),
     "channel_moves": ("channel:moved",),
 }
-TELL_OF_ALL = ("log:migrated", "plant:imported")
+KINDS_OF_ANY_ROW = ("log:migrated", "plant:imported")
 NAMES_BYTES = {
     "episodes": "digest",
     "artifacts": "arrays",
     "imports": "entries",
     "outputs": "digest",
 }
-LONGEST_NOTE, MOST_SIGNERS, MOST_KEYS = (
-    4096,
-    8,
-    100,
-)  # checking a signature takes this program a hundredth of a second
-HEADER, LARGEST_EXTENSION = (
-    512,
-    8192,
-)  # bytes of a tar file's header, and of one that only names the next or tells its size
+LONGEST_NOTE, MOST_SIGNERS, MOST_KEYS = 4096, 8, 100  # checking a signature takes about 10 ms
+# bytes of a tar file's header, and of an extension that names the next header or its size
+HEADER, LARGEST_EXTENSION = 512, 8192
 FINAL = ("succeeded", "failed", "cancelled")
 
 
@@ -78,7 +71,7 @@ FINAL = ("succeeded", "failed", "cancelled")
 
 
 def canonical(value):
-    """The canonical text of a JSON value."""
+    """Returns the canonical text of a JSON value."""
     if value is None or isinstance(value, bool):
         return json.dumps(value)
     if isinstance(value, str):
@@ -94,8 +87,10 @@ def canonical(value):
 
 
 def number(value):
-    """A number as ECMAScript writes it: the shortest digits that give it back, plain from 1e-6 to
-    below 1e21."""
+    """Returns a number as ECMAScript writes it.
+
+    It has the shortest digits that give it back, without exponent from 1e-6 to below 1e21.
+    """
     if value == 0:
         return "0"
     sign, text = ("-" if value < 0 else ""), repr(abs(value))
@@ -118,7 +113,7 @@ def number(value):
 
 
 def sha256(data):
-    """SHA-256 of bytes or of a document's canonical text, hexadecimal."""
+    """Returns the SHA-256 of bytes or of a document's canonical text, in hexadecimal."""
     return hashlib.sha256(data if isinstance(data, bytes) else canonical(data).encode()).hexdigest()
 
 
@@ -129,26 +124,26 @@ CURVE = -121665 * pow(121666, P - 2, P) % P
 
 
 def add(one, other):
-    """The sum of two points, given as x and y."""
+    """Returns the sum of two points (x, y)."""
     (a, b), (c, d) = one, other
     k = CURVE * a * b * c * d % P
     return (a * d + b * c) * pow(1 + k, P - 2, P) % P, (b * d + a * c) * pow(1 - k, P - 2, P) % P
 
 
 def times(count, point):
-    """A point added to itself so many times."""
-    found = (0, 1)
+    """Returns a point multiplied by a number."""
+    product = (0, 1)
     while count:
         if count & 1:
-            found = add(found, point)
+            product = add(product, point)
         point, count = add(point, point), count >> 1
-    return found
+    return product
 
 
 def point(encoded):
-    """A point from its 32 bytes, None where there is none."""
-    found = int.from_bytes(encoded, "little")
-    y, odd = found % 2**255, found >> 255
+    """Returns the point of 32 bytes; None if there is none."""
+    value = int.from_bytes(encoded, "little")
+    y, odd = value % 2**255, value >> 255
     square = (y * y - 1) * pow(CURVE * y * y + 1, P - 2, P) % P
     x = pow(square, (P + 3) // 8, P)
     if (x * x - square) % P:
@@ -162,16 +157,20 @@ BASE = point((4 * pow(5, P - 2, P) % P).to_bytes(32, "little"))
 
 
 def signed(key, signature, message):
-    """Whether a signature of a message holds."""
-    begun, public, s = point(signature[:32]), point(key), int.from_bytes(signature[32:], "little")
-    if begun is None or public is None or s >= ORDER or len(signature) != 64:
+    """Whether a signature of a message is valid under the key."""
+    commitment, public, s = (
+        point(signature[:32]),
+        point(key),
+        int.from_bytes(signature[32:], "little"),
+    )
+    if commitment is None or public is None or s >= ORDER or len(signature) != 64:
         return False
     h = int.from_bytes(hashlib.sha512(signature[:32] + key + message).digest(), "little") % ORDER
-    return times(s, BASE) == add(begun, times(h, public))
+    return times(s, BASE) == add(commitment, times(h, public))
 
 
 def opened(note, key):
-    """The text of a note that the key signed, None where it did not."""
+    """Returns the text of a note; None if the key did not sign it."""
     if len(note) > LONGEST_NOTE:
         return None
     name, named, encoded = key.strip().split("+", 2)
@@ -195,7 +194,7 @@ def opened(note, key):
 
 
 def followed(key, endorsements):
-    """The last of the keys that take over from one another, each endorsed by the one before."""
+    """Returns the last key in the chain in which each key endorses the next."""
     for note in endorsements[:MOST_KEYS]:
         first, _, then = (opened(note, key) or "").partition("\n")
         if first == ENDORSEMENT and then.split("+")[0] == key.split("+")[0]:
@@ -207,37 +206,36 @@ def followed(key, endorsements):
 
 
 def leaf(entry):
-    """An entry as a leaf of the tree."""
-    told = {name: entry[name] for name in ("sequence", "at", "kind", "actor", "plant", "subject")}
-    told |= {"facts_sha256": sha256(entry["facts"]), "rows_sha256": sha256(entry["rows"])}
-    return hashlib.sha256(b"\0" + canonical(told).encode()).digest()
+    """Returns an entry's hash as a leaf of the tree."""
+    named = {name: entry[name] for name in ("sequence", "at", "kind", "actor", "plant", "subject")}
+    named |= {"facts_sha256": sha256(entry["facts"]), "rows_sha256": sha256(entry["rows"])}
+    return hashlib.sha256(b"\0" + canonical(named).encode()).digest()
 
 
 def join(left, right):
-    """Two subtrees as one."""
+    """Returns the hash of two subtrees as one."""
     return hashlib.sha256(b"\1" + left + right).digest()
 
 
 def root_of(leaves):
-    """The root of a tree."""
+    """Returns the root of a tree."""
     if len(leaves) < 2:
         return leaves[0] if leaves else hashlib.sha256(b"").digest()
     half = 1 << ((len(leaves) - 1).bit_length() - 1)
     return join(root_of(leaves[:half]), root_of(leaves[half:]))
 
 
-def root_by(proof, found, position, size):
-    """The root that a leaf's proof leads to, None where the proof has another length than it
-    must."""
+def root_by(proof, leaf_hash, position, size):
+    """Returns the root that a leaf's proof leads to; None if the proof has the wrong length."""
     if size == 1:
-        return found if not proof else None
+        return leaf_hash if not proof else None
     if not proof:
         return None
     half = 1 << ((size - 1).bit_length() - 1)
     if position < half:
-        inner = root_by(proof[:-1], found, position, half)
+        inner = root_by(proof[:-1], leaf_hash, position, half)
         return inner and join(inner, proof[-1])
-    inner = root_by(proof[:-1], found, position - half, size - half)
+    inner = root_by(proof[:-1], leaf_hash, position - half, size - half)
     return inner and join(proof[-1], inner)
 
 
@@ -245,11 +243,11 @@ def root_by(proof, found, position, size):
 
 
 class Broken(Exception):
-    """The archive cannot be read on."""
+    """The archive cannot be read."""
 
 
 def regular(path):
-    """The bytes of a file, if it is one: a pipe would wait, and a device never end."""
+    """Returns the bytes of a regular file. Raises Broken for a pipe or a device."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     with os.fdopen(handle, "rb") as file:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
@@ -258,8 +256,10 @@ def regular(path):
 
 
 def require_plain_tar(path):
-    """Walk the headers of a tar file before anything makes members of them: no long extension, none
-    for all members."""
+    """Checks the headers of a tar file before tarfile reads them.
+
+    Raises Broken for a long extension, or one that holds for all members.
+    """
     whole, at = path.stat().st_size, 0
     with path.open("rb") as file:
         while at + HEADER <= whole:
@@ -301,7 +301,7 @@ class Archive:
         self.layers = {layer["annotations"][TITLE]: layer["digest"] for layer in manifest["layers"]}
 
     def read(self, name):
-        """A file of the layout."""
+        """Returns a file of the layout."""
         try:
             return (
                 regular(self.path / name) if self.tar is None else self.tar.extractfile(name).read()
@@ -310,14 +310,14 @@ class Archive:
             raise Broken(f"{name} is missing") from error
 
     def blob(self, digest):
-        """A part, which must be what its digest names."""
+        """Returns a part. Raises Broken if it is not what its digest names."""
         data = self.read("blobs/" + digest.replace(":", "/"))
         if f"sha256:{sha256(data)}" != digest:
             raise Broken(f"{digest} is not what it names")
         return data
 
     def lines(self, title):
-        """The documents of a layer."""
+        """Returns the documents of a layer."""
         return (
             [json.loads(line) for line in self.blob(self.layers[title]).splitlines()]
             if title in self.layers
@@ -326,7 +326,7 @@ class Archive:
 
 
 def findings(archive, key):
-    """What does not hold."""
+    """Returns what does not hold."""
     key = followed(key or archive.config["key"], archive.config.get("endorsements", ()))
     plant, head = archive.config["plant"], opened(archive.config["checkpoint"], key)
     if head is None or head.split("\n")[0] != key.split("+")[0]:
@@ -334,72 +334,72 @@ def findings(archive, key):
     if opened(archive.signature, key) != f"trueup.archive/1\n{archive.digest}":
         return ["the archive is not signed by the key"]
     size, root = int(head.split("\n")[1]), base64.b64decode(head.split("\n")[2])
-    told = archive.lines("log/entries.jsonl")
+    lines = archive.lines("log/entries.jsonl")
     named = {}
-    for line in told:
+    for line in lines:
         named |= {name: (digest, line["entry"]) for name, digest in line["entry"]["rows"].items()}
     if plant is None:
-        in_order = len(told) == size and all(
-            line["entry"]["sequence"] == at for at, line in enumerate(told, 1)
+        in_order = len(lines) == size and all(
+            line["entry"]["sequence"] == at for at, line in enumerate(lines, 1)
         )
-        whole = in_order and root_of([leaf(line["entry"]) for line in told]) == root
-        found = (
+        whole = in_order and root_of([leaf(line["entry"]) for line in lines]) == root
+        wrong = (
             []
             if whole
-            else [f"{len(told)} entries do not have the root that was signed for {size}"]
+            else [f"{len(lines)} entries do not have the root that was signed for {size}"]
         )
     else:
-        proofs = [(line["entry"], [base64.b64decode(h) for h in line["proof"]]) for line in told]
-        found = [
+        proofs = [(line["entry"], [base64.b64decode(h) for h in line["proof"]]) for line in lines]
+        wrong = [
             f"entry {e['sequence']} is not proven"
             for e, p in proofs
             if root_by(p, leaf(e), e["sequence"] - 1, size) != root
         ]
-        found += [
+        wrong += [
             f"entry {e['sequence']} is of another plant" for e, _ in proofs if e["plant"] != plant
         ]
         order = [e["sequence"] for e, _ in proofs]
-        found += [] if order == sorted(set(order)) else ["the entries are not in order"]
-    return found + rows_that_differ(archive, named, plant) + bytes_that_are_missing(archive)
+        wrong += [] if order == sorted(set(order)) else ["the entries are not in order"]
+    return wrong + rows_that_differ(archive, named, plant) + bytes_that_are_missing(archive)
 
 
 def rows_that_differ(archive, named, plant):
-    """Rows that are not as the log names them."""
-    found, seen = [], set()
+    """Returns rows that are not as the log names them."""
+    wrong, seen = [], set()
     for table, key in KEYS.items():
         for row in archive.lines(f"rows/{table}.jsonl"):
             name = "/".join([table, *(str(row[column]) for column in key.split())])
             seen.add(name)
             if plant and row["name" if table == "plants" else "plant"] != plant:
-                found.append(f"{name}: it is of another plant")
+                wrong.append(f"{name}: it is of another plant")
             if name not in named:
                 if table != "jobs" or row["state"] in FINAL:
-                    found.append(f"{name}: no entry tells of it")
+                    wrong.append(f"{name}: no entry tells of it")
                 continue
             digest, entry = named[name]
             if (
                 sha256({"table": table, "row": {k: v for k, v in row.items() if v is not None}})
                 != digest
             ):
-                found.append(f"{name}: it is not as entry {entry['sequence']} left it")
-            if entry["kind"] not in (*TELL_OF_MOVES.get(table, (entry["kind"],)), *TELL_OF_ALL):
-                found.append(f"{name}: entry {entry['sequence']} cannot tell of a move")
+                wrong.append(f"{name}: it is not as entry {entry['sequence']} left it")
+            if entry["kind"] not in (*MOVING_KINDS.get(table, (entry["kind"],)), *KINDS_OF_ANY_ROW):
+                wrong.append(f"{name}: entry {entry['sequence']} cannot tell of a move")
             content = (
                 row["manifest"]
                 if table == "artifacts"
                 else row["document"]
-                if table in BY_DOCUMENT
+                if table in NAMED_BY_DOCUMENT
                 else None
             )
             if content is not None and sha256(content.encode()) != row["digest"]:
-                found.append(f"{name}: it is not what its digest names")
+                wrong.append(f"{name}: it is not what its digest names")
     jobs = {row["id"] for row in archive.lines("rows/jobs.jsonl")}
     strays = [row for row in archive.lines("rows/outputs.jsonl") if row["job"] not in jobs]
-    found += [
+    wrong += [
         f"outputs/{row['job']}/{row['name']}: its job is not in the archive" for row in strays
     ]
-    left_out = APART if plant else ()
-    return found + [
+    left_out = OF_NO_PLANT if plant else ()
+    return wrong + [
         f"{name}: the log names it, and it is not there"
         for name in sorted(set(named) - seen)
         if name.split("/")[0] not in left_out
@@ -407,32 +407,35 @@ def rows_that_differ(archive, named, plant):
 
 
 def bytes_that_are_missing(archive):
-    """Parts that are not what they name, and bytes that a row names and that are not there."""
-    held, found = set(), []
+    """Returns parts that are not what they name, and missing bytes that a row names."""
+    held, wrong = set(), []
     for title, digest in archive.layers.items():
         try:
             archive.blob(digest)
             held.add(digest.partition(":")[2])
         except Broken as error:
-            found.append(f"{title}: {error}")
+            wrong.append(f"{title}: {error}")
     for table, column in NAMES_BYTES.items():
         rows = archive.lines(f"rows/{table}.jsonl")
-        found += [
+        wrong += [
             f"{table} {row[column]}: its bytes are not there"
             for row in rows
             if row[column] and row[column] not in held
         ]
-    return found
+    return wrong
 
 
 def to_know(archive):
-    """Gates that took the place of another, and decisions by a gate that was declared after their
-    candidate had been judged."""
-    said = []
+    """Returns what to know of the gates.
+
+    These are gates that replaced another, and decisions by a gate that was declared after their
+    candidate had been judged.
+    """
+    notes = []
     for row in archive.lines("rows/gates.jsonl"):
         gate = json.loads(row["document"])
         if "follows" in gate:
-            said.append(
+            notes.append(
                 f"gate {row['digest'][:12]} took the place of {gate['follows'][:12]}: "
                 f"{gate['because']}"
             )
@@ -443,20 +446,20 @@ def to_know(archive):
                 f"{'passed' if d['accepted'] else 'failed'} by gate {d['gate'][:12]}"
                 for d in known["candidate"]
             )
-            said.append(
+            notes.append(
                 f"decision {row['digest'][:12]}: its gate was declared after its candidate "
                 f"had been judged: {before or 'compared'}"
             )
-    return said
+    return notes
 
 
 def visible(text):
-    """Text that others wrote, for a terminal: what it would obey stands as an escape."""
+    """Returns text that others wrote with control characters escaped, for a terminal."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(text))
 
 
 def main(arguments):
-    """Verify, and say so."""
+    """Verifies an archive, prints what does not hold, and returns the exit code."""
     if len(arguments) not in (1, 2):
         print(__doc__)
         return 2
@@ -471,13 +474,13 @@ def main(arguments):
                 ),
                 file=sys.stderr,
             )
-        found = findings(archive, arguments[1] if len(arguments) > 1 else None)
+        wrong = findings(archive, arguments[1] if len(arguments) > 1 else None)
         for line in to_know(archive):
             print(visible(line), file=sys.stderr)
-    except Exception as error:  # noqa: BLE001  (whatever it is, it does not hold)
-        found = [f"the archive cannot be read: {type(error).__name__} {error}"]
-    print(*map(visible, found or ["holds"]), sep="\n")
-    return 4 if found else 0
+    except Exception as error:  # noqa: BLE001  (then the archive does not hold)
+        wrong = [f"the archive cannot be read: {type(error).__name__} {error}"]
+    print(*map(visible, wrong or ["holds"]), sep="\n")
+    return 4 if wrong else 0
 
 
 if __name__ == "__main__":

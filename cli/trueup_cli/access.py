@@ -1,4 +1,4 @@
-"""Commands on tokens and projects, for admins, and signing in."""
+"""Commands that manage tokens and projects, for admins, and that sign in."""
 
 from __future__ import annotations
 
@@ -8,45 +8,53 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from trueup_cli.exits import ASKS, told
+from trueup_cli.exits import CALLS_SERVICE, exit_codes
 from trueup_cli.options import DEFAULT_URL, Json, Url, connect, login_file
 from trueup_cli.show import as_json, err, moment, say, table
 from trueup_client import Client
 from trueup_client.records import Token
 
-tokens = App(name="token", help="Issue, list and revoke tokens.", help_epilogue=told(ASKS))
-projects = App(name="project", help="Create and list projects.", help_epilogue=told(ASKS))
+tokens = App(
+    name="token", help="Issue, list and revoke tokens.", help_epilogue=exit_codes(CALLS_SERVICE)
+)
+projects = App(
+    name="project", help="Create and list projects.", help_epilogue=exit_codes(CALLS_SERVICE)
+)
 
 
 @tokens.command
 def issue(
     name: str,
     *roles: str,
-    project: Annotated[str | None, Parameter(help="Of this project alone; default: of all")] = None,
-    plant: Annotated[str | None, Parameter(help="Of this plant alone; a robot's must be")] = None,
-    days: Annotated[float, Parameter(help="Until it expires; 0 for never")] = 365.0,
+    project: Annotated[
+        str | None, Parameter(help="Restrict it to this project; default: all projects")
+    ] = None,
+    plant: Annotated[
+        str | None, Parameter(help="Restrict it to this plant; required for a robot")
+    ] = None,
+    days: Annotated[float, Parameter(help="Days until it expires; 0 for never")] = 365.0,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Issue a token and print it, this once.
+    """Issue a token and print it. It is never shown again.
 
     Parameters
     ----------
     name
-        who it is for; stands in the log behind everything that is done with it
+        whom it is for; the audit log names it with everything that the token does
     roles
-        robot, engineer, operator, auditor or admin; several but for a robot
+        one or several of robot, engineer, operator, auditor, admin; robot stands alone
     """
-    made = connect(url).issue_token(name, list(roles), project, plant, days or None)
+    issued = connect(url).issue_token(name, list(roles), project, plant, days or None)
     if as_json_:
-        as_json(made)
+        as_json(issued)
         return
-    say("{}", made["token"])
-    until = f"until {moment(made['expires_at'])}" if made["expires_at"] else "without an end"
+    say("{}", issued["token"])
+    until = f"until {moment(issued['expires_at'])}" if issued["expires_at"] else "without an end"
     say(
         "[dim]{}: {}, {}; kept nowhere: give it to its owner now[/]",
         name,
-        ", ".join(made["roles"]),
+        ", ".join(issued["roles"]),
         until,
         to=err,
     )
@@ -55,9 +63,9 @@ def issue(
 @tokens.command(name="list")
 def list_tokens(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """List tokens, without their secrets."""
-    found = list(connect(url).tokens())
+    listed = list(connect(url).tokens())
     if as_json_:
-        as_json(found)
+        as_json(listed)
         return
     rows = [
         (
@@ -69,7 +77,7 @@ def list_tokens(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
             moment(t["expires_at"] or ""),
             _state(t),
         )
-        for t in found
+        for t in listed
     ]
     table("", ["prefix", "name", "roles", "project", "plant", "expires", "state"], rows)
 
@@ -80,40 +88,40 @@ def _state(token: Token) -> str:
 
 @tokens.command
 def revoke(prefix: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Revoke a token, for good.
+    """Revoke a token for good.
 
     Parameters
     ----------
     prefix
-        its public part, the twelve digits behind trueup_
+        its public part: the twelve digits after trueup_
     """
-    gone = connect(url).revoke_token(prefix)
-    as_json(gone) if as_json_ else say("{} is revoked", gone["name"])
+    token = connect(url).revoke_token(prefix)
+    as_json(token) if as_json_ else say("{} is revoked", token["name"])
 
 
 @projects.command
 def create(name: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Create a project: its plants are there for its own tokens, and for those of all projects.
+    """Create a project. Its tokens, and those of all projects, can see its plants.
 
     Parameters
     ----------
     name
-        of the project
+        name of the project
     """
-    made = connect(url).create_project(name)
-    as_json(made) if as_json_ else say("project [bold]{}[/] is there", made["name"])
+    project = connect(url).create_project(name)
+    as_json(project) if as_json_ else say("project [bold]{}[/] is there", project["name"])
 
 
 @projects.command(name="list")
 def list_projects(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """List projects."""
-    found = list(connect(url).projects())
-    rows = [(p["name"], moment(p["created_at"]), p["created_by"]) for p in found]
-    as_json(found) if as_json_ else table("", ["project", "since", "by"], rows)
+    listed = list(connect(url).projects())
+    rows = [(p["name"], moment(p["created_at"]), p["created_by"]) for p in listed]
+    as_json(listed) if as_json_ else table("", ["project", "since", "by"], rows)
 
 
 def login(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Keep a token for an address, read from standard input, once the service knows it."""
+    """Read a token from standard input, and store it for an address once the service accepts it."""
     import getpass
 
     token = getpass.getpass("token: ") if sys.stdin.isatty() else sys.stdin.readline().strip()
@@ -136,10 +144,10 @@ def login(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
 
 
 def whoami(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Say whom the service takes you for."""
+    """Show who you are to the service."""
     who = connect(url).whoami()
     if as_json_:
         as_json(who)
     else:
-        seen = who["plant"] or who["project"] or "all projects"
-        say("[bold]{}[/]: {}, {}", who["name"], ", ".join(who["roles"]), seen)
+        scope = who["plant"] or who["project"] or "all projects"
+        say("[bold]{}[/]: {}, {}", who["name"], ", ".join(who["roles"]), scope)

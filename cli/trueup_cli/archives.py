@@ -1,5 +1,4 @@
-"""Commands that take a registry or a plant out, and bring it in: backup, restore, export, import,
-gc. They work on the storage itself."""
+"""Commands that work on the storage itself: backup, restore, export, import, gc."""
 
 from __future__ import annotations
 
@@ -25,7 +24,7 @@ LogKey = Annotated[
     Parameter(
         name="--key",
         env_var="TRUEUP_LOG_KEY",
-        help="Public key of the log that it comes from; default: that of this installation",
+        help="Public key of the log that it comes from; default: this installation's",
     ),
 ]
 AnyKey = Annotated[
@@ -34,7 +33,7 @@ AnyKey = Annotated[
         name="--any-key",
         negative=(),
         help=(
-            "Believe the key that the archive names itself, which shows that it is whole, "
+            "Trust the key that the archive names itself: this shows that the archive is whole, "
             "not whose it is"
         ),
     ),
@@ -60,20 +59,23 @@ def _now() -> str:
 
 
 def backup(to: Path, *, as_json_: Json = False) -> None:
-    """Write all that is kept, as it is at one moment, while the service runs; the signing key is
-    not in it.
+    """Write the whole registry as it is at one moment, while the service runs.
+
+    The signing key is not in it.
 
     Parameters
     ----------
     to
-        a folder, which keeps what it has of an earlier backup, or a file that ends in .tar
+        a folder, which is brought up to date if it holds an earlier backup, or a .tar file
     """
     _write(to, None, as_json_=as_json_)
 
 
 def export(plant: PlantName, to: Path, *, as_json_: Json = False) -> None:
-    """Write a plant with its whole history: episodes, artifacts, gates, decisions, moves, and its
-    part of the log with proofs.
+    """Write a plant with its whole history.
+
+    It holds episodes, artifacts, gates, decisions, moves, and the plant's part of the log with
+    proofs.
 
     Parameters
     ----------
@@ -84,11 +86,13 @@ def export(plant: PlantName, to: Path, *, as_json_: Json = False) -> None:
 
 
 def _write(to: Path, plant: str | None, *, as_json_: bool) -> None:
-    from trueup_service.archives import export as write
+    from trueup_service.archives import export as write_archive
     from trueup_service.signed_log import open_log
 
     with _parts() as parts, progress(f"writing {to}") as bar:
-        digest = write(parts, open_log(parts.settings, parts.database), to, plant, _now(), bar)
+        digest = write_archive(
+            parts, open_log(parts.settings, parts.database), to, plant, _now(), bar
+        )
     as_json({"archive": str(to), "digest": f"sha256:{digest}"}) if as_json_ else say(
         "{} is sha256:{}", to, digest
     )
@@ -97,22 +101,23 @@ def _write(to: Path, plant: str | None, *, as_json_: bool) -> None:
 def restore(
     source: Path, *, key: LogKey = None, any_key: AnyKey = False, as_json_: Json = False
 ) -> None:
-    """Bring a backup back into empty storage, once it holds against its own log; jobs that were
-    under way go on.
+    """Restore a backup into empty storage, once it is verified against its own log.
+
+    Jobs that were under way go on.
 
     Parameters
     ----------
     source
-        what `trueup backup` wrote
+        the folder or file that `trueup backup` wrote
     """
-    from trueup_service.archives import restore as bring
+    from trueup_service.archives import restore as restore_archive
 
     with (
-        _whole(source, key, any_key=any_key) as archive,
+        _verified_archive(source, key, any_key=any_key) as archive,
         _parts() as parts,
         progress("restoring") as bar,
     ):
-        jobs = bring(parts, archive, bar)
+        jobs = restore_archive(parts, archive, bar)
     if as_json_:
         as_json({"as_of": archive.config["created_at"], "jobs": jobs})
         return
@@ -126,23 +131,23 @@ def restore(
 def import_(
     source: Path,
     *,
-    project: Annotated[str | None, Parameter(help="The plant will be of it")] = None,
+    project: Annotated[str | None, Parameter(help="Project that the plant will belong to")] = None,
     key: LogKey = None,
     any_key: AnyKey = False,
     as_json_: Json = False,
 ) -> None:
-    """Bring a plant in with its history, once it holds against the log that it comes from.
+    """Import a plant with its history, once it is verified against the log that it comes from.
 
     Parameters
     ----------
     source
-        what `trueup export` wrote
+        the folder or file that `trueup export` wrote
     """
     from trueup_service.actor_context import ActorContext
     from trueup_service.archives import import_plant
 
     with (
-        _whole(source, key, any_key=any_key) as archive,
+        _verified_archive(source, key, any_key=any_key) as archive,
         _parts() as parts,
         progress("importing") as bar,
     ):
@@ -157,11 +162,11 @@ def import_(
 
 
 @contextmanager
-def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]:
-    """An archive whose head is signed by a key that is believed, and that holds against it: the
-    signature of its manifest is checked before anything else is read.
+def _verified_archive(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]:
+    """Opens an archive whose manifest a trusted key signed, and verifies it against the manifest.
 
-    Raises KeyNotGiven, NotSigned, NotWhole, BadArchive.
+    The signature is checked before anything else is read. Raises KeyNotGiven, NotSigned, NotWhole,
+    BadArchive.
     """
     from trueup.ledger.archive import Archive, ManifestSignature
     from trueup.ledger.archive_layout import statement_of
@@ -172,27 +177,27 @@ def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]
     from trueup_service.settings import Settings
     from trueup_service.signed_log import own_key
 
-    given, own = (
+    named_key, own = (
         None if text is None else Key.from_text(text) for text in (key, own_key(Settings()))
     )
 
     def signers(endorsements: Iterable[str]) -> list[Key]:
-        """The keys that may have signed, of which the last one does now: what was given and its
-        heirs, else ours and its own."""
-        first = given or own
+        """Returns the keys that may have signed, the one in use last.
+
+        They are the key named on the command line, else our own, and its successors.
+        """
+        first = named_key or own
         return [] if first is None else [first, *first.followed(endorsements)]
 
-    def signed(by: ManifestSignature) -> bool:
-        return any(
-            k.signed(by.signature, statement_of(f"sha256:{by.digest}"))
-            for k in signers(by.endorsements)
-        )
+    def is_signed(by: ManifestSignature) -> bool:
+        statement = statement_of(f"sha256:{by.digest}")
+        return any(k.signed(by.signature, statement) for k in signers(by.endorsements))
 
-    archive = Archive(source, signed)
+    archive = Archive(source, is_signed)
     try:
         statement, named = statement_of(f"sha256:{archive.digest}"), str(archive.config["key"])
-        believed = signers(archive.endorsements)[-1:]
-        if given is None and not any(k.signed(archive.signature, statement) for k in believed):
+        trusted = signers(archive.endorsements)[-1:]
+        if named_key is None and not any(k.signed(archive.signature, statement) for k in trusted):
             if not any_key:
                 raise KeyNotGiven(
                     f"the archive says that it is signed with {named}, and nobody else does",
@@ -203,10 +208,10 @@ def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]
                 named,
                 to=err,
             )
-            believed = [Key.from_text(named)]
-            believed += believed[0].followed(archive.endorsements)
-        Checkpoint.of(str(archive.config["checkpoint"]), believed[-1])
-        if not believed[-1].signed(archive.signature, statement):
+            trusted = [Key.from_text(named)]
+            trusted += trusted[0].followed(archive.endorsements)
+        Checkpoint.of(str(archive.config["checkpoint"]), trusted[-1])
+        if not trusted[-1].signed(archive.signature, statement):
             raise NotSigned("the archive is not the one that its site signed")
         with progress("verifying") as bar:
             require_whole(archive, includes, bar)
@@ -218,28 +223,29 @@ def _whole(source: Path, key: str | None, *, any_key: bool) -> Iterator[Archive]
 def gc(
     *,
     older_than_h: Annotated[
-        float, Parameter(help="Leave what came in later than this alone [h]")
+        float, Parameter(help="Keep what came in less than this ago [h]")
     ] = 24.0,
     dry_run: Annotated[bool, Parameter(negative=(), help="Only say what would be removed")] = False,
     as_json_: Json = False,
 ) -> None:
-    """Remove bytes that no row names: what uploads left that never ended. What was registered is
-    never removed."""
+    """Remove bytes that no row names, such as those of uploads that never ended.
+
+    What was registered is never removed.
+    """
     from trueup_service.garbage_collection import collect_garbage
 
-    with _parts() as parts, progress("looking for what is left over") as bar:
+    with _parts() as parts, progress("looking for bytes that no row names") as bar:
         removed: dict[str, Any] = collect_garbage(
             parts, older_than_h * 3600.0, dry_run=dry_run, progress=bar
         )
     if as_json_:
         as_json({**removed, "dry_run": dry_run})
         return
-    what = "would be" if dry_run else "were"
-    megabytes = removed["bytes"] / 1e6
+    were = "would be" if dry_run else "were"
     say(
         "{} blobs and {} files of uploads {} removed, {:.1f} MB",
         removed["blobs"],
         removed["files"],
-        what,
-        megabytes,
+        were,
+        removed["bytes"] / 1e6,
     )

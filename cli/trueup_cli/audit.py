@@ -12,17 +12,17 @@ from typing import Annotated, Any, NoReturn, TypeVar
 from cyclopts import App, Parameter
 
 from trueup.errors import TrueupError
-from trueup_cli.digests import whole
-from trueup_cli.exits import DISAGREES, HOLDS, told
+from trueup_cli.digests import resolve_digest
+from trueup_cli.exits import DISAGREES, VERIFIES, exit_codes
 from trueup_cli.options import (
     DEFAULT_URL,
     Json,
     PlantName,
     Url,
     connect,
-    seen,
+    connect_with_witness,
+    connect_witnessed,
     witness_file,
-    witnessed,
 )
 from trueup_cli.show import as_json, err, lines, moment, progress, say, table
 from trueup_client import Client, Witness
@@ -30,7 +30,7 @@ from trueup_client.problem import ClientError
 from trueup_client.records import Decision
 
 T = TypeVar("T")
-app = App(name="audit", help="Print or verify the audit log.", help_epilogue=told(HOLDS))
+app = App(name="audit", help="Print or verify the audit log.", help_epilogue=exit_codes(VERIFIES))
 
 
 @app.default
@@ -46,9 +46,7 @@ def audit(
     """
     client = connect(url)
     if plant is not None:
-        client.plant(
-            plant
-        )  # raises where there is none: nothing done to it would read as nothing done
+        client.plant(plant)  # raises if there is no such plant, which has no entries either
     entries = list(client.audit(plant))
     if as_json_:
         as_json(entries)
@@ -72,8 +70,8 @@ def audit(
 
 @app.command
 def checkpoint(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Print the log's signed head, once it was seen to extend the last one that this user saw."""
-    note = witnessed(url).checkpoint()
+    """Print the log's signed head, once it was checked to extend the last one this user saw."""
+    note = connect_witnessed(url).checkpoint()
     if as_json_:
         as_json({"checkpoint": note})
     else:
@@ -83,33 +81,35 @@ def checkpoint(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
 
 @app.command
 def key(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Print the log's public key, to be given to robots and auditors by a way of your own."""
-    found = connect(url).audit_key()
-    as_json({"key": found}) if as_json_ else say("{}", found)
+    """Print the log's public key, for you to hand to robots and auditors."""
+    text = connect(url).audit_key()
+    as_json({"key": text}) if as_json_ else say("{}", text)
 
 
 @app.command
 def provenance(
     plant: PlantName, digest: str, *, url: Url = DEFAULT_URL, as_json_: Json = False
 ) -> None:
-    """Print where an artifact comes from, or what a gate said, as an in-toto statement; --json for
-    its signed envelope.
+    """Print where an artifact comes from, or what a gate decided, as an in-toto statement.
+
+    With --json it is the signed envelope.
 
     Parameters
     ----------
     digest
         digest of an artifact or a decision
     """
-    client, witness = seen(url)
+    client, witness = connect_with_witness(url)
     of_decision = any(d["digest"].startswith(digest) for d in client.decisions(plant))
-    records, found = (
+    records, provenance_of = (
         (client.decisions, client.decision_provenance)
         if of_decision
         else (client.artifacts, client.artifact_provenance)
     )
-    envelope = found(
-        plant, whole(digest, records(plant), "artifact or decision", f"trueup versions {plant}")
+    whole = resolve_digest(
+        digest, records(plant), "artifact or decision", f"trueup versions {plant}"
     )
+    envelope = provenance_of(plant, whole)
     assert witness.key is not None
     statement = witness.key.payload(envelope, envelope["payloadType"])
     as_json(envelope if as_json_ else statement)
@@ -124,102 +124,104 @@ def verify(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Hold the service against its log: every entry, every row, every byte, every decision; exit 4
-    with a list if anything differs."""
-    from trueup.ledger.gate_lines import GateLineCheck
-    from trueup.ledger.verification import verify as hold
+    """Verify the service against its log: every entry, row, byte and decision.
 
-    client, witness = seen(url)
+    If anything differs it is listed, and the exit code is 4.
+    """
+    from trueup.ledger.gate_lines import GateLineCheck
+    from trueup.ledger.verification import verify as verify_log
+
+    client, witness = connect_with_witness(url)
     with progress("verifying") as bar:
-        labels, lines = _Labels(), GateLineCheck()
-        looks = lambda entry: [*labels(entry), *lines(entry)]  # noqa: E731
-        found = hold(
-            _Service(client, witness),
+        labels, gate_lines = _LabelCheck(), GateLineCheck()
+        verified = verify_log(
+            _RemoteLog(client, witness),
             lambda share, stage: bar(0.5 * share if replays else share, stage),
-            looks,
+            lambda entry: [*labels(entry), *gate_lines(entry)],
         )
-        wrong = [(f.where, f.what) for f in found.findings]
-        for count, decision in enumerate(found.decisions if replays and not wrong else [], 1):
-            bar(0.5 + 0.5 * count / len(found.decisions), f"replaying decision {decision[:12]}")
+        wrong = [(f.where, f.what) for f in verified.findings]
+        decisions = verified.decisions if replays and not wrong else []
+        for count, decision in enumerate(decisions, 1):
+            bar(0.5 + 0.5 * count / len(decisions), f"replaying decision {decision[:12]}")
             wrong += [
-                (f"decisions/{decision}", difference) for difference in _replayed(client, decision)
+                (f"decisions/{decision}", difference)
+                for difference in _replay_differences(client, decision)
             ]
     if as_json_:
-        whole = {
-            "entries": found.size,
-            "root": found.root.hex(),
-            "rows": found.rows,
-            "bytes": found.bytes,
+        figures = {
+            "entries": verified.size,
+            "root": verified.root.hex(),
+            "rows": verified.rows,
+            "bytes": verified.bytes,
         }
-        as_json({**whole, "findings": wrong, "notes": lines.remarks})
+        as_json({**figures, "findings": wrong, "notes": gate_lines.remarks})
     elif wrong:
         table("", ["where", "what does not agree"], wrong)
     else:
-        replayed = f", {len(found.decisions)} decisions recomputed" if replays else ""
-        root, megabytes = base64.b64encode(found.root).decode(), found.bytes / 1e6
+        replayed = f", {len(verified.decisions)} decisions recomputed" if replays else ""
         say(
             (
                 "[bold green]holds[/]: {} entries under the signed root {}, {} rows, {:.1f} MB "
                 "of episodes and artifacts{}"
             ),
-            found.size,
-            root,
-            found.rows,
-            megabytes,
+            verified.size,
+            base64.b64encode(verified.root).decode(),
+            verified.rows,
+            verified.bytes / 1e6,
             replayed,
         )
-    if lines.remarks and not as_json_:
+    if gate_lines.remarks and not as_json_:
         say("[bold]notes[/]: gates and decisions that were made after candidates had been judged")
-        for remark in lines.remarks:
+        for remark in gate_lines.remarks:
             say("  {}", remark)
     if wrong:
         _disagree(f"{len(wrong)} things are not as the log says")
 
 
-class _Service:
-    """A service as what is verified."""
+class _RemoteLog:
+    """A service's log, rows and bytes, as the verification reads them."""
 
     def __init__(self, client: Client, witness: Witness) -> None:
         self._client, self._witness = client, witness
 
     def head(self) -> tuple[int, bytes]:
-        found = self._client.witness(self._witness)
-        return found.size, found.root
+        checkpoint = self._client.witness(self._witness)
+        return checkpoint.size, checkpoint.root
 
     def entries(self, after: int, until: int) -> Iterator[Any]:
         from trueup.ledger.audit import AuditEntry
 
-        for found in _had(self._client.audit(after=after)):
-            if found["sequence"] > until:
+        for entry in _or_verification_error(self._client.audit(after=after)):
+            if entry["sequence"] > until:
                 return
-            yield AuditEntry(**found)
+            yield AuditEntry(**entry)
 
     def nodes(self) -> Iterator[Any]:
         from trueup.ledger.merkle import node_of
 
-        for found in _had(self._client.rows("audit_tree")):
-            yield node_of(int(found["node"])), bytes.fromhex(found["hash"])
+        for row in _or_verification_error(self._client.rows("audit_tree")):
+            yield node_of(int(row["node"])), bytes.fromhex(row["hash"])
 
     def signer(self) -> str | None:
         return self._client.audit_key()
 
     def rows(self, table: str) -> Iterable[Mapping[str, Any]]:
-        return _had(self._client.rows(table))
+        return _or_verification_error(self._client.rows(table))
 
     def blob(self, digest: str) -> Iterator[bytes]:
-        return _had(self._client.blob_parts(digest))
+        return _or_verification_error(self._client.blob_parts(digest))
 
 
-def _had(found: Iterable[T]) -> Iterator[T]:
-    """What a service gives; where it fails, that is what is told of it."""
+def _or_verification_error(items: Iterable[T]) -> Iterator[T]:
+    """Yields what a service answers. Raises TrueupError, which the verification reports."""
     try:
-        yield from found
+        yield from items
     except ClientError as error:
         raise TrueupError(f"cannot be had: {error}") from error
 
 
-class _Labels:
-    """Are the labels that a blind trial opened among those that were committed for it before?"""
+class _LabelCheck:
+    """Checks that the labels that a blind trial opens were committed for it before."""
 
     def __init__(self) -> None:
         self._committed: dict[str, list[list[str]]] = {}
@@ -232,9 +234,8 @@ class _Labels:
             self._committed.setdefault(entry.subject, []).append(entry.facts["commitments"])
         if entry.kind != "job:finished" or "opening" not in entry.facts["result"].get("report", {}):
             return []
-        for commitments in self._committed.get(
-            entry.subject, []
-        ):  # of a worker that was killed before it opened them, another drew anew
+        # a worker that takes over a trial draws and commits anew: one of the commitments must hold
+        for commitments in self._committed.get(entry.subject, []):
             try:
                 require_commitments(entry.facts["result"]["report"], commitments)
             except CommitmentMismatch:
@@ -243,17 +244,16 @@ class _Labels:
         return [Finding(f"entry {entry.sequence}", "opens labels that nobody committed")]
 
 
-def _replayed(client: Client, decision: str) -> list[str]:
-    """How a decision differs from what its bytes give."""
+def _replay_differences(client: Client, decision: str) -> list[str]:
+    """Returns how a decision differs from the one that its bytes give."""
     from trueup.gate.recompute import differences
 
-    found = client.find_decision(decision)
+    record = client.find_decision(decision)
+    recorded = record["document"]
     try:
         with tempfile.TemporaryDirectory() as folder:
-            return differences(
-                found["document"],
-                recompute(client, found["plant"], found["document"], Path(folder), lambda *_: None),
-            )
+            recomputed = recompute(client, record["plant"], recorded, Path(folder), lambda *_: None)
+            return differences(recorded, recomputed)
     except (TrueupError, ClientError) as error:
         return [f"cannot be recomputed: {error}"]
 
@@ -263,9 +263,8 @@ def _disagree(what: str) -> NoReturn:
     sys.exit(DISAGREES)
 
 
-def _told(record: Decision) -> dict[str, Any] | None:
-    """A decision's document, if it is the one that its digest names and the columns beside it say
-    the same."""
+def _consistent_document(record: Decision) -> dict[str, Any] | None:
+    """Returns a decision's document; None if its digest or its columns do not match it."""
     from trueup.canonical import digest_of
 
     document: dict[str, Any] = record["document"]
@@ -277,8 +276,9 @@ def _told(record: Decision) -> dict[str, Any] | None:
 
 
 def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Recompute a decision from its gate, its artifacts and its episodes, here, and say whether it
-    agrees; exit 4 if not.
+    """Recompute a decision here from its gate, artifacts and episodes, and check that it agrees.
+
+    The exit code is 4 if it does not.
 
     Parameters
     ----------
@@ -287,17 +287,17 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
     """
     from trueup.gate.recompute import differences
 
-    client = witnessed(url)
-    found = client.find_decision(decision)
-    recorded = _told(found)
-    if recorded is None or found["digest"] != decision:
+    client = connect_witnessed(url)
+    record = client.find_decision(decision)
+    recorded = _consistent_document(record)
+    if recorded is None or record["digest"] != decision:
         _disagree(
             "the decision's document is not the one that its digest names, or its columns "
             "say something else"
         )
     try:
         with progress("replay") as bar, tempfile.TemporaryDirectory() as folder:
-            recomputed = recompute(client, found["plant"], recorded, Path(folder), bar)
+            recomputed = recompute(client, record["plant"], recorded, Path(folder), bar)
     except TrueupError as error:
         _disagree(f"{error.code}: {error.message}")
     wrong = differences(recorded, recomputed)
@@ -319,16 +319,15 @@ def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
 def recompute(
     client: Client, plant: str, recorded: dict[str, Any], folder: Path, progress: Any
 ) -> dict[str, Any]:
-    """The decision's document, from verified bytes."""
+    """Recomputes a decision's document from verified bytes, which it fetches into `folder`."""
     from trueup.artifact.model import load
     from trueup.canonical import digest_of
     from trueup.episode.mcap import read_episode
-    from trueup.gate import recompute as made_anew
+    from trueup.gate import recompute as recomputation
 
-    named = made_anew.models(recorded)
     predictors = {
         name: load(client.fetch(plant, digest, folder / name), digest).predictor
-        for name, digest in named.items()
+        for name, digest in recomputation.models(recorded).items()
     }
     layout = predictors["candidate"].plant.layout
     episodes = []
@@ -337,16 +336,12 @@ def recompute(
         client.download_episode(plant, digest, path)
         episodes.append(read_episode(path.read_bytes(), layout))
         progress(0.5 * (count + 1) / len(recorded["episodes"]), "fetching episodes")
-    gate, digest = (
-        client.gate(plant, recorded["gate"])["document"],
-        digest_of(client.plant(plant)["document"]),
-    )
-    return made_anew.recompute(
+    return recomputation.recompute(
         recorded,
-        gate,
+        client.gate(plant, recorded["gate"])["document"],
         predictors,
         episodes,
-        digest,
+        digest_of(client.plant(plant)["document"]),
         lambda share: progress(0.5 + 0.5 * share, "scoring"),
     )
 
@@ -371,7 +366,7 @@ def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: lis
         "{}",
         disclosure(recorded)
         or (
-            "It does not tell what was known when its gate was declared: trueup audit "
+            "It does not say what was known when its gate was declared: trueup audit "
             "verify works it out."
         ),
     )

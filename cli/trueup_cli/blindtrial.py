@@ -1,4 +1,4 @@
-"""`trueup blindtrial`: how far a verdict on the user's own plant may be trusted."""
+"""`trueup blindtrial`: how often a diagnosis is right on machines like the user's own."""
 
 from __future__ import annotations
 
@@ -33,33 +33,33 @@ def run(
     ] = TRIALS,
     secret_file: Annotated[
         Path | None,
-        Parameter(
-            help="Holds 64 hexadecimal digits: draw again what a report has opened; CASE only"
-        ),
+        Parameter(help="File with the 64 hexadecimal digits of an opened report, to draw it again"),
     ] = None,
     verify: Annotated[
         bool,
-        Parameter(negative=(), help="TARGET is a trial's folder: hold its report against its log"),
+        Parameter(
+            negative=(), help="TARGET is a trial's folder: verify its report against its log"
+        ),
     ] = False,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Hide effects in machines like a user's, diagnose them blindly, and say how often the verdict
-    was right.
+    """Hide effects in simulated machines like the user's, and diagnose them blindly.
 
-    Writes report.json and report.html to a folder; for a case also audit.jsonl, where the labels
-    are committed before the first diagnosis, and the recordings under cases/.
+    Says how often the verdict was right. Writes report.json and report.html to a folder. For a case
+    it also writes the recordings under cases/, and audit.jsonl, which commits to the labels before
+    the first diagnosis.
 
     Parameters
     ----------
     target
         a case folder, or the name of a plant on the service
     out
-        folder to write to; blindtrial-TARGET if none is given
+        folder to write to; default: blindtrial-TARGET
     """
     if verify:
-        said = _verify(Path(target))
-        as_json({"holds": True, "said": said}) if as_json_ else say("{}", said)
+        summary = _verify(Path(target))
+        as_json({"holds": True, "said": summary}) if as_json_ else say("{}", summary)
         return
     out = out or Path(f"blindtrial-{Path(target).resolve().name}")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -68,7 +68,7 @@ def run(
             hint="Name a folder that is not there yet: labels are committed into a log of its own.",
         )
     if (Path(target) / "plant.json").is_file():
-        document = _local(Path(target), out, trials, _secret(secret_file))
+        document = _run_locally(Path(target), out, trials, _read_secret(secret_file))
     else:
         from trueup_cli.registry import result_of, run_job
 
@@ -93,7 +93,7 @@ def run(
 
 
 def _verify(trial: Path) -> str:
-    """What holds, in words. Raises BrokenChain, CommitmentMismatch."""
+    """Verifies a trial's report, and returns what holds. Raises BrokenChain, CommitmentMismatch."""
     from trueup.blindtrial.commitment import CommitmentMismatch, require_commitments
     from trueup.errors import BrokenChain
     from trueup.ledger.audit import AuditEntry, append
@@ -130,7 +130,7 @@ def _verify(trial: Path) -> str:
 
 
 class NotEmpty(TrueupError):
-    """What is to be written would mix with what is there."""
+    """The output would mix with files that are there."""
 
     code = "not-empty"
 
@@ -142,7 +142,7 @@ class NoSecret(TrueupError):
     hint = "It holds 64 hexadecimal digits: opening.secret of a report."
 
 
-def _secret(file: Path | None) -> bytes | None:
+def _read_secret(file: Path | None) -> bytes | None:
     if file is None:
         return None
     text = file.read_text(errors="replace").strip() if file.is_file() else ""
@@ -151,7 +151,7 @@ def _secret(file: Path | None) -> bytes | None:
     return bytes.fromhex(text)
 
 
-def _local(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str, Any]:
+def _run_locally(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str, Any]:
     from trueup.diagnose.case import read_case
     from trueup.ledger.audit import AuditEntry, append
     from trueup.ledger.merkle import NOTHING
@@ -192,7 +192,7 @@ def _local(case: Path, out: Path, trials: int, secret: bytes | None) -> dict[str
 
 
 def write(document: dict[str, Any], out: Path) -> None:
-    """The report as JSON and as a page."""
+    """Writes the report as JSON and as a page."""
     from trueup_pages.blindtrial import page
 
     (out / "report.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")

@@ -1,4 +1,4 @@
-"""Commands on evidence, and on the channels of serving that require it."""
+"""Commands on evidence, and on the serving channels that require it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from trueup.gate.evidence import BadEvidence
-from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, read_json, witnessed
+from trueup_cli.options import (
+    DEFAULT_URL,
+    Json,
+    PlantName,
+    Url,
+    connect,
+    connect_witnessed,
+    read_json,
+)
 from trueup_cli.show import as_json, moment, say, table
 from trueup_client import Client, Problem
 from trueup_client.records import ChannelPosition
@@ -26,20 +34,19 @@ def evidence(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """List what was found of a version and at which stage (MIL, SIL, PIL, HIL, physical), or add to
-    it."""
+    """List the evidence on a version by stage (MIL, SIL, PIL, HIL, physical), or add to it."""
     client = connect(url)
-    of = artifact or client.serving(plant).artifact
+    digest = artifact or client.serving(plant).artifact
     if add is not None:
         document = read_json(add, BadEvidence)
-        of = document.get("artifact", of) if artifact is None else of
-        client.add_evidence(plant, {**document, "artifact": of})
-    found = client.evidence(plant, of)
+        digest = document.get("artifact", digest) if artifact is None else digest
+        client.add_evidence(plant, {**document, "artifact": digest})
+    listed = client.evidence(plant, digest)
     if as_json_:
-        as_json(found)
+        as_json(listed)
         return
-    if not found:
-        say("no evidence of {} yet", of[:12])
+    if not listed:
+        say("no evidence of {} yet", digest[:12])
         return
     rows = [
         (
@@ -49,10 +56,10 @@ def evidence(
             e["created_by"],
             e["document"]["shows"],
         )
-        for e in found
+        for e in listed
     ]
-    table(f"Evidence of {of[:12]}", ["stage", "", "at", "by", "shows"], rows)
-    for e in found:
+    table(f"Evidence of {digest[:12]}", ["stage", "", "at", "by", "shows"], rows)
+    for e in listed:
         say("[dim]{} cannot show: {}[/]", e["stage"], e["document"]["cannot_show"])
 
 
@@ -63,24 +70,25 @@ def channels(
     requires: Annotated[
         str,
         Parameter(
-            help="Comma-separated stages whose passed evidence it requires, once and for all"
+            help="Comma-separated stages whose passed evidence it requires; cannot be changed later"
         ),
     ] = "",
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Say what each channel serves and which stages it requires, or declare one."""
+    """Show what each channel serves and which stages it requires, or declare a channel."""
     client = connect(url)
     if declare is not None:
         client.declare_channel(
             plant, declare, [s.strip() for s in requires.split(",") if s.strip()]
         )
-    found = [(c, _position(client, plant, c["name"])) for c in client.channels(plant)]
+    listed = [(c, _position(client, plant, c["name"])) for c in client.channels(plant)]
     if as_json_:
-        as_json([{**c, "serving": position} for c, position in found])
+        as_json([{**c, "serving": position} for c, position in listed])
         return
     rows = [
-        (c["name"], ", ".join(c["requires"]) or "nothing", *_row(position)) for c, position in found
+        (c["name"], ", ".join(c["requires"]) or "nothing", *_row(position))
+        for c, position in listed
     ]
     if rows:
         table(
@@ -100,36 +108,37 @@ def release(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Serve a version on a channel: what serves the plant, or another one that did, with passed
-    evidence of the stages required.
+    """Serve a version on a channel; by default the one that serves the plant.
+
+    The version must have served the plant, and have passed evidence of the required stages.
 
     Parameters
     ----------
     channel
         name of the channel
     """
-    client = witnessed(url)
+    client = connect_witnessed(url)
     before = _position(client, plant, channel)
-    moved = client.move_channel(
+    position = client.move_channel(
         plant,
         channel,
         artifact or client.serving(plant).artifact,
         before["generation"] if before else 0,
     )
     if as_json_:
-        as_json(moved)
+        as_json(position)
     else:
         say(
             "{} serves version {} of {}, generation {}",
             channel,
-            moved["version"],
+            position["version"],
             plant,
-            moved["generation"],
+            position["generation"],
         )
 
 
 def _position(client: Client, plant: str, channel: str) -> ChannelPosition | None:
-    """Where a channel stands, None if it has served nothing; any other refusal is raised."""
+    """Returns what a channel serves; None if it has served nothing. Raises Problem."""
     try:
         return client.channel_serving(plant, channel)
     except Problem as refused:

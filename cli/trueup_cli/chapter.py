@@ -1,5 +1,4 @@
-"""`trueup chapter`: the experiment that trueup grew from, from a run, beside the digits that were
-published."""
+"""`trueup chapter`: the experiment that trueup grew from, run anew beside the published digits."""
 
 from __future__ import annotations
 
@@ -12,15 +11,17 @@ from trueup_cli.show import as_json, progress, say, table
 
 
 def chapter(*, as_json_: Json = False) -> None:
-    """Run the chapter and print every table beside the published digits; with --json all figures,
-    unrounded."""
+    """Run the chapter's experiment, and print every table beside the published digits.
+
+    With --json it prints all figures, unrounded.
+    """
     with progress("chapter") as bar:
         tables = run_chapter(lambda what, share: bar(share, what))
     if as_json_:
         as_json({t.title: t.rows for t in tables})
         return
-    for found in tables:
-        _show(found)
+    for run in tables:
+        _show(run)
     compared = [
         _agrees(t, r, c, v) for t in tables for r, row in t.rows.items() for c, v in row.items()
     ]
@@ -32,12 +33,12 @@ def chapter(*, as_json_: Json = False) -> None:
     )
 
 
-def _show(found: Table) -> None:
-    """Each row from the run, and below it the published digits, green where they agree."""
-    columns = list(dict.fromkeys(c for row in found.rows.values() for c in row))
+def _show(run: Table) -> None:
+    """Prints each row of a run, and below it the published digits, green where they agree."""
+    columns = list(dict.fromkeys(c for row in run.rows.values() for c in row))
     rows: list[list[object]] = []
-    for name, row in found.rows.items():
-        digits = PUBLISHED.get(found.title, {}).get(name, {})
+    for name, row in run.rows.items():
+        digits = PUBLISHED.get(run.title, {}).get(name, {})
         rows.append([name, *(_cell(row[c], digits.get(c)) if c in row else "" for c in columns)])
         if digits:
             rows.append(
@@ -47,7 +48,7 @@ def _show(found: Table) -> None:
                 ]
             )
     say("")
-    table(found.title, ["", *columns], rows)
+    table(run.title, ["", *columns], rows)
 
 
 def _cell(value: Value, digits: str | None) -> str:
@@ -60,6 +61,6 @@ def _published(value: Value, digits: str) -> Text:
     return Text(digits, "green" if printed_like(value, digits) == digits else "bold red")
 
 
-def _agrees(found: Table, row: str, column: str, value: Value) -> bool | None:
-    digits = PUBLISHED.get(found.title, {}).get(row, {}).get(column)
+def _agrees(run: Table, row: str, column: str, value: Value) -> bool | None:
+    digits = PUBLISHED.get(run.title, {}).get(row, {}).get(column)
     return None if digits is None else printed_like(value, digits) == digits

@@ -1,4 +1,4 @@
-"""`trueup completion`: commands, options and names of plants, completed by the shell."""
+"""`trueup completion`: a shell completes commands, options and names of plants."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Shell = Literal["bash", "zsh", "fish", "powershell"]
 
 
 class NoShell(TrueupError):
-    """The shell that runs here is not known."""
+    """The shell that runs here is unknown."""
 
     code = "no-shell"
     hint = "Name it: `trueup completion bash`, zsh, fish or powershell."
@@ -25,23 +25,21 @@ def completion(
     *,
     install: Annotated[
         bool,
-        Parameter(
-            negative=(), help="Put it where the shell finds it, and load it when the shell starts"
-        ),
+        Parameter(negative=(), help="Install it where the shell loads it at its start"),
     ] = False,
     to: Annotated[
-        Path | None, Parameter(help="Write it to this file; no start-up file is changed")
+        Path | None, Parameter(help="Write it to this file, and change no start-up file")
     ] = None,
 ) -> None:
-    """Print what a shell needs to complete commands, options and plants: `eval "$(trueup completion
-    bash)"`, or --install it.
+    """Print the completion script of a shell, or install it.
 
-    Names of plants come from the service at TRUEUP_URL when they are asked for.
+    Use it with `eval "$(trueup completion bash)"`. Names of plants come from the service at
+    TRUEUP_URL when they are completed.
 
     Parameters
     ----------
     shell
-        bash, zsh, fish or powershell; default: the one that runs here
+        bash, zsh, fish or powershell; default: the shell that runs here
     """
     from cyclopts.completion.detect import ShellDetectionError
 
@@ -54,9 +52,9 @@ def completion(
         written = app.install_completion(shell=shell, output=to, add_to_startup=to is None)
     except ShellDetectionError as error:
         raise NoShell(str(error)) from error
-    says = (
+    effect = (
         "completes trueup in every shell that is started from now on"
         if to is None
         else "completes trueup in a shell that reads it"
     )
-    say("{} {}", written, says)
+    say("{} {}", written, effect)

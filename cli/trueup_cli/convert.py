@@ -1,4 +1,4 @@
-"""`trueup convert`: a fetched model in a form that other programs read."""
+"""`trueup convert`: write a fetched model in a format that other programs read."""
 
 from __future__ import annotations
 
@@ -23,40 +23,40 @@ from trueup_cli.show import as_json, progress, say
 
 
 def convert(model: Path, to: Path, *, mjcf: Path | None = None, as_json_: Json = False) -> None:
-    """Write a fetched model as ONNX (`*.onnx`: its step, for any runtime) or as MJCF (`*.xml`: what
-    of it MuJoCo has elements for).
+    """Write a fetched model as ONNX or as MJCF.
+
+    ONNX (`*.onnx`) holds one step of the model. MJCF (`*.xml`) holds the part of the model that
+    MuJoCo has elements for.
 
     Parameters
     ----------
     model
         folder of a fetched model
     to
-        file to write; its ending says which form
+        file to write; its suffix, .onnx or .xml, says in which format
     mjcf
-        file that a robot's model was declared by, into which the correction is written
+        MJCF file that a robot was declared by; the correction is written into a copy of it
     """
-    found = load(model)
+    fetched = load(model)
     with progress(f"writing {to.name}"):
-        left = WRITERS[to.suffix](found, to, mjcf) if to.suffix in WRITERS else _of_no_form(to)
+        if to.suffix not in WRITERS:
+            raise NotExportable(
+                f"{to.name} is of no form that is known",
+                hint=f"End the file's name with {' or '.join(WRITERS)}.",
+            )
+        left = WRITERS[to.suffix](fetched, to, mjcf)
     if as_json_:
         as_json(
             {
                 "file": str(to),
-                "artifact": found.digest,
+                "artifact": fetched.digest,
                 "not_expressed": [x.document() for x in left],
             }
         )
         return
-    say("{}: {}, artifact {}", to, found.plant.name, found.digest[:12])
+    say("{}: {}, artifact {}", to, fetched.plant.name, fetched.digest[:12])
     for x in left:
         say("not expressed: {}", x)
-
-
-def _of_no_form(to: Path) -> Sequence[Left]:
-    raise NotExportable(
-        f"{to.name} is of no form that is known",
-        hint=f"End the file's name with {' or '.join(WRITERS)}.",
-    )
 
 
 def _onnx(model: Model, to: Path, _: Path | None) -> Sequence[Left]:
@@ -97,10 +97,10 @@ def _mjcf(model: Model, source: Path | None) -> Written:
                 f"{nominal.get('sha256') or 'not known'}."
             ),
         )
-    found = compile_file(source).sha256
-    if found != nominal.get("sha256"):
+    sha256 = compile_file(source).sha256
+    if sha256 != nominal.get("sha256"):
         raise NotExportable(
             f"{source.name} is not the file that the robot was declared by",
-            hint=f"Name the one whose SHA-256 is {nominal.get('sha256')}; this one's is {found}.",
+            hint=f"Name the one whose SHA-256 is {nominal.get('sha256')}; this one's is {sha256}.",
         )
     return write(source, patch(predictor), heading)

@@ -1,5 +1,4 @@
-"""`trueup demo`: the main job on a real recording, with a real server and worker on embedded
-storage."""
+"""`trueup demo`: the main job on a real recording, with a server and worker on embedded storage."""
 
 from __future__ import annotations
 
@@ -23,11 +22,11 @@ from trueup.model.mjcf import resolved
 from trueup.model.predictor import Predictor, predict_episode
 from trueup.model.windows import starts_every
 from trueup_cli.audit import recompute
-from trueup_cli.beside import service_beside
+from trueup_cli.embedded_service import embedded_service
 from trueup_cli.pictures.before_and_after import AFTER, BEFORE, Trace, before_and_after
 from trueup_cli.registry import result_of, run_job, show_decision
 from trueup_cli.serving import show_serving
-from trueup_cli.show import answer, progress, say, table
+from trueup_cli.show import progress, say, show_diagnosis, table
 from trueup_client import Client
 from trueup_client.records import Decision
 
@@ -45,7 +44,7 @@ DEMO = Path(".trueup/demo")
 
 @dataclass(frozen=True)
 class Case:
-    """The demo's plant and recordings, and the folder it writes to."""
+    """The demo's plant and recordings, and the folder that it writes to."""
 
     folder: Path
     work: Path
@@ -53,10 +52,12 @@ class Case:
 
     @property
     def is_robot(self) -> bool:
+        """Whether the nominal model is given as MJCF."""
         return "mjcf" in self.plant["nominal"]
 
     @property
     def name(self) -> str:
+        """The plant's name."""
         return str(self.plant["name"])
 
 
@@ -67,25 +68,26 @@ def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
     Parameters
     ----------
     case
-        case folder with plant.json, gate.json and *.mcap; the recordings of a linear axis that
-    trueup brings, unless given work
+        case folder with plant.json, gate.json and *.mcap; default: recordings of a linear axis
+    work
         folder for the demo's own storage, model and picture; emptied first
     """
     began = time.monotonic()
     shutil.rmtree(work, ignore_errors=True)
     folder = case or EXAMPLE
-    told = Case(folder, work, resolved(json.loads((folder / "plant.json").read_text()), folder))
-    with service_beside(work / "data") as (url, _):
+    plant = resolved(json.loads((folder / "plant.json").read_text()), folder)
+    shown = Case(folder, work, plant)
+    with embedded_service(work / "data") as (url, _):
         client = Client(
             url, actor="demo", token=(work / "data" / "admin.token").read_text().strip()
         )
-        _upload(client, told)
-        best = _fit_and_gate(client, told)
+        _upload(client, shown)
+        best = _fit_and_gate(client, shown)
         if best is None:
             say("\nNo candidate was accepted: the nominal model keeps serving.")
         else:
-            _promote_and_predict(client, told, best)
-            _roll_back(client, told)
+            _promote_and_predict(client, shown, best)
+            _roll_back(client, shown)
         _audit(client)
     say(
         "\n[dim]done in {:.0f} s; storage, model and picture are in {}[/]",
@@ -98,7 +100,7 @@ def demo(case: Path | None = None, *, work: Path = DEMO) -> None:
     )
 
 
-def _say(step: int, what: str) -> None:
+def _heading(step: int, what: str) -> None:
     say("\n[bold]{}  {}[/]", step, what)
 
 
@@ -111,35 +113,34 @@ def _upload(client: Client, case: Case) -> None:
         len(list(case.folder.glob("*.mcap"))),
         described,
     )
-    _say(1, "Register the plant, upload the recordings")
+    _heading(1, "Register the plant, upload the recordings")
     client.register_plant(case.plant)
-    found = []
+    uploaded = []
     with progress("uploading and inspecting") as bar:
         paths = sorted(case.folder.glob("*.mcap"))
         for done, path in enumerate(paths, 1):
-            found.append(client.upload_episode(case.name, path))
+            uploaded.append(client.upload_episode(case.name, path))
             bar(done / len(paths), path.name)
     table(
         "",
         ["episode", "role", "samples", "seconds"],
         [
             (e["digest"][:12], e["role"], e["summary"]["samples"], e["summary"]["duration_s"])
-            for e in found
+            for e in uploaded
         ],
     )
 
 
 def _fit_and_gate(client: Client, case: Case) -> Decision | None:
-    """The decision on the candidate with the smallest rollout error among those accepted, if
-    any."""
-    _say(2, "Declare the gate, before anything is scored")
+    """Returns the decision on the accepted candidate with the smallest rollout error, if any."""
+    _heading(2, "Declare the gate, before anything is scored")
     gate = client.declare_gate(case.name, json.loads((case.folder / "gate.json").read_text()))
     rules, horizon_s = (
         ", ".join(r["rule"] for r in gate["document"]["rules"]),
         gate["document"]["scoring"]["horizon_s"],
     )
     say("gate {}: {}, over windows of {:g} s", gate["digest"][:12], rules, horizon_s)
-    _say(
+    _heading(
         3,
         (
             "Fit candidates from the adaptation episodes and diagnose the gap; judge each "
@@ -153,7 +154,7 @@ def _fit_and_gate(client: Client, case: Case) -> Decision | None:
         result = result_of(run_job(client, case.name, request, request["kind"]))
         artifact = result["artifact"]
         if "report" in result:
-            answer(result["report"])
+            show_diagnosis(result["report"])
         judged = run_job(
             client,
             case.name,
@@ -195,16 +196,18 @@ def _fit_and_gate(client: Client, case: Case) -> Decision | None:
 
 
 def _promote_and_predict(client: Client, case: Case, decision: Decision) -> None:
-    _say(4, "Promote the best, and ask what serves")
+    _heading(4, "Promote the best, and ask what serves")
     before = client.fetch(case.name, client.serving(case.name).artifact, case.work / "nominal")
     client.promote(case.name, decision["digest"], decision["generation"])
     serving = client.serving(case.name)
     show_serving([serving], as_json_=False)
-    _say(5, "Fetch what serves, verify it, predict held-out episodes with it")
+    _heading(5, "Fetch what serves, verify it, predict held-out episodes with it")
     after = client.fetch(case.name, serving.artifact, case.work / "model")
     episodes = _held_out(client, case, load(after).predictor)
     _show_errors(case, load(before).predictor, load(after, serving.artifact).predictor, episodes)
-    _say(6, "A gate must be able to reject: judge the weaker candidate against the new incumbent")
+    _heading(
+        6, "A gate must be able to reject: judge the weaker candidate against the new incumbent"
+    )
     weaker = client.version(case.name, 2)["digest"]
     judged = run_job(
         client, case.name, {"kind": "gate", "candidate": weaker, "gate": decision["gate"]}, "judge"
@@ -239,9 +242,8 @@ def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list
             for e, b, a in zip(episodes, *errors, strict=True)
         ],
     )
-    most = int(
-        np.argmax([np.ptp(e.observations[:, worst]) for e in episodes])
-    )  # the one that moves furthest is looked at
+    # the picture shows the episode that moves furthest
+    most = int(np.argmax([np.ptp(e.observations[:, worst]) for e in episodes]))
     episode = episodes[most]
     traces = [
         Trace(
@@ -255,9 +257,8 @@ def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list
             ("serving", after, errors[1], AFTER),
         )
     ]
-    skip = int(
-        np.searchsorted(episode.t_s, horizon_s)
-    )  # the first window starts where no past shows the velocity
+    # the first window is left out: it starts where no past shows the velocity
+    skip = int(np.searchsorted(episode.t_s, horizon_s))
     shown = [Trace(t.name, t.values[skip:], t.rms, t.colour) for t in traces]
     starts = episode.t_s[starts_every(episode.t_s, horizon_s)]
     subtitle = (
@@ -279,7 +280,7 @@ def _show_errors(case: Case, before: Predictor, after: Predictor, episodes: list
 
 
 def _roll_back(client: Client, case: Case) -> None:
-    _say(7, "Roll back: one call, tested before the pointer moves")
+    _heading(7, "Roll back: one call, tested before the pointer moves")
     serving = client.serving(case.name)
     began = time.monotonic()
     client.roll_back(case.name, serving.generation)
@@ -288,7 +289,7 @@ def _roll_back(client: Client, case: Case) -> None:
 
 
 def _audit(client: Client) -> None:
-    _say(8, "The audit trail, and its decisions recomputed from the recorded bytes")
+    _heading(8, "The audit trail, and its decisions recomputed from the recorded bytes")
     entries = list(client.audit())
     table(
         "",

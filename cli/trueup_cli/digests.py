@@ -1,4 +1,4 @@
-"""Digests as people give them: whole, or as many digits as tell one from the others."""
+"""Digests as people type them: whole, or a prefix that names one record alone."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from trueup.canonical import is_digest
 from trueup.errors import NoSuchDigest
 
 
-def whole(given: str, records: Iterable[Mapping[str, Any]], noun: str, command: str) -> str:
-    """The digest that begins as given, among records of one kind that a command lists. Raises
-    NoSuchDigest for none, or several."""
-    if is_digest(given):
-        return given
-    found = sorted(
-        {str(record["digest"]) for record in records if str(record["digest"]).startswith(given)}
-    )
-    if len(found) == 1:
-        return found[0]
-    told = f"{len(found)} {noun}s begin" if found else f"no {noun} begins"
-    raise NoSuchDigest(f"{told} with {given!r}", hint=f"`{command}` lists them.")
+def resolve_digest(
+    prefix: str, records: Iterable[Mapping[str, Any]], noun: str, command: str
+) -> str:
+    """Returns the digest that begins with `prefix`, among records of one kind.
+
+    `command` is the command that lists them. Raises NoSuchDigest if there is none, or several.
+    """
+    if is_digest(prefix):
+        return prefix
+    digests = sorted({str(record["digest"]) for record in records})
+    matching = [digest for digest in digests if digest.startswith(prefix)]
+    if len(matching) == 1:
+        return matching[0]
+    problem = f"{len(matching)} {noun}s begin" if matching else f"no {noun} begins"
+    raise NoSuchDigest(f"{problem} with {prefix!r}", hint=f"`{command}` lists them.")

@@ -1,4 +1,4 @@
-"""`trueup doctor`: what this installation has, and what is missing for what."""
+"""`trueup doctor`: what is installed, and what a missing part is needed for."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ PYTHON = (3, 11)
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One part of the installation: what was found, what it is for, and what to do where it is
-    missing."""
+    """One part of the installation: its state, its use, and what to do if it is missing."""
 
     part: str
     found: str
@@ -30,7 +29,7 @@ class Finding:
 
 
 def findings() -> list[Finding]:
-    """Every part that is looked at."""
+    """Checks every part of the installation."""
     return [_python(), *(_package(*p) for p in PACKAGES), _cache()]
 
 
@@ -52,24 +51,27 @@ PACKAGES = (
 
 def _python() -> Finding:
     version = ".".join(map(str, sys.version_info[:3]))
-    fine = sys.version_info >= PYTHON
+    is_new = sys.version_info >= PYTHON
     return Finding(
-        "python", version, fine, True, "everything", "" if fine else "Install Python 3.11 or newer."
+        "python",
+        version,
+        is_new,
+        True,
+        "everything",
+        "" if is_new else "Install Python 3.11 or newer.",
     )
 
 
 def _package(name: str, needed: bool, used_for: str, do: str) -> Finding:
-    there = importlib.util.find_spec(name) is not None
-    found = (
-        importlib.metadata.version(importlib.metadata.packages_distributions()[name][0])
-        if there
-        else "missing"
-    )
-    return Finding(name, found, there, needed, used_for, "" if there else do)
+    if importlib.util.find_spec(name) is None:
+        return Finding(name, "missing", False, needed, used_for, do)
+    distribution = importlib.metadata.packages_distributions()[name][0]
+    version = importlib.metadata.version(distribution)
+    return Finding(name, version, True, needed, used_for)
 
 
 def _cache() -> Finding:
-    """Whether compiled rollouts can be kept: else each process compiles them anew."""
+    """Checks that compiled rollouts can be cached; else each process compiles them anew."""
     spec = importlib.util.find_spec("trueup")
     assert spec is not None
     assert spec.submodule_search_locations
@@ -87,11 +89,13 @@ def _cache() -> Finding:
 
 
 def doctor(*, as_json_: Json = False) -> None:
-    """Say what this installation has, and what is missing for what. Exit code 1 where a needed part
-    is missing."""
-    found = findings()
+    """Show what is installed, and what a missing part is needed for.
+
+    The exit code is 1 if a needed part is missing.
+    """
+    parts = findings()
     if as_json_:
-        as_json([asdict(f) for f in found])
+        as_json([asdict(f) for f in parts])
     else:
         rows = [
             (
@@ -101,10 +105,10 @@ def doctor(*, as_json_: Json = False) -> None:
                 f.used_for,
                 f.do,
             )
-            for f in found
+            for f in parts
         ]
         table("This installation", ["part", "found", "state", "used for", "what to do"], rows)
-    missing = [f.part for f in found if f.needed and not f.ok]
+    missing = [f.part for f in parts if f.needed and not f.ok]
     if missing:
         say("[red]{} {} needed[/]", ", ".join(missing), "is" if len(missing) == 1 else "are")
         raise SystemExit(REFUSED)

@@ -1,4 +1,4 @@
-"""`trueup excite`: design the experiment that is missing."""
+"""`trueup excite`: design the next experiment, a bounded excitation."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from trueup_cli.show import as_json, progress, say, table
 
 Array = NDArray[np.float64]
 ELSEWHERE = "add another sensor at the joint, or another load"
-QUIET = 1e-3  # of the reporting scale: an observation's noise where no recording tells it
+QUIET = 1e-3  # share of the reporting scale: the noise assumed without a recording
 
 
 def excite(
@@ -49,20 +49,20 @@ def excite(
     out: Path,
     model: Annotated[
         Path | None,
-        Parameter(help="What `trueup diagnose` wrote: its model, as uncertain as it says"),
+        Parameter(help="Folder that `trueup diagnose` wrote: use its model and its uncertainty"),
     ] = None,
     split: Annotated[
         bool,
         Parameter(
-            help="Tell the model's effects from the alternatives that the diagnosis left",
+            help="Separate the model's effects from the alternatives that the diagnosis left",
             negative="",
         ),
     ] = False,
     spread: Annotated[
-        float, Parameter(help="Without a model: 95 %% interval of each nominal number, relatively")
+        float, Parameter(help="Without a model: relative 95 % interval of each nominal number")
     ] = 0.3,
     duration_s: Annotated[
-        float, Parameter(help="Of the excitation, without the hold at its end [s]")
+        float, Parameter(help="Duration of the excitation, without the hold at its end [s]")
     ] = 12.0,
     band_hz: Annotated[
         tuple[float, float] | None,
@@ -76,16 +76,17 @@ def excite(
         float | None,
         Parameter(help="Largest speed of a joint [its unit / s]; default: as recorded"),
     ] = None,
-    margin: Annotated[float, Parameter(help="Of the envelope, kept free under every model")] = 0.1,
+    margin: Annotated[
+        float, Parameter(help="Share of the envelope that is kept free under every model")
+    ] = 0.1,
     seed: Seed = 0,
     as_json_: Json = False,
 ) -> None:
-    """Design a bounded excitation that identifies a plant's numbers, or splits explanations, safe
-    under every model still in play.
+    """Design a bounded excitation that identifies a plant's numbers, or separates explanations.
 
-    It keeps the envelope that plant.json declares, and where it declares none the range of the
-    recordings in the case folder. Writes excitation.csv, .mcap (commands alone), .json and .svg;
-    what to check before it is played stands first in each that can say it.
+    It is safe under every plausible model. It keeps the envelope that plant.json declares, or else
+    the range of the recordings in the case folder. Writes excitation.csv, .mcap (commands alone),
+    .json and .svg. The .csv and the .json begin with what to check before it is played.
 
     Parameters
     ----------
@@ -106,60 +107,58 @@ def excite(
         hold, rest = resting(play.ensembles[0], bounds, _candidates(described, episodes, bounds))
         setting = Setting(play, bounds, _noise(described, episodes, report), rest, hold)
         act = splitting if split else identification
-        found = act(setting, np.random.default_rng(seed), lambda stage, part: bar(part, stage))
-    if (
-        isinstance(found.information, Separation)
-        and max(found.information.standard_errors) < DETECTABLE
-    ):
+        excitation = act(setting, np.random.default_rng(seed), lambda stage, part: bar(part, stage))
+    information = excitation.information
+    if isinstance(information, Separation) and max(information.standard_errors) < DETECTABLE:
         raise NotIdentifiable(
             "no command that was tried within the bounds parts the alternatives by "
             f"{DETECTABLE:g} standard errors, at best "
-            f"{max(found.information.standard_errors):.1f}",
-            hint="; or ".join(_otherwise(play, found.information))
+            f"{max(information.standard_errors):.1f}",
+            hint="; or ".join(_otherwise(play, information))
             + "; or allow a longer duration, a wider band or envelope.",
         )
     goal = "split" if split else "identify"
-    first = checks(described, found, diagnosed=model is not None)
+    first = checks(described, excitation, diagnosed=model is not None)
     document = {
         "check_first": first,
         "schema": "trueup.excitation/1",
         "plant": described.name,
         "goal": goal,
         "seed": seed,
-        **found.document(),
+        **excitation.document(),
     }
-    _write(described, found, document, out)
+    _write(described, excitation, document, out)
     if as_json_:
         as_json(document)
         return
-    _show(found, first)
-    if isinstance(found.information, Separation):
-        for how in _otherwise(play, found.information):
+    _show(excitation, first)
+    if isinstance(information, Separation):
+        for how in _otherwise(play, information):
             say("Not parted: {}.", how)
     files, digest = "excitation.csv, excitation.mcap, excitation.svg", digest_of(document)
     say("in {}: {}; declare `excitation = {}` when recorded", out, files, digest[:12])
 
 
 def _in_play(plant: Plant, folder: Path | None, spread: float) -> tuple[InPlay, dict[str, Any]]:
-    """Every model that may still be right, the answer of a diagnosis first, and its report."""
+    """Returns the models that may be right, a diagnosis's answer first, and its report."""
     if folder is None:
         return InPlay((Ensemble.prior(plant, spread),)), {}
-    found = load(folder / "model").predictor
-    if not isinstance(found, Corrected):
+    model = load(folder / "model").predictor
+    if not isinstance(model, Corrected):
         raise BadArtifact(
             "the folder holds no corrected model",
             hint="Give the folder that `trueup diagnose --out` wrote.",
         )
     report = json.loads((folder / "report.json").read_text())
     return InPlay(
-        (Ensemble.posterior(found, report), *Ensemble.alternatives(found.plant, report))
+        (Ensemble.posterior(model, report), *Ensemble.alternatives(model.plant, report))
     ), report
 
 
-def _otherwise(play: InPlay, told: Separation) -> list[str]:
-    """What would part each alternative that the experiment does not."""
+def _otherwise(play: InPlay, separation: Separation) -> list[str]:
+    """Returns what would separate each alternative that the experiment does not."""
     answer, *others = (e.hypothesis for e in play.ensembles)
-    apart = zip(others, told.alternatives, told.standard_errors, strict=True)
+    apart = zip(others, separation.alternatives, separation.standard_errors, strict=True)
     short = [(other, " + ".join(names)) for other, names, x in apart if x < DETECTABLE]
     return [f"for {names}, {how_to_part(answer, other) or ELSEWHERE}" for other, names in short]
 
@@ -180,83 +179,86 @@ def _nothing_to_split(report: dict[str, Any]) -> NotIdentifiable:
 
 
 def _candidates(plant: Plant, episodes: list[Episode], bounds: Bounds) -> list[tuple[Array, Array]]:
-    """Commands to hold and states to seek rest from: none in the middle of the envelope, and what
-    was recorded at first and on the mean.
+    """Returns pairs of a command to hold and a state from which to seek rest.
 
-    A robot's rest is not known without a recording: what holds it against its weight is no middle
-    of anything.
+    For one joint it is no command in the middle of the envelope. Each recording adds its first and
+    its mean command and state. A robot's rest is unknown without a recording, because its commands
+    hold it against its weight. Raises NotIdentifiable if there is no pair.
     """
     joints = len(plant.joints)
     middle = np.concatenate([bounds.envelope[:joints].mean(axis=1), np.zeros(joints)])
     none = np.clip(np.zeros(joints), bounds.low, bounds.high)
-    found = [(none, middle)] if joints == 1 else []
+    pairs = [(none, middle)] if joints == 1 else []
     for episode in episodes[:1]:
         states = np.nan_to_num(smoothed_states(plant, episode))
         commands = plant.applied(episode.commands)
         states[:, joints:] = 0.0
-        found += [(commands[0], states[0]), (commands.mean(axis=0), states.mean(axis=0))]
-    if not found:
+        pairs += [(commands[0], states[0]), (commands.mean(axis=0), states.mean(axis=0))]
+    if not pairs:
         raise NotIdentifiable(
             "a robot's rest is not known without a recording",
             hint="Put an adaptation episode that begins at rest into the case folder.",
         )
-    return found
+    return pairs
 
 
 def _noise(plant: Plant, episodes: list[Episode], report: dict[str, Any]) -> Array:
-    """Noise of each observation: as the diagnosis found it, with what its answer leaves
-    unexplained; else as recorded, or QUIET."""
+    """Returns the noise of each observation `(observations,)`.
+
+    It is the diagnosis's estimate, enlarged by its misfit; else as recorded, or QUIET.
+    """
     quiet = QUIET * plant.scales
     if report:
-        found = np.array(
+        noise = np.array(
             [report["evidence"]["noise"][c.name] for c in plant.layout.observations], float
         )
-        left = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0))
-        return np.asarray(left * np.where(np.isfinite(found) & (found > 0.0), found, quiet))
+        misfit = np.sqrt(max(report["evidence"].get("misfit") or 1.0, 1.0))
+        return np.asarray(misfit * np.where(np.isfinite(noise) & (noise > 0.0), noise, quiet))
     if not episodes:
         return quiet
     measured = assess(plant, episodes).noise[plant.state_columns]
     return np.where(np.isfinite(measured) & (measured > 0.0), measured, quiet)
 
 
-def _write(plant: Plant, found: Excitation, document: dict[str, Any], out: Path) -> None:
+def _write(plant: Plant, excitation: Excitation, document: dict[str, Any], out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     (out / "excitation.csv").write_text(
-        command_table(plant, found.t_s, found.command, document["check_first"]), newline=""
+        command_table(plant, excitation.t_s, excitation.command, document["check_first"]),
+        newline="",
     )
     with (out / "excitation.mcap").open("wb") as mcap:
         write_episode(
             mcap,
-            stamps_ns=np.rint(found.t_s * 1e9).astype(np.int64),
+            stamps_ns=np.rint(excitation.t_s * 1e9).astype(np.int64),
             observations=np.zeros((0, len(plant.layout.observations))),
-            commands=found.command[:, [plant.joint_of(c) for c in plant.layout.commands]],
+            commands=excitation.command[:, [plant.joint_of(c) for c in plant.layout.commands]],
             layout=plant.layout,
             role=None,
             conditions={"plant": plant.name, "excitation": digest_of(document)},
         )
     (out / "excitation.json").write_text(json.dumps(document, indent=1) + "\n")
-    (out / "excitation.svg").write_text(excite_picture(plant, found))
+    (out / "excitation.svg").write_text(excite_picture(plant, excitation))
 
 
-def _show(found: Excitation, first: list[str]) -> None:
+def _show(excitation: Excitation, first: list[str]) -> None:
     say("[bold]Check before you play it[/]")
     for number, line in enumerate(first, 1):
         say("  {}. {}", number, line)
-    others = dict(found.random.rows())
+    others = dict(excitation.random.rows())
     table(
-        found.title,
+        excitation.title,
         ["", "designed", "random, same energy"],
-        [(name, value, others[name]) for name, value in found.information.rows()],
+        [(name, value, others[name]) for name, value in excitation.information.rows()],
     )
     length, models, share = (
-        f"{len(found.t_s)} samples, {found.t_s[-1]:.4g} s",
-        len(found.paths),
-        100 * found.used,
+        f"{len(excitation.t_s)} samples, {excitation.t_s[-1]:.4g} s",
+        len(excitation.paths),
+        100 * excitation.used,
     )
     say(
         "{}; under {} models at most {:.0f} % of the envelope is used, breaches: {}",
         length,
         models,
         share,
-        found.breaches,
+        excitation.breaches,
     )

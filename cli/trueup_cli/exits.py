@@ -1,4 +1,4 @@
-"""Exit codes: with what a command ends, and what that means."""
+"""The exit codes of commands, and what they mean."""
 
 from __future__ import annotations
 
@@ -8,21 +8,18 @@ DONE, REFUSED, MISUSED, UNREACHABLE, DISAGREES, INTERRUPTED, PIPE_CLOSED = 0, 1,
 MEANING = {
     DONE: "done",
     REFUSED: "refused: standard error says why, and what to do next",
-    MISUSED: "misused",
+    MISUSED: "wrong command line",
     UNREACHABLE: "the service does not answer",
-    DISAGREES: "bytes, a log or a decision are not what they were said to be",
+    DISAGREES: "bytes, a log or a decision do not match what names them",
     INTERRUPTED: "interrupted",
-    PIPE_CLOSED: "nobody reads on",
+    PIPE_CLOSED: "the reader of the output has closed the pipe",
 }
-HERE = (DONE, REFUSED, MISUSED)  # a command that asks nobody
-ASKS = (*HERE, UNREACHABLE)  # one that asks the service
-HOLDS_HERE = (*HERE, DISAGREES)  # one that holds bytes against what names them, here
-HOLDS = (
-    *ASKS,
-    DISAGREES,
-)  # one that holds what the service answers against what was seen of it before
+LOCAL = (DONE, REFUSED, MISUSED)  # a command that asks no service
+CALLS_SERVICE = (*LOCAL, UNREACHABLE)
+VERIFIES_LOCALLY = (*LOCAL, DISAGREES)  # one that checks bytes against what names them
+VERIFIES = (*CALLS_SERVICE, DISAGREES)  # one that checks the service's answers against its log
 
 
-def told(codes: Sequence[int]) -> str:
-    """The same in a sentence."""
+def exit_codes(codes: Sequence[int]) -> str:
+    """Returns the sentence that lists these exit codes, for a command's help."""
     return "Exit codes: " + "; ".join(f"{code} {MEANING[code]}" for code in codes) + "."

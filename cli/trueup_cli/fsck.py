@@ -1,4 +1,4 @@
-"""`trueup fsck`: is what this installation keeps whole, and is it what its log tells?"""
+"""`trueup fsck`: check an installation's storage against its log."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from trueup_cli.show import as_json, err, progress, say, table
 
 
 def fsck(*, as_json_: Json = False) -> None:
-    """Check the storage that the settings name, without a server or beside a running one; exit 4
-    with a list if anything is wrong.
+    """Check the storage that the settings name, also while a server runs on it.
 
-    A data folder that cannot be written, such as a mounted snapshot, is read as it is.
+    If anything is wrong it is listed, and the exit code is 4. A data folder that cannot be written,
+    such as a mounted snapshot, is read as it is.
     """
     from trueup.ledger.verification import verify
     from trueup_service.installation import (
@@ -28,25 +28,25 @@ def fsck(*, as_json_: Json = False) -> None:
     from trueup_service.wiring import build_to_read
 
     with build_to_read(Settings()) as parts, progress("checking") as bar:
-        found = verify(Installation(parts.database, parts.blobs, signing(parts)), bar)
+        verified = verify(Installation(parts.database, parts.blobs, signing(parts)), bar)
         wrong = [
             (f.where, f.what)
             for f in [
-                *found.findings,
+                *verified.findings,
                 *published(parts),
                 *lost_jobs(parts),
                 *altered(parts.database),
             ]
         ]
-        left = unnamed_blobs(parts)
+        unnamed = unnamed_blobs(parts)
     if as_json_:
         as_json(
             {
-                "entries": found.size,
-                "rows": found.rows,
-                "bytes": found.bytes,
+                "entries": verified.size,
+                "rows": verified.rows,
+                "bytes": verified.bytes,
                 "findings": wrong,
-                "unnamed_blobs": len(left),
+                "unnamed_blobs": len(unnamed),
             }
         )
     elif wrong:
@@ -54,17 +54,17 @@ def fsck(*, as_json_: Json = False) -> None:
     else:
         say(
             "[bold green]whole[/]: {} entries, {} rows, {:.1f} MB",
-            found.size,
-            found.rows,
-            found.bytes / 1e6,
+            verified.size,
+            verified.rows,
+            verified.bytes / 1e6,
         )
-    if left and not as_json_:
+    if unnamed and not as_json_:
         say(
             (
                 "{} blobs are named by no row: uploads under way, or left over; `trueup gc` "
                 "removes old ones."
             ),
-            len(left),
+            len(unnamed),
         )
     if wrong:
         say(

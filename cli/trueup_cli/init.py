@@ -1,4 +1,4 @@
-"""`trueup init`: a case folder from recordings alone."""
+"""`trueup init`: make a case folder from recordings alone."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from trueup.fit.first_model import Chosen, choose, describe
 from trueup_cli.options import Json
 from trueup_cli.show import as_json, progress, say, table
 
-Force = Annotated[bool, Parameter(negative=(), help="Write over a case that is there")]
-HELD_OUT = 0.3  # of what was recorded
+Force = Annotated[bool, Parameter(negative=(), help="Overwrite a case that is there")]
+HELD_OUT = 0.3  # share of the recordings
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Wanted:
-    """What a person says of a recording; the rest is found."""
+class CaseOptions:
+    """What a person declares about a recording. The rest is identified from it."""
 
-    name: Annotated[str | None, Parameter(help="Of the plant; default: the log's")] = None
+    name: Annotated[str | None, Parameter(help="Name of the plant; default: the log's")] = None
     family: Annotated[
         str | None,
         Parameter(
             help="inertia, pendulum or oscillator; default: the simplest that the data allow"
         ),
     ] = None
-    joint: Annotated[str | None, Parameter(help="Which one, where several move")] = None
+    joint: Annotated[str | None, Parameter(help="Name of the joint, if several move")] = None
     observation: Annotated[str | None, Parameter(help="Topic of the observed JointState")] = None
     command: Annotated[str | None, Parameter(help="Topic of the commanded JointState")] = None
     stage: Annotated[
@@ -45,9 +45,11 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Made:
-    """A case folder that was written: its plant.json, its episodes' roles, and what was found and
-    assumed for it."""
+class WrittenCase:
+    """A case folder that was written: its plant.json, its choices, and its episodes' roles.
+
+    `declared` says whether the recordings declared their roles.
+    """
 
     folder: Path
     document: dict[str, Any]
@@ -61,21 +63,20 @@ def init(
     log: Path,
     *,
     out: Path,
-    wanted: Wanted | None = None,
+    options: CaseOptions | None = None,
     force: Force = False,
     as_json_: Json = False,
 ) -> None:
-    """Make a case folder from recordings: an MCAP file, or what `ros2 bag record -s mcap` left
-    behind.
+    """Make a case folder from recordings: an MCAP file, or a bag of `ros2 bag record -s mcap`.
 
-    Finds topics, joint, fields and rates, holds the last part of the recordings out, and identifies
-    the numbers of the simplest model that they allow. What it assumed is printed, and stands in
-    plant.json to be corrected.
+    It finds topics, joint, fields and rates, holds out the last part of the recordings, and
+    identifies the numbers of the simplest model that they allow. Its assumptions are printed and
+    written to plant.json, where they can be corrected.
 
     Parameters
     ----------
     log
-        MCAP file, or a folder of some
+        MCAP file, or a folder of MCAP files
     out
         case folder to write
     """
@@ -84,16 +85,16 @@ def init(
             f"{out} holds a plant.json already",
             hint="Name another folder with --out, or write over it with --force.",
         )
-    made = make_case(log, out, wanted or Wanted())
+    written = make_case(log, out, options or CaseOptions())
     if as_json_:
-        as_json({"case": str(out), "plant": made.document})
+        as_json({"case": str(out), "plant": written.document})
         return
-    tell(made)
+    show_case(written)
     say("next: trueup diagnose {} --out {}", out, out / "diagnosis")
 
 
-def make_case(log: Path, out: Path, wanted: Wanted) -> Made:
-    """The same, for a command that goes on. Raises NotAnEpisode, BadPlant, NotIdentifiable."""
+def make_case(log: Path, out: Path, options: CaseOptions) -> WrittenCase:
+    """Makes a case folder from recordings. Raises NotAnEpisode, BadPlant, NotIdentifiable."""
     files = sorted(log.glob("*.mcap")) if log.is_dir() else [log]
     if not files:
         raise NotAnEpisode(
@@ -104,48 +105,51 @@ def make_case(log: Path, out: Path, wanted: Wanted) -> Made:
             "the case would be written among the recordings", hint="Name another folder with --out."
         )
     out.mkdir(parents=True, exist_ok=True)
-    for left in out.glob("*.mcap"):  # of a case that was made here before
-        left.unlink()
+    for earlier in out.glob("*.mcap"):  # of a case that was made here before
+        earlier.unlink()
     with progress("init") as bar:
         bar(0.0, "looking through the recordings")
         with files[0].open("rb") as stream:
-            found = survey(stream, files[0].stat().st_size)
+            surveyed = survey(stream, files[0].stat().st_size)
         chosen = choose(
-            found, observation=wanted.observation, command=wanted.command, joint=wanted.joint
+            surveyed, observation=options.observation, command=options.command, joint=options.joint
         )
         bar(0.3, "writing episodes")
         episodes = [
             read_episode(path.read_bytes(), chosen.layout)
-            for path in _write_parts(files, chosen, out, wanted.stage)
+            for path in _write_parts(files, chosen, out, options.stage)
         ]
         bar(0.6, "identifying a first model")
-        named = wanted.name or (log.stem if log.is_file() else log.resolve().name)
-        plain = re.sub(r"[^a-z0-9_-]+", "-", named.lower()).strip("-_") or "robot"
+        name = options.name or (log.stem if log.is_file() else log.resolve().name)
+        plain = re.sub(r"[^a-z0-9_-]+", "-", name.lower()).strip("-_") or "robot"
         document = describe(
-            plain[:63], chosen, [e for e in episodes if e.role is Role.ADAPTATION], wanted.family
+            plain[:63], chosen, [e for e in episodes if e.role is Role.ADAPTATION], options.family
         )
     (out / "plant.json").write_text(json.dumps(document, indent=1, ensure_ascii=False) + "\n")
-    return Made(
+    return WrittenCase(
         out,
         document,
         chosen,
-        wanted.stage,
+        options.stage,
         Counter(e.role for e in episodes),
-        found.role is not None,
+        surveyed.role is not None,
     )
 
 
 def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> list[Path]:
-    """Episodes of the case: each file is one, the last ones held out; the end of a single one.
-    Roles that files declare are kept."""
+    """Writes the episodes of a case, and returns their files.
+
+    Each recording is one episode, and the last ones are held out; of a single recording the end is
+    held out. Roles that recordings declare are kept.
+    """
     topics, written = {chosen.observed.topic, chosen.commanded.topic}, list[Path]()
     held_out = max(1, round(HELD_OUT * len(files)))
     for at, file in enumerate(files):
         recorded = file.read_bytes()
         with file.open("rb") as stream:
-            found = survey(stream, len(recorded))
+            surveyed = survey(stream, len(recorded))
         conditions = {"stage": stage, "recording": file.name}
-        if found.role is not None:
+        if surveyed.role is not None:
             parts: list[tuple[Role | None, int | None, int | None]] = [(None, None, None)]
         elif len(files) > 1:
             parts = [
@@ -156,7 +160,7 @@ def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> li
             cut = last - int(HELD_OUT * (last - first))
             parts = [(Role.ADAPTATION, None, cut), (Role.VALIDATION, cut, None)]
         for role, begin, end in parts:
-            written.append(out / f"{len(written)}-{role or found.role}.mcap")
+            written.append(out / f"{len(written)}-{role or surveyed.role}.mcap")
             with written[-1].open("wb") as to:
                 if role is None:
                     to.write(recorded)
@@ -165,21 +169,21 @@ def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> li
     return written
 
 
-def tell(made: Made) -> None:
-    """Print what was found, and what was assumed."""
-    document, chosen, out, stage = made.document, made.chosen, made.folder, made.stage
+def show_case(case: WrittenCase) -> None:
+    """Prints what was read from the recordings, and what was assumed."""
+    document, chosen, stage = case.document, case.chosen, case.stage
     nominal, limits = document["nominal"], document["commands"][0]["limits"]
     numbers = ", ".join(f"{k} = {v:g}" for k, v in nominal["parameters"].items())
     table(
-        f"{out / 'plant.json'}",
+        f"{case.folder / 'plant.json'}",
         ["what", "found", "so"],
         [
             ("plant", document["name"], "its name in a service; --name gives another"),
             (
                 "episodes",
-                ", ".join(f"{count} {role}" for role, count in made.roles.items()),
+                ", ".join(f"{count} {role}" for role, count in case.roles.items()),
                 "roles as recorded"
-                if made.declared
+                if case.declared
                 else "the last of what was recorded is held out",
             ),
             (

@@ -1,5 +1,7 @@
-"""`trueup`: the one place that may import everything. Commands import what they need when they run,
-so that `--help` is quick."""
+"""`trueup`: the one place that may import everything.
+
+Commands import what they need when they run, so that `--help` is quick.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +11,20 @@ import sys
 from cyclopts import App, CycloptsError, CycloptsPanel
 
 from trueup import __version__
-from trueup_cli.exits import ASKS, HERE, HOLDS, HOLDS_HERE, INTERRUPTED, MEANING, PIPE_CLOSED, told
+from trueup_cli.exits import (
+    CALLS_SERVICE,
+    INTERRUPTED,
+    LOCAL,
+    MEANING,
+    PIPE_CLOSED,
+    VERIFIES,
+    VERIFIES_LOCALLY,
+    exit_codes,
+)
 
 
-def _misused(error: CycloptsError) -> object:
-    """What is wrong with a command line, which may hold the name of somebody else's file."""
+def _misuse_panel(error: CycloptsError) -> object:
+    """Shows what is wrong with a command line, which may hold characters that must be escaped."""
     from trueup_cli.show import visible
 
     return CycloptsPanel("\n".join(map(visible, str(error).split("\n"))))
@@ -26,115 +37,135 @@ app = App(
         "Find where a robot's dynamics model is wrong, correct it, and serve the correction "
         "only if it has earned it."
     ),
-    help_epilogue=told(tuple(MEANING)),
-    error_formatter=_misused,
+    help_epilogue=exit_codes(tuple(MEANING)),
+    error_formatter=_misuse_panel,
 )
 
 _COMMANDS = {
-    "serve": ("run:serve", "Run the service, with a worker beside it.", HERE),
-    "look": ("look:look", "Open the service in a browser, signed in.", ASKS),
-    "work": ("run:work", "Run one worker.", HERE),
-    "migrate": ("run:migrate", "Bring the database's schema up to date.", HERE),
-    "kernels": ("run:kernels", "Compile the rollout kernels into the cache.", HERE),
-    "plant": ("plant:app", "Register and look at plants.", ASKS),
-    "upload": ("registry:upload", "Upload recordings.", ASKS),
-    "fit": ("registry:fit", "Fit a candidate from adaptation episodes.", ASKS),
+    "serve": ("run:serve", "Run the service, with a worker beside it.", LOCAL),
+    "look": ("look:look", "Open the service in a browser, signed in.", CALLS_SERVICE),
+    "work": ("run:work", "Run one worker.", LOCAL),
+    "migrate": ("run:migrate", "Bring the database's schema up to date.", LOCAL),
+    "kernels": ("run:kernels", "Compile the rollout kernels into the cache.", LOCAL),
+    "plant": ("plant:app", "Register and look at plants.", CALLS_SERVICE),
+    "upload": ("registry:upload", "Upload recordings.", CALLS_SERVICE),
+    "fit": ("registry:fit", "Fit a candidate from adaptation episodes.", CALLS_SERVICE),
     "diagnosis": (
         "registry:diagnosis",
-        "The same as a job of the service, on uploaded episodes.",
-        ASKS,
+        "Diagnose uploaded episodes, as a job of the service.",
+        CALLS_SERVICE,
     ),
-    "gate": ("registry:gate", "Judge a candidate by a declared gate against what serves.", ASKS),
-    "versions": ("registry:versions", "List the versions of a plant's model.", ASKS),
-    "decisions": ("registry:decisions", "List what gates decided.", ASKS),
+    "gate": ("registry:gate", "Judge a candidate against what serves, by a gate.", CALLS_SERVICE),
+    "versions": ("registry:versions", "List the versions of a plant's model.", CALLS_SERVICE),
+    "decisions": ("registry:decisions", "List what gates decided.", CALLS_SERVICE),
     "calibrate": (
         "monitor:calibrate",
-        "Calibrate a monitor of what serves, to a promise in operating hours.",
-        ASKS,
+        "Calibrate a monitor of what serves, for a promised rate of false alarms.",
+        CALLS_SERVICE,
     ),
     "monitor": (
         "monitor:monitor",
-        "Say whether a plant's model is watched, and what was seen.",
-        ASKS,
+        "Show whether a plant's model is watched, and what its monitor saw.",
+        CALLS_SERVICE,
     ),
-    "alarms": ("monitor:alarms", "List alarms, with what changed, or close one.", ASKS),
+    "alarms": ("monitor:alarms", "List alarms and what changed, or close an alarm.", CALLS_SERVICE),
     "policy": (
         "monitor:policy",
-        "Say or declare what may happen to a plant's model without a person.",
-        ASKS,
+        "Show or declare what may happen to a plant's model without a person.",
+        CALLS_SERVICE,
     ),
-    "serving": ("serving:serving", "Say what serves, or what served when.", ASKS),
-    "promote": ("serving:promote", "Serve the candidate of an accepted decision.", HOLDS),
+    "serving": ("serving:serving", "Show what serves, or what served when.", CALLS_SERVICE),
+    "promote": ("serving:promote", "Serve the candidate of an accepted decision.", VERIFIES),
     "approve": (
         "serving:approve",
         "Approve a decision, where a promotion takes two people.",
-        HOLDS,
+        VERIFIES,
     ),
-    "rollback": ("serving:rollback", "Serve what served before, after its switchback test.", HOLDS),
-    "fetch": ("serving:fetch", "Fetch a model, every byte verified.", HOLDS),
-    "convert": ("convert:convert", "Write a fetched model as ONNX or MJCF.", HERE),
-    "mlflow": ("mlflow:app", "Pass versions to an MLflow registry, and take them from one.", HOLDS),
+    "rollback": (
+        "serving:rollback",
+        "Serve what served before, after its switchback test.",
+        VERIFIES,
+    ),
+    "fetch": ("serving:fetch", "Fetch a model and verify every byte.", VERIFIES),
+    "convert": ("convert:convert", "Write a fetched model as ONNX or MJCF.", LOCAL),
+    "mlflow": (
+        "mlflow:app",
+        "Export versions to an MLflow registry, or import them from one.",
+        VERIFIES,
+    ),
     "evidence": (
         "channels:evidence",
-        "List what was found of a version, and at which stage, or add to it.",
-        ASKS,
+        "List the evidence on a version, by stage, or add to it.",
+        CALLS_SERVICE,
     ),
-    "channels": ("channels:channels", "Say what each channel serves, or declare one.", ASKS),
+    "channels": (
+        "channels:channels",
+        "Show what each channel serves, or declare a channel.",
+        CALLS_SERVICE,
+    ),
     "release": (
         "channels:release",
-        "Serve what serves, or another version that did, on a channel.",
-        HOLDS,
+        "Serve a version on a channel; by default the one that serves.",
+        VERIFIES,
     ),
-    "init": ("init:init", "Make a case folder from recordings alone, such as a ROS 2 bag.", HERE),
+    "init": ("init:init", "Make a case folder from recordings alone, such as a ROS 2 bag.", LOCAL),
     "diagnose": (
         "diagnose:run",
-        "Say where the gap lies, which effect causes it, and how far it shrinks.",
-        HERE,
+        "Find where the gap lies, which effect causes it, and how far it shrinks.",
+        LOCAL,
     ),
     "blindtrial": (
         "blindtrial:run",
-        "Hide effects in machines like yours and say how often the diagnosis is right.",
-        HOLDS,
+        "Hide effects in simulated machines like yours, and say how often a diagnosis finds them.",
+        VERIFIES,
     ),
     "excite": (
         "excite:excite",
-        "Design a bounded excitation, safe under every model still in play.",
-        HERE,
+        "Design a bounded excitation that is safe under every plausible model.",
+        LOCAL,
     ),
-    "predict": ("predict:predict", "Roll a model out over an episode.", HERE),
-    "login": ("access:login", "Keep a token for a service.", ASKS),
-    "whoami": ("access:whoami", "Say whom the service takes you for.", ASKS),
-    "token": ("access:tokens", "Issue, list and revoke tokens.", ASKS),
-    "project": ("access:projects", "Create and list projects.", ASKS),
-    "audit": ("audit:app", "Print or verify the audit log.", HOLDS),
-    "replay": ("audit:replay", "Recompute a decision and say whether it agrees.", HOLDS),
-    "backup": ("archives:backup", "Write all that is kept, while the service runs.", HOLDS_HERE),
-    "restore": ("archives:restore", "Bring a backup back into empty storage.", HOLDS_HERE),
-    "export": ("archives:export", "Write a plant with its whole history as one file.", HERE),
-    "import": ("archives:import_", "Bring an exported plant in, verified.", HOLDS_HERE),
-    "gc": ("archives:gc", "Remove bytes that nothing names.", HERE),
+    "predict": ("predict:predict", "Roll a model out over an episode.", LOCAL),
+    "login": ("access:login", "Store a token for a service.", CALLS_SERVICE),
+    "whoami": ("access:whoami", "Show who you are to the service.", CALLS_SERVICE),
+    "token": ("access:tokens", "Issue, list and revoke tokens.", CALLS_SERVICE),
+    "project": ("access:projects", "Create and list projects.", CALLS_SERVICE),
+    "audit": ("audit:app", "Print or verify the audit log.", VERIFIES),
+    "replay": ("audit:replay", "Recompute a decision, and check that it agrees.", VERIFIES),
+    "backup": (
+        "archives:backup",
+        "Write a backup of the whole registry, while the service runs.",
+        VERIFIES_LOCALLY,
+    ),
+    "restore": ("archives:restore", "Restore a backup into empty storage.", VERIFIES_LOCALLY),
+    "export": ("archives:export", "Export a plant with its whole history.", LOCAL),
+    "import": (
+        "archives:import_",
+        "Import an exported plant, once it is verified.",
+        VERIFIES_LOCALLY,
+    ),
+    "gc": ("archives:gc", "Remove bytes that no row names.", LOCAL),
     "fsck": (
         "fsck:fsck",
-        "Check this installation's own storage: log, rows, bytes, nothing lost, nothing left over.",
-        HOLDS_HERE,
+        "Check this installation's storage: log, rows and bytes.",
+        VERIFIES_LOCALLY,
     ),
-    "keygen": ("run:keygen", "Make a signing key for a log.", HERE),
+    "keygen": ("run:keygen", "Make a signing key for a log.", LOCAL),
     "completion": (
         "completion:completion",
-        "Print what a shell needs to complete commands, options and plants.",
-        HERE,
+        "Print or install shell completion of commands, options and plants.",
+        LOCAL,
     ),
     "doctor": (
         "doctor:doctor",
-        "Say what this installation has, and what is missing for what.",
-        HERE,
+        "Show what is installed, and what a missing part is needed for.",
+        LOCAL,
     ),
     "chapter": (
         "chapter:chapter",
-        "Reproduce the chapter's figures beside the published digits.",
-        HERE,
+        "Reproduce the chapter's figures, beside the published digits.",
+        LOCAL,
     ),
-    "demo": ("demo:demo", "Run the main job on a real recording.", HERE),
+    "demo": ("demo:demo", "Run the main job on a real recording.", LOCAL),
 }
 APPS = (
     "plant:app",
@@ -142,35 +173,33 @@ APPS = (
     "mlflow:app",
     "access:tokens",
     "access:projects",
-)  # with help and exit codes of their own
-for _name, (_where, _help, _codes) in _COMMANDS.items():
+)  # which have help and exit codes of their own
+for _name, (_target, _help, _codes) in _COMMANDS.items():
     app.command(
-        f"trueup_cli.{_where}",
+        f"trueup_cli.{_target}",
         name=_name,
-        **({} if _where in APPS else {"help": _help, "help_epilogue": told(_codes)}),
+        **({} if _target in APPS else {"help": _help, "help_epilogue": exit_codes(_codes)}),
     )
 
 
 def main() -> None:
-    """Run a command, and end with one of the codes in `trueup_cli.exits`."""
+    """Runs a command, and exits with one of the codes in `trueup_cli.exits`."""
     try:
         try:
             app()
         finally:
             sys.stdout.flush()
-    except BrokenPipeError:  # whoever read has read enough
+    except BrokenPipeError:  # the reader of standard output is gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(PIPE_CLOSED)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
-    except Exception as error:  # noqa: BLE001  (nothing is hidden: it is printed whole)
-        from trueup_cli.complaints import (
-            complain,
-            trace,
-        )  # what it needs to print loads slowly, and a server never complains
+    except Exception as error:  # noqa: BLE001  (an unexpected one is printed with its traceback)
+        # imported here: it is slow to load, and only a command that fails needs it
+        from trueup_cli.error_output import print_error, print_traceback
 
-        code = complain(error)
-        sys.exit(trace(error) if code is None else code)
+        code = print_error(error)
+        sys.exit(print_traceback(error) if code is None else code)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Commands that pass versions to an MLflow registry, and take them from one."""
+"""Commands that export versions to an MLflow registry, and import them from one."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from trueup.canonical import Json as JsonValue
 from trueup.errors import MlflowRefused, NotImportable, NotInstalled
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
-from trueup_cli.exits import HOLDS, told
-from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, witnessed
+from trueup_cli.exits import VERIFIES, exit_codes
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect_witnessed
 from trueup_cli.show import Bar, as_json, progress, say
 from trueup_client import Client, DigestMismatch
 from trueup_client.records import Artifact as Registered
 
 app = App(
     name="mlflow",
-    help="Pass versions to an MLflow registry, and take them from one.",
-    help_epilogue=told(HOLDS),
+    help="Export versions to an MLflow registry, or import them from one.",
+    help_epilogue=exit_codes(VERIFIES),
 )
 Registry = Annotated[
     str | None,
@@ -49,9 +49,9 @@ Registry = Annotated[
     ),
 ]
 SERVING = "serving"  # the alias of what serves
-MADE_HERE = "trueup.artifact"
-SIGNED_IN = r"//[^\s/]*@"  # what stands before the host of an address
-QUIET = {  # no telemetry, no minutes of retries, and nothing of its own on standard output
+DIGEST_TAG = "trueup.artifact"
+CREDENTIALS = r"//[^\s/]*@"  # what stands before the host of an address
+ENVIRONMENT = {  # no telemetry, no long retries, and no output of MLflow's own
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",
     "MLFLOW_LOGGING_LEVEL": "WARNING",
@@ -71,26 +71,28 @@ def export(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Write a version to an MLflow registry, with its numbers, its gate's figures and where it
-    comes from; once for each version.
+    """Export a version to an MLflow registry, with its numbers, figures and provenance.
 
-    What serves gets the alias `serving` there.
+    A version that is there already is not written again. What serves gets the alias `serving`.
     """
-    with witnessed(url) as client, _asking(registry) as mlflow, _working("export") as (bar, folder):
+    with (
+        connect_witnessed(url) as client,
+        _mlflow_at(registry) as mlflow,
+        _working("export") as (bar, folder),
+    ):
         serving = client.serving(plant)
         digest = artifact or serving.artifact
         client.fetch(plant, digest, folder / ARTIFACT)
         bar(0.3, "writing it there")
-        there = _Version.of(mlflow, name or plant, digest)
-        version = there.found() or there.create(client, plant, folder)
+        exported = _ExportedVersion.of(mlflow, name or plant, digest)
+        version = exported.existing() or exported.create(client, plant, folder)
         if digest == serving.artifact:
-            there.mark(version)
-    told_ = {
-        "model": f"models:/{there.name}/{version}",
-        "artifact": digest,
-        "serving": digest == serving.artifact,
-    }
-    as_json(told_) if as_json_ else say("{} is [bold]{}[/]", digest, told_["model"])
+            exported.mark_serving(version)
+    address = f"models:/{exported.name}/{version}"
+    if as_json_:
+        as_json({"model": address, "artifact": digest, "serving": digest == serving.artifact})
+    else:
+        say("{} is [bold]{}[/]", digest, address)
 
 
 @app.command(name="import")
@@ -107,19 +109,21 @@ def import_(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Make a candidate of an MLflow model: of the artifact that it holds, else of the plant's
-    parameters among its run's params.
+    """Import an MLflow model as a candidate.
 
-    All that is known there of a model that was made elsewhere stands in the candidate's provenance.
+    It is the artifact that the model holds, or else the plant's parameters among its run's params.
+    What MLflow knows of a model that was made elsewhere is written to the candidate's provenance.
     """
-    with witnessed(url) as client, _working(f"import {model}") as (_, folder):
+    with connect_witnessed(url) as client, _working(f"import {model}") as (_, folder):
         if Path(model).is_dir():
-            known, kept = _held(Path(model))
+            known, artifact = _read_folder(Path(model))
         else:
-            with _asking(registry) as mlflow:
-                known, kept = _known(mlflow, model, folder)
-        made = kept or _of_parameters(Plant.from_document(client.plant(plant)["document"]), known)
-        version = client.add_artifact(plant, made.manifest, made.arrays)
+            with _mlflow_at(registry) as mlflow:
+                known, artifact = _download(mlflow, model, folder)
+        if artifact is None:
+            declared = Plant.from_document(client.plant(plant)["document"])
+            artifact = _artifact_of_parameters(declared, known)
+        version = client.add_artifact(plant, artifact.manifest, artifact.arrays)
     if as_json_:
         as_json(version)
     else:
@@ -127,11 +131,11 @@ def import_(
 
 
 @contextmanager
-def _asking(registry: str | None) -> Iterator[ModuleType]:
-    """MLflow's own client, asking a registry. Raises MlflowRefused, NotInstalled."""
+def _mlflow_at(registry: str | None) -> Iterator[ModuleType]:
+    """Yields the mlflow module, set up for a registry. Raises MlflowRefused, NotInstalled."""
     if registry is None:
         raise MlflowRefused("no registry was named")
-    os.environ.update({k: x for k, x in QUIET.items() if k not in os.environ})
+    os.environ.update({k: x for k, x in ENVIRONMENT.items() if k not in os.environ})
     try:
         mlflow = importlib.import_module("mlflow")
     except ImportError as error:
@@ -148,20 +152,20 @@ def _asking(registry: str | None) -> Iterator[ModuleType]:
             "sqlalchemy"
         ):
             raise
-        said = str(error).splitlines()[0].replace(registry.rstrip("/"), where(registry))
-        raise MlflowRefused(f"{where(registry)}: {re.sub(SIGNED_IN, '//', said)}") from None
+        shown = without_credentials(registry)
+        message = str(error).splitlines()[0].replace(registry.rstrip("/"), shown)
+        raise MlflowRefused(f"{shown}: {re.sub(CREDENTIALS, '//', message)}") from None
 
 
 @contextmanager
 def _working(what: str) -> Iterator[tuple[Bar, Path]]:
-    """Progress, and a folder for as long as it lasts."""
+    """Yields a progress bar and a temporary folder."""
     with progress(what) as bar, tempfile.TemporaryDirectory() as folder:
         yield bar, Path(folder)
 
 
-def where(address: str) -> str:
-    """Of a registry's address what holds no password: scheme and host, of a database or a folder
-    the scheme alone."""
+def without_credentials(address: str) -> str:
+    """Returns the scheme and host of a registry; for a database or a folder the scheme alone."""
     parts = urlsplit(address)
     if parts.scheme not in ("http", "https"):
         return parts.scheme or "file"
@@ -169,67 +173,69 @@ def where(address: str) -> str:
 
 
 @dataclass(frozen=True)
-class _Version:
-    """An artifact as a version of a registered model."""
+class _ExportedVersion:
+    """An artifact as a version of a registered model of MLflow."""
 
-    mlflow: ModuleType
-    asked: Any
+    registry: Any
     name: str
     digest: str
 
     @staticmethod
-    def of(mlflow: ModuleType, name: str, digest: str) -> _Version:
-        return _Version(mlflow, mlflow.MlflowClient(), name, digest)
+    def of(mlflow: ModuleType, name: str, digest: str) -> _ExportedVersion:
+        """Names an artifact in the registry that MLflow is set up for."""
+        return _ExportedVersion(mlflow.MlflowClient(), name, digest)
 
-    def found(self) -> str | None:
-        """The version that holds it, if there is one."""
-        found = self.asked.search_model_versions(
-            f"name = '{self.name}' and tags.`{MADE_HERE}` = '{self.digest}'"
+    def existing(self) -> str | None:
+        """Returns the version that holds the artifact; None if there is none."""
+        versions = self.registry.search_model_versions(
+            f"name = '{self.name}' and tags.`{DIGEST_TAG}` = '{self.digest}'"
         )
-        return str(found[0].version) if found else None
+        return str(versions[0].version) if versions else None
 
     def create(self, client: Client, plant: str, folder: Path) -> str:
-        """Write a run with its numbers and files, and a version that came from it."""
-        experiment = self.asked.get_experiment_by_name(plant)
-        run = self.asked.create_run(
-            experiment.experiment_id if experiment else self.asked.create_experiment(plant),
+        """Writes a run with numbers and files, and a version made from it, which it returns."""
+        experiment = self.registry.get_experiment_by_name(plant)
+        run = self.registry.create_run(
+            experiment.experiment_id if experiment else self.registry.create_experiment(plant),
             run_name=self.digest[:12],
         )
-        made, known = run.info.run_id, client.artifact(plant, self.digest)
-        metrics, tags = self._told(client, known)
-        ended = "FAILED"
+        run_id, record = run.info.run_id, client.artifact(plant, self.digest)
+        metrics, tags = self._metrics_and_tags(client, record)
+        status = "FAILED"
         try:
-            model = write_mlflow_model(folder, made, known["created_at"])
-            for name, x in numbers(model).items():
-                self.asked.log_param(made, name, x)
+            model = write_mlflow_model(folder, run_id, record["created_at"])
+            for name, value in numbers(model).items():
+                self.registry.log_param(run_id, name, value)
             for name, figure in metrics.items():
-                self.asked.log_metric(made, name, figure)
+                self.registry.log_metric(run_id, name, figure)
             for name, tag in tags.items():
-                self.asked.set_tag(made, name, tag)
-            self.asked.log_artifacts(made, str(folder), "model")
-            ended = "FINISHED"
+                self.registry.set_tag(run_id, name, tag)
+            self.registry.log_artifacts(run_id, str(folder), "model")
+            status = "FINISHED"
         finally:
-            self.asked.set_terminated(made, ended)
-        if not self.asked.search_registered_models(f"name = '{self.name}'"):
-            self.asked.create_registered_model(
+            self.registry.set_terminated(run_id, status)
+        if not self.registry.search_registered_models(f"name = '{self.name}'"):
+            self.registry.create_registered_model(
                 self.name, description=f"The dynamics model of {plant}, kept and judged by trueup"
             )
         source = f"{run.info.artifact_uri}/model"
-        return str(self.asked.create_model_version(self.name, source, made, tags=tags).version)
+        return str(self.registry.create_model_version(self.name, source, run_id, tags=tags).version)
 
-    def mark(self, version: str) -> None:
-        """Let the alias of what serves stand at a version."""
-        self.asked.set_registered_model_alias(self.name, SERVING, version)
+    def mark_serving(self, version: str) -> None:
+        """Moves the alias of what serves to a version."""
+        self.registry.set_registered_model_alias(self.name, SERVING, version)
 
-    def _told(self, client: Client, known: Registered) -> tuple[dict[str, float], dict[str, str]]:
-        """Figures and tags of the newest decision on it."""
+    def _metrics_and_tags(
+        self, client: Client, record: Registered
+    ) -> tuple[dict[str, float], dict[str, str]]:
+        """Returns the figures of the newest decision on the artifact, and the version's tags."""
         tags = {
-            MADE_HERE: self.digest,
-            "trueup.plant": known["plant"],
-            "trueup.version": str(known["version"]),
+            DIGEST_TAG: self.digest,
+            "trueup.plant": record["plant"],
+            "trueup.version": str(record["version"]),
         }
         decision = next(
-            (d for d in client.decisions(known["plant"]) if d["candidate"] == self.digest), None
+            (d for d in client.decisions(record["plant"]) if d["candidate"] == self.digest), None
         )
         if decision is None:
             return {}, tags
@@ -247,52 +253,62 @@ class _Version:
 
 
 def numbers(model: Model) -> dict[str, float | str]:
-    """A predictor's numbers under the names that MLflow takes: the plant's parameters as they are
-    called, an effect's after it."""
+    """Returns a predictor's numbers under names that MLflow accepts.
+
+    A parameter of the plant has its own name, a parameter of an effect that of the effect and its
+    own.
+    """
     described: Any = model.predictor.description()
     plant, kind = model.plant, model.predictor.kind
-    found = described.get("parameters") or {}
+    parameters = described.get("parameters") or {}
     if kind == Nominal.kind:
-        found = dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True))
-    told = {key(name): x for name, x in found.items()}
+        parameters = dict(zip(plant.dynamics.parameter_names, plant.parameters, strict=True))
+    named = {key(name): value for name, value in parameters.items()}
     for effect in described.get("effects") or ():
         place = "/".join(key(part) for part in (effect["effect"], effect["joint"]) if part)
-        told |= {f"{place}/{key(name)}": x for name, x in effect["parameters"].items()}
-    return told | {"kind": kind}
+        named |= {f"{place}/{key(name)}": value for name, value in effect["parameters"].items()}
+    return named | {"kind": kind}
 
 
 def key(name: str) -> str:
-    """A name in the letters that MLflow takes: another letter is its number between colons, so that
-    no two names become one."""
-    return re.sub(r"[^A-Za-z0-9_.-]", lambda found: f":{ord(found[0]):x}:", name)
+    """Returns a name in the letters that MLflow accepts.
+
+    Any other letter becomes its code point between colons, so that no two names become one.
+    """
+    return re.sub(r"[^A-Za-z0-9_.-]", lambda match: f":{ord(match[0]):x}:", name)
 
 
-def _known(
+def _download(
     mlflow: ModuleType, model: str, folder: Path
 ) -> tuple[dict[str, JsonValue], Artifact | None]:
-    """What an MLflow model's file, its version and its run say of it, and the artifact in it."""
+    """Returns what MLflow knows of a model, and the artifact in it, if any.
+
+    Raises DigestMismatch.
+    """
     version = _version(mlflow, model)
     uri = f"models:/{version.name}/{version.version}"
     mlflow.artifacts.download_artifacts(f"{uri}/{FILE}", dst_path=str(folder))
     if holds_artifact(_read(folder / FILE)):
         mlflow.artifacts.download_artifacts(f"{uri}/{ARTIFACT}", dst_path=str(folder))
-    known, kept = _held(folder)
-    registered = (version.tags or {}).get(MADE_HERE)
-    if kept is not None and registered not in (None, kept.digest):
+    known, artifact = _read_folder(folder)
+    registered = (version.tags or {}).get(DIGEST_TAG)
+    if artifact is not None and registered not in (None, artifact.digest):
         raise DigestMismatch(
-            f"{uri} is registered as {registered[:12]} and holds {kept.digest[:12]}"
+            f"{uri} is registered as {registered[:12]} and holds {artifact.digest[:12]}"
         )
     return {
         **known,
         "source": uri,
-        "registry": where(mlflow.get_registry_uri()),
+        "registry": without_credentials(mlflow.get_registry_uri()),
         **_of_version(mlflow, version),
-    }, kept
+    }, artifact
 
 
-def _held(folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
-    """What an MLflow model's file says of it, and the artifact in its folder. Raises NotImportable,
-    DigestMismatch."""
+def _read_folder(folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
+    """Returns what a model's MLmodel file says, and the artifact in its folder, if any.
+
+    Raises NotImportable, DigestMismatch.
+    """
     document = _read(folder / FILE)
     known: dict[str, JsonValue] = {
         "flavors": sorted(map(str, document.get("flavors", ()))),
@@ -309,28 +325,28 @@ def _held(folder: Path) -> tuple[dict[str, JsonValue], Artifact | None]:
         raise NotImportable(
             f"{FILE} names an artifact, and there is none", hint="Export the version again."
         )
-    kept, told = (
-        Artifact(manifest.read_bytes(), arrays.read_bytes() if arrays.is_file() else b""),
-        artifact_of(document),
-    )
-    if told != kept.digest:
-        raise DigestMismatch(f"{FILE} names artifact {str(told)[:12]} and holds {kept.digest[:12]}")
-    return known, kept
+    artifact = Artifact(manifest.read_bytes(), arrays.read_bytes() if arrays.is_file() else b"")
+    named = artifact_of(document)
+    if named != artifact.digest:
+        raise DigestMismatch(
+            f"{FILE} names artifact {str(named)[:12]} and holds {artifact.digest[:12]}"
+        )
+    return known, artifact
 
 
 def _version(mlflow: ModuleType, model: str) -> Any:
-    named = re.fullmatch(r"models:/([^/@]+)(?:/(\d+)|@([^/@]+))", model)
-    if named is None:
+    match = re.fullmatch(r"models:/([^/@]+)(?:/(\d+)|@([^/@]+))", model)
+    if match is None:
         raise NotImportable(
             f"{model!r} names no version of a model",
             hint="Give models:/NAME/VERSION, models:/NAME@ALIAS, or a folder.",
         )
-    name, number, alias = named.groups()
-    asked = mlflow.MlflowClient()
+    name, number, alias = match.groups()
+    registry = mlflow.MlflowClient()
     return (
-        asked.get_model_version(name, number)
+        registry.get_model_version(name, number)
         if number
-        else asked.get_model_version_by_alias(name, alias)
+        else registry.get_model_version_by_alias(name, alias)
     )
 
 
@@ -349,13 +365,12 @@ def _of_version(mlflow: ModuleType, version: Any) -> dict[str, JsonValue]:
 
 
 def _read(file: Path) -> Mapping[str, Any]:
-    """An MLmodel document, which is YAML."""
+    """Returns an MLmodel document, which is YAML. Raises NotImportable."""
     import yaml
 
     try:
-        document = json.loads(
-            json.dumps(yaml.safe_load(file.read_text()), default=str)
-        )  # YAML has dates, JSON has none
+        # through JSON, which has no dates
+        document = json.loads(json.dumps(yaml.safe_load(file.read_text()), default=str))
     except (OSError, ValueError, TypeError, RecursionError, yaml.YAMLError) as error:
         raise NotImportable(
             f"{file} is no MLmodel file: {error}",
@@ -368,8 +383,8 @@ def _read(file: Path) -> Mapping[str, Any]:
     return document
 
 
-def _of_parameters(plant: Plant, known: Mapping[str, JsonValue]) -> Artifact:
-    """The plant's form with the numbers that a run had as params. Raises NotImportable."""
+def _artifact_of_parameters(plant: Plant, known: Mapping[str, JsonValue]) -> Artifact:
+    """Packs the plant's form with the params of a run as its numbers. Raises NotImportable."""
     params: Any = known.get("params") or {}
     names = plant.dynamics.parameter_names
     missing = [name for name in names if key(name) not in params]

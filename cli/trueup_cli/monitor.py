@@ -1,4 +1,4 @@
-"""Commands on what watches a plant."""
+"""Commands on monitors, alarms and update policies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from trueup_client import Client
 from trueup_client.problem import Problem
 from trueup_client.records import Alarm, Policy
 
-LATEST = 12  # episodes in the table
+LATEST = 12  # episodes that are printed
 
 
 def calibrate(
@@ -31,36 +31,35 @@ def calibrate(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Calibrate a monitor of what serves, on the plant's reference episodes; from then on it
-    watches."""
+    """Calibrate a monitor of what serves, on the plant's reference episodes. Then it watches."""
     client = connect(url)
     request: dict[str, Any] = {
         "kind": "calibrate",
         "promise_h": promise_h,
         **({"detectors": detectors.split(",")} if detectors else {}),
     }
-    found = run_job(client, plant, request, "calibrate")
+    job = run_job(client, plant, request, "calibrate")
     if as_json_:
-        as_json(found)
+        as_json(job)
         return
-    monitor = next(m for m in client.monitors(plant) if m["digest"] == result_of(found)["monitor"])
+    monitor = next(m for m in client.monitors(plant) if m["digest"] == result_of(job)["monitor"])
     show_calibration(monitor["document"])
 
 
 def show_calibration(document: dict[str, Any]) -> None:
-    """Print what each detector was measured to keep, and what its promise rests on."""
-    of = document["figures"]["detectors"]
+    """Prints the measured rate and delay of each detector, and what its promise rests on."""
+    figures = document["figures"]["detectors"]
     rows = []
     for d in document["detectors"]:
-        f = of[d["detector"]]
+        f = figures[d["detector"]]
         low, high = f["alarms_per_h_ci95"]
-        said = f"{f['alarms_per_h']:.3g} [{low:.3g}, {high:.3g}]"
+        rate = f"{f['alarms_per_h']:.3g} [{low:.3g}, {high:.3g}]"
         rows.append(
             (
                 d["detector"],
                 d["level"],
                 f"{f['promised_per_h']:.3g}",
-                said,
+                rate,
                 f"{f['exceedance']:.4f}",
                 _delays(f["delays"]),
             )
@@ -112,7 +111,7 @@ def monitor(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Say whether a plant's model is watched, what was seen last, and which alarm is open."""
+    """Show whether a plant's model is watched, what was seen last, and which alarm is open."""
     client = connect(url)
     state = client.monitor(plant)
     watches = list(client.watches(plant, state["monitor"])) if state["monitor"] else []
@@ -139,7 +138,7 @@ def _draw(client: Client, plant: str, to: Path) -> None:
     from trueup_cli.pictures.watched import Watched, watch_picture
 
     monitors = reversed(list(client.monitors(plant)))
-    found = [
+    watched = [
         Watched(
             client.artifact(plant, m["artifact"])["version"],
             m["document"],
@@ -147,8 +146,8 @@ def _draw(client: Client, plant: str, to: Path) -> None:
         )
         for m in monitors
     ]
-    if any("channels" in one["seen"] for w in found for one in w.watches):
-        to.write_text(watch_picture(plant, found))
+    if any("channels" in one["seen"] for w in watched for one in w.watches):
+        to.write_text(watch_picture(plant, watched))
     else:
         say("nothing was watched yet: there is nothing to draw")
 
@@ -163,23 +162,23 @@ def alarms(
     plant: PlantName,
     *,
     close: Annotated[str | None, Parameter(help="Id of an alarm to close")] = None,
-    because: Annotated[str | None, Parameter(help="Why it is closed")] = None,
+    because: Annotated[str | None, Parameter(help="Reason for closing it")] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
     """List a plant's alarms, or close one."""
     client: Client = connect(url)
-    found = (
+    listed = (
         [client.close_alarm(plant, close, because or "no reason was given")]
         if close is not None
         else list(client.alarms(plant))
     )
     if as_json_:
-        as_json(found)
+        as_json(listed)
         return
-    for alarm in found:
+    for alarm in listed:
         show_alarm(alarm)
-    if not found:
+    if not listed:
         say("no alarms")
 
 
@@ -190,7 +189,7 @@ def policy(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Say what may happen to a plant's model without a person, or declare it.
+    """Show or declare what may happen to a plant's model without a person.
 
     Parameters
     ----------
@@ -199,15 +198,15 @@ def policy(
         reference_episodes, validate_every_h
     """
     client = connect(url)
-    found = (
+    held = (
         _policy(client, plant)
         if file is None
         else client.declare_policy(plant, read_json(file, BadPolicy))
     )
     if as_json_:
-        as_json(found)
+        as_json(held)
         return
-    if found is None:
+    if held is None:
         say(
             (
                 "{} has no policy: every step is a person's. Declare one with [bold]trueup "
@@ -219,20 +218,20 @@ def policy(
         return
     say(
         "policy [bold]{}[/], the {}. of {}, since {}",
-        found["digest"],
-        found["sequence"],
+        held["digest"],
+        held["sequence"],
         plant,
-        moment(found["created_at"]),
+        moment(held["created_at"]),
     )
     table(
         "",
         ["", ""],
-        [(name, value) for name, value in found["document"].items() if name != "schema"],
+        [(name, value) for name, value in held["document"].items() if name != "schema"],
     )
 
 
 def _policy(client: Client, plant: str) -> Policy | None:
-    """The policy that holds, if one was declared."""
+    """Returns the policy that holds; None if none was declared. Raises Problem."""
     try:
         return client.policy(plant)
     except Problem as problem:
@@ -242,7 +241,7 @@ def _policy(client: Client, plant: str) -> Policy | None:
 
 
 def show_alarm(alarm: Alarm) -> None:
-    """Print what changed, and what came of it."""
+    """Prints an alarm: what changed, and the diagnosis that it opened."""
     if alarm["closed_at"]:
         say(
             "alarm [bold]{}[/] {}, closed: {}",

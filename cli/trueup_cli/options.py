@@ -22,47 +22,47 @@ from trueup_client.problem import ClientError
 
 Url = Annotated[str, Parameter(name="--url", env_var="TRUEUP_URL", help="Address of the service")]
 Seed = Annotated[
-    int, Parameter(help="Of what is drawn by lot: the same seed gives the same answer")
+    int, Parameter(help="Seed of the random draws: the same seed gives the same answer")
 ]
 Json = Annotated[bool, Parameter(name="--json", negative=(), help="Print JSON")]
 DEFAULT_URL = "http://127.0.0.1:8321"
-NAME = re.compile(
-    r"[a-z0-9][a-z0-9_-]{0,62}"
-)  # what a service may call a plant: nothing else goes into a shell
-COMPLETED, COMPLETION_LIMIT_S = 500, 1.0
+# what a service may call a plant: no other name is passed to a shell
+NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")
+MOST_COMPLETED, COMPLETION_LIMIT_S = 500, 1.0
 UNWRITABLE = (errno.EROFS, errno.EACCES, errno.EPERM)
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
 def read_json(file: Path, kind: type[TrueupError]) -> Any:
-    """A file's JSON. Raises an error of that kind where it is none, OSError where there is no
-    file."""
+    """Returns a file's JSON. Raises `kind` if it is not JSON, and OSError if there is no file."""
     try:
         return json.loads(file.read_text())
     except ValueError as error:
         raise kind(f"{file} is no JSON: {error}") from error
 
 
-def plants_there(_: object) -> list[str]:
-    """Names of plants for a shell to complete; none where the service does not answer at once."""
+def complete_plants(_: object) -> list[str]:
+    """Returns names of plants for a shell to complete; none if the service does not answer soon."""
     url = os.environ.get("TRUEUP_URL", DEFAULT_URL)
     try:
         with Client(url, timeout_s=COMPLETION_LIMIT_S, token=token_for(url)) as client:
             return [
                 name
-                for plant in islice(client.plants(), COMPLETED)
+                for plant in islice(client.plants(), MOST_COMPLETED)
                 if NAME.fullmatch(name := str(plant["name"]))
             ]
     except (ClientError, OSError):
         return []
 
 
-PlantName = Annotated[str, Parameter(completer=plants_there, help="Name of the plant")]
+PlantName = Annotated[str, Parameter(completer=complete_plants, help="Name of the plant")]
 
 
-def seen(url: str) -> tuple[Client, Witness]:
-    """The same, once the log was seen to extend what this user saw of it before, and who saw it.
-    Raises NotSigned, LogForked."""
+def connect_with_witness(url: str) -> tuple[Client, Witness]:
+    """Returns a client and this user's witness, once the log extends its last checkpoint.
+
+    Raises NotSigned, LogForked.
+    """
     client, pinned = connect(url), os.environ.get("TRUEUP_LOG_KEY")
     witness = Witness(witness_file(url), pinned)
     try:
@@ -75,32 +75,31 @@ def seen(url: str) -> tuple[Client, Witness]:
             witness_file(url),
             to=err,
         )
-        witness = Passing(witness_file(url), pinned)
+        witness = ReadOnlyWitness(witness_file(url), pinned)
         client.witness(witness)
     return client, witness
 
 
-class Passing(Witness):
-    """A witness that forgets what it saw: where nothing can be written it still holds the log
-    against what was seen before."""
+class ReadOnlyWitness(Witness):
+    """A witness that stores nothing: it checks the log against the last stored checkpoint."""
 
     def _keep(self) -> None:
         pass
 
 
-def witnessed(url: str) -> Client:
-    """The client alone."""
-    return seen(url)[0]
+def connect_witnessed(url: str) -> Client:
+    """Returns a client, once the log was seen to extend what this user saw of it before."""
+    return connect_with_witness(url)[0]
 
 
 def witness_file(url: str) -> Path:
-    """Where this user keeps what was seen of a service's log."""
+    """Returns the file of this user's witness of a service's log."""
     state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(state) / "trueup" / "seen" / f"{quote(url, safe='')}.json"
 
 
 def connect(url: str) -> Client:
-    """A client whose changes are signed user@host, or TRUEUP_ACTOR."""
+    """Returns a client whose actor is TRUEUP_ACTOR, else user@host."""
     return Client(
         url,
         actor=os.environ.get("TRUEUP_ACTOR") or f"{getpass.getuser()}@{socket.gethostname()}",
@@ -109,20 +108,22 @@ def connect(url: str) -> Client:
 
 
 def token_for(url: str) -> str | None:
-    """TRUEUP_TOKEN, else what `trueup login` kept for this address, else on this machine the token
-    of the first start."""
-    given = os.environ.get("TRUEUP_TOKEN")
-    if given:
-        return given
-    kept = login_file(url)
-    if kept.exists():
-        return kept.read_text().strip()
+    """Returns TRUEUP_TOKEN, else the token that `trueup login` stored for this address.
+
+    Else, for a service of this machine, the token of its first admin, if it can be read.
+    """
+    token = os.environ.get("TRUEUP_TOKEN")
+    if token:
+        return token
+    stored = login_file(url)
+    if stored.exists():
+        return stored.read_text().strip()
     first = Path(os.environ.get("TRUEUP_DATA_DIR", ".trueup")) / "admin.token"
     is_here = urlsplit(url).hostname in LOOPBACK and first.is_file() and os.access(first, os.R_OK)
     return first.read_text().strip() if is_here else None
 
 
 def login_file(url: str) -> Path:
-    """Where `trueup login` keeps a token."""
+    """Returns the file in which `trueup login` stores a token."""
     home = os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config"
     return Path(home) / "trueup" / "tokens" / quote(url, safe="")

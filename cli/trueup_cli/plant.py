@@ -7,17 +7,18 @@ from pathlib import Path
 from cyclopts import App
 
 from trueup.errors import BadPlant
-from trueup_cli.exits import ASKS, told
+from trueup_cli.exits import CALLS_SERVICE, exit_codes
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, read_json
 from trueup_cli.show import as_json, moment, say, table
 
-app = App(name="plant", help="Register and look at plants.", help_epilogue=told(ASKS))
+app = App(
+    name="plant", help="Register and look at plants.", help_epilogue=exit_codes(CALLS_SERVICE)
+)
 
 
 @app.command
 def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Register the plant that a plant.json describes, or a case folder's; an MJCF that it names is
-    read from beside it.
+    """Register a plant by its plant.json. An MJCF that it names is read from its folder.
 
     Parameters
     ----------
@@ -27,22 +28,22 @@ def register(file: Path, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> N
     from trueup.model.mjcf import resolved
 
     description = file / "plant.json" if file.is_dir() else file
-    found = connect(url).register_plant(
+    plant = connect(url).register_plant(
         resolved(read_json(description, BadPlant), description.parent)
     )
-    as_json(found) if as_json_ else say(
-        "plant [bold]{}[/] is registered as {}", found["name"], found["digest"][:12]
+    as_json(plant) if as_json_ else say(
+        "plant [bold]{}[/] is registered as {}", plant["name"], plant["digest"][:12]
     )
 
 
 @app.command
 def show(name: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Say what a plant was declared as; with --json its whole registration."""
-    found = connect(url).plant(name)
+    """Show what a plant was declared as; with --json its whole registration."""
+    plant = connect(url).plant(name)
     if as_json_:
-        as_json(found)
+        as_json(plant)
         return
-    declared = found["document"]
+    declared = plant["document"]
     nominal = declared["nominal"]
     channels = [
         (
@@ -60,10 +61,10 @@ def show(name: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
     )
     say(
         "[bold]{}[/] {}, registered {} by {}",
-        found["name"],
-        found["digest"][:12],
-        moment(found["created_at"]),
-        found["created_by"],
+        plant["name"],
+        plant["digest"][:12],
+        moment(plant["created_at"]),
+        plant["created_by"],
     )
     say("{}; a step of {:g} ms", model, 1e3 * nominal["timestep_s"])
     table("", ["", "channel", "unit", "joint", "limits"], channels)
@@ -72,8 +73,8 @@ def show(name: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> 
 @app.command(name="list")
 def list_(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """List the plants."""
-    found = list(connect(url).plants())
-    as_json(found) if as_json_ else table(
+    plants = list(connect(url).plants())
+    as_json(plants) if as_json_ else table(
         "Plants",
         ["name", "model", "registered", "by"],
         [
@@ -83,6 +84,6 @@ def list_(*, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
                 p["created_at"],
                 p["created_by"],
             )
-            for p in found
+            for p in plants
         ],
     )

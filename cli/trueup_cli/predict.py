@@ -59,14 +59,14 @@ def predict(
             }
         )
         return
-    said = ", ".join(
+    errors = ", ".join(
         f"{c.name} {x:.3g} {c.unit}".rstrip() for c, x in zip(channels, rms, strict=True)
     )
-    say("{}: {} samples; RMS error {}", out, len(predicted), said)
+    say("{}: {} samples; RMS error {}", out, len(predicted), errors)
 
 
 def write_csv(to: Path, predictor: Predictor, episode: Episode, predicted: np.ndarray) -> None:
-    """`t,<observation names…>`, t [s] from the first sample, full float digits."""
+    """Writes `t,<observation names…>`: t [s] from the first sample, all with full float digits."""
     with to.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["t", *(c.name for c in predictor.plant.layout.observations)])

@@ -1,4 +1,4 @@
-"""Commands that bring episodes in, fit candidates and judge them."""
+"""Commands that upload episodes, fit candidates and judge them."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from cyclopts import Parameter
 
 from trueup.errors import BadGate, NotAnEpisode
 from trueup.gate.line import budget_of
-from trueup_cli.digests import whole
+from trueup_cli.digests import resolve_digest
 from trueup_cli.options import DEFAULT_URL, Json, PlantName, Seed, Url, connect, read_json
-from trueup_cli.show import Bar, answer, as_json, moment, progress, say, table
+from trueup_cli.show import Bar, as_json, moment, progress, say, show_diagnosis, table
 from trueup_client import Client
 from trueup_client.problem import Problem
 from trueup_client.records import Decision, GateInLine, JobWithReads
 
-SENDING = 0.9  # share of the bar for sending; the rest is the service's inspection
+SENDING = 0.9  # share of the bar for sending; the rest is the inspection by the service
 
 
 def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Upload recordings; the same file again is the same episode.
+    """Upload recordings. The same file again is the same episode.
 
     Parameters
     ----------
     files
-        MCAP files, or folders of them
+        MCAP files, or folders that hold some
     """
     client, paths = connect(url), [path for file in files for path in _recordings(file)]
     if not paths:
@@ -36,24 +36,24 @@ def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Jso
             rule="samples",
             hint="Name MCAP files, or folders that hold some.",
         )
-    found = []
+    uploaded = []
     for path in paths:
         with progress(f"upload {path.name}") as bar:
             try:
-                found.append(client.upload_episode(plant, path, partial(_sent, bar)))
+                uploaded.append(client.upload_episode(plant, path, partial(_show_sent, bar)))
             except Problem as problem:
                 problem.facts.setdefault("file", str(path))
                 raise
     if as_json_:
-        as_json(found)
+        as_json(uploaded)
     else:
         warned = Counter(
             warning
-            for episode in found
+            for episode in uploaded
             for warning in episode["summary"].get("collection", {}).get("warnings", [])
         )
         for warning, times in warned.items():
-            say("[yellow]{} of {} episodes[/]: {}", times, len(found), warning)
+            say("[yellow]{} of {} episodes[/]: {}", times, len(uploaded), warning)
         if warned:
             say(
                 "[dim]A recording declares in its metadata record `episode`, a plant in "
@@ -70,26 +70,26 @@ def upload(plant: PlantName, *files: Path, url: Url = DEFAULT_URL, as_json_: Jso
                     e["summary"]["samples"],
                     e["summary"]["duration_s"],
                 )
-                for p, e in zip(paths, found, strict=True)
+                for p, e in zip(paths, uploaded, strict=True)
             ],
         )
 
 
 def _recordings(path: Path) -> list[Path]:
-    """The MCAP files that a path names."""
+    """Returns the MCAP files that a path names. Raises NotAnEpisode if a folder holds none."""
     if not path.is_dir():
         return [path]
-    found = sorted(path.glob("*.mcap"))
-    if not found:
+    files = sorted(path.glob("*.mcap"))
+    if not files:
         raise NotAnEpisode(
             f"{path} holds no *.mcap",
             rule="samples",
             hint="Name MCAP files, or folders that hold some.",
         )
-    return found
+    return files
 
 
-def _sent(bar: Bar, share: float) -> None:
+def _show_sent(bar: Bar, share: float) -> None:
     bar(SENDING * share, "sending" if share < 1.0 else "inspecting")
 
 
@@ -98,10 +98,13 @@ def fit(
     *,
     method: Annotated[
         Literal["identify", "residual"],
-        Parameter(help="New numbers in the nominal form, or what it misses as a map of features"),
+        Parameter(
+            help="Refit the nominal model's parameters, or fit its residual as a map of features"
+        ),
     ] = "identify",
     features: Annotated[
-        str | None, Parameter(help="residual only: comma-separated, such as 1,v,u,sign(v),abs(v)")
+        str | None,
+        Parameter(help="For residual: comma-separated features, such as 1,v,u,sign(v),abs(v)"),
     ] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
@@ -112,21 +115,20 @@ def fit(
         "method": method,
         **({"features": features.split(",")} if features else {}),
     }
-    found = run_job(connect(url), plant, request, f"fit {method}")
-    as_json(found) if as_json_ else say("candidate [bold]{}[/]", result_of(found)["artifact"])
+    job = run_job(connect(url), plant, request, f"fit {method}")
+    as_json(job) if as_json_ else say("candidate [bold]{}[/]", result_of(job)["artifact"])
 
 
 def diagnosis(
     plant: PlantName, *, seed: Seed = 0, url: Url = DEFAULT_URL, as_json_: Json = False
 ) -> None:
-    """Diagnose a plant's gap from its uploaded episodes; the corrected model becomes a
-    candidate."""
-    found = run_job(connect(url), plant, {"kind": "diagnose", "seed": seed}, "diagnose")
+    """Diagnose a plant's uploaded episodes. The corrected model becomes a candidate."""
+    job = run_job(connect(url), plant, {"kind": "diagnose", "seed": seed}, "diagnose")
     if as_json_:
-        as_json(found)
+        as_json(job)
         return
-    answer(result_of(found)["report"])
-    say("candidate [bold]{}[/]", result_of(found)["artifact"])
+    show_diagnosis(result_of(job)["report"])
+    say("candidate [bold]{}[/]", result_of(job)["artifact"])
     say("[dim]the whole of it in a browser: trueup look {}[/]", plant)
 
 
@@ -138,25 +140,23 @@ def gate(
         Path | None,
         Parameter(
             help=(
-                "Gate as JSON; the plant's gate in force if none is given, or where there "
-                "is none the default"
+                "Gate as a JSON file; default: the plant's gate in force, or the default gate "
+                "if it has none"
             )
         ),
     ] = None,
     because: Annotated[
-        str | None, Parameter(help="Why these rules take the place of the gate in force")
+        str | None, Parameter(help="Reason why these rules replace the gate in force")
     ] = None,
     vacuous: Annotated[
-        bool, Parameter(negative=(), help="Declare it though it cannot reject; takes --because")
+        bool,
+        Parameter(negative=(), help="Declare the gate although it cannot reject; needs --because"),
     ] = False,
     scales: Annotated[
         bool,
         Parameter(
             negative=(),
-            help=(
-                "Also say how the verdict moves when each channel's reporting scale is "
-                "halved and doubled"
-            ),
+            help=("Also show the verdict with each channel's reporting scale halved and doubled"),
         ),
     ] = False,
     url: Url = DEFAULT_URL,
@@ -164,9 +164,10 @@ def gate(
 ) -> None:
     """Declare a gate, then judge a candidate by it against what serves.
 
-    The default gate asks for rollouts below 0.98 of the incumbent's error and for one step no
-    worse, over every window of the plant's horizon in every held-out episode. Once a candidate has
-    been judged, other rules take --because, and every decision by them tells what was known.
+    The default gate requires a rollout error below 0.98 of the incumbent's, and a one-step error
+    that is no worse, over every window of the plant's horizon in every held-out episode. Once a
+    candidate has been judged, other rules need --because, and every decision by them says what was
+    known.
 
     Parameters
     ----------
@@ -175,13 +176,12 @@ def gate(
     """
     client = connect(url)
     document = None if rules is None else read_json(rules, BadGate)
-    declared = client.declare_gate(
-        plant,
-        None if document is None else _in_line(client, plant, document, because, vacuous=vacuous),
-    )
+    if document is not None:
+        document = _gate_to_declare(client, plant, document, because, vacuous=vacuous)
+    declared = client.declare_gate(plant, document)
     request = {
         "kind": "gate",
-        "candidate": whole_artifact(client, plant, candidate),
+        "candidate": resolve_artifact(client, plant, candidate),
         "gate": declared["digest"],
         **({"scales": True} if scales else {}),
     }
@@ -195,54 +195,56 @@ def gate(
         _show_scales(decision, result["scales"])
 
 
-def _in_line(
+def _gate_to_declare(
     client: Client, plant: str, document: Any, because: str | None, *, vacuous: bool
 ) -> Any:
-    """A gate as it is declared: what is in force already stays, other rules follow it with their
-    reason."""
+    """Returns a gate's document as it is declared.
+
+    It is the gate in force if their rules are equal. Other rules follow that gate, with a reason.
+    """
     if not isinstance(document, dict):
         return document
-    given = {**document, **({"vacuous": True} if vacuous else {})}
+    wanted = {**document, **({"vacuous": True} if vacuous else {})}
     try:
         in_force: GateInLine | None = client.gate_in_force(plant)
     except Problem as problem:
         if problem.code != "not-found":
             raise
         in_force = None
-    if in_force is not None and _rules_of(in_force["document"]) == _rules_of(given):
+    if in_force is not None and _rules_of(in_force["document"]) == _rules_of(wanted):
         return in_force["document"]
     if because is None:
-        return given
+        return wanted
     follows = {"follows": in_force["digest"]} if in_force is not None else {}
-    return {**follows, **given, "because": because}
+    return {**follows, **wanted, "because": because}
 
 
 def _rules_of(document: dict[str, Any]) -> dict[str, Any]:
-    """A gate without its place in the line."""
+    """Returns a gate's document without its predecessor and its reason."""
     return {name: value for name, value in document.items() if name not in ("follows", "because")}
 
 
-def _show_scales(decision: Decision, found: list[dict[str, Any]]) -> None:
-    """Print how the verdict hangs on each channel's reporting scale."""
-    moved = [f["channel"] for f in found if f["accepted"] != decision["accepted"]]
+def _show_scales(decision: Decision, scaled: list[dict[str, Any]]) -> None:
+    """Prints how the verdict depends on each channel's reporting scale."""
+    moved = [f["channel"] for f in scaled if f["accepted"] != decision["accepted"]]
     table(
         "With each reporting scale halved and doubled",
         ["channel", "scale", "accepted", *(v["rule"] for v in decision["document"]["verdicts"])],
         [
             (f["channel"], f"× {f['factor']:g}", f["accepted"], *(_ratio(v) for v in f["verdicts"]))
-            for f in found
+            for f in scaled
         ],
     )
-    word = (
+    summary = (
         f"the verdict hangs on the scale of {' and '.join(dict.fromkeys(moved))}"
         if moved
         else "no scale moves the verdict"
     )
-    say("{}", word)
+    say("{}", summary)
 
 
 def _ratio(verdict: dict[str, Any]) -> str:
-    """A candidate's error over the incumbent's, with its interval."""
+    """Returns a candidate's error over the incumbent's, with its interval."""
     if verdict.get("ratio") is None:
         return ""
     interval = verdict["ci95"]
@@ -254,9 +256,9 @@ def _ratio(verdict: dict[str, Any]) -> str:
 
 
 def versions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """List the versions of a plant's model: what was declared, fitted, diagnosed or brought."""
-    found = list(connect(url).artifacts(plant))
-    as_json(found) if as_json_ else table(
+    """List the versions of a plant's model: declared, fitted, diagnosed or imported."""
+    artifacts = list(connect(url).artifacts(plant))
+    as_json(artifacts) if as_json_ else table(
         "",
         ["version", "artifact", "kind", "made by", "added (UTC)", "by"],
         [
@@ -268,15 +270,15 @@ def versions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False
                 moment(a["created_at"]),
                 a["created_by"],
             )
-            for a in found
+            for a in artifacts
         ],
     )
 
 
 def decisions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
     """List what gates decided, the newest first."""
-    found = list(connect(url).decisions(plant))
-    as_json(found) if as_json_ else table(
+    listed = list(connect(url).decisions(plant))
+    as_json(listed) if as_json_ else table(
         "",
         ["decision", "candidate", "accepted", "against", "gate", "decided (UTC)"],
         [
@@ -288,31 +290,30 @@ def decisions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = Fals
                 d["gate"][:12],
                 moment(d["created_at"]),
             )
-            for d in found
+            for d in listed
         ],
     )
 
 
-def whole_artifact(client: Client, plant: str, given: str) -> str:
-    """An artifact's digest by its first digits. Raises NoSuchDigest."""
-    return whole(given, client.artifacts(plant), "version", f"trueup versions {plant}")
+def resolve_artifact(client: Client, plant: str, prefix: str) -> str:
+    """Returns an artifact's digest by its first digits. Raises NoSuchDigest."""
+    return resolve_digest(prefix, client.artifacts(plant), "version", f"trueup versions {plant}")
 
 
 def run_job(client: Client, plant: str, request: dict[str, Any], what: str) -> JobWithReads:
-    """Submit a job and wait for it with a progress bar."""
+    """Submits a job and waits for it with a progress bar. Raises Problem if it failed."""
     job = client.submit(plant, request)
     with progress(what) as bar:
-        return client.wait(job["id"], lambda found: bar(found["progress"], found["stage"]))
+        return client.wait(job["id"], lambda current: bar(current["progress"], current["stage"]))
 
 
 def result_of(job: JobWithReads) -> dict[str, Any]:
-    """What a job that succeeded answers with."""
+    """Returns the result of a job that succeeded."""
     return job["result"] or {}
 
 
 def show_decision(decision: Decision, gate: GateInLine) -> None:
-    """Print a decision with every verdict, what it was judged on, and what was known when its gate
-    was declared."""
+    """Prints a decision with its verdicts, and what was known when its gate was declared."""
     say(
         "[bold green]accepted[/]: decision [bold]{}[/] at generation {}"
         if decision["accepted"]

@@ -24,8 +24,7 @@ def serve(
     port: int | None = None,
     worker: Annotated[bool, Parameter(help="Run a worker beside the server")] = True,
 ) -> None:
-    """Serve on embedded storage, or on what TRUEUP_DATABASE_URL and TRUEUP_S3_BUCKET name, with a
-    worker beside.
+    """Serve on embedded storage, or on what TRUEUP_DATABASE_URL and TRUEUP_S3_BUCKET name.
 
     Parameters
     ----------
@@ -42,15 +41,15 @@ def serve(
     from trueup_service.wiring import build
 
     if worker:
-        import trueup_worker  # noqa: F401  (said now where it is missing, not by the process beside)
+        import trueup_worker  # noqa: F401  (fails here if it is missing, not in the child)
     settings = Settings() if host is None else Settings(host=host)
     configure_logs(settings.log_level)
     parts = build(settings)
-    made = first_admin(settings, parts.database)
-    if made is not None:
+    token_file = first_admin(settings, parts.database)
+    if token_file is not None:
         say(
             "An admin's token was made; it is in {}, which the command beside it reads.",
-            made,
+            token_file,
             to=err,
         )
     listening = listen(settings.host, settings.port if port is None else port)
@@ -62,25 +61,27 @@ def serve(
             "data_dir": str(settings.data_dir.absolute()),
         },
     )
-    beside = _Beside() if worker else None
+    child = _ChildWorker() if worker else None
     try:
         run(parts, listening)
     finally:
-        if beside is not None:
-            beside.stop()
+        if child is not None:
+            child.stop()
 
 
-class _Beside:
-    """A worker as a child, started again when it dies; it ends with us, for it watches the pipe
-    that we hold."""
+class _ChildWorker:
+    """A worker as a child process, started again when it dies.
+
+    It ends with this process, because it watches the pipe between them.
+    """
 
     def __init__(self) -> None:
         self._stopping = threading.Event()
         self._child: subprocess.Popen[bytes] | None = None
-        self._thread = threading.Thread(target=self._keep, daemon=True)
+        self._thread = threading.Thread(target=self._supervise, daemon=True)
         self._thread.start()
 
-    def _keep(self) -> None:
+    def _supervise(self) -> None:
         while not self._stopping.is_set():
             command = [sys.executable, "-m", "trueup_cli.main", "work", "--with-parent"]
             self._child = subprocess.Popen(
@@ -96,13 +97,12 @@ class _Beside:
         self._thread.join(timeout=10)
 
 
-SERVERS_ALONE = ("TRUEUP_SIGNING_KEY", "TRUEUP_SIGNING_KEY_BEFORE", "TRUEUP_ADMIN_TOKEN")
+SERVER_SECRETS = ("TRUEUP_SIGNING_KEY", "TRUEUP_SIGNING_KEY_BEFORE", "TRUEUP_ADMIN_TOKEN")
 
 
 def _without_secrets(environment: Mapping[str, str]) -> dict[str, str]:
-    """An environment without the log's key and an admin's token: a worker reads what others wrote,
-    and needs neither."""
-    return {name: value for name, value in environment.items() if name not in SERVERS_ALONE}
+    """Returns an environment without the secrets of a server, which a worker does not need."""
+    return {name: value for name, value in environment.items() if name not in SERVER_SECRETS}
 
 
 def work(
@@ -111,13 +111,13 @@ def work(
         bool, Parameter(help="End when standard input closes", negative=())
     ] = False,
 ) -> None:
-    """Run one worker: it takes jobs from the queue, and takes over those of workers that died."""
+    """Run one worker: it takes jobs from the queue, and resumes those of workers that died."""
     from trueup_service.logs import configure_logs
     from trueup_service.settings import Settings
     from trueup_service.wiring import build
     from trueup_worker.main import work as run
 
-    held = [name for name in SERVERS_ALONE if os.environ.pop(name, None) is not None]
+    held = [name for name in SERVER_SECRETS if os.environ.pop(name, None) is not None]
     settings = Settings()
     configure_logs(settings.log_level)
     if held:
@@ -128,8 +128,10 @@ def work(
 
 
 def migrate(*, as_json_: Json = False) -> None:
-    """Bring the database's schema up to date, the registry's and the job engine's; servers do it
-    when they start."""
+    """Bring the schemas of the registry and of the job engine up to date.
+
+    A server does it when it starts.
+    """
     from trueup_migrations import HEAD
     from trueup_service.jobs import migrate_engine
     from trueup_service.settings import Settings
@@ -143,20 +145,23 @@ def migrate(*, as_json_: Json = False) -> None:
 
 
 def kernels(*, as_json_: Json = False) -> None:
-    """Compile the rollout kernels into the cache, so that the first rollout is as quick as the
-    others."""
+    """Compile the rollout kernels into the cache, so that the first rollout is quick."""
     from trueup.fit.fitter import warm
     from trueup.model.family_kernel import compile_all
 
     with progress("compiling"):
         families, count = compile_all(), warm()
-    said = f"compiled: {', '.join(families)}, and one kernel with {count} effects"
-    as_json({"families": families, "effects": count}) if as_json_ else say("{}", said)
+    if as_json_:
+        as_json({"families": families, "effects": count})
+        return
+    say("compiled: {}, and one kernel with {} effects", ", ".join(families), count)
 
 
 def keygen(name: str, *, as_json_: Json = False) -> None:
-    """Make a signing key: set the first line as TRUEUP_SIGNING_KEY on every server, and give the
-    second to robots and auditors.
+    """Make a signing key.
+
+    Set the first line as TRUEUP_SIGNING_KEY on every server, and give the second line to robots and
+    auditors.
 
     Parameters
     ----------
@@ -166,9 +171,9 @@ def keygen(name: str, *, as_json_: Json = False) -> None:
     from trueup.ledger.signed_note import Signer
     from trueup_service.signed_log import new_signer
 
-    made = Signer.from_text(new_signer(name).text)
+    signer = Signer.from_text(new_signer(name).text)
     if as_json_:
-        as_json({"signing_key": made.text, "verifier": made.verifier})
+        as_json({"signing_key": signer.text, "verifier": signer.verifier})
         return
-    say("{}", made.text)
-    say("{}", made.verifier)
+    say("{}", signer.text)
+    say("{}", signer.verifier)

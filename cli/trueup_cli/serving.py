@@ -1,4 +1,4 @@
-"""Commands on what serves."""
+"""Commands that show and move what serves."""
 
 from __future__ import annotations
 
@@ -10,14 +10,15 @@ from cyclopts import Parameter
 
 from trueup.canonical import is_digest
 from trueup.errors import NoSuchDigest
-from trueup_cli.digests import whole
-from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, witnessed
-from trueup_cli.registry import whole_artifact
+from trueup_cli.digests import resolve_digest
+from trueup_cli.options import DEFAULT_URL, Json, PlantName, Url, connect, connect_witnessed
+from trueup_cli.registry import resolve_artifact
 from trueup_cli.show import as_json, moment, progress, say, table
 from trueup_client import Client, Problem, Serving
 
 Generation = Annotated[
-    int | None, Parameter(help="Refuse if the pointer is elsewhere; default: where it is now")
+    int | None,
+    Parameter(help="Refuse if the pointer is not at this generation; default: where it is"),
 ]
 
 
@@ -29,7 +30,7 @@ def serving(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Say what serves, what served when, or what was live at a time.
+    """Show what serves, what served when, or what served at a time.
 
     Parameters
     ----------
@@ -39,10 +40,10 @@ def serving(
     client = connect(url)
     if at is not None:
         live = client.served_at(plant, at)
-        found = [live] if live else []
+        positions = [live] if live else []
     else:
-        found = list(client.history(plant)) if history else [client.serving(plant)]
-    show_serving(found, as_json_=as_json_)
+        positions = list(client.history(plant)) if history else [client.serving(plant)]
+    show_serving(positions, as_json_=as_json_)
 
 
 def promote(
@@ -60,38 +61,39 @@ def promote(
     decision
         digest of the decision, or its first digits
     """
-    client = witnessed(url)
+    client = connect_witnessed(url)
     digest, serves = _decision(client, plant, decision), client.serving(plant)
-    if (
-        serves.decision != digest or generation is not None
-    ):  # else it was promoted before, and serves
+    # a decision that was promoted before and serves is not promoted again
+    if serves.decision != digest or generation is not None:
         serves = client.promote(
             plant, digest, serves.generation if generation is None else generation
         )
     show_serving([serves], as_json_=as_json_)
 
 
-def _decision(client: Client, plant: str, given: str) -> str:
-    """A decision's digest by its first digits. Raises NoSuchDigest, and says so where a candidate's
-    was given."""
-    if is_digest(given):
+def _decision(client: Client, plant: str, prefix: str) -> str:
+    """Returns a decision's digest by its first digits.
+
+    Raises NoSuchDigest, with a hint if the digits are those of a candidate.
+    """
+    if is_digest(prefix):
         try:
-            return client.decision(plant, given)["digest"]
+            return client.decision(plant, prefix)["digest"]
         except Problem as problem:
             if problem.code != "not-found":
                 raise
     known = list(client.decisions(plant))
-    if not any(d["digest"].startswith(given) for d in known):
-        judged = next((d["digest"] for d in known if d["candidate"].startswith(given)), None)
+    if not any(d["digest"].startswith(prefix) for d in known):
+        judged = next((d["digest"] for d in known if d["candidate"].startswith(prefix)), None)
         if judged is not None:
             hint = f"Promote its newest decision: `trueup promote {plant} {judged[:12]}`."
             raise NoSuchDigest(
-                f"{given[:12]} is a candidate; what is promoted is a decision on it", hint=hint
+                f"{prefix[:12]} is a candidate; what is promoted is a decision on it", hint=hint
             )
-        if any(a["digest"].startswith(given) for a in client.artifacts(plant)):
-            hint = f"Judge it first: `trueup gate {plant} {given[:12]}`."
-            raise NoSuchDigest(f"{given[:12]} is a version that no gate has judged", hint=hint)
-    return whole(given, known, "decision", f"trueup decisions {plant}")
+        if any(a["digest"].startswith(prefix) for a in client.artifacts(plant)):
+            hint = f"Judge it first: `trueup gate {plant} {prefix[:12]}`."
+            raise NoSuchDigest(f"{prefix[:12]} is a version that no gate has judged", hint=hint)
+    return resolve_digest(prefix, known, "decision", f"trueup decisions {plant}")
 
 
 def approve(
@@ -99,24 +101,24 @@ def approve(
     decision: str,
     *,
     because: Annotated[
-        str | None, Parameter(help="Why; a candidate that was rejected before takes a reason")
+        str | None, Parameter(help="Reason; required if the candidate was rejected before")
     ] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Approve a decision for promotion by somebody else, where it takes two people.
+    """Approve a decision, so that somebody else may promote it where that takes two people.
 
     Parameters
     ----------
     decision
         digest of the decision, or its first digits
     """
-    client = witnessed(url)
-    found = client.approve(plant, _decision(client, plant, decision), because)
+    client = connect_witnessed(url)
+    approval = client.approve(plant, _decision(client, plant, decision), because)
     if as_json_:
-        as_json(found)
+        as_json(approval)
     else:
-        say("approved by {}; somebody else may promote it", found["actor"])
+        say("approved by {}; somebody else may promote it", approval["actor"])
 
 
 def rollback(
@@ -127,7 +129,7 @@ def rollback(
     as_json_: Json = False,
 ) -> None:
     """Serve what served before, after its switchback test."""
-    client = witnessed(url)
+    client = connect_witnessed(url)
     show_serving(
         [
             client.roll_back(
@@ -146,24 +148,26 @@ def fetch(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Fetch an artifact into a folder, every byte verified.
+    """Fetch an artifact into a folder, and verify every byte.
 
     Parameters
     ----------
     to
-        folder, made if it is missing
+        folder to write to, created if it is missing
     """
-    client = witnessed(url)
-    digest = whole_artifact(client, plant, artifact) if artifact else client.serving(plant).artifact
+    client = connect_witnessed(url)
+    digest = (
+        resolve_artifact(client, plant, artifact) if artifact else client.serving(plant).artifact
+    )
     with progress(f"fetch {digest[:12]}"):
         client.fetch(plant, digest, to)
     as_json({"artifact": digest, "folder": str(to)}) if as_json_ else say("{} is in {}", digest, to)
 
 
-def show_serving(found: list[Serving], *, as_json_: bool) -> None:
-    """Print positions of a pointer."""
+def show_serving(positions: list[Serving], *, as_json_: bool) -> None:
+    """Prints positions of a pointer."""
     if as_json_:
-        as_json([asdict(s) for s in found])
+        as_json([asdict(s) for s in positions])
     else:
         rows = [
             (
@@ -175,6 +179,6 @@ def show_serving(found: list[Serving], *, as_json_: bool) -> None:
                 s.decision and s.decision[:12],
                 s.actor,
             )
-            for s in found
+            for s in positions
         ]
         table("", ["gen.", "version", "artifact", "since (UTC)", "by", "decision", "actor"], rows)

@@ -1,13 +1,13 @@
-"""How the command shows things: tables and colours for people, lines in a pipe, JSON for programs,
+"""Output of commands: tables and colours for people, lines in a pipe, JSON for programs, and
 progress on standard error.
 
-Every command prints through here, for much of what it prints was written by somebody else: a robot,
-a server, a file's name.
-- Markup and line ends are read in our own forms alone: `say` takes a form that stands in the code,
-  and values that fill it.
-- What a value holds that cannot be seen is shown escaped: control characters, C1 among them, and
-  what turns the direction of text.
-- JSON is ASCII, with everything else escaped.
+Every command prints through this module, because much of what it prints was written by others: a
+robot, a server, the name of a file.
+- Markup and line ends are read in forms of ours alone: `say` takes a form from the code, and values
+  that fill it.
+- Invisible characters of a value are shown escaped: control characters, C1 among them, and those
+  that change the direction of text.
+- JSON is ASCII, with all other characters escaped.
 """
 
 from __future__ import annotations
@@ -27,26 +27,25 @@ from rich.text import Span, Text
 
 from trueup.diagnose.summary_text import sentence, warnings
 
-out = Console(
-    highlight=False, soft_wrap=not sys.stdout.isatty()
-)  # in a pipe nothing is broken into lines of a terminal's width
+# in a pipe, lines are not broken at a terminal's width
+out = Console(highlight=False, soft_wrap=not sys.stdout.isatty())
 err = Console(stderr=True, highlight=False, soft_wrap=not sys.stderr.isatty())
 
 
-FIELD = re.compile(
-    r"\{(?::([^{}]*))?\}"
-)  # where a value goes in a form: {}, or {:.3g} with how it is written
+# a field of a form: {}, or with a format specification, such as {:.3g}
+FIELD = re.compile(r"\{(?::([^{}]*))?\}")
 
 
 def visible(value: object) -> str:
-    """A value as text in one line, every character of which is seen: others are written as Python
-    escapes them, such as \\x1b."""
+    """Returns a value as text in one line, with invisible characters escaped as Python does."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(value))
 
 
 def filled(form: LiteralString, *values: object) -> Text:
-    """A form of ours in rich's markup, its fields filled with values that are no markup. Raises
-    ValueError unless they are as many."""
+    """Returns a form in rich's markup, its fields filled with values whose markup is not read.
+
+    Raises ValueError if there are more or fewer values than fields.
+    """
     text, parts, at = Text.from_markup(form, emoji=False), Text(), 0
     for field, value in zip(FIELD.finditer(text.plain), values, strict=True):
         written = visible(format(value, field[1] or ""))
@@ -59,12 +58,12 @@ def filled(form: LiteralString, *values: object) -> Text:
 
 
 def say(form: LiteralString, *values: object, to: Console = out) -> None:
-    """Print a sentence of ours, with others' words in its fields."""
+    """Prints a form of ours, with values in its fields."""
     to.print(filled(form, *values), soft_wrap=True)
 
 
 def lines(text: str, to: Console = out) -> None:
-    """Print text whose line ends and tabs belong to it, such as a script or a signed note."""
+    """Prints text whose line ends and tabs belong to it, such as a script or a signed note."""
     shown = "\n".join(
         "\t".join(map(visible, line.split("\t"))) for line in text.removesuffix("\n").split("\n")
     )
@@ -72,26 +71,27 @@ def lines(text: str, to: Console = out) -> None:
 
 
 def as_json(value: Any) -> None:
-    """Print a value as JSON."""
+    """Prints a value as JSON."""
     print(json.dumps(value, indent=2, default=str))
 
 
-def answer(report: Mapping[str, Any]) -> None:
-    """Print a diagnosis's answer and what to know before it is used; names of joints are printed as
-    they are."""
+def show_diagnosis(report: Mapping[str, Any]) -> None:
+    """Prints a diagnosis's answer, and its warnings."""
     say("{}", sentence(report))
     for warning in warnings(report):
         say("[yellow]{}[/]", warning)
 
 
 def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table; numbers stand to the right. In a pipe it is a line for each row, its cells
-    between tabs, and nothing is cut."""
+    """Prints a table, with numbers aligned to the right.
+
+    In a pipe it is a line for each row, with tabs between the cells, and nothing is cut.
+    """
     if not out.is_terminal:
         for row in (columns, *rows):
             print("\t".join(str(cell(x)) for x in row))
         return
-    made = Table(
+    grid = Table(
         title=cell(title),
         title_justify="left",
         title_style="bold",
@@ -104,15 +104,14 @@ def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[object]]) 
         numeric = bool(cells) and all(
             isinstance(row[i], int | float) and not isinstance(row[i], bool) for row in cells
         )
-        made.add_column(cell(name), justify="right" if numeric else "left", overflow="fold")
+        grid.add_column(cell(name), justify="right" if numeric else "left", overflow="fold")
     for row in cells:
-        made.add_row(*(cell(x) for x in row))
-    out.print(made)
+        grid.add_row(*(cell(x) for x in row))
+    out.print(grid)
 
 
 def cell(value: object) -> Text:
-    """A value as a table shows it, whose tabs would part cells; a Text is ours and stays as it
-    is."""
+    """Returns a value as a table shows it, without tabs. A Text is ours and stays as it is."""
     if isinstance(value, Text):
         return value
     if isinstance(value, bool):
@@ -131,8 +130,10 @@ def _no_bar(_share: float, _stage: str = "") -> None:
 
 @contextmanager
 def progress(what: str) -> Iterator[Bar]:
-    """A bar on standard error, or one plain line where that is no terminal; call with the share
-    done and what is being done."""
+    """Shows a bar on standard error; one plain line if that is not a terminal.
+
+    The bar is called with the share that is done, 0 to 1, and the present stage.
+    """
     began = time.monotonic()
     if not err.is_terminal:
         yield _no_bar
@@ -156,5 +157,5 @@ def progress(what: str) -> Iterator[Bar]:
 
 
 def moment(at: str) -> str:
-    """A time to the second, as a table shows it."""
+    """Returns a time to the second, as a table shows it."""
     return at[:19].replace("T", " ")

@@ -1,5 +1,6 @@
-"""What a robot, a CI job or a script needs of trueup: ask, send, fetch, verify. The standard
-library alone.
+"""What a robot, a CI job or a script needs of trueup: ask, send, fetch, verify.
+
+It needs the standard library alone.
 
 from trueup_client import Client
 
@@ -37,7 +38,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """`AsyncClient`, brought when it is asked for: a robot has no use for an event loop."""
+    """Imports `AsyncClient` when it is asked for: a robot has no use for an event loop."""
     if name != "AsyncClient":
         raise AttributeError(f"module 'trueup_client' has no attribute {name!r}")
     from trueup_client.asynchronous import AsyncClient  # noqa: PLC0415

@@ -1,5 +1,7 @@
-"""One connection to the service: kept open, opened again when it broke, and repeated only where
-repeating is safe."""
+"""One connection to the service: kept open, opened again when it broke.
+
+A request is repeated only where repeating it is safe. A refusal is raised as its problem document.
+"""
 
 from __future__ import annotations
 
@@ -14,15 +16,18 @@ from urllib.parse import urlsplit
 
 from trueup_client.problem import Problem, Unreachable
 
-PAUSES_S = (0.1, 0.2, 0.4)  # between attempts
-REFUSED, UNAVAILABLE = 400, 503
+RETRY_PAUSES_S = (0.1, 0.2, 0.4)  # between attempts
+REFUSED, UNAVAILABLE = 400, 503  # HTTP statuses: the lowest of a refusal, and "try again"
 STREAM_BYTES = 1 << 20
 CONNECT_LIMIT_S = 10.0
 
 
 class Connection:
-    """Sends requests. Every request here is safe to repeat: a read, a put by digest, or a post with
-    an idempotency key."""
+    """Sends requests to one address.
+
+    `json`, `whole` and `tagged` repeat a request whose connection broke, so it must be safe to
+    repeat: a read, a put by digest, or a post with an idempotency key. `once` and `parts` ask once.
+    """
 
     def __init__(
         self, url: str, actor: str | None, timeout_s: float, token: str | None = None
@@ -44,68 +49,70 @@ class Connection:
     def json(
         self, method: str, path: str, body: Any = None, headers: Mapping[str, str] | None = None
     ) -> Any:
-        """Send a JSON document and read one. Raises Problem, Unreachable."""
+        """Sends a JSON document and returns the one answered. Raises Problem, Unreachable."""
         data = None if body is None else json.dumps(body).encode()
-        found = self.whole(
+        content = self.whole(
             method, path, lambda: data, {"Content-Type": "application/json", **(headers or {})}
         )
         try:
-            return json.loads(found)
+            return json.loads(content)
         except ValueError as error:
             raise Unreachable(f"{self._url} answers, but not as trueup does") from error
 
     def whole(
         self, method: str, path: str, body: Any, headers: Mapping[str, str] | None = None
     ) -> bytes:
-        """Send what `body()` gives and read the whole answer, again where the connection broke.
-        Raises Problem, Unreachable."""
+        """Sends what `body()` returns, again where the connection broke, and returns the answer.
+
+        Raises Problem, Unreachable.
+        """
         return self.tagged(method, path, body, headers or {})[2]
 
     def tagged(
         self, method: str, path: str, body: Any, headers: Mapping[str, str]
     ) -> tuple[int, http.client.HTTPMessage, bytes]:
-        """The same, with status and headers."""
-        for pause_s in (*PAUSES_S, None):
+        """Does what `whole` does, and returns the status, the headers and the content."""
+        for pause_s in (*RETRY_PAUSES_S, None):
             try:
-                found = self._once(method, path, body(), headers)
-                content = found.read()
+                response = self._request(method, path, body(), headers)
+                content = response.read()
             except (http.client.HTTPException, OSError) as error:
                 self._http.close()
                 if pause_s is None or self.aborted:
                     raise Unreachable(f"{self._url} does not answer: {error}") from error
             else:
-                if found.status < REFUSED:
-                    return found.status, found.headers, content
-                if found.status != UNAVAILABLE or pause_s is None:
-                    raise Problem(found.status, _document(content))
+                if response.status < REFUSED:
+                    return response.status, response.headers, content
+                if response.status != UNAVAILABLE or pause_s is None:
+                    raise Problem(response.status, _problem_document(content))
             time.sleep(pause_s)
         raise AssertionError
 
     def once(self, method: str, path: str, body: Any, headers: Mapping[str, str]) -> bytes:
-        """Send once, and read the whole answer. Raises Problem, and Unreachable where it breaks
-        off."""
-        # the service may have closed a connection that nobody used: this must not be found out by
-        # sending
-        self._http.close()
+        """Sends a request once and returns the whole answer.
+
+        Raises Problem, and Unreachable if the connection breaks.
+        """
+        self._http.close()  # the service may have closed an idle one: sending must not discover it
         try:
-            found = self._once(method, path, body, headers)
-            content = found.read()
+            response = self._request(method, path, body, headers)
+            content = response.read()
         except (http.client.HTTPException, OSError) as error:
             self._http.close()
             raise Unreachable(f"{self._url} broke off: {error}") from error
-        if found.status >= REFUSED:
-            raise Problem(found.status, _document(content))
+        if response.status >= REFUSED:
+            raise Problem(response.status, _problem_document(content))
         return content
 
     def parts(self, path: str) -> Iterator[bytes]:
-        """Read an answer in parts. Raises Problem, and Unreachable where it breaks off."""
-        self._http.close()  # as above
+        """Yields an answer in parts. Raises Problem, and Unreachable if the connection breaks."""
+        self._http.close()  # for the reason that `once` gives
         try:
-            found = self._once("GET", path, None, {})
-            if found.status >= REFUSED:
-                raise Problem(found.status, _document(found.read()))
-            announced, read = found.headers.get("Content-Length"), 0
-            while part := found.read(STREAM_BYTES):
+            response = self._request("GET", path, None, {})
+            if response.status >= REFUSED:
+                raise Problem(response.status, _problem_document(response.read()))
+            announced, read = response.headers.get("Content-Length"), 0
+            while part := response.read(STREAM_BYTES):
                 read += len(part)
                 yield part
         except (http.client.HTTPException, OSError) as error:
@@ -115,7 +122,7 @@ class Connection:
         if announced is not None and read != int(announced):
             raise Unreachable(f"{self._url} broke off after {read} of {announced} bytes")
 
-    def _once(
+    def _request(
         self, method: str, path: str, body: Any, headers: Mapping[str, str]
     ) -> http.client.HTTPResponse:
         try:
@@ -138,11 +145,14 @@ class Connection:
             raise http.client.NotConnected("the connection was closed")
 
     def close(self) -> None:
-        """Close the connection."""
+        """Closes the connection."""
         self._http.close()
 
     def abort(self) -> None:
-        """Close it for good, from another thread: what is on its way ends with Unreachable."""
+        """Closes the connection for good, from another thread.
+
+        A request on its way ends with Unreachable.
+        """
         self.aborted = True
         sock = self._http.sock
         if sock is not None:
@@ -150,9 +160,11 @@ class Connection:
                 sock.shutdown(socket.SHUT_RDWR)
 
 
-def _document(body: bytes) -> dict[str, Any]:
+def _problem_document(body: bytes) -> dict[str, Any]:
     try:
-        found = json.loads(body)
+        document = json.loads(body)
     except ValueError:
-        found = None
-    return found if isinstance(found, dict) else {"detail": body[:200].decode(errors="replace")}
+        document = None
+    return (
+        document if isinstance(document, dict) else {"detail": body[:200].decode(errors="replace")}
+    )

@@ -1,5 +1,6 @@
-"""Ed25519 signatures, verified with integers of the standard library: 10 ms each, and nothing
-secret is touched.
+"""Ed25519 signatures, verified with integers of the standard library, in about 10 ms each.
+
+Nothing secret is touched.
 
 A signature (R, s) of a message under the key A holds if s·B = R + h·A, h being SHA-512 of R, A and
 the message. Points are (X, Y, Z, T) with x = X/Z, y = Y/Z, xy = T/Z on -x² + y² = 1 + d·x²y² modulo
@@ -21,7 +22,7 @@ KEY_BYTES, SIGNATURE_BYTES = 32, 64
 
 
 def _point(encoded: bytes) -> Point | None:
-    """A point from y and the sign of x; None where there is none."""
+    """Returns the point with this y and sign of x; None if there is none on the curve."""
     number = int.from_bytes(encoded, "little")
     y, sign = number & ((1 << 255) - 1), number >> 255
     if y >= P:
@@ -46,12 +47,12 @@ def _add(left: Point, right: Point) -> Point:
 
 
 def _times(number: int, point: Point) -> Point:
-    found = (0, 1, 1, 0)
+    product = (0, 1, 1, 0)
     while number:
         if number & 1:
-            found = _add(found, point)
+            product = _add(product, point)
         point, number = _add(point, point), number >> 1
-    return found
+    return product
 
 
 def _same(left: Point, right: Point) -> bool:
@@ -63,16 +64,16 @@ def _same(left: Point, right: Point) -> bool:
 _BASE = _point((4 * pow(5, -1, P) % P).to_bytes(32, "little"))
 
 
-def holds(public_key: bytes, signature: bytes, message: bytes) -> bool:
-    """Whether the signature of a message was made with the key."""
+def is_valid(public_key: bytes, signature: bytes, message: bytes) -> bool:
+    """Whether the signature of a message is valid under the public key."""
     if len(public_key) != KEY_BYTES or len(signature) != SIGNATURE_BYTES:
         return False
-    key, begun = _point(public_key), _point(signature[:32])
+    key, commitment = _point(public_key), _point(signature[:32])
     s = int.from_bytes(signature[32:], "little")
-    if key is None or begun is None or s >= ORDER or _BASE is None:
+    if key is None or commitment is None or s >= ORDER or _BASE is None:
         return False
     hashed = (
         int.from_bytes(hashlib.sha512(signature[:32] + public_key + message).digest(), "little")
         % ORDER
     )
-    return _same(_times(s, _BASE), _add(begun, _times(hashed, key)))
+    return _same(_times(s, _BASE), _add(commitment, _times(hashed, key)))

@@ -1,9 +1,7 @@
-"""Freshness: a robot's own look at how old its observations are, and how long ago the service last
-confirmed its model.
+"""How old a robot's observations are, and how long ago the service last confirmed its model.
 
-A controller that plans on what is too old must not: hold the two ages against their timeouts in
-every tick, and command what is safe when either has passed. Nothing here waits, and nothing asks
-the network.
+A controller must not plan on what is too old. It compares the two ages with their timeouts in every
+tick, and commands what is safe when either has passed. Nothing here waits or asks the network.
 """
 
 from __future__ import annotations
@@ -15,8 +13,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Ages:
-    """How old both are now [s]; infinite before the first. `stale` names what has passed its
-    timeout."""
+    """The age of the last observation and of the last confirmation of the model [s].
+
+    An age is infinite before the first. `stale` names what has passed its timeout.
+    """
 
     observation_s: float
     model_s: float
@@ -29,11 +29,11 @@ class Ages:
 
 
 class Freshness:
-    """Told of every observation and of every answer of the service, it says at any time whether
-    both are young enough.
+    """Records each observation and each answer of the service, and says whether both are fresh.
 
-    A service that is away leaves the model ageing: how long a robot may go on without it is
-    `model_timeout_s` [s], and its owner's choice. `clock` gives seconds that only grow.
+    While the service is away the model ages. How long a robot may go on without it is
+    `model_timeout_s` [s], its owner's choice. `clock` returns seconds that never decrease. Raises
+    ValueError if a timeout is not positive.
     """
 
     def __init__(
@@ -49,15 +49,15 @@ class Freshness:
         self._clock = clock
 
     def observed(self, age_s: float = 0.0) -> None:
-        """An observation came, that was `age_s` [s] old already."""
+        """Records an observation that is `age_s` [s] old."""
         self._last["observation"] = max(self._last["observation"], self._clock() - age_s)
 
     def confirmed(self) -> None:
-        """The service has said what serves: hand it to `Client.watch` as `confirmed`."""
+        """Records an answer of the service. Pass it to `Client.watch` as `confirmed`."""
         self._last["model"] = self._clock()
 
     def ages(self) -> Ages:
-        """Both ages now, and what is stale."""
+        """Returns both ages now, and what is stale."""
         now = self._clock()
         ages = {name: now - last for name, last in self._last.items()}
         stale = tuple(name for name, age in ages.items() if not age <= self._timeouts[name])

@@ -1,4 +1,4 @@
-"""Pool: clients for an event loop, each in a thread of its own while it asks."""
+"""A pool of clients for an event loop, each in a thread of its own while it asks."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ CLOSED = "the client was closed"
 class Pool:
     """At most `at_once` clients that ask at the same time; one more waits for its turn.
 
-    A call that is cancelled is broken off. Whether the service did what it asked for is then not
-    known: ask, or repeat it with its key.
+    A call that is cancelled is broken off. Whether the service did what it asked for is then
+    unknown: ask, or repeat it with its key.
     """
 
     def __init__(self, make: Callable[[], Client], at_once: int) -> None:
@@ -33,7 +33,7 @@ class Pool:
     async def run(
         self, method: Callable[Concatenate[Client, P], T], *arguments: P.args, **named: P.kwargs
     ) -> T:
-        """What a method of a client gives."""
+        """Calls a method of a client in a thread, and returns what it returns."""
         turn = _Turn()
 
         def ask() -> T:
@@ -56,14 +56,13 @@ class Pool:
         *arguments: P.args,
         **named: P.kwargs,
     ) -> AsyncIterator[T]:
-        """What a method of a client gives one after the other, each asked for when the one before
-        was taken."""
+        """Yields what a method of a client yields, each item asked for once the last was taken."""
         client, asks = self._take(), threading.Lock()
-        found = method(client, *arguments, **named)
+        items = method(client, *arguments, **named)
 
         def ask() -> T:
             with asks:
-                return next(found, END)
+                return next(items, END)
 
         try:
             while (item := await self._threaded(ask)) is not END:
@@ -71,14 +70,13 @@ class Pool:
         finally:
             if asks.acquire(blocking=False):
                 asks.release()
-                self._end(client, found, asks)
+                self._end(client, items, asks)
             else:  # cancelled while its thread asks
                 client.abort()
-                threading.Thread(target=self._end, args=(client, found, asks), daemon=True).start()
+                threading.Thread(target=self._end, args=(client, items, asks), daemon=True).start()
 
     async def close(self) -> None:
-        """Close every connection; whatever still asks, or waits for its turn, ends with
-        Unreachable."""
+        """Closes every connection. Calls that run or wait for their turn end with Unreachable."""
         self._closed = True
         for client in [*self._busy]:
             client.abort()
@@ -99,12 +97,11 @@ class Pool:
                 raise Unreachable(CLOSED) from None
             raise
 
-    def _end(self, client: Client, found: Iterator[T], asks: threading.Lock) -> None:
-        """Close what was not read to its end, once no thread asks any more; then the client is free
-        for others."""
+    def _end(self, client: Client, items: Iterator[T], asks: threading.Lock) -> None:
+        """Closes an iterator once no thread reads it, then frees its client for other calls."""
         with asks:
-            if isinstance(found, Generator):
-                found.close()
+            if isinstance(items, Generator):
+                items.close()
         self._give_back(client)
 
     def _take(self) -> Client:
@@ -123,6 +120,12 @@ class Pool:
             client.close()
         else:
             self._free.append(client)
+
+
+class Pooled:
+    """Calls that ask through a pool."""
+
+    _pool: Pool
 
 
 class _Turn:

@@ -31,8 +31,11 @@ class NotSigned(ClientError):
 
 
 class LogForked(ClientError):
-    """The log does not extend the one that this client has seen, or the pointer went back without a
-    move: somebody rewrote them."""
+    """The log or the pointer was rewritten.
+
+    The log does not extend the one that this client has seen, or the pointer went back without a
+    move.
+    """
 
 
 class Problem(ClientError):

@@ -1,5 +1,4 @@
-"""Read what a log's service signed and proves: checkpoints, envelopes, inclusion, consistency. The
-standard library alone.
+"""Verifies checkpoints, envelopes and the proofs of inclusion and consistency of a log.
 
 Source: C2SP signed-note and tlog-checkpoint; DSSE 1.0; RFC 9162, sections 2.1.3.2 and 2.1.4.2.
 """
@@ -25,7 +24,7 @@ ENDORSEMENT = "trueup: the log is signed from here on by"
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """A public key: whose, and the bytes."""
+    """A log's public Ed25519 key: the log's name, the key's hash, and its 32 bytes."""
 
     name: str
     hash: bytes
@@ -38,70 +37,73 @@ class Key:
 
     @staticmethod
     def from_text(text: str) -> Key:
-        """A key as the service gives it, `<name>+<hash>+<key>`. Raises NotSigned."""
+        """Returns a key from the service's text `<name>+<hash>+<key>`. Raises NotSigned."""
         try:
-            name, named, encoded = text.strip().split("+", 2)
+            name, hash_text, encoded = text.strip().split("+", 2)
             data = base64.b64decode(encoded, validate=True)
-            found = Key(name, bytes.fromhex(named), data[1:])
+            key = Key(name, bytes.fromhex(hash_text), data[1:])
         except (ValueError, binascii.Error) as error:
             raise NotSigned("the key is no <name>+<hash>+<key>") from error
         hashed = hashlib.sha256(name.encode() + b"\n" + data).digest()[:KEY_HASH_BYTES]
-        if data[:1] != ED25519 or hashed != found.hash:
+        if data[:1] != ED25519 or hashed != key.hash:
             raise NotSigned("the key is no Ed25519 key, or not the one that its hash names")
-        return found
+        return key
 
     def opened(self, note: str) -> str:
-        """The text of a signed note, if this key signed it. Raises NotSigned."""
-        text, found, lines = note.rpartition("\n\n")
-        for line in lines.splitlines() if found else []:
+        """Returns the text of a signed note. Raises NotSigned if this key did not sign it."""
+        text, separator, lines = note.rpartition("\n\n")
+        for line in lines.splitlines() if separator else []:
             dash, _, rest = line.partition(" ")
             name, _, encoded = rest.partition(" ")
             signature = _bytes(encoded)
             if (dash, name, signature[:KEY_HASH_BYTES]) == ("—", self.name, self.hash):
-                if ed25519.holds(self.public, signature[KEY_HASH_BYTES:], f"{text}\n".encode()):
+                if ed25519.is_valid(self.public, signature[KEY_HASH_BYTES:], f"{text}\n".encode()):
                     return f"{text}\n"
                 break
         raise NotSigned(f"the note is not signed by {self.name}")
 
     def signed(self, note: str, text: str) -> bool:
-        """Whether this key signed a note of this very text."""
+        """Whether this key signed the note, and the note says exactly this text."""
         try:
             return self.opened(note) == text
         except NotSigned:
             return False
 
     def followed(self, endorsements: Iterable[str]) -> list[Key]:
-        """The keys that take over from this one, in order: each is endorsed by the one before, for
-        the same log."""
-        found = [self]
+        """Returns the keys that take over from this one, in order.
+
+        Each is endorsed by the one before, for the same log. Other notes are skipped.
+        """
+        keys = [self]
         for note in endorsements:
             try:
-                first, verifier, *_ = found[-1].opened(note).split("\n")
-                then = Key.from_text(verifier)
+                first, verifier, *_ = keys[-1].opened(note).split("\n")
+                successor = Key.from_text(verifier)
             except (NotSigned, ValueError):
                 continue
-            if first == ENDORSEMENT and then.name == self.name:
-                found.append(then)
-        return found[1:]
+            if first == ENDORSEMENT and successor.name == self.name:
+                keys.append(successor)
+        return keys[1:]
 
     def payload(self, envelope: Envelope, payload_type: str) -> Any:
-        """The document in an envelope, if this key signed it as of this type. Raises NotSigned."""
+        """Returns the document in an envelope.
+
+        Raises NotSigned if this key did not sign it as of this type.
+        """
         try:
-            data, named = (
-                base64.b64decode(envelope["payload"], validate=True),
-                envelope["payloadType"],
-            )
+            data = base64.b64decode(envelope["payload"], validate=True)
+            kind = envelope["payloadType"]
             signatures = [
                 s["sig"]
                 for s in envelope["signatures"]
                 if s.get("keyid") in (None, f"{self.name}+{self.hash.hex()}")
             ]
-            signed = b"DSSEv1 %d %s %d %s" % (len(named.encode()), named.encode(), len(data), data)
+            signed = b"DSSEv1 %d %s %d %s" % (len(kind.encode()), kind.encode(), len(data), data)
             document = json.loads(data)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise NotSigned("the envelope has another form") from error
-        if named != payload_type or not any(
-            ed25519.holds(self.public, _bytes(s), signed) for s in signatures
+        if kind != payload_type or not any(
+            ed25519.is_valid(self.public, _bytes(s), signed) for s in signatures
         ):
             raise NotSigned(f"the envelope is not signed by {self.name} as {payload_type}")
         return document
@@ -109,8 +111,10 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A log at a moment: how many entries it has, and the hash over all of them. `note` is what was
-    signed."""
+    """A log at a moment: how many entries it has, and the root hash over all of them.
+
+    `note` is the signed text.
+    """
 
     size: int
     root: bytes
@@ -118,7 +122,7 @@ class Checkpoint:
 
     @staticmethod
     def of(note: str, key: Key) -> Checkpoint:
-        """A checkpoint signed by the log's key. Raises NotSigned."""
+        """Returns the checkpoint in a note. Raises NotSigned if the log's key did not sign it."""
         lines = key.opened(note).split("\n")
         root = _bytes(lines[2]) if len(lines) >= 3 else b""  # noqa: PLR2004  (origin, size, root)
         if len(root) != HASH_BYTES or lines[0] != key.name or not lines[1].isdigit():
@@ -134,7 +138,7 @@ def _bytes(encoded: object) -> bytes:
 
 
 def leaf_hash(entry: bytes) -> bytes:
-    """The hash of an entry's bytes as a leaf."""
+    """Returns the hash of an entry's bytes as a leaf of the tree."""
     return hashlib.sha256(b"\x00" + entry).digest()
 
 
@@ -143,26 +147,31 @@ def _node(left: bytes, right: bytes) -> bytes:
 
 
 def includes(root: bytes, size: int, position: int, leaf: bytes, proof: Sequence[bytes]) -> bool:
-    """Whether the tree of `size` leaves with this root has this leaf at this position, counted from
-    0."""
+    """Whether the tree of `size` leaves has this leaf at this position, counted from 0.
+
+    Source: RFC 9162, section 2.1.3.2.
+    """
     if not 0 <= position < size:
         return False
-    at, last, found = position, size - 1, leaf
+    at, last, node = position, size - 1, leaf
     for part in proof:
         if last == 0:
             return False
         if at & 1 or at == last:
-            found = _node(part, found)
+            node = _node(part, node)
             while not at & 1 and at:
                 at, last = at >> 1, last >> 1
         else:
-            found = _node(found, part)
+            node = _node(node, part)
         at, last = at >> 1, last >> 1
-    return last == 0 and found == root
+    return last == 0 and node == root
 
 
 def extends(old: int, old_root: bytes, size: int, root: bytes, proof: Sequence[bytes]) -> bool:
-    """Whether the tree of `size` leaves begins with the one of `old`, both given by their roots."""
+    """Whether the tree of `size` leaves extends the one of `old` leaves, both named by their roots.
+
+    Source: RFC 9162, section 2.1.4.2.
+    """
     if old > size:
         return False
     if old in (0, size):

@@ -1,4 +1,4 @@
-"""What the service answers with. Made by tools/make_records.py from its OpenAPI."""
+"""The service's answers as types. Made by tools/make_records.py from its OpenAPI."""
 
 from __future__ import annotations
 

@@ -1,14 +1,15 @@
-"""What a robot runs: which model to use, verified, from disk; the service is asked beside, and may
-be away for ever.
+"""What a robot runs: it keeps the model to use on disk, verified, and asks the service in a thread.
+
+The robot goes on with its last good model for as long as the service is away.
 
     robot = Robot("http://registry:8321", "cell-7", "/var/lib/trueup", key="trueup-…+…+…")
     robot.start()                     # looks for a newer answer in a thread of its own
     while True:
         model = robot.current()       # at once, from what is on disk; None before the first answer
 
-An answer counts only if the log's key signed it, for this plant, and its generation is not behind
-one that was seen. Its artifact is fetched and verified before it takes the place of the last good
-one. Each answer brings the log's checkpoint: the robot is a witness of it.
+An answer counts only if the log's key signed it for this plant, and its generation is not behind
+one that was seen. Its artifact is fetched and verified before it replaces the last good one. Each
+answer carries the log's checkpoint, and the robot is a witness of it.
 """
 
 from __future__ import annotations
@@ -24,14 +25,15 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from trueup_client.client import Client, is_whole, sync_folder
+from trueup_client.client import Client
+from trueup_client.files import is_whole, sync_folder
 from trueup_client.problem import LogForked, NotSigned
 from trueup_client.proof import Key
 from trueup_client.records import Envelope
 from trueup_client.witness import Witness
 
 ENVELOPE_TYPE, SCHEMA = "application/vnd.trueup.serving+json", "trueup.serving/1"
-LOOK_S = 30.0
+REFRESH_S = 30.0
 
 
 def _now() -> datetime:
@@ -40,10 +42,10 @@ def _now() -> datetime:
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a plant's robot is to use.
+    """Which artifact a plant's robot is to use.
 
     `expires_at` is when the answer stops being current; `fallback` is the artifact that served
-    before.
+    before. Times are UTC, ISO 8601.
     """
 
     plant: str
@@ -56,7 +58,7 @@ class Answer:
     expires_at: str
 
     def is_current(self, now: datetime) -> bool:
-        """Whether the service still stands by it."""
+        """Whether the answer has not expired."""
         return now < datetime.fromisoformat(self.expires_at)
 
 
@@ -69,10 +71,10 @@ class Model:
 
 
 class Robot:
-    """Keeps the last good model of a plant in a folder, with the one before it as the way back.
+    """Keeps the last good model of a plant in a folder, and the one before it as the fallback.
 
-    `key` is the log's public key (`trueup key`); without it the first one seen is believed from
-    then on.
+    `key` is the log's public key (`trueup key`). Without it the first key seen is trusted.
+    `problem` says why the last refresh changed nothing; None if it went well.
     """
 
     def __init__(
@@ -91,28 +93,28 @@ class Robot:
         self._address, self._plant, self._clock = (url, token, timeout_s), plant, clock
         self._witness = Witness(self._folder / "witness.json", key)
         self._stop = threading.Event()
-        self._model = self._kept()
-        self._highest = self._seen()
-        self.problem: Exception | None = (
-            None  # why the last look changed nothing, None where it went well
-        )
+        self._model = self._stored_model()
+        self._highest = self._stored_highest()
+        self.problem: Exception | None = None
 
     def current(self) -> Model | None:
-        """The last good model; never asks the service, never waits."""
+        """Returns the last good model without asking the service; None if there is none."""
         return self._model
 
     def is_current(self) -> bool:
-        """Whether the service said so lately enough; a robot whose answer has expired keeps its
-        model, and should say so."""
+        """Whether the last answer has not expired.
+
+        A robot whose answer has expired keeps its model, and should report it.
+        """
         return self._model is not None and self._model.answer.is_current(self._clock())
 
     def fallback(self) -> Path | None:
-        """The folder of the model that served before, if it is on disk."""
+        """Returns the folder of the model that served before; None if it is not on disk."""
         digest = self._model.answer.fallback if self._model else None
         return self._models(digest) if digest and self._models(digest).is_dir() else None
 
     def refresh(self) -> Model:
-        """Ask once, now. Raises ClientError, and leaves the last good model where it is."""
+        """Asks the service once. On a ClientError the last good model stays as it is."""
         url, token, timeout_s = self._address
         client = Client(url, timeout_s=timeout_s, token=token)
         try:
@@ -125,9 +127,8 @@ class Robot:
             self._witness.see(checkpoint, client.consistency)
             self._require_later(answer)
             self._highest = answer.generation, answer.artifact
-            _write(
-                self._folder / "highest.json", list(self._highest)
-            )  # before anything that may fail: an older one cannot come back
+            # written before anything that may fail: an older answer cannot come back
+            _write(self._folder / "highest.json", list(self._highest))
             for digest in (answer.artifact, answer.fallback):
                 if digest and not is_whole(self._models(digest), digest):
                     self._fetch(client, digest)
@@ -142,34 +143,37 @@ class Robot:
         finally:
             client.close()
 
-    def start(self, interval_s: float = LOOK_S) -> None:
-        """Look for a newer answer every `interval_s` [s], in a thread that ends with the
-        process."""
-        threading.Thread(target=self._look, args=(interval_s,), daemon=True).start()
+    def start(self, interval_s: float = REFRESH_S) -> None:
+        """Refreshes every `interval_s` [s], in a thread that ends with the process."""
+        threading.Thread(target=self._run, args=(interval_s,), daemon=True).start()
 
     def stop(self) -> None:
-        """Look no more."""
+        """Ends the thread that `start` began."""
         self._stop.set()
 
-    def _look(self, interval_s: float) -> None:
+    def _run(self, interval_s: float) -> None:
         while not self._stop.is_set():
             try:
                 self.refresh()
                 self.problem = None
-            except Exception as error:  # noqa: BLE001  (whatever it is, the robot goes on, and asks again)
+            except Exception as error:  # noqa: BLE001  (the robot goes on, and asks again)
                 self.problem = error
             self._stop.wait(interval_s)
 
     def _opened(self, envelope: Envelope, key: Key) -> tuple[Answer, str]:
-        """The answer in an envelope, and the checkpoint beside it. Raises NotSigned."""
-        found = key.payload(envelope, ENVELOPE_TYPE)
-        if found.get("schema") != SCHEMA or found.get("plant") != self._plant:
+        """Returns the answer in an envelope, and its checkpoint. Raises NotSigned."""
+        document = key.payload(envelope, ENVELOPE_TYPE)
+        if document.get("schema") != SCHEMA or document.get("plant") != self._plant:
             raise NotSigned(f"the answer is not for plant {self._plant!r}")
-        return Answer(**{name: found[name] for name in Answer.__slots__}), found["checkpoint"]
+        fields = {name: document[name] for name in Answer.__slots__}
+        return Answer(**fields), document["checkpoint"]
 
     def _require_later(self, answer: Answer) -> None:
-        """Raises LogForked for an answer older than one that was seen, or another artifact under
-        its generation, NotSigned if expired."""
+        """Raises NotSigned if an answer has expired.
+
+        Raises LogForked if it is older than one that was seen, or names another artifact under the
+        same generation.
+        """
         if not answer.is_current(self._clock()):
             raise NotSigned(
                 f"the answer expired at {answer.expires_at}: it is an old one, or a clock is wrong"
@@ -183,18 +187,17 @@ class Robot:
             )
 
     def _fetch(self, client: Client, digest: str) -> None:
-        beside = self._models(f"{digest}.{uuid.uuid4().hex}.part")
-        beside.parent.mkdir(exist_ok=True)
-        client.fetch(self._plant, digest, beside)  # every file of it is synced
+        partial = self._models(f"{digest}.{uuid.uuid4().hex}.part")
+        partial.parent.mkdir(exist_ok=True)
+        client.fetch(self._plant, digest, partial)  # which syncs every file
         shutil.rmtree(self._models(digest), ignore_errors=True)  # one that was damaged
-        beside.replace(self._models(digest))
-        sync_folder(beside.parent)
+        partial.replace(self._models(digest))
+        sync_folder(partial.parent)
 
-    def _kept(self) -> Model | None:
-        """The last good model of an earlier run; None where there is none, or it was damaged."""
-        for key in (
-            self._witness.keys
-        ):  # an answer of before the key was replaced is still the last good one
+    def _stored_model(self) -> Model | None:
+        """Returns the last good model of an earlier run; None if there is none or it is damaged."""
+        # an answer from before the key was replaced is still the last good one
+        for key in self._witness.keys:
             try:
                 answer, _ = self._opened(
                     json.loads((self._folder / "serving.json").read_text()), key
@@ -205,27 +208,26 @@ class Robot:
             return Model(folder, answer) if is_whole(folder, answer.artifact) else None
         return None
 
-    def _seen(self) -> tuple[int, str]:
-        """The highest generation that was seen, and its artifact."""
-        kept = (
-            (self._model.answer.generation, self._model.answer.artifact) if self._model else (0, "")
-        )
+    def _stored_highest(self) -> tuple[int, str]:
+        """Returns the highest generation that was seen, and its artifact."""
+        answer = self._model.answer if self._model else None
+        of_model = (answer.generation, answer.artifact) if answer else (0, "")
         try:
             generation, artifact = json.loads((self._folder / "highest.json").read_text())
         except (OSError, ValueError):
-            return kept
-        return max(kept, (int(generation), str(artifact)))
+            return of_model
+        return max(of_model, (int(generation), str(artifact)))
 
     def _models(self, digest: str) -> Path:
         return self._folder / "models" / digest
 
 
 def _write(path: Path, document: Any) -> None:
-    """Write a document beside, sync it, then give it its name."""
-    beside = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
-    with beside.open("w") as file:
+    """Writes a JSON document under a temporary name, syncs it, then renames it."""
+    partial = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
+    with partial.open("w") as file:
         json.dump(document, file)
         file.flush()
         os.fsync(file.fileno())
-    beside.replace(path)
+    partial.replace(path)
     sync_folder(path.parent)

@@ -1,2 +1,1 @@
-"""What people look at: pages as templates, pictures as SVG. Values in, HTML out; no server, no
-database, no clock."""
+"""Pages as templates and pictures as SVG: values in, HTML out. No server, no database, no clock."""

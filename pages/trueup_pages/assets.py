@@ -1,7 +1,7 @@
-"""Assets: the files that pages need. Ours, and two that others made, pinned by their digests and
-served under them.
+"""The files that pages need: ours, and vendored ones that are pinned by their digests.
 
-uPlot 1.6.32 (MIT) draws lines that can be zoomed; htmx 4.0.1 (0BSD) exchanges parts of a page.
+Vendored: uPlot 1.6.32 (MIT) draws lines that can be zoomed; htmx 4.0.1 (0BSD) exchanges parts of a
+page.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ TYPES = {"js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8
 
 
 class AssetChanged(TrueupError):
-    """A file that others made is not the one that was reviewed."""
+    """A vendored file is not the one that was reviewed."""
 
     code = "asset-changed"
     hint = "Install trueup again; if the file was replaced on purpose, pin its new digest."
@@ -31,18 +31,20 @@ class AssetChanged(TrueupError):
 
 @cache
 def bytes_of(name: str) -> bytes:
-    """An asset's bytes. Raises KeyError for what is none, AssetChanged."""
+    """Returns an asset's bytes. Raises KeyError for an unknown name, AssetChanged."""
     if name not in VENDORED and name not in OURS:
         raise KeyError(name)
-    found = (files("trueup_pages") / "static" / name).read_bytes()
-    if name in VENDORED and hashlib.sha256(found).hexdigest() != VENDORED[name]:
+    content = (files("trueup_pages") / "static" / name).read_bytes()
+    if name in VENDORED and hashlib.sha256(content).hexdigest() != VENDORED[name]:
         raise AssetChanged(f"{name} is not the file that was reviewed", name=name)
-    return found
+    return content
 
 
 def text_of(name: str) -> str:
-    """An asset as text that may stand inside a page which names no other host; who made it is said
-    in words."""
+    """Returns an asset as text to embed in a page that names no other host.
+
+    A vendored one begins with its notice.
+    """
     text = bytes_of(name).decode()
     if name in NOTICES:
         text = f"/* {NOTICES[name]} */\n{text.partition('*/')[2]}"
@@ -51,17 +53,17 @@ def text_of(name: str) -> str:
 
 @cache
 def url_of(name: str) -> str:
-    """Where a server has an asset: its name holds its digest, so a browser may keep it for ever."""
+    """Returns an asset's URL. It holds the digest, so that a browser may cache it for ever."""
     stem, _, kind = name.rpartition(".")
     return f"/static/{stem}.{hashlib.sha256(bytes_of(name)).hexdigest()[:16]}.{kind}"
 
 
 @cache
 def by_url() -> dict[str, str]:
-    """Every asset's name by the last part of its URL."""
+    """Returns every asset's name by the last part of its URL."""
     return {url_of(name).rpartition("/")[2]: name for name in (*VENDORED, *OURS)}
 
 
 def type_of(name: str) -> str:
-    """An asset's media type."""
+    """Returns an asset's media type."""
     return TYPES[name.rpartition(".")[2]]

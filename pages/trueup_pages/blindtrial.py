@@ -1,5 +1,5 @@
-"""Blind trial: who was taken for whom, how far a verdict may be trusted, and how it was kept blind,
-as a page."""
+"""The page of a blind trial: the confusion matrix, how often verdicts are right, and the proof that
+it was blind."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ COVERED = {
 
 
 def sentence(document: Mapping[str, Any]) -> str:
-    """The result in a sentence or two."""
+    """Returns the result in a sentence or two."""
     if document["leak"]["void"]:
         return (
             f"Void: {document['leak']['taken']} of {document['leak']['baits']} decoys were "
@@ -36,20 +36,20 @@ def sentence(document: Mapping[str, Any]) -> str:
     text = f"{document['trials']} machines after {document['plant']}, their effects withheld"
     if single:
         text += (
-            f": single effects named exactly in {_part(single['exact'])}, the truth among "
-            f"the answers in {_part(single['in_set'])}"
+            f": single effects named exactly in {_share_text(single['exact'])}, the truth among "
+            f"the answers in {_share_text(single['in_set'])}"
         )
     return text + "."
 
 
-def _part(rate: Mapping[str, Any]) -> str:
+def _share_text(rate: Mapping[str, Any]) -> str:
     return (
         "–" if rate["share"] is None else f"{rate['share']:.0%} (at least {rate['at_least']:.0%})"
     )
 
 
 def page(document: Mapping[str, Any]) -> str:
-    """The report as one HTML page that needs nothing else."""
+    """Returns the report as one HTML page that loads nothing else."""
     trust = sorted(document["trust"], key=lambda t: (-t["n"], t["answer"]))
     values = {
         "d": document,
@@ -63,8 +63,10 @@ def page(document: Mapping[str, Any]) -> str:
 
 
 def _matrix(d: Mapping[str, Any]) -> Markup:
-    """Hidden effects down, answers across; pairs are left to the list, as each is nearly its own
-    row."""
+    """Draws the confusion matrix: hidden effects down, answers across.
+
+    Pairs of effects are left to the list, because nearly each would be its own row.
+    """
     cells = [c for c in d["confusion"] if " + " not in c["truth"]]
     truths = sorted({c["truth"] for c in cells})
     answers = truths + sorted({c["answer"] for c in cells} - set(truths))

@@ -1,5 +1,4 @@
-"""Diagnosis: a report and the numbers behind its pictures as what a page shows, and the page that
-needs nothing else."""
+"""The page of a diagnosis: the values that its template needs, and the whole as one file."""
 
 from __future__ import annotations
 
@@ -15,12 +14,12 @@ from trueup.diagnose.summary_text import percent
 from trueup_pages import drawing
 from trueup_pages.rendering import render
 
-ROWS = 14  # of the ranking
+ROWS = 14  # most compositions in the ranking
 MODELS = (
     {"key": "nominal", "label": "nominal", "kind": "nominal"},
     {"key": "corrected", "label": "corrected", "kind": "corrected"},
 )
-STILL = 400  # points of a line that is drawn without a script
+STILL_POINTS = 400  # of a line that is drawn without a script
 INSEPARABLE = "the evidence cannot separate what is above this line"
 NOT_ENOUGH = "none explains the gap: what is above this line comes nearest"
 ALONE = (
@@ -34,7 +33,7 @@ def report_page(
     figures: Mapping[str, Any] | None,
     command_file: str | None = "next_experiment.csv",
 ) -> str:
-    """A diagnosis as one HTML file that needs nothing else."""
+    """Returns a diagnosis as one HTML file that loads nothing else."""
     return render("report.html", **view(report, figures, command_file))
 
 
@@ -44,7 +43,7 @@ def view(
     command_file: str | None,
     episode_url: Callable[[str], str] | None = None,
 ) -> dict[str, Any]:
-    """The values of `diagnosis_body.html`."""
+    """Returns the values of `diagnosis_body.html`."""
     where = report["where"]
     return {
         "d": report,
@@ -100,19 +99,24 @@ def view(
 def recordings_of(
     drawn: Mapping[str, Any] | None, models: Sequence[Mapping[str, str]]
 ) -> dict[str, Any]:
-    """The values of `recordings.html`, and the colours of maps; `models` are `key`, `label`, and
-    the `kind` of the line."""
+    """Returns the values of `recordings.html`, and the colours of maps.
+
+    Each of `models` has a `key`, a `label`, and the `kind` of its line.
+    """
     if not drawn or not drawn["episodes"]:
         return {"recordings": None, "data": "", "still": 1, "ramp": ramp()}
-    told = {"horizon_s": drawn["horizon_s"], "models": models, "episodes": drawn["episodes"]}
+    recordings = {"horizon_s": drawn["horizon_s"], "models": models, "episodes": drawn["episodes"]}
     data = Markup(_embedded({"models": models, "episodes": drawn["episodes"]}))
-    still = max(1, math.ceil(len(drawn["episodes"][0]["t_s"]) / STILL))
-    return {"recordings": told, "data": data, "still": still, "ramp": ramp()}
+    still = max(1, math.ceil(len(drawn["episodes"][0]["t_s"]) / STILL_POINTS))
+    return {"recordings": recordings, "data": data, "still": still, "ramp": ramp()}
 
 
 def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Compositions as rows: the answer and what cannot be told from it, a line, then the others,
-    the nearest first."""
+    """Returns compositions as rows.
+
+    First come the answer and those that the evidence cannot separate from it, then, below a line,
+    the others, the nearest first.
+    """
     rows = report["evidence"]["hypotheses"]
     answers = [h for h in rows if h.get("answer")]
     least = answers[0]["validation"] if answers else None
@@ -134,7 +138,7 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
     enough = report["verdict"] != "unknown_effect"
     called = "the answer" if enough else "the nearest, and not enough"
     line = NOT_ENOUGH if not enough else ALONE if len(inside) == 1 else INSEPARABLE
-    found = []
+    ranked = []
     for at, h in enumerate(shown):
         value = h["validation"]
         worse = h.get("worse_ci95")
@@ -144,7 +148,7 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
             else None
         )
         closer = least is not None and value < least and not h.get("in_set")
-        found.append(
+        ranked.append(
             {
                 "name": summary_text.composition(
                     h["effects"], f"{h['parameters']} parameters alone"
@@ -152,7 +156,7 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
                 "misfit": h["misfit"],
                 "validation": value,
                 "in_set": bool(h.get("in_set")),
-                "said": called
+                "note": called
                 if h.get("answer")
                 else "fits closer, by less than more numbers must earn"
                 if closer
@@ -170,17 +174,17 @@ def ranking(report: Mapping[str, Any]) -> list[dict[str, Any]]:
                 "divide": line if at == len(inside) and inside else "",
             }
         )
-    return found
+    return ranked
 
 
 def _embedded(value: object) -> str:
-    """JSON that may stand in a script element: nothing in it can end one."""
+    """Returns JSON for a script element, in which nothing can end that element."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def ramp() -> Markup:
-    """The colours of maps, from the lowest to the highest."""
+    """Draws the colours of maps, from the lowest to the highest."""
     cells = "".join(
         f'<rect class="h{i}" x="{i * 16}" width="16" height="12"/>' for i in range(drawing.LEVELS)
     )

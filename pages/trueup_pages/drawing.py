@@ -1,7 +1,6 @@
-"""Drawing: pictures as SVG that take their colours from the page, so that they are right in light
-and in dark.
+"""Pictures as SVG that take their colours from the page, in light and in dark.
 
-Every picture says in `aria-label` what it shows, and carries no style of its own.
+Every picture says in `aria-label` what it shows, and has no style of its own.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from markupsafe import Markup
 
 from trueup.diagnose.summary_text import percent, short, unit
 
-LEVELS = 11  # colours of a map, odd: the middle one is nothing
+LEVELS = 11  # colours of a map; odd, so that the middle one is zero
 LEFT, BOTTOM, CELL_AREA = 66, 36, (300, 200)
 PLOT, ERROR = (960, 230), (960, 120)
 SPARK = (120, 26)
@@ -40,7 +39,7 @@ def _runs(
     along: tuple[float, float],
     box: tuple[float, float, float, float],
 ) -> list[str]:
-    """A line's points in a box, in pieces where numbers are missing."""
+    """Returns a line's points in a box, broken where numbers are missing."""
     (x0, x1), (y0, y1), (left, top, width, height) = across, along, box
     pieces: list[list[str]] = [[]]
     for x, y in points:
@@ -56,7 +55,7 @@ def _runs(
 
 
 def span_of(values: Sequence[float | None]) -> tuple[float, float]:
-    """Lowest and highest of some values, a little apart."""
+    """Returns the range of some values with a margin; (-1, 1) if none is finite."""
     fine = sorted(v for v in values if v is not None and math.isfinite(v))
     if not fine:
         return -1.0, 1.0
@@ -71,7 +70,7 @@ def lines(
     label: str,
     size: tuple[int, int] = PLOT,
 ) -> Markup:
-    """Lines over time; `series` by the name that is also their class."""
+    """Draws lines over time [s]. The names in `series` are also the lines' classes."""
     width, height = size
     box = (LEFT, 8.0, width - LEFT - 8.0, height - 34.0)
     across = (t_s[0], t_s[-1]) if t_s[-1] > t_s[0] else (t_s[0], t_s[0] + 1.0)
@@ -94,7 +93,7 @@ def lines(
 
 
 def recording(recordings: Mapping[str, Any], channel: Mapping[str, Any], every: int) -> Markup:
-    """A channel of the first recording, every so many points, as it looks without a script."""
+    """Draws a channel of the first recording without a script, with one of `every` points."""
     drawn = {"measured": channel["measured"][::every]} | {
         m["kind"]: channel[m["key"]][::every] for m in recordings["models"]
     }
@@ -107,8 +106,10 @@ def recording(recordings: Mapping[str, Any], channel: Mapping[str, Any], every: 
 
 
 def heat(of: Mapping[str, Any], layer: str, pair: str) -> Markup:
-    """A map of mean residuals over two of speed, command and time. One path for each colour keeps
-    it small."""
+    """Draws a map of mean residuals over two of speed, command and time.
+
+    Each colour is one path, which keeps the picture small.
+    """
     first, second = pair.split("-")
     rows, (width, height) = of["layers"][layer][pair], CELL_AREA
     across, along = of["axes"][first], of["axes"][second]
@@ -150,7 +151,7 @@ def heat(of: Mapping[str, Any], layer: str, pair: str) -> Markup:
 
 
 def waterfall(parts: Sequence[Mapping[str, Any]]) -> Markup:
-    """Shares of the nominal model's squared error, one after the other."""
+    """Draws shares of the nominal model's squared error, one after the other."""
     left, width, row = 250, 560, 30
     drawn, at = [], 1.0
     steps = [{"what": "nominal model", "effect": False, "share": 1.0}, *parts]
@@ -189,7 +190,7 @@ def waterfall(parts: Sequence[Mapping[str, Any]]) -> Markup:
 
 
 def nearly(share: float) -> str:
-    """A share that may be close to the whole, never rounded up to it."""
+    """Returns a share in words; one close to the whole is never rounded up to 100 %."""
     return percent(share) if share < 0.99 else f"{math.floor(1e4 * share) / 100:.2f} %"  # noqa: PLR2004
 
 
@@ -213,7 +214,7 @@ class Scale:
 
 
 def interval(scale: Scale, value: float | None, ends: Sequence[float] | None, kind: str) -> Markup:
-    """A value as a dot with its interval, on a scale that rows share."""
+    """Draws a value as a dot with its interval, on a scale that rows share."""
     if value is None:
         return Markup("")
     body = f'<line class="grid" x1="0" x2="{scale.width:g}" y1="9" y2="9"/>'
@@ -227,14 +228,14 @@ def interval(scale: Scale, value: float | None, ends: Sequence[float] | None, ki
 
 
 def share_bar(share: float) -> Markup:
-    """A share as a bar."""
+    """Draws a share, 0 to 1, as a bar."""
     body = '<rect class="track" width="200" height="8" rx="3"/>'
     body += f'<rect class="bar" width="{200 * min(max(share, 0.0), 1.0):.1f}" height="8" rx="3"/>'
     return _svg(200, 8, percent(share), body, "share")
 
 
 def sparkline(values: Sequence[float | None], label: str, threshold: float | None = None) -> Markup:
-    """A small line; the dashed one is where an alarm is raised."""
+    """Draws a small line; a dashed one at the threshold of an alarm."""
     width, height = SPARK
     if not [v for v in values if v is not None]:
         return Markup("")

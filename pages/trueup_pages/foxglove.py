@@ -1,5 +1,5 @@
-"""A layout for Foxglove: plots of what was recorded, what two versions predict, what they miss, and
-the regions."""
+"""A layout for Foxglove: plots of a recording, of two versions' predictions and errors, and the
+regions."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ COLOURS = ("#111827", "#b34d08", "#0a6ba8")
 
 
 def layout(plant: Mapping[str, Any], models: Sequence[str]) -> dict[str, Any]:
-    """The layout of a plant's recordings with predictions of some models, `v1` and `v5`, as JSON
-    that Foxglove imports."""
+    """Returns the layout as JSON that Foxglove imports.
+
+    `models` names the versions whose predictions the recording holds, such as `v1` and `v5`.
+    """
     topic = plant.get("topics", {}).get("observation", "/joint_states")
     configured: dict[str, Any] = {}
     panels: list[str] = []
@@ -19,9 +21,12 @@ def layout(plant: Mapping[str, Any], models: Sequence[str]) -> dict[str, Any]:
         field = channel.get("field") or ("position" if at == 0 else "velocity")
         joint = channel.get("joint")
         path = f'.{field}[:]{{name=="{joint}"}}' if joint else f".{field}[0]"
-        of = [f"{topic}{path}", *(f"/trueup/{m}/prediction{path}" for m in models)]
-        missed = [f"/trueup/{m}/residual{path}" for m in models]
-        for kind, paths, colours in (("signal", of, COLOURS), ("residual", missed, COLOURS[1:])):
+        signals = [f"{topic}{path}", *(f"/trueup/{m}/prediction{path}" for m in models)]
+        residuals = [f"/trueup/{m}/residual{path}" for m in models]
+        for kind, paths, colours in (
+            ("signal", signals, COLOURS),
+            ("residual", residuals, COLOURS[1:]),
+        ):
             name = f"Plot!{kind}-{at}"
             configured[name] = {
                 "title": f"{channel['name']} [{channel['unit']}]"
@@ -47,7 +52,7 @@ def _line(path: str, colour: str) -> dict[str, Any]:
 
 
 def _stacked(panels: Sequence[str]) -> Any:
-    """Panels one above the other, each as high as the others."""
+    """Stacks panels one above the other, all of the same height."""
     if len(panels) == 1:
         return panels[0]
     return {

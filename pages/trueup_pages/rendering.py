@@ -1,5 +1,7 @@
-"""Rendering: templates with values become HTML. What is not marked as markup is escaped, and a
-value that is missing is an error."""
+"""Templates with values become HTML.
+
+A value that is not marked as markup is escaped, and a missing value is an error.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,14 @@ from trueup_pages.timeline import timeline
 
 @cache
 def _environment() -> Environment:
-    made = Environment(
+    environment = Environment(
         loader=PackageLoader("trueup_pages"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters.update(
+    environment.filters.update(
         short=summary_text.short,
         unit=summary_text.unit,
         named=summary_text.name,
@@ -32,21 +34,21 @@ def _environment() -> Environment:
         moment=moment,
         plain=lambda text: text.replace("_", " "),
     )
-    made.globals.update(
+    environment.globals.update(
         asset=url_of,
         inlined=lambda name: Markup(text_of(name)),
         drawing=drawing,
         words=summary_text,
         timeline=timeline,
     )
-    return made
+    return environment
 
 
 def render(template: str, **values: Any) -> str:
-    """A page, or a part of one."""
+    """Renders a page, or a part of one."""
     return _environment().get_template(template).render(**values)
 
 
 def moment(at: str) -> Markup:
-    """A time in UTC to the second."""
+    """Returns a time in UTC, shown to the second."""
     return Markup('<time datetime="{0}">{1}</time>').format(at, at[:19].replace("T", " "))

@@ -1,5 +1,4 @@
-"""Timeline: what happened to a plant on one axis, a lane for each kind, every mark a link to what
-it stands for."""
+"""The timeline of a plant: a lane for each kind of event, whose marks link to their pages."""
 
 from __future__ import annotations
 
@@ -17,19 +16,20 @@ LANES = ("episodes", "alarms", "diagnoses", "decisions", "serving")
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """Something that happened: when, in which lane, of which kind, in words, and the page that it
-    leads to."""
+    """An event: its time, lane, kind and label, and the page that it links to."""
 
     at: str
     lane: str
     kind: str
-    said: str
-    to: str = ""
+    label: str
+    page: str = ""
 
 
 def timeline(plant: str, entries: Sequence[Any]) -> Markup:
-    """Entries of the log (`at`, `kind`, `subject`, `facts`), the newest first, as marks, the newest
-    to the right."""
+    """Draws entries of the log (`at`, `kind`, `subject`, `facts`), the newest to the right.
+
+    The entries come with the newest first.
+    """
     marks = [mark for e in reversed(entries) if (mark := _mark(plant, e)) is not None]
     height = TOP + LANE * len(LANES) + 24
     body = "".join(_lane(name, _height(name)) for name in LANES)
@@ -68,12 +68,12 @@ def _drawn(mark: Mark, x: float) -> str:
         else f'd="M{x - 6:.1f} {y}a6 6 0 1 0 12 0a6 6 0 1 0 -12 0z"'
     )
     drawn = (
-        f"<title>{escape(mark.said)}, {_minute(mark.at)}</title><path "
+        f"<title>{escape(mark.label)}, {_minute(mark.at)}</title><path "
         f'class="mark-{mark.kind}" {shape}/>'
     )
     return (
-        f'<a href="{escape(mark.to)}" aria-label="{escape(mark.said)}">{drawn}</a>'
-        if mark.to
+        f'<a href="{escape(mark.page)}" aria-label="{escape(mark.label)}">{drawn}</a>'
+        if mark.page
         else f"<g>{drawn}</g>"
     )
 
@@ -83,7 +83,7 @@ def _minute(at: str) -> str:
 
 
 def _mark(plant: str, e: Any) -> Mark | None:
-    """An entry as a mark; None for what stands in no lane."""
+    """Returns an entry as a mark; None if its kind has no lane."""
     here = f"/plants/{plant}"
     if e.kind == "episode:ingested":
         return Mark(
@@ -105,8 +105,8 @@ def _mark(plant: str, e: Any) -> Mark | None:
             f"{here}/diagnoses/{e.subject}",
         )
     if e.kind == "decision:made":
-        said = "accepted" if e.facts.get("decision", {}).get("accepted") else "rejected"
-        return Mark(e.at, "decisions", said, said, f"{here}/decisions/{e.subject}")
+        verdict = "accepted" if e.facts.get("decision", {}).get("accepted") else "rejected"
+        return Mark(e.at, "decisions", verdict, verdict, f"{here}/decisions/{e.subject}")
     if e.kind in ("pointer:moved", "plant:registered"):
         moved = str(e.facts.get("move", "registered")).replace("_", " ")
         return Mark(e.at, "serving", "move", f"{moved}, generation {e.facts.get('generation', 1)}")

@@ -27,7 +27,7 @@ from trueup.episode.role import Role
 from trueup.ledger.archive_layout import SIGNATURE, statement_of
 from trueup.ledger.signed_note import Signer
 from trueup_client import Client, Problem
-from trueup_client import client as module
+from trueup_client.calls import plants
 from trueup_service.actions.register_plant import register_plant
 from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord, JobState
@@ -321,7 +321,7 @@ def test_gc_removes_what_nothing_names_and_nothing_else(site, tmp_path):
     with closing(Client(service.url)) as client:
         arrays = b"nobody will name this" + os.urandom(8)
         digest = hashlib.sha256(arrays).hexdigest()
-        client._to.whole(
+        client._connection.whole(
             "PUT",
             f"/v1/blobs/{digest}",
             lambda: arrays,
@@ -368,15 +368,15 @@ def test_an_upload_goes_on_where_it_broke_off(service, tmp_path, monkeypatch):
         at = f"/v1/plants/{plant}/uploads/{digest}"
         assert client._get(at)["offset_bytes"] == 0
         half = {"Upload-Offset": "0", "Content-Type": "application/octet-stream"}
-        client._to.once("PATCH", at, data[: len(data) // 2], half)
+        client._connection.once("PATCH", at, data[: len(data) // 2], half)
         assert client._get(at)["offset_bytes"] == len(data) // 2
         with pytest.raises(Problem) as refused:
-            client._to.once("PATCH", at, data, half)
+            client._connection.once("PATCH", at, data, half)
         assert (refused.value.code, refused.value.facts["offset_bytes"]) == (
             "upload-offset",
             len(data) // 2,
         )
-        monkeypatch.setattr(module, "IN_PARTS_FROM_BYTES", 1000)
+        monkeypatch.setattr(plants, "RESUMABLE_FROM_BYTES", 1000)
         shares = []
         assert client.upload_episode(plant, path, shares.append)["digest"] == digest
         assert shares[-1] == 1.0
@@ -386,7 +386,7 @@ def test_an_upload_goes_on_where_it_broke_off(service, tmp_path, monkeypatch):
             client._post(f"{at}/finish", None)["digest"] == digest
         )  # its answer may have been lost
         wrong = f"/v1/plants/{plant}/uploads/{'0' * 64}"
-        client._to.once("PATCH", wrong, b"something else", half)
+        client._connection.once("PATCH", wrong, b"something else", half)
         with pytest.raises(Problem) as refused:
             client._post(f"{wrong}/finish", None)
         assert refused.value.code == "digest-mismatch"

@@ -29,7 +29,7 @@ def test_a_worn_machine_gets_its_model_corrected_by_itself_and_goes_on_being_wat
     client, name = fleet.client, fleet.name
     assert client.serving(name).version == 2
     fleet.watch(REFERENCE, PROMISE_H)
-    fleet.let_go(promise_h=PROMISE_H, reference_episodes=REFERENCE)
+    fleet.automate(promise_h=PROMISE_H, reference_episodes=REFERENCE)
     fleet.visit(Role.ADAPTATION)
     fleet.until(lambda: client.monitor(name)["episodes"] == 2, "two healthy episodes are seen")
     assert list(client.alarms(name)) == []
@@ -96,7 +96,7 @@ def test_what_forgets_a_covered_condition_is_rejected_and_the_decision_says_whic
     fleet.commission()
     fleet.friction *= WORN
     fleet.visit(Role.VALIDATION, Role.VALIDATION)
-    decision = fleet.judge(fleet.forgetful())
+    decision = fleet.judge(fleet.add_forgetting_candidate())
     verdicts = {v["rule"]: v for v in decision["document"]["verdicts"]}
     assert not decision["accepted"]
     assert not verdicts["retained_conditions"]["passed"]

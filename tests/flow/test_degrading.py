@@ -10,10 +10,10 @@ from sqlalchemy import make_url
 
 from tests.flow.test_failures import until
 from tests.http.test_http import request
-from tests.support.line import Line
 from tests.support.made import episode_bytes, plant_document, save
 from tests.support.service import Service
 from tests.support.storage import Storage, scaled
+from tests.support.tcp_proxy import TcpProxy
 from trueup_client import Client, Problem
 from trueup_service.actions.register_plant import register_plant
 from trueup_service.actor_context import ActorContext
@@ -31,8 +31,8 @@ def reached(postgres, s3, tmp_path_factory):
     if url.port is None:
         pytest.fail("the tests' PostgreSQL must listen on a port")
     database, store = (
-        Line(url.port),
-        Line(int(storage.environment["TRUEUP_S3_ENDPOINT"].rpartition(":")[2])),
+        TcpProxy(url.port),
+        TcpProxy(int(storage.environment["TRUEUP_S3_ENDPOINT"].rpartition(":")[2])),
     )
     over = {
         "TRUEUP_DATABASE_URL": url.set(host="127.0.0.1", port=database.port).render_as_string(

@@ -16,7 +16,7 @@ from trueup.episode.writer import write_episode
 from trueup_client import Client
 from trueup_worker.fan_out import PREFIX
 
-KILLED = 2  # parcels that were helped with, at which one of two workers is killed
+KILLED = 2  # one of two workers is killed once so many batches were helped with
 
 
 @pytest.fixture(scope="module")

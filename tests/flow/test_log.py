@@ -20,7 +20,7 @@ from sqlalchemy import text
 
 from tests.http.test_http import move
 from tests.support.forks import run
-from tests.support.gates import in_force
+from tests.support.gates import declare_lenient
 from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT, Service, command
 from tests.support.storage import embedded
@@ -132,7 +132,7 @@ def test_a_witness_sees_the_log_grow_and_refuses_one_that_was_rewritten(told, lo
     witness = Witness(tmp_path / "seen.json")
     first = client.witness(witness)
     rules = [{"rule": "one_step_no_worse", "slack": 3.0}]
-    in_force(client, "p", rules=rules)
+    declare_lenient(client, "p", rules=rules)
     second = client.witness(Witness(tmp_path / "seen.json"))
     assert second.size == first.size + 1
     for size, root in (
@@ -289,7 +289,7 @@ def test_a_key_takes_over_and_whoever_pinned_the_one_before_follows_by_its_word_
                     client.witness(Witness(tmp_path / seen, GOLDEN_KEY))
             cut_off = Robot("http://127.0.0.1:9", "p", tmp_path / "cut off", first)
             cut_off._witness.keys = again.keys  # it stopped between the new key and the new answer
-            assert cut_off._kept() is not None
+            assert cut_off._stored_model() is not None
             robot = Robot(service.url, "p", tmp_path / "robot", first)
             kept = (tmp_path / "robot" / "serving.json").read_text()
             assert robot.refresh().answer.generation == 1
@@ -500,7 +500,7 @@ def test_a_server_signs_no_log_shorter_than_the_one_it_published(tmp_path):
 
 def test_a_number_that_is_written_like_an_integer_stays_verifiable(told, kept):
     rules = [{"rule": "one_step_no_worse", "slack": 1e17}]
-    in_force(told[2], "p", rules=rules)
+    declare_lenient(told[2], "p", rules=rules)
     assert found(kept) == []
 
 

@@ -7,7 +7,7 @@ import sqlite3
 import pytest
 
 from tests.flow.test_failures import until
-from tests.support.gates import LENIENT, in_force
+from tests.support.gates import LENIENT, declare_lenient
 from tests.support.made import episode_bytes, identified, plant_document, save
 from tests.support.service import Service, command
 from tests.support.storage import embedded
@@ -35,7 +35,7 @@ def told(tmp_path_factory):
         never = [{"rule": "rollout_improves", "ratio": 1e-12}]
         decisions = []
         for judged, rules in ((candidate, LENIENT["rules"]), (other, never)):
-            gate = in_force(client, "p", rules=rules)["digest"]
+            gate = declare_lenient(client, "p", rules=rules)["digest"]
             job = client.submit("p", {"kind": "gate", "candidate": judged, "gate": gate})
             decisions.append(client.wait(job["id"])["result"]["decision"])
         client.promote("p", decisions[0], 1)
@@ -172,7 +172,7 @@ def test_damaged_bytes_end_a_replay_with_4_and_come_right_when_they_are_sent_aga
 def test_an_actors_name_is_printed_as_it_is(told):
     service, _, _, _ = told
     client = Client(service.url, actor="[/bold][black]x")
-    in_force(client, "p", rules=[{"rule": "one_step_no_worse", "slack": 5.0}])
+    declare_lenient(client, "p", rules=[{"rule": "one_step_no_worse", "slack": 5.0}])
     client.close()
     assert "[/bold][black]x" in command(service, "audit").stdout
 

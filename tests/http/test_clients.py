@@ -34,24 +34,39 @@ def plant(service):
 def test_records_are_what_the_service_says_it_answers_with(service):
     with urllib.request.urlopen(f"{service.url}/openapi.json") as answer:
         document = json.load(answer)
-    assert (ROOT / "client" / "trueup_client" / "records.py").read_text() == make_records.module(
-        document
-    ), "run tools/make_records.py"
-
-
-def test_the_form_for_an_event_loop_is_made_from_the_client():
-    ruff = Path(sys.executable).parent / "ruff"
-    made = subprocess.run(
-        [ruff, "format", "--stdin-filename", "client/trueup_client/asynchronous.py", "-"],
-        input=make_async_client.module(),
+    formatted = subprocess.run(
+        [Path(sys.executable).parent / "ruff", "format", "--stdin-filename", "records.py", "-"],
+        input=make_records.module(document),
         capture_output=True,
         text=True,
         check=True,
         cwd=ROOT,
     ).stdout
-    assert (ROOT / "client" / "trueup_client" / "asynchronous.py").read_text() == made, (
-        "run tools/make_async_client.py and format"
-    )
+    written = (ROOT / "client" / "trueup_client" / "records.py").read_text()
+    assert written == formatted, "run tools/make_records.py and format"
+
+
+def test_the_form_for_an_event_loop_is_made_from_the_client():
+    ruff = Path(sys.executable).parent / "ruff"
+    modules = make_async_client.modules()
+    assert set(modules) == set(make_async_client.WRITTEN.glob("*.py"))
+    for path, text in modules.items():
+        formatted = subprocess.run(
+            [ruff, "format", "--stdin-filename", str(path), "-"],
+            input=text,
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=ROOT,
+        ).stdout
+        assert path.read_text() == formatted, "run tools/make_async_client.py and format"
+
+
+def test_the_form_for_an_event_loop_has_every_method_of_the_client():
+    def calls(kind):
+        return {name for name in dir(kind) if not name.startswith("_")}
+
+    assert calls(Client) - calls(AsyncClient) == {"abort", "aborted"}
 
 
 def test_it_uploads_lists_and_waits(service, plant, tmp_path):
@@ -152,8 +167,8 @@ def test_a_download_that_is_given_up_leaves_the_next_answer_whole(service, plant
             for _ in range(50):
                 parts = client.episode_parts(plant, digest)
                 await anext(parts)
-                found, _ = await asyncio.gather(client.plant(plant), parts.aclose())
-                assert found["name"] == plant
+                record, _ = await asyncio.gather(client.plant(plant), parts.aclose())
+                assert record["name"] == plant
 
     asyncio.run(go())
 
@@ -163,7 +178,7 @@ def test_what_must_not_be_repeated_is_never_sent_over_a_connection_that_may_be_c
 ):
     with closing(Client(service.url)) as client:
         list(client.plants())
-        client._to._http.sock.shutdown(socket.SHUT_RDWR)
+        client._connection._http.sock.shutdown(socket.SHUT_RDWR)
         assert client.issue_token(f"after-{time.time_ns()}", ["engineer"])["token"]
 
 
@@ -186,7 +201,7 @@ def test_a_token_whose_answer_was_lost_is_not_issued_twice(service, monkeypatch)
         list(client.tokens())
         asked = []
         monkeypatch.setattr(
-            client._to._http,
+            client._connection._http,
             "getresponse",
             lambda: asked.append(1) or (_ for _ in ()).throw(ConnectionResetError()),
         )

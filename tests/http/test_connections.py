@@ -36,7 +36,7 @@ def few(tmp_path, **settings):
 def service(tmp_path):
     found = few(tmp_path)
     try:
-        found.start_server(module="tests.support.few_files")
+        found.start_server(module="tests.support.file_limit")
         yield found
     finally:
         found.stop()
@@ -210,7 +210,7 @@ def test_an_answer_that_nobody_takes_ends_and_one_that_is_taken_slowly_does_not(
 def test_where_every_connection_has_a_request_a_new_one_is_answered_503(tmp_path):
     service = few(tmp_path, connections=3)
     try:
-        service.start_server(module="tests.support.few_files")
+        service.start_server(module="tests.support.file_limit")
         client = Client(service.url)
         client.register_plant(plant_document("polled"))
         client.close()

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.gates import in_force
+from tests.support.gates import declare_lenient
 from tests.support.made import episode_bytes, identified, mcap_bytes, plant_document, save
 from tests.support.service import ADMIN, Service
 from tests.support.storage import Storage, embedded
@@ -303,7 +303,7 @@ def accepted(client, plant, k):
     """An accepted decision of a real gate job."""
     candidate = identified(plant, k)
     client.add_artifact(plant, candidate.manifest)
-    gate = in_force(
+    gate = declare_lenient(
         client, plant, held_out_uses=1_000_000
     )  # the same recording is used by every plant of these tests
     if not list(client.episodes(plant, "validation")):
@@ -559,7 +559,7 @@ def test_a_wrong_plant_is_refused_at_its_field(service):
 
 def test_a_damaged_download_is_thrown_away(client, plant, tmp_path, monkeypatch):
     serving = client.serving(plant)
-    monkeypatch.setattr(client._to, "parts", lambda path: iter([b"damaged"]))
+    monkeypatch.setattr(client._connection, "parts", lambda path: iter([b"damaged"]))
     with pytest.raises(DigestMismatch):
         client.fetch(plant, serving.artifact, tmp_path / "m")
     assert list((tmp_path / "m").iterdir()) == []

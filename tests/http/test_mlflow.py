@@ -39,8 +39,8 @@ def registry(tmp_path_factory):
 def mlflow(registry, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)  # where it keeps files beside its database
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    with passing._asking(registry) as found:
-        yield found
+    with passing._mlflow_at(registry) as module:
+        yield module
 
 
 @pytest.fixture
@@ -51,7 +51,7 @@ def plant(service):
     return name
 
 
-def told(capsys):
+def printed(capsys):
     return json.loads(capsys.readouterr().out)
 
 
@@ -75,7 +75,7 @@ def test_what_serves_goes_there_once_and_is_marked(
     decision = judged(client, plant, tmp_path)
     client.promote(plant, decision["digest"], 1)
     passing.export(plant, registry=registry, url=service.url, as_json_=True)
-    assert told(capsys) == {
+    assert printed(capsys) == {
         "model": f"models:/{plant}/1",
         "artifact": decision["candidate"],
         "serving": True,
@@ -94,10 +94,10 @@ def test_what_serves_goes_there_once_and_is_marked(
         "trueup.accepted": "true",
     }
     passing.export(plant, registry=registry, url=service.url, as_json_=True)
-    assert told(capsys)["model"] == f"models:/{plant}/1"
+    assert printed(capsys)["model"] == f"models:/{plant}/1"
     client.roll_back(plant, 2)
     passing.export(plant, registry=registry, url=service.url, as_json_=True)
-    assert told(capsys)["model"] == f"models:/{plant}/2"
+    assert printed(capsys)["model"] == f"models:/{plant}/2"
     assert there.get_model_version_by_alias(plant, "serving").version == 2
 
 
@@ -110,7 +110,7 @@ def test_a_version_comes_back_as_it_went(service, client, mlflow, registry, plan
     passing.import_(
         f"models:/{plant}-elsewhere/1", plant, registry=registry, url=service.url, as_json_=True
     )
-    assert told(capsys)["digest"] == went
+    assert printed(capsys)["digest"] == went
     with pytest.raises(MlflowRefused, match="alias"):
         passing.import_(
             f"models:/{plant}-elsewhere@serving", plant, registry=registry, url=service.url
@@ -152,10 +152,12 @@ def test_a_model_from_elsewhere_becomes_a_candidate_that_says_so(
 ):
     run = logged(mlflow, tmp_path / "m", plant, {"k": "1.5", "c": 0.25, "b": 2, "solver": "lm"})
     passing.import_(f"models:/{plant}/1", plant, registry=registry, url=service.url, as_json_=True)
-    found = told(capsys)
-    assert (found["kind"], found["job"], found["version"]) == ("identified", None, 2)
+    version = printed(capsys)
+    assert (version["kind"], version["job"], version["version"]) == ("identified", None, 2)
     manifest = json.loads(
-        client.fetch(plant, found["digest"], tmp_path / "got").joinpath("manifest.json").read_text()
+        client.fetch(plant, version["digest"], tmp_path / "got")
+        .joinpath("manifest.json")
+        .read_text()
     )
     assert manifest["predictor"]["parameters"] == {"k": 1.5, "c": 0.25, "b": 2.0}
     assert manifest["provenance"]["origin"] == "mlflow"
@@ -235,15 +237,15 @@ def test_an_artifact_becomes_a_folder_that_loads_by_either_flavor(service, mlflo
     write_mlflow_model(tmp_path / "m", "r", "2026-01-02T03:04:05.678901Z")
     flavors = yaml.safe_load((tmp_path / "m" / FILE).read_text())["flavors"]
     assert flavors["python_function"]["loader_module"] == mlflow_model.__name__
-    found = mlflow_model._load_pyfunc(str(tmp_path / "m" / flavors["python_function"]["data"]))
-    assert found.model.digest == digest
+    loaded = mlflow_model._load_pyfunc(str(tmp_path / "m" / flavors["python_function"]["data"]))
+    assert loaded.model.digest == digest
     t = np.arange(50) * 0.05
     table = {"t_s": t, "u": np.sin(t), "q": np.zeros(50), "v": np.zeros(50)}
-    seen = found.predict(table)
+    seen = loaded.predict(table)
     assert seen.shape == (50, 2)
-    assert not np.array_equal(seen, found.predict(table, {"horizon_s": 0.5}))
+    assert not np.array_equal(seen, loaded.predict(table, {"horizon_s": 0.5}))
     with pytest.raises(KeyError, match="v"):
-        found.predict({"t_s": t, "u": t, "q": t})
+        loaded.predict({"t_s": t, "u": t, "q": t})
     session = onnxruntime.InferenceSession(str(tmp_path / "m" / flavors["onnx"]["data"]))
     assert [x.name for x in session.get_inputs()] == ["state", "command"]
     document = json.loads((tmp_path / "m" / FILE).read_text())
@@ -256,7 +258,7 @@ def test_an_artifact_becomes_a_folder_that_loads_by_either_flavor(service, mlflo
     ]
     (tmp_path / "m" / "artifact" / "manifest.json").write_text("{}")
     with pytest.raises(BadArtifact):
-        found.__class__.__module__ and importlib.import_module(
+        loaded.__class__.__module__ and importlib.import_module(
             flavors["python_function"]["loader_module"]
         )._load_pyfunc(str(tmp_path / "m" / "artifact"))
 
@@ -285,7 +287,7 @@ def test_what_was_changed_in_the_registry_is_not_taken_for_what_it_was(
     ],
 )
 def test_what_is_told_of_a_registry_holds_no_password(service, address):
-    assert passing.where(address) in {"http://h:5", "postgresql", "sqlite", "file"}
+    assert passing.without_credentials(address) in {"http://h:5", "postgresql", "sqlite", "file"}
 
 
 def test_names_that_differ_stay_different(service):

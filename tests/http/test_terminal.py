@@ -11,11 +11,11 @@ import pytest
 
 from tests.http.test_http import accepted, problem, request
 from tests.support.forks import run
-from tests.support.hostile import EVIL, OBEYED, hostile
+from tests.support.hostile import CONTROLS, EVIL, hostile
 from tests.support.made import plant_document
 from tests.support.service import ADMIN, ROOT
 from trueup.gate.evidence import SCHEMA
-from trueup_cli.complaints import trace
+from trueup_cli.error_output import print_traceback
 from trueup_client import Client
 from trueup_service.logs import JsonLines
 
@@ -80,18 +80,18 @@ def filled(service, tmp_path_factory):
 
 
 def evidence(artifact, shows="that it moves", cannot_show="anything else"):
-    said = {"shows": shows, "cannot_show": cannot_show}
+    scope = {"shows": shows, "cannot_show": cannot_show}
     return {
         "schema": SCHEMA,
         "artifact": artifact,
         "stage": "SIL",
         "passed": True,
         "figures": {},
-        **said,
+        **scope,
     }
 
 
-def told(filled, tmp_path, line, *options, **environment):
+def run_on(filled, tmp_path, line, *options, **environment):
     url, names = filled
     here = {
         **os.environ,
@@ -108,16 +108,16 @@ def told(filled, tmp_path, line, *options, **environment):
 @pytest.mark.parametrize("terminal", [False, True], ids=["pipe", "terminal"])
 @pytest.mark.parametrize("line", COMMANDS)
 def test_nothing_that_a_terminal_obeys_comes_out_of_a_command(filled, tmp_path, line, terminal):
-    done = told(
+    done = run_on(
         filled,
         tmp_path,
         line,
         **({"FORCE_COLOR": "1", "TERM": "xterm", "COLUMNS": "400"} if terminal else {}),
     )
-    said = done.stdout + done.stderr
-    said = OURS.sub("", said) if terminal else said
-    assert not OBEYED & set(said)
-    assert "\\x1b[2J[red]x" in said, "it is there, seen, and no markup"
+    output = done.stdout + done.stderr
+    output = OURS.sub("", output) if terminal else output
+    assert not CONTROLS & set(output)
+    assert "\\x1b[2J[red]x" in output, "it is there, seen, and no markup"
     assert done.returncode == COMMANDS[line]
 
 
@@ -133,16 +133,16 @@ def test_nothing_that_a_terminal_obeys_comes_out_of_a_command(filled, tmp_path, 
 def test_what_is_misused_is_shown_and_not_obeyed(words):
     done = run("trueup_cli.main", words, {**os.environ, "NO_COLOR": "1", "COLUMNS": "200"}, ROOT)
     assert done.returncode != 0
-    assert not OBEYED & set(done.stdout + done.stderr)
+    assert not CONTROLS & set(done.stdout + done.stderr)
 
 
 @pytest.mark.parametrize("service", ["embedded"], indirect=True)
 @pytest.mark.parametrize("line", AS_JSON)
 def test_json_is_ascii_and_holds_what_others_wrote(filled, tmp_path, line):
-    said = told(filled, tmp_path, line, "--json").stdout
-    assert said.isascii()
-    assert not OBEYED & set(said)
-    assert any(EVIL in text for text in texts(json.loads(said)))
+    output = run_on(filled, tmp_path, line, "--json").stdout
+    assert output.isascii()
+    assert not CONTROLS & set(output)
+    assert any(EVIL in text for text in texts(json.loads(output)))
 
 
 def texts(value):
@@ -162,11 +162,11 @@ def test_evidence_in_words_that_a_terminal_obeys_is_refused(service, filled, cha
         evidence(artifact, shows=f"a{character}b"),
         evidence(artifact, cannot_show=f"a{character}b"),
     ):
-        found = problem(
+        answer = problem(
             service, "POST", f"/v1/plants/{plant}/evidence", json.dumps(document), **JSON
         )
-        assert found[:2] == (422, "bad-evidence")
-        assert f"U+{ord(character):04X}" in found[2]["detail"]
+        assert answer[:2] == (422, "bad-evidence")
+        assert f"U+{ord(character):04X}" in answer[2]["detail"]
     several = json.dumps(
         evidence(artifact, shows="one line\nand another,\twith a tab: é and \u200d")
     )
@@ -200,13 +200,13 @@ def test_a_line_of_the_log_is_one_line_of_ascii():
     )
     line = JsonLines().format(record)
     assert line.isascii()
-    assert not OBEYED & set(line)
+    assert not CONTROLS & set(line)
     assert "\n" not in line
     assert json.loads(line)["path"] == EVIL
 
 
 def test_an_error_that_nobody_expected_is_printed_whole_and_quotes_nothing_as_it_is(capsys):
-    assert trace(ValueError(EVIL)) == 1
-    said = capsys.readouterr().err
-    assert "ValueError: \\x1b[2J[red]x[/]" in said
-    assert not OBEYED & set(said)
+    assert print_traceback(ValueError(EVIL)) == 1
+    printed = capsys.readouterr().err
+    assert "ValueError: \\x1b[2J[red]x[/]" in printed
+    assert not CONTROLS & set(printed)

@@ -31,14 +31,14 @@ FOCUSED = (
 
 @pytest.fixture(scope="module")
 def browser():
-    with browsing() as found:
-        yield found
+    with browsing() as opened:
+        yield opened
 
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory):
-    with Service(embedded(tmp_path_factory.mktemp("pages"))).running() as found:
-        yield found
+    with Service(embedded(tmp_path_factory.mktemp("pages"))).running() as service:
+        yield service
 
 
 @pytest.fixture(scope="module")
@@ -106,8 +106,8 @@ class Seat:
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
         self.page.on(
             "console",
-            lambda said: (
-                self.faults.append(said.text) if said.type in ("error", "warning") else None
+            lambda message: (
+                self.faults.append(message.text) if message.type in ("error", "warning") else None
             ),
         )
         self.page.on("response", lambda response: self.loaded.extend([response]))
@@ -129,18 +129,18 @@ class Seat:
         """Go on by Tab until what has the focus is called so."""
         for _ in range(200):
             self.press("Tab")
-            found = self.page.evaluate(FOCUSED)
-            if name in found:
+            focused = self.page.evaluate(FOCUSED)
+            if name in focused:
                 return
         pytest.fail(f"no Tab leads to {name!r}")
 
 
 @pytest.fixture
 def seat(browser, running, known):
-    found = Seat(browser, running)
-    yield found
-    found.context.close()
-    assert found.faults == []
+    seat = Seat(browser, running)
+    yield seat
+    seat.context.close()
+    assert seat.faults == []
 
 
 # -- everywhere
@@ -395,14 +395,14 @@ def test_the_log_is_filtered_and_held_against_a_head_that_was_kept(seat, running
     assert "not as it was" not in seat.page.locator("main").inner_text()
     name, size, root, *signed = kept.split("\n")
     changed = "\n".join([name, size, f"{root[1:-1]}{root[0]}=", *signed])
-    for note, said in (
+    for note, expected in (
         (kept, "extends the checkpoint"),
         (changed, "are not those of the checkpoint"),
         ("hello", "no checkpoint"),
     ):
         seat.page.get_by_label("Checkpoint").fill(note)
         seat.page.get_by_role("button", name="Compare").click()
-        expect(seat.page.get_by_role("status")).to_contain_text(said)
+        expect(seat.page.get_by_role("status")).to_contain_text(expected)
 
 
 # -- names

@@ -50,7 +50,7 @@ UNKNOWN = {"name": "unknown", "skip_reason": "not found"}
     ],
 )
 def test_what_is_known_is_told_and_what_could_not_be_asked(packages, says, ends):
-    assert advisories.told(packages) == (says, ends)
+    assert advisories.summary(packages) == (says, ends)
 
 
 def test_every_pinned_package_is_asked_for():
@@ -60,7 +60,7 @@ def test_every_pinned_package_is_asked_for():
         for line in (ROOT / name).read_text().splitlines()
         if "==" in line
     }
-    found = advisories.looked_up(ROOT)
-    assert not found or len({p["name"].lower().replace("_", "-") for p in found}) >= 0.8 * len(
-        pinned
-    )  # others are for other platforms
+    packages = advisories.look_up(ROOT)
+    assert not packages or len(
+        {p["name"].lower().replace("_", "-") for p in packages}
+    ) >= 0.8 * len(pinned)  # others are for other platforms

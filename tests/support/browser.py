@@ -1,4 +1,4 @@
-"""A real browser: the Chromium that the system has, or as root on Debian gets."""
+"""A real browser: the system's Chromium, installed first where that is possible."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ QUIET = (
 
 
 def chromium() -> str:
-    """Where it is; installed first where that can be done."""
-    found = next((path for name in NAMES if (path := shutil.which(name))), None)
-    if found is None and os.geteuid() == 0 and shutil.which("apt-get"):
+    """Returns the path of Chromium. As root on a Debian system it installs a missing one."""
+    path = next(filter(None, map(shutil.which, NAMES)), None)
+    if path is None and os.geteuid() == 0 and shutil.which("apt-get"):
         for command in (
             ["apt-get", "update", "-qq"],
             ["apt-get", "install", "-y", "-qq", "--no-install-recommends", "chromium"],
         ):
             subprocess.run(command, check=False, capture_output=True, timeout=600)
-        found = next((path for name in NAMES if (path := shutil.which(name))), None)
-    return found or pytest.fail(
+        path = next(filter(None, map(shutil.which, NAMES)), None)
+    return path or pytest.fail(
         "a Chromium is needed: install it (Debian: apt-get install chromium)"
     )
 
 
 @contextmanager
 def browsing() -> Iterator[Browser]:
-    """A browser without a window."""
+    """Yields a browser without a window."""
     sandbox = ("--no-sandbox",) if os.geteuid() == 0 else ()
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium(), args=[*QUIET, *sandbox])

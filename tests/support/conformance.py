@@ -3,8 +3,8 @@
 A variant is a content (nothing, a message, ten, an attachment, a metadata record) and a set of
 features: ch chunks, mx message index, st statistics, rsh and rch repeated schemas and channels, ax
 and mdx attachment and metadata index, chx chunk index, sum summary offsets, pad bytes behind a
-record's known fields. The 72 files at hand, and more whose SHA-256 is published, show that these
-bytes are the suite's. Source: MCAP specification, "Records"; foxglove/mcap, tests/conformance
+record's known fields. Tests compare these bytes with 72 files of the suite, and with published
+SHA-256 of others. Source: MCAP specification, "Records"; foxglove/mcap, tests/conformance
 (names and contents of the variants).
 """
 
@@ -21,19 +21,13 @@ PAD = b"\x01\xff\xff"
 EXAMPLE, SCHEMALESS = (1, "example", "a", 1, {"foo": "bar"}), (1, "example", "text", 0, {})
 TIMES = (0, 2, 1, 3, 3, 5, 4, 7, 8, 9)
 IN_CHUNKS, OF_MESSAGES = ("chx", "mx"), ("pad", "rch", "rsh", "st")
-SUMMARY = {
-    "chx",
-    "rch",
-    "rsh",
-    "st",
-    "ax",
-    "mdx",
-}  # features that put something into the summary section
+# features that put something into the summary section
+SUMMARY = {"chx", "rch", "rsh", "st", "ax", "mdx"}
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A file, and what a reader must find in it: messages as channel, log time and data."""
+    """A file, and what a reader must return from it: messages as channel, log time and data."""
 
     name: str
     data: bytes
@@ -44,7 +38,7 @@ class Variant:
 
 
 def variants() -> Iterator[Variant]:
-    """All of them."""
+    """Yields every variant."""
     for name, messages, features in (
         ("NoData", 0, ("pad", "st")),
         ("OneMessage", 1, OF_MESSAGES),
@@ -61,9 +55,9 @@ def variants() -> Iterator[Variant]:
 
 def _subsets(features: tuple[str, ...]) -> list[set[str]]:
     return [
-        set(found)
+        set(subset)
         for size in range(len(features) + 1)
-        for found in itertools.combinations(features, size)
+        for subset in itertools.combinations(features, size)
     ]
 
 
@@ -187,7 +181,7 @@ def _variant(name: str, count: int, features: set[str]) -> Variant:
                 *(f for f in ("st", "sum") if f in features),
             ]
         ),
-        _ended(out, groups, pad, "sum" in features),
+        _with_summary(out, groups, pad, "sum" in features),
         messages,
         {1: "example"} if count else {},
         int(name == "OneAttachment"),
@@ -195,8 +189,10 @@ def _variant(name: str, count: int, features: set[str]) -> Variant:
     )
 
 
-def _ended(out: bytes, groups: tuple[tuple[int, bytes], ...], pad: bytes, summed: bool) -> bytes:
-    """The file with its summary section and footer."""
+def _with_summary(
+    out: bytes, groups: tuple[tuple[int, bytes], ...], pad: bytes, summed: bool
+) -> bytes:
+    """Returns the file with its summary section and footer."""
     start, summary, offsets = len(out), b"", b""
     for op, body in groups:
         if body:

@@ -1,9 +1,9 @@
-"""Run the command with a fault waiting in it: `python -m tests.support.faults serve …`.
+"""Run the command with fault injection: `python -m tests.support.faults serve …`.
 
-The fault is written to the file that FAULT_FILE names, as `<what> <n>`: at the n-th step towards
-the disk or the database from then on, the process is killed (`kill`), or that step fails (`ENOSPC`,
-`EIO`, …). Steps are every write of an upload, fsync, link, rename, put into a store, and both sides
-of every commit. Once it has struck, the file is gone.
+A fault is armed by the file that FAULT_FILE names, which holds `<what> <n>`. At the n-th step from
+then on the process is killed (`kill`), or that step fails (`ENOSPC`, `EIO`, …), and the file is
+removed. Steps are each write of an upload, fsync, link, rename, put into a store, and both sides of
+each commit.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _left: dict[str, int] = {}
 
 
 def arm(path: Path, what: str, at: int) -> None:
-    """Let a fault wait in the process that watches this file."""
-    beside = path.with_suffix(".arming")
-    beside.write_text(f"{what} {at}")
-    beside.replace(path)
+    """Arms a fault in the process that watches this file."""
+    partial = path.with_suffix(".arming")
+    partial.write_text(f"{what} {at}")
+    partial.replace(path)
 
 
-def step(name: str, failed: Callable[[str], BaseException]) -> None:
-    """One step; the fault strikes if it is its turn."""
+def step(name: str, error_of: Callable[[str], BaseException]) -> None:
+    """Counts one step, and injects the fault if this is the step that it waits for."""
     with _lock:
         try:
             what, at = FILE.read_text().split()
@@ -45,7 +45,7 @@ def step(name: str, failed: Callable[[str], BaseException]) -> None:
     print(f"fault: {what} at {name}", file=sys.stderr, flush=True)
     if what == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
-    raise failed(what)
+    raise error_of(what)
 
 
 def _os_error(what: str) -> OSError:
@@ -53,18 +53,18 @@ def _os_error(what: str) -> OSError:
     return OSError(number, os.strerror(number))
 
 
-def _wrap(owner: Any, name: str, failed: Callable[[str], BaseException] = _os_error) -> None:
+def _wrap(owner: Any, name: str, error_of: Callable[[str], BaseException] = _os_error) -> None:
     original = getattr(owner, name)
 
     def stepped(*arguments: Any, **more: Any) -> Any:
-        step(name, failed)
+        step(name, error_of)
         return original(*arguments, **more)
 
     setattr(owner, name, stepped)
 
 
 def install() -> None:
-    """Put the steps under watch."""
+    """Wraps the functions that are steps."""
     import obstore
     from sqlalchemy.engine.default import DefaultDialect
 

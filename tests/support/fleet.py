@@ -1,5 +1,5 @@
-"""A robot that wears: two builds of one machine, recorded over short and long travel, and what its
-fleet's service is told."""
+"""A robot that wears: two builds of one machine, recorded over short and long travel, and the calls
+that its service gets."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from trueup_client import Client
 
 STEP_S, SECONDS, SIGMA = 0.02, 12.0, (0.003, 0.005)
 K, C, B, FRICTION, CUBIC = 2.0, 0.4, 1.0, 0.06, 2.5
-WORN = 1.8  # times the friction of the build before
-TRAVEL = {"short": 0.5, "long": 1.0}  # of the command's limit
+WORN = 1.8  # ratio of the second build's friction to the first's
+TRAVEL = {"short": 0.5, "long": 1.0}  # share of the command's limit
 PATIENCE_S = 120.0
 GATE = {
     "schema": "trueup.gate/1",
@@ -38,6 +38,7 @@ GATE = {
 
 
 def plant_document(name: str) -> dict:
+    """Returns the plant.json of the robot."""
     return {
         "name": name,
         "nominal": {
@@ -52,8 +53,7 @@ def plant_document(name: str) -> dict:
 
 
 class Fleet:
-    """One plant of a service, and the machine behind it. Episodes are recorded one after
-    another."""
+    """One plant of a service, and the simulated machine that its episodes come from."""
 
     def __init__(self, client: Client, name: str, folder: Path, *rules: dict) -> None:
         self.client, self.name, self.folder = client, name, folder
@@ -62,21 +62,23 @@ class Fleet:
         self.layout = Plant.from_document(plant_document(name)).layout
 
     def machine(self) -> Machine:
-        made = Machine("oscillator", K, C, B, 1.0)
-        return made.having("coulomb_friction", {"level": self.friction}).having(
-            "cubic_stiffness", {"coefficient": CUBIC}
+        """Returns the machine with its present friction."""
+        return (
+            Machine("oscillator", K, C, B, 1.0)
+            .having("coulomb_friction", {"level": self.friction})
+            .having("cubic_stiffness", {"coefficient": CUBIC})
         )
 
     def record(self, role: Role, travel: str, size: float = 1.0) -> dict:
-        """Run the machine, and upload what was recorded."""
+        """Records an episode of the machine, and uploads it."""
         self.recorded += 1
         rng = np.random.default_rng(self.recorded)
         shape = SHAPES[self.recorded % len(SHAPES)]
         series = size * TRAVEL[travel] * planned(shape, round(SECONDS / STEP_S) + 51, STEP_S, rng)
-        found = run(self.machine(), series, STEP_S, 20, SIGMA, rng, warm_up=50)
+        recording = run(self.machine(), series, STEP_S, 20, SIGMA, rng, warm_up=50)
         path = self.folder / f"{self.name}-{self.recorded}.mcap"
-        stamps = T0_NS + self.recorded * 10**11 + np.rint(found.t_s * 1e9).astype(np.int64)
-        columns = {"observations": found.observed, "commands": found.issued[:, None]}
+        stamps = T0_NS + self.recorded * 10**11 + np.rint(recording.t_s * 1e9).astype(np.int64)
+        columns = {"observations": recording.observed, "commands": recording.issued[:, None]}
         with path.open("wb") as file:
             conditions = {"stage": "SIL", "travel": travel}
             write_episode(
@@ -90,13 +92,13 @@ class Fleet:
         return self.client.upload_episode(self.name, path)
 
     def visit(self, *roles: Role) -> None:
-        """An episode of each role over each travel."""
+        """Records an episode of each role over each travel."""
         for role in roles:
             for travel in TRAVEL:
                 self.record(role, travel)
 
     def commission(self) -> None:
-        """Register, diagnose the first build, and promote what passes."""
+        """Registers the plant, diagnoses the first build, and promotes its model."""
         self.client.register_plant(plant_document(self.name))
         self.visit(Role.ADAPTATION, Role.ADAPTATION, Role.VALIDATION)
         self.gate = self.client.declare_gate(self.name, self._gate)["digest"]
@@ -106,7 +108,7 @@ class Fleet:
         self.promote(diagnosed["artifact"])
 
     def judge(self, candidate: str) -> dict:
-        """What the gate decides of a candidate."""
+        """Returns the gate's decision on a candidate."""
         job = self.client.wait(
             self.client.submit(
                 self.name, {"kind": "gate", "candidate": candidate, "gate": self.gate}
@@ -115,20 +117,21 @@ class Fleet:
         return self.client.decision(self.name, job["result"]["decision"])
 
     def promote(self, candidate: str) -> None:
+        """Judges a candidate, which must be accepted, and promotes it."""
         decision = self.judge(candidate)
         assert decision["accepted"], decision["document"]["verdicts"]
         self.client.promote(self.name, decision["digest"], decision["generation"])
 
     def watch(self, episodes: int, promise_h: float) -> None:
-        """Record healthy operation, and calibrate a monitor on it."""
+        """Records healthy operation, and calibrates a monitor on it."""
         for _ in range(episodes // 2):
             self.visit(Role.REFERENCE)
         self.client.wait(
             self.client.submit(self.name, {"kind": "calibrate", "promise_h": promise_h})["id"]
         )
 
-    def let_go(self, **choices: object) -> None:
-        """Declare what may happen without a person: everything, if nothing else is said."""
+    def automate(self, **choices: object) -> None:
+        """Declares a policy under which every step happens without a person."""
         policy = {
             "schema": "trueup.policy/1",
             "gate": self.gate,
@@ -138,15 +141,17 @@ class Fleet:
         self.client.declare_policy(self.name, policy)
 
     def until(self, holds: object, what: str) -> None:
-        """Wait for something that happens by itself."""
+        """Waits until `holds()` is true. Fails with `what` after PATIENCE_S."""
         end = time.monotonic() + PATIENCE_S
         while not holds():  # type: ignore[operator]
             assert time.monotonic() < end, f"{what}: {self.client.monitor(self.name)}"
             time.sleep(0.1)
 
-    def forgetful(self) -> str:
-        """A candidate that has what wore, and has lost what only long travel shows: added as a
-        version, its digest."""
+    def add_forgetting_candidate(self) -> str:
+        """Adds a candidate with the worn friction, but without the stiffness of long travel.
+
+        Returns its digest.
+        """
         serving = self.client.serving(self.name).artifact
         model = load(
             self.client.fetch(self.name, serving, self.folder / "served"), serving

@@ -1,8 +1,7 @@
-"""Processes of the service without the seconds that each takes to load what it imports: forked from
-one that has loaded it.
+"""Processes of the service that start quickly: forked from one that has loaded the imports.
 
-Each is a process of its own with its own environment, that runs a module as `python -m` does, and
-dies as processes die; but no `atexit` handler runs in it.
+Each process has its own environment, runs a module as `python -m` does, and can be killed. Its
+`atexit` handlers do not run.
 """
 
 from __future__ import annotations
@@ -21,9 +20,8 @@ from multiprocessing.reduction import DupFd
 from pathlib import Path
 from typing import Any
 
-# what the command imports; not its own modules, which look at the environment and the terminal as
-# they are loaded
-LOADED = [
+# what the command imports, without its own modules, which read the environment when they are loaded
+PRELOADED = [
     "cyclopts", "dbos", "fastapi", "numba", "obstore", "psycopg", "rich.console", "rich.progress",
     "rich.table", "uvicorn", "uvloop",
     "trueup.gate.recompute", "trueup_client", "trueup_service.http.app",
@@ -31,11 +29,11 @@ LOADED = [
     "trueup_service.logs", "trueup_worker.main",
 ]  # fmt: skip
 _context = multiprocessing.get_context("forkserver")
-_context.set_forkserver_preload(LOADED)
+_context.set_forkserver_preload(PRELOADED)
 
 
 class Forked:
-    """A child, with what `subprocess.Popen` has that tests use."""
+    """A child process, with the methods of `subprocess.Popen` that tests use."""
 
     def __init__(
         self,
@@ -45,7 +43,7 @@ class Forked:
         cwd: Path,
         outputs: Sequence[int] = (1, 2),
     ) -> None:
-        """`outputs` are the descriptors of what is its standard output and standard error."""
+        """`outputs` are the descriptors for its standard output and standard error."""
         passed = [_Descriptor(number) for number in outputs]
         self._process = _context.Process(
             target=_run, args=(module, list(arguments), dict(environment), cwd, passed)
@@ -55,33 +53,39 @@ class Forked:
 
     @property
     def returncode(self) -> int | None:
+        """The exit code; None while the process runs."""
         return self._process.exitcode
 
     def poll(self) -> int | None:
+        """Returns the exit code; None while the process runs."""
         return self.returncode
 
     def wait(self, timeout: float | None = None) -> int:
+        """Waits for the end, and returns the exit code. Raises TimeoutExpired."""
         self._process.join(timeout)
         if self.returncode is None:
             raise subprocess.TimeoutExpired(str(self.pid), timeout or 0.0)
         return self.returncode
 
     def send_signal(self, number: int) -> None:
+        """Sends a signal, if the process still runs."""
         if self.returncode is None:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.pid, number)
 
     def terminate(self) -> None:
+        """Sends SIGTERM."""
         self.send_signal(signal.SIGTERM)
 
     def kill(self) -> None:
+        """Sends SIGKILL."""
         self.send_signal(signal.SIGKILL)
 
 
 def run(
     module: str, arguments: Sequence[str], environment: Mapping[str, str], cwd: Path
 ) -> subprocess.CompletedProcess:
-    """What `subprocess.run` gives, its output captured as text."""
+    """Runs a module to its end, with its output captured as text."""
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         code = Forked(module, arguments, environment, cwd, [out.fileno(), err.fileno()]).wait()
         for file in (out, err):
@@ -90,17 +94,17 @@ def run(
 
 
 class _Descriptor:
-    """A file that is handed to a child."""
+    """A file descriptor that is passed to a child."""
 
     def __init__(self, number: int) -> None:
         self._number = number
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _taken, (DupFd(self._number),)
+        return _detached, (DupFd(self._number),)
 
 
-def _taken(handed: Any) -> int:
-    return handed.detach()
+def _detached(descriptor: Any) -> int:
+    return descriptor.detach()
 
 
 def _run(
@@ -117,6 +121,6 @@ def _run(
     os.environ.update(environment)
     os.chdir(cwd)
     sys.argv = [module, *arguments]
-    if "PYTHONWARNINGS" in environment:  # heard by an interpreter as it starts
+    if "PYTHONWARNINGS" in environment:  # which an interpreter reads only at its start
         warnings.simplefilter(environment["PYTHONWARNINGS"])  # type: ignore[arg-type]
     runpy.run_module(module, run_name="__main__", alter_sys=True)

@@ -1,5 +1,4 @@
-"""Gates that tests declare on purpose, and that a service takes only because they say what they
-are."""
+"""A gate that accepts any candidate. A service takes it only because it declares itself vacuous."""
 
 from typing import Any
 
@@ -14,9 +13,8 @@ LENIENT: dict[str, Any] = {
 }
 
 
-def in_force(client: Client, plant: str, **other: Any) -> dict[str, Any]:
-    """The lenient gate, with other fields if there are any, declared in the place of the one in
-    force unless it is that one."""
+def declare_lenient(client: Client, plant: str, **other: Any) -> dict[str, Any]:
+    """Declares the lenient gate, with `other` fields, unless it is in force already. Returns it."""
     document = LENIENT | other
     try:
         before = client.gate_in_force(plant)

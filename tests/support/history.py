@@ -1,5 +1,7 @@
-"""What a service acknowledged, held against what it has in the end: nothing lost, nothing torn,
-nothing done twice, every job ended."""
+"""What a service acknowledged, compared with what it has in the end.
+
+Nothing may be lost, torn or done twice, and every job must have ended.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from trueup_service.registry.records import FINAL
 from trueup_service.registry.transaction import ReadTransaction
 from trueup_service.wiring import Parts
 
-ONCE = (
+KINDS_ONCE = (
     "episode:ingested",
     "artifact:added",
     "gate:declared",
@@ -26,8 +28,10 @@ ONCE = (
 
 @dataclass
 class History:
-    """Acknowledged episodes and gates by plant and digest, jobs by id, moves by plant, generation
-    and artifact."""
+    """What a service acknowledged.
+
+    Episodes and gates are (plant, digest), jobs are ids, moves are (plant, generation, artifact).
+    """
 
     episodes: set[tuple[str, str]] = field(default_factory=set)
     gates: set[tuple[str, str]] = field(default_factory=set)
@@ -36,6 +40,7 @@ class History:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def note(self, kind: str, what: object) -> None:
+        """Adds an acknowledged item of one kind, from any thread."""
         with self.lock:
             getattr(self, kind).add(what)
 
@@ -44,28 +49,28 @@ class History:
 
 
 def problems(history: History, parts: Parts) -> list[str]:
-    """What is lost, torn, doubled or never ended."""
-    found = [
+    """Returns what is lost, torn, doubled or never ended."""
+    wrong = [
         f"torn: {f.where}: {f.what}"
         for f in verify(Installation(parts.database, parts.blobs)).findings
     ]
-    found += [f"lost: {f.where}: {f.what}" for f in lost_jobs(parts)]
+    wrong += [f"lost: {f.where}: {f.what}" for f in lost_jobs(parts)]
     with parts.database.read() as connection:
         tx = ReadTransaction(connection)
-        found += [f"lost: episode {e}" for e in history.episodes if tx.episodes.get(*e) is None]
-        found += [f"lost: gate {g}" for g in history.gates if tx.gates.get(*g) is None]
+        wrong += [f"lost: episode {e}" for e in history.episodes if tx.episodes.get(*e) is None]
+        wrong += [f"lost: gate {g}" for g in history.gates if tx.gates.get(*g) is None]
         for job in history.jobs:
             record = tx.jobs.get(job)
             if record is None or record.state not in FINAL:
-                found.append(f"lost: job {job} is {record and record.state}")
+                wrong.append(f"lost: job {job} is {record and record.state}")
         for plant, generation, artifact in history.moves:
             move = tx.serving.at_generation(plant, generation)
             if move is None or move.artifact != artifact:
-                found.append(f"lost: move {generation} of {plant}")
+                wrong.append(f"lost: move {generation} of {plant}")
         entries = tx.log.entries(0, 10**9)
-    counted = Counter((e.kind, e.plant, e.subject) for e in entries if e.kind in ONCE)
-    found += [f"doubled: {key}" for key, times in counted.items() if times > 1]
+    counted = Counter((e.kind, e.plant, e.subject) for e in entries if e.kind in KINDS_ONCE)
+    wrong += [f"doubled: {key}" for key, times in counted.items() if times > 1]
     generations = Counter(
         (e.plant, e.facts["generation"]) for e in entries if e.kind == "pointer:moved"
     )
-    return found + [f"doubled: generation {key}" for key, times in generations.items() if times > 1]
+    return wrong + [f"doubled: generation {key}" for key, times in generations.items() if times > 1]

@@ -1,5 +1,4 @@
-"""A service as an attacker would run it: a real one's answers, with what terminals obey in every
-text of them."""
+"""A hostile service: a real one's answers, with terminal control sequences in every text."""
 
 from __future__ import annotations
 
@@ -12,39 +11,27 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 EVIL = "\x1b[2J[red]x[/]\x9b31m\x1b]0;owned\x07\r\x7f\u202e\u2028\u2066\ttab\nnext"
-OBEYED = set(
-    map(
-        chr,
-        [
-            *range(32),
-            *range(127, 160),
-            0x2028,
-            0x2029,
-            *range(0x202A, 0x202F),
-            *range(0x2066, 0x206A),
-        ],
-    )
-) - {"\n", "\t"}
+CONTROL_CODES = (*range(32), *range(127, 160), *range(0x2028, 0x202F), *range(0x2066, 0x206A))
+CONTROLS = set(map(chr, CONTROL_CODES)) - {"\n", "\t"}  # which a terminal obeys
 
 
 def spoiled(value: Any) -> Any:
-    """JSON with every text in it begun by what terminals obey."""
+    """Returns JSON with control sequences before every text in it."""
     if isinstance(value, str):
         return EVIL + value
     if isinstance(value, list):
         return [spoiled(x) for x in value]
     if isinstance(value, dict):
-        return {
-            key: x if key == "next" else spoiled(x) for key, x in value.items()
-        }  # a list of many pages has to end
+        # but not before a cursor: a list of many pages has to end
+        return {key: x if key == "next" else spoiled(x) for key, x in value.items()}
     return value
 
 
 @contextmanager
 def hostile(port: int) -> Iterator[str]:
-    """The address of a server that asks the one on this port, and answers with its JSON spoiled."""
+    """Yields the address of a proxy to the server on this port, which spoils its JSON."""
 
-    class Asked(BaseHTTPRequestHandler):
+    class SpoilingHandler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
 
         def do_GET(self) -> None:
@@ -56,13 +43,13 @@ def hostile(port: int) -> Iterator[str]:
                 body,
                 {k: v for k, v in self.headers.items() if k.lower() != "host"},
             )
-            answer = connection.getresponse()
-            content = answer.read()
+            response = connection.getresponse()
+            content = response.read()
             connection.close()
-            if "json" in answer.headers.get("Content-Type", ""):
+            if "json" in response.headers.get("Content-Type", ""):
                 content = json.dumps(spoiled(json.loads(content))).encode()
-            self.send_response(answer.status)
-            self.send_header("Content-Type", answer.headers.get("Content-Type", ""))
+            self.send_response(response.status)
+            self.send_header("Content-Type", response.headers.get("Content-Type", ""))
             self.send_header("Content-Length", str(len(content)))
             self.end_headers()
             self.wfile.write(content)
@@ -72,7 +59,7 @@ def hostile(port: int) -> Iterator[str]:
         def log_message(self, *_: Any) -> None:
             return
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Asked) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), SpoilingHandler) as server:
         serving = threading.Thread(target=server.serve_forever, args=(0.05,))
         serving.start()
         try:

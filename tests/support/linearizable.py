@@ -1,9 +1,8 @@
-"""Two servers on one database, read and moved by many at once: is the pointer one register, and
-does the log explain every read?
+"""A check that the serving pointer of several servers is linearizable, as one register.
 
-Each move takes a generation of its own, so a history is linearizable exactly if no operation that
+Each move takes a generation of its own. So a history is linearizable exactly if no operation that
 began after another had ended shows an earlier generation, every generation shows one artifact, and
-each acknowledged move has its generation alone.
+no two acknowledged moves have the same generation.
 """
 
 from __future__ import annotations
@@ -27,8 +26,10 @@ from trueup_service.wiring import Parts
 
 @dataclass(frozen=True)
 class Operation:
-    """What was asked of which server, when it began and ended [s], and the position that it showed;
-    None where it was refused."""
+    """One operation: when it began and ended [s], and the position that it showed.
+
+    The position is None if the operation was refused.
+    """
 
     kind: str
     began: float
@@ -37,12 +38,15 @@ class Operation:
     artifact: str | None
 
 
-Decisions = Mapping["tuple[int, str]", str]  # generation and incumbent to an accepted decision
+# from generation and incumbent to an accepted decision
+Decisions = Mapping["tuple[int, str]", str]
 
 
 def prepare(parts: Parts, client: Client, plant: str, folder: Path, generations: int) -> Decisions:
-    """A plant with two versions, and for each generation that its pointer may reach a decision from
-    either to the other."""
+    """Registers a plant with two versions, and records decisions between them.
+
+    For each generation that the pointer may reach there is a decision from either to the other.
+    """
     client.register_plant(plant_document(plant))
     client.upload_episode(
         plant, save(folder, f"{plant}.mcap", episode_bytes(9, 60, role=Role.VALIDATION))
@@ -51,7 +55,7 @@ def prepare(parts: Parts, client: Client, plant: str, folder: Path, generations:
     client.add_artifact(plant, candidate.manifest)
     gate, episode = client.declare_gate(plant)["digest"], next(client.episodes(plant))["digest"]
     versions = [a["digest"] for a in client.artifacts(plant)]
-    made = {}
+    recorded = {}
     with writing(parts.database) as tx:
         for generation in range(1, generations + 1):
             for incumbent, other in (versions, versions[::-1]):
@@ -63,10 +67,10 @@ def prepare(parts: Parts, client: Client, plant: str, folder: Path, generations:
                 }
                 document |= {"accepted": True, "episodes": [episode], "figures": {}, "verdicts": []}
                 context = ActorContext("bench", "2026-01-01T00:00:00.000000Z")
-                made[generation, incumbent] = record_decision(
+                recorded[generation, incumbent] = record_decision(
                     tx, plant, document, None, context
                 ).digest
-    return made
+    return recorded
 
 
 def run(
@@ -78,15 +82,17 @@ def run(
     operations: int,
     seed: int,
 ) -> list[Operation]:
-    """Everybody reads, rolls back and promotes what may be promoted, at any server, all at once."""
-    found: list[Operation] = []
-    gate = threading.Barrier(threads)
+    """Reads, rolls back and promotes in many threads, at random servers. Returns the operations."""
+    history: list[Operation] = []
+    start = threading.Barrier(threads)
 
     def use(n: int) -> None:
         rng = random.Random(seed * 1000 + n)
         clients = [Client(url, token=token) for url in urls]
-        gate.wait()
-        found.extend(_one(rng.choice(clients), plant, decisions, rng) for _ in range(operations))
+        start.wait()
+        history.extend(
+            _operate(rng.choice(clients), plant, decisions, rng) for _ in range(operations)
+        )
         for client in clients:
             client.close()
 
@@ -95,10 +101,10 @@ def run(
         user.start()
     for user in users:
         user.join()
-    return found
+    return history
 
 
-def _one(client: Client, plant: str, decisions: Decisions, rng: random.Random) -> Operation:
+def _operate(client: Client, plant: str, decisions: Decisions, rng: random.Random) -> Operation:
     kind = rng.choices(("read", "promote", "rollback"), (0.6, 0.2, 0.2))[0]
     began = time.monotonic()
     try:
@@ -121,17 +127,17 @@ def _act(client: Client, plant: str, decisions: Decisions, kind: str) -> Serving
     )
 
 
-def violations(operations: Sequence[Operation], told: Sequence[Serving]) -> list[str]:
-    """What no single register could have shown; `told` are the positions that the log tells of."""
-    by_generation = {s.generation: s.artifact for s in told}
+def violations(operations: Sequence[Operation], logged: Sequence[Serving]) -> list[str]:
+    """Returns what no single register could have shown, given the positions in the log."""
+    by_generation = {s.generation: s.artifact for s in logged}
     shown = [o for o in operations if o.generation is not None]
-    found = [
+    wrong = [
         f"generation {o.generation} was shown as {o.artifact}"
         for o in shown
         if by_generation.get(o.generation or 0) != o.artifact
     ]
     moves = [o.generation for o in shown if o.kind != "read"]
-    found += [f"generation {g} was taken twice" for g in set(moves) if moves.count(g) > 1]
+    wrong += [f"generation {g} was taken twice" for g in set(moves) if moves.count(g) > 1]
     latest, ended = 0, sorted(shown, key=lambda o: o.ended)
     index = 0
     for operation in sorted(shown, key=lambda o: o.began):
@@ -140,8 +146,8 @@ def violations(operations: Sequence[Operation], told: Sequence[Serving]) -> list
             index += 1
         least = latest + (operation.kind != "read")
         if (operation.generation or 0) < least:
-            found.append(
+            wrong.append(
                 f"a {operation.kind} showed generation {operation.generation} after {latest} "
                 "had been shown"
             )
-    return found
+    return wrong

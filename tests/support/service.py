@@ -1,4 +1,4 @@
-"""A service as its users run it: processes, killed as processes are."""
+"""A service as its users run it: processes of servers and workers, which can be killed."""
 
 from __future__ import annotations
 
@@ -19,14 +19,13 @@ ROOT = Path(__file__).parent.parent.parent
 
 
 def free_port() -> int:
-    """A port that nobody listens on."""
+    """Returns a port that nobody listens on."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         return int(free.getsockname()[1])
 
 
 class Service:
-    """A server and workers on one storage, with `settings` by their name, as in
-    `long_poll_limit_s=1`."""
+    """A server and workers on one storage, with settings such as `long_poll_limit_s=1`."""
 
     def __init__(self, storage: Storage, **settings: object) -> None:
         self.storage = storage
@@ -36,11 +35,12 @@ class Service:
 
     @property
     def url(self) -> str:
+        """The server's address."""
         return f"http://127.0.0.1:{self.port}"
 
     @contextmanager
     def running(self, worker: bool = True, kept: bool = False) -> Iterator[Service]:
-        """A server and a worker; `kept` if the server starts it, and again when it dies."""
+        """Runs a server and a worker. If `kept`, the server starts the worker, and restarts it."""
         try:
             self.start_server(worker, kept=kept)
             yield self
@@ -50,6 +50,7 @@ class Service:
     def start_server(
         self, worker: bool = False, module: str = "trueup_cli.main", *, kept: bool = False
     ) -> Forked:
+        """Starts a server and waits until it listens; with `kept` it has a worker of its own."""
         child = self._start(
             module, "serve", "--port", str(self.port), *([] if kept else ["--no-worker"])
         )
@@ -59,10 +60,11 @@ class Service:
         return child
 
     def start_worker(self, module: str = "trueup_cli.main") -> Forked:
+        """Starts a worker."""
         return self._start(module, "work")
 
     def stop(self, children: Sequence[Forked] | None = None) -> None:
-        """Stop all that runs, or some of it."""
+        """Stops all processes, or some of them."""
         stopped = list(self._children if children is None else children)
         for child in stopped:
             child.terminate()
@@ -83,13 +85,13 @@ class Service:
 
 
 def kill(child: Forked) -> None:
-    """As the kernel would."""
+    """Kills a process with SIGKILL, and waits for its end."""
     child.send_signal(signal.SIGKILL)
     child.wait()
 
 
 def command(service: Service, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
-    """Run the `trueup` command against a service."""
+    """Runs the `trueup` command against a service."""
     environment = {
         **os.environ,
         "TRUEUP_URL": service.url,

@@ -1,4 +1,4 @@
-"""Machines of the second simulator as plants and episodes."""
+"""Machines of the second simulator, as plants and episodes."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from trueup.simulate.trial import JointBench, SimulatedTrial, draw, draw_bench
 
 
 def plant_of(bench: JointBench, *, velocity: bool = True) -> Plant:
+    """Returns the plant of a bench, with or without the velocity among its observations."""
     parameters = {"k": bench.k, "c": bench.c, "b": bench.b}
     if bench.kind == "inertia":
         del parameters["k"]
@@ -37,7 +38,7 @@ def plant_of(bench: JointBench, *, velocity: bool = True) -> Plant:
 
 
 def episodes_of(plant: Plant, trial: SimulatedTrial, runs: int | None = None) -> list[Episode]:
-    """The first runs of each role, or all."""
+    """Returns a trial's episodes: the first `runs` of each role, or all."""
     roles = Role.ADAPTATION, Role.VALIDATION
     return [
         episode_of(plant, run, role, f"{role}-{i}")
@@ -47,11 +48,12 @@ def episodes_of(plant: Plant, trial: SimulatedTrial, runs: int | None = None) ->
 
 
 def episode_of(plant: Plant, run: Run, role: Role, digest: str) -> Episode:
-    seen = run.observed[:, : len(plant.layout.observations)].copy()
+    """Returns one run of a machine as an episode."""
+    observed = run.observed[:, : len(plant.layout.observations)].copy()
     return Episode(
         run.t_s.copy(),
         run.issued[:, None].copy(),
-        seen,
+        observed,
         plant.layout,
         role,
         {"stage": "SIL"},
@@ -70,6 +72,10 @@ def recorded(
     law: NoiseModel = WHITE,
     runs: int | None = None,
 ) -> tuple[Plant, list[Episode], SimulatedTrial]:
+    """Draws a machine of a tier with these effects, and records it.
+
+    Returns its plant, its episodes, and the trial that holds the truth.
+    """
     rng = np.random.default_rng(seed)
     bench = replace(draw_bench(tier, rng), law=law)
     trial = draw(bench, names, shifted, rng)

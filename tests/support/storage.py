@@ -16,12 +16,13 @@ SIGNING_KEY = Signer("trueup-tests", bytes(32)).text  # one for all servers of a
 
 @dataclass(frozen=True)
 class Storage:
-    """Where a service keeps things."""
+    """A storage, by the environment variables that configure a service for it."""
 
     name: str
     environment: dict[str, str]
 
     def settings(self) -> Settings:
+        """Returns the settings of a service on this storage."""
         return Settings(
             **{
                 key.removeprefix("TRUEUP_").lower(): value
@@ -30,10 +31,12 @@ class Storage:
         )
 
     def build(self) -> Parts:
+        """Opens the storage as the service does."""
         return build(self.settings())
 
 
 def embedded(folder: Path) -> Storage:
+    """Returns SQLite and a folder."""
     return Storage(
         "embedded",
         {
@@ -45,6 +48,7 @@ def embedded(folder: Path) -> Storage:
 
 
 def scaled(folder: Path, postgres: Postgres, s3: S3) -> Storage:
+    """Returns a new database of PostgreSQL and a new bucket of an S3 store."""
     more = {
         "TRUEUP_DATABASE_URL": postgres.new_database(),
         "TRUEUP_S3_BUCKET": s3.new_bucket(),

@@ -1,5 +1,4 @@
-"""Flip one byte of what an installation keeps: of a row of the registry or the log, or of a
-blob."""
+"""Change one stored value: in a row of the registry or the log, or in a blob."""
 
 from __future__ import annotations
 
@@ -26,15 +25,17 @@ TAMPERED = [metadata.tables[name] for name in (*KEYS, "audit", "audit_tree", "au
 
 @dataclass(frozen=True)
 class Flip:
-    """A flip, and how to undo it."""
+    """Where a value was changed, and how to undo it."""
 
     where: str
     undo: Callable[[], None]
 
 
 def promoted(client: Client, folder: Path) -> tuple[str, str]:
-    """A plant `p` whose fitted candidate was judged and promoted; the candidate and the
-    decision."""
+    """Registers a plant `p`, and fits, judges and promotes a candidate.
+
+    Returns the digests of the candidate and of the decision.
+    """
     client.register_plant(plant_document("p"))
     for seed, role in ((0, Role.ADAPTATION), (1, Role.VALIDATION)):
         client.upload_episode("p", save(folder, f"{seed}.mcap", episode_bytes(seed, role=role)))
@@ -50,7 +51,7 @@ def promoted(client: Client, folder: Path) -> tuple[str, str]:
 
 
 def cut(parts: Parts, entries: Sequence[AuditEntry], size: int) -> None:
-    """Cut the log to a size, entries, tree and head alike, so that what is left is a sound log."""
+    """Cuts the entries, the tree and the head of the log to a size, which leaves a sound log."""
     with parts.database.write() as connection:
         connection.execute(text("DELETE FROM audit WHERE sequence > :n"), {"n": size})
         connection.execute(
@@ -66,15 +67,15 @@ def cut(parts: Parts, entries: Sequence[AuditEntry], size: int) -> None:
 
 
 def flip(parts: Parts, rng: random.Random) -> Flip:
-    """Flip a byte that is drawn from all that is kept, blobs as likely as tables."""
+    """Changes one value at random: of a blob with probability 0.3, else of a row."""
     return _flip_blob(parts, rng) if rng.random() < 0.3 else _flip_row(parts, rng)
 
 
 def _flip_blob(parts: Parts, rng: random.Random) -> Flip:
     path = rng.choice(sorted((parts.settings.data_dir / "blobs").glob("??/*")))
-    kept = path.read_bytes()
-    path.write_bytes(_flipped(kept, rng))
-    return Flip(f"blob {path.name}", lambda: path.write_bytes(kept) and None)
+    original = path.read_bytes()
+    path.write_bytes(_flipped(original, rng))
+    return Flip(f"blob {path.name}", lambda: path.write_bytes(original) and None)
 
 
 def _flip_row(parts: Parts, rng: random.Random) -> Flip:
@@ -114,17 +115,17 @@ def _flipped(data: bytes, rng: random.Random) -> bytes:
 
 
 def _write(parts: Parts, table: Any, row: Any, column: Any, changed: Any) -> Flip:
-    """Beside the service's own connections, which would refuse what breaks a reference."""
+    """Writes past the service's own connections, which would refuse to break a reference."""
 
     def put(key: dict[str, Any], value: Any) -> None:
-        kept = sqlite3.connect(parts.settings.data_dir / "trueup.sqlite")
+        database = sqlite3.connect(parts.settings.data_dir / "trueup.sqlite")
         where = " AND ".join(f'"{name}" = ?' for name in key)
-        done = kept.execute(
+        done = database.execute(
             f'UPDATE "{table.name}" SET "{column.name}" = ? WHERE {where}', (value, *key.values())
         )
         assert done.rowcount == 1
-        kept.commit()
-        kept.close()
+        database.commit()
+        database.close()
 
     key = {c.name: row[c.name] for c in table.primary_key.columns}
     put(key, changed)

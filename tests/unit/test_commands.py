@@ -13,7 +13,7 @@ from cyclopts import App
 
 from tests.support.service import ROOT
 from trueup_cli import exits, main, show
-from trueup_cli.complaints import complain
+from trueup_cli.error_output import print_error
 from trueup_client.problem import DigestMismatch, NotSigned, Problem, Unreachable
 
 FOR_PEOPLE = {
@@ -29,15 +29,15 @@ def functions():
     """Every command's name, function and exit codes."""
     for name, (where, _, codes) in main._COMMANDS.items():
         module, attribute = where.split(":")
-        found = getattr(import_module(f"trueup_cli.{module}"), attribute)
-        if not isinstance(found, App):
-            yield name, found, codes
+        command = getattr(import_module(f"trueup_cli.{module}"), attribute)
+        if not isinstance(command, App):
+            yield name, command, codes
             continue
-        for sub in found:
+        for sub in command:
             if not sub.startswith("-"):
-                yield f"{name} {sub}", found[sub].default_command, codes
-        if found.default_command:
-            yield name, found.default_command, codes
+                yield f"{name} {sub}", command[sub].default_command, codes
+        if command.default_command:
+            yield name, command.default_command, codes
 
 
 ALL = list(functions())
@@ -51,11 +51,13 @@ def test_a_command_says_what_it_takes_prints_json_and_names_its_exit_codes(name,
 
 
 def test_every_argument_is_explained():
-    said = re.findall(
+    explained = re.findall(
         r"^\* `(.+?)`:(.*)$", (ROOT / "docs" / "commands.md").read_text(), flags=re.MULTILINE
     )
-    assert len(said) > 100
-    assert [name for name, text in said if not re.sub(r"\*+\[.*?\]\*+", "", text).strip()] == []
+    assert len(explained) > 100
+    assert [
+        name for name, text in explained if not re.sub(r"\*+\[.*?\]\*+", "", text).strip()
+    ] == []
 
 
 def run(*arguments, **environment):
@@ -77,8 +79,12 @@ def test_exit_codes_are_what_they_are_told_to_be(tmp_path):
         "predict", "--model", str(tmp_path), "--episode", "x", "--horizon", "1", "--out", "y"
     )
     assert (refused.returncode, refused.stderr.split()[0]) == (exits.REFUSED, "bad-artifact")
-    assert complain(DigestMismatch("x")) == complain(NotSigned("x")) == exits.DISAGREES
-    assert (complain(Unreachable("x")), complain(Problem(409, {})), complain(ValueError("x"))) == (
+    assert print_error(DigestMismatch("x")) == print_error(NotSigned("x")) == exits.DISAGREES
+    assert (
+        print_error(Unreachable("x")),
+        print_error(Problem(409, {})),
+        print_error(ValueError("x")),
+    ) == (
         exits.UNREACHABLE,
         exits.REFUSED,
         None,
@@ -111,7 +117,7 @@ def test_an_answer_is_printed_with_its_warnings_and_names_as_they_are(capsys):
     rival = [{"effect": "backlash", "joint": "[bold]"}]
     episodes = [{"sha256": "0" * 64, "role": "adaptation", "period_s": 0.0053}]
     evidence = {"timestep_s": 0.005, "episodes": episodes}
-    show.answer(
+    show.show_diagnosis(
         {
             "verdict": "unknown_effect",
             "gap": gap,
@@ -127,8 +133,8 @@ def test_an_answer_is_printed_with_its_warnings_and_names_as_they_are(capsys):
 
 
 def test_doctor_prints_json():
-    found = json.loads(run("doctor", "--json").stdout)
-    assert {"python", "numba", "onnx"} <= {f["part"] for f in found}
+    parts = json.loads(run("doctor", "--json").stdout)
+    assert {"python", "numba", "onnx"} <= {f["part"] for f in parts}
 
 
 def test_shells_complete_commands_and_options_and_plants(tmp_path):
@@ -136,12 +142,15 @@ def test_shells_complete_commands_and_options_and_plants(tmp_path):
         assert "diagnose" in run("completion", shell).stdout
     script = run("completion", "bash").stdout
     (tmp_path / "c.sh").write_text(script)
-    said = (
+    script_line = (
         'source "$1"; COMP_WORDS=(trueup fetch --a); COMP_CWORD=2; _trueup; echo "${COMPREPLY[@]}"'
     )
     assert (
         subprocess.run(
-            ["bash", "-c", said, "_", tmp_path / "c.sh"], capture_output=True, text=True, check=True
+            ["bash", "-c", script_line, "_", tmp_path / "c.sh"],
+            capture_output=True,
+            text=True,
+            check=True,
         ).stdout
         == "--artifact\n"
     )

@@ -24,8 +24,8 @@ def test_one_joint_becomes_onnx_and_mjcf(tmp_path, capsys):
         tmp_path / "m",
     )
     convert(tmp_path / "m", tmp_path / "m.onnx", as_json_=True)
-    told = json.loads(capsys.readouterr().out)
-    assert told == {"file": str(tmp_path / "m.onnx"), "artifact": digest, "not_expressed": []}
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == {"file": str(tmp_path / "m.onnx"), "artifact": digest, "not_expressed": []}
     assert {p.value for p in onnx.load(tmp_path / "m.onnx").metadata_props} > {digest}
     convert(tmp_path / "m", tmp_path / "m.xml")
     assert "not expressed: backlash at joint: give the actuator" in capsys.readouterr().out

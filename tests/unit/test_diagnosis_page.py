@@ -63,31 +63,31 @@ def test_what_cannot_be_told_from_the_answer_is_above_the_line():
         row(2.0, "coulomb_friction", answer=True),
         row(50.0),
     ]
-    found = ranking(report(*rows))
-    assert [r["name"] for r in found] == [
+    ranked = ranking(report(*rows))
+    assert [r["name"] for r in ranked] == [
         "Coulomb friction",
         "Stribeck friction",
         "backlash",
         "fitted parameters alone",
     ]
-    assert [r["divide"] for r in found] == ["", "", INSEPARABLE, ""]
-    assert found[0]["said"] == "the answer"
+    assert [r["divide"] for r in ranked] == ["", "", INSEPARABLE, ""]
+    assert ranked[0]["note"] == "the answer"
 
 
 @pytest.mark.parametrize(("verdict", "line"), [("effect", ALONE), ("unknown_effect", NOT_ENOUGH)])
 def test_the_line_says_what_the_verdict_says(verdict, line):
-    found = ranking(
+    ranked = ranking(
         report(row(2.0, "coulomb_friction", answer=True), row(9.0, "backlash"), verdict=verdict)
     )
-    assert found[1]["divide"] == line
-    assert ("answer" in found[0]["said"]) == (verdict == "effect")
+    assert ranked[1]["divide"] == line
+    assert ("answer" in ranked[0]["note"]) == (verdict == "effect")
 
 
 def test_what_fits_closer_and_is_not_the_answer_is_explained():
-    found = ranking(
+    ranked = ranking(
         report(row(2.0, "coulomb_friction", answer=True), row(1.9, "coulomb_friction", "backlash"))
     )
-    assert "more numbers" in found[1]["said"]
+    assert "more numbers" in ranked[1]["note"]
 
 
 def test_nothing_in_a_report_becomes_markup():
@@ -113,12 +113,12 @@ def test_nothing_in_a_report_becomes_markup():
     assert page.count("</script>") == 3  # the data's, and those of the two scripts
 
 
-@pytest.mark.parametrize(("after", "said"), [(0.2, True), (0.06, False)])
-def test_what_is_left_beside_the_noise_is_said_where_intervals_are(after, said):
-    found = report(row(2.0, "coulomb_friction", answer=True))
+@pytest.mark.parametrize(("after", "is_said"), [(0.2, True), (0.06, False)])
+def test_what_is_left_beside_the_noise_is_said_where_intervals_are(after, is_said):
+    document = report(row(2.0, "coulomb_friction", answer=True))
     estimate = {"level": {"value": 0.2, "unit": "m/s^2", "ci95": [0.19, 0.21]}}
-    found["effects"] = [
+    document["effects"] = [
         {"effect": "coulomb_friction", "channel": "joint", "estimate": estimate, "share": 0.5}
     ]
-    found["gap"] |= {"after": after, "floor": 0.05}
-    assert ("What is left is 4 times the noise floor" in report_page(found, None)) == said
+    document["gap"] |= {"after": after, "floor": 0.05}
+    assert ("What is left is 4 times the noise floor" in report_page(document, None)) == is_said

@@ -14,7 +14,7 @@ from trueup.episode.survey import survey
 from trueup.episode.writer import Encoding, write_episode
 from trueup.errors import BadPlant, NotAnEpisode, NotIdentifiable
 from trueup.model.plant import Plant
-from trueup_cli.init import Wanted, make_case
+from trueup_cli.init import CaseOptions, make_case
 
 PLANT = Plant.from_document(plant_document())
 LAYOUT = Layout(
@@ -63,14 +63,14 @@ def record(
 def test_a_log_is_surveyed_in_every_encoding(tmp_path, encoding):
     path = record(tmp_path / "bag.mcap", 0, encoding=encoding)
     with path.open("rb") as file:
-        found = survey(file, path.stat().st_size)
-    told = {s.topic: s for s in found.topics}
-    assert set(told) == {"/robot/joint_states", "/robot/effort_command"}
-    assert told["/robot/joint_states"].joints == ("hinge",)
-    assert told["/robot/joint_states"].fields == (Field.POSITION, Field.VELOCITY)
-    assert told["/robot/effort_command"].fields == (Field.EFFORT,)
-    assert told["/robot/joint_states"].period_s == pytest.approx(0.05)
-    assert (told["/robot/joint_states"].messages, found.role) == (600, None)
+        surveyed = survey(file, path.stat().st_size)
+    topics = {s.topic: s for s in surveyed.topics}
+    assert set(topics) == {"/robot/joint_states", "/robot/effort_command"}
+    assert topics["/robot/joint_states"].joints == ("hinge",)
+    assert topics["/robot/joint_states"].fields == (Field.POSITION, Field.VELOCITY)
+    assert topics["/robot/effort_command"].fields == (Field.EFFORT,)
+    assert topics["/robot/joint_states"].period_s == pytest.approx(0.05)
+    assert (topics["/robot/joint_states"].messages, surveyed.role) == (600, None)
 
 
 def test_a_bag_of_several_files_becomes_a_case(tmp_path):
@@ -78,7 +78,7 @@ def test_a_bag_of_several_files_becomes_a_case(tmp_path):
     bag.mkdir()
     for seed in range(4):
         record(bag / f"bag_{seed}.mcap", seed)
-    make_case(bag, tmp_path / "case", Wanted())
+    make_case(bag, tmp_path / "case", CaseOptions())
     document = json.loads((tmp_path / "case" / "plant.json").read_text())
     assert document["name"] == "my-bag-3"
     assert document["topics"] == {
@@ -100,7 +100,7 @@ def test_a_bag_of_several_files_becomes_a_case(tmp_path):
 
 
 def test_the_end_of_a_single_file_is_held_out_and_nothing_is_in_both(tmp_path):
-    make_case(record(tmp_path / "bag.mcap", 1), tmp_path / "case", Wanted())
+    make_case(record(tmp_path / "bag.mcap", 1), tmp_path / "case", CaseOptions())
     _, (first, second) = read_case(tmp_path / "case")
     assert (first.role, second.role) == (Role.ADAPTATION, Role.VALIDATION)
     assert first.start_ns + round(first.t_s[-1] * 1e9) < second.start_ns
@@ -113,7 +113,7 @@ def test_roles_that_files_declare_are_kept_byte_by_byte(tmp_path):
         record(tmp_path / f"{i}.mcap", i, role=role)
         for i, role in enumerate((Role.VALIDATION, Role.ADAPTATION))
     ]
-    make_case(tmp_path, tmp_path / "case", Wanted())
+    make_case(tmp_path, tmp_path / "case", CaseOptions())
     kept = {
         p.name.split("-")[1].removesuffix(".mcap"): p.read_bytes()
         for p in (tmp_path / "case").glob("*.mcap")
@@ -123,13 +123,13 @@ def test_roles_that_files_declare_are_kept_byte_by_byte(tmp_path):
 
 def test_a_family_may_be_given_and_an_unknown_one_is_refused(tmp_path):
     path = record(tmp_path / "bag.mcap", 2)
-    make_case(path, tmp_path / "case", Wanted(family="pendulum"))
+    make_case(path, tmp_path / "case", CaseOptions(family="pendulum"))
     assert (
         json.loads((tmp_path / "case" / "plant.json").read_text())["nominal"]["family"]
         == "pendulum"
     )
     with pytest.raises(BadPlant, match="no family") as refused:
-        make_case(path, tmp_path / "other", Wanted(family="rocket"))
+        make_case(path, tmp_path / "other", CaseOptions(family="rocket"))
     assert "inertia" in refused.value.hint
 
 
@@ -141,9 +141,9 @@ def test_several_joints_are_asked_about(tmp_path):
     }
     path = record(tmp_path / "arm.mcap", 3, layout=arm_layout(2), **both)
     with pytest.raises(BadPlant, match="2 joints") as refused:
-        make_case(path, tmp_path / "case", Wanted())
+        make_case(path, tmp_path / "case", CaseOptions())
     assert "j0, j1" in refused.value.hint
-    make_case(path, tmp_path / "case", Wanted(joint="j1"))
+    make_case(path, tmp_path / "case", CaseOptions(joint="j1"))
     assert (
         json.loads((tmp_path / "case" / "plant.json").read_text())["observations"][0]["joint"]
         == "j1"
@@ -153,14 +153,14 @@ def test_several_joints_are_asked_about(tmp_path):
 def test_what_cannot_be_found_is_named_with_what_there_is(tmp_path):
     path = record(tmp_path / "bag.mcap", 4)
     with pytest.raises(BadPlant) as refused:
-        make_case(path, tmp_path / "case", Wanted(observation="/nothing"))
+        make_case(path, tmp_path / "case", CaseOptions(observation="/nothing"))
     assert "/robot/joint_states" in refused.value.hint
     with pytest.raises(NotAnEpisode) as refused:
-        make_case(tmp_path / "case", tmp_path / "other", Wanted())
+        make_case(tmp_path / "case", tmp_path / "other", CaseOptions())
     assert "ros2 bag record" in refused.value.hint
 
 
 def test_a_command_that_never_moves_is_refused(tmp_path):
     path = record(tmp_path / "bag.mcap", 5, issued=np.zeros((600, 1)))
     with pytest.raises(NotIdentifiable, match="0 throughout"):
-        make_case(path, tmp_path / "case", Wanted())
+        make_case(path, tmp_path / "case", CaseOptions())

@@ -52,7 +52,7 @@ from trueup_worker.isolated_process import NO_ANSWER, IsolatedProcess
 
 SCHEMA = "trueup.blindtrial/1"
 SECRET_BYTES = 32
-DRAWING = 0.2  # of the time
+DRAWING = 0.2  # share of the trial's time
 
 Diagnose = Callable[[Path], Mapping[str, Any]]
 Progress = Callable[[str, float], None]
@@ -90,9 +90,10 @@ def conduct(
     processes: Sequence[Diagnose] | None = None,
     keep: Path | None = None,
 ) -> dict[str, Any]:
-    """The report of `count` trials like a user's plant and episodes.
+    """Returns the report of `count` trials like a user's plant and episodes.
 
-    A `secret` draws an opened trial again; without one, it is drawn too. `commit` is called with
+    With the `secret` of an opened trial it draws that trial again; without one it draws a new
+    secret. `commit` is called with
     the commitments before the first diagnosis. Cases are diagnosed by `processes`, or else by one
     isolated process for each core. `keep` is a folder for the cases, made when the first is
     written; without one they are removed. Raises NotIdentifiable, LabelLeaked, NoIsolatedProcess.
@@ -134,7 +135,7 @@ def conduct(
 def _bench_document(
     source: TrialPlant, bench: Bench, episodes: Sequence[Episode]
 ) -> dict[str, Json]:
-    """How the machines were simulated, as the report says it."""
+    """Returns how the machines were simulated, for the report."""
     return {
         "episodes": [
             {"sha256": e.digest, "role": str(e.role)}
@@ -159,8 +160,10 @@ def _draw(
     secret: bytes,
     where: Path,
 ) -> Iterator[CommittedTrial]:
-    """Draw machines, record them into folders under `where`, and commit their labels. Raises
-    LabelLeaked."""
+    """Draws machines, records them into folders under `where`, and commits their labels.
+
+    Raises LabelLeaked.
+    """
     plant = source.plant
     rng = np.random.default_rng(int.from_bytes(bytes.fromhex(digest_of_bytes(secret + b"/lots"))))
     own: Json = [dict(plant.document), dict(conditions)]
@@ -188,8 +191,10 @@ def _draw(
 def _diagnose_all(
     folders: Sequence[Path], processes: Sequence[Diagnose] | None
 ) -> Iterator[Mapping[str, Any]]:
-    """Every folder's response, in order, from `processes` or from one isolated process for each
-    core."""
+    """Yields every folder's response, in order.
+
+    Asks `processes`, or else one isolated process for each core.
+    """
     with ExitStack() as stack:
         workers: Sequence[Diagnose] = processes or [
             stack.enter_context(IsolatedProcess(core)) for core in _cores()
@@ -220,7 +225,7 @@ def _cores() -> list[int]:
 def _row(
     index: int, committed: CommittedTrial, response: Mapping[str, Any], answer: Answer
 ) -> dict[str, Json]:
-    """One opened trial, as the report has it."""
+    """Returns one opened trial, as a row of the report."""
     closed = None
     if "manifest" in response:
         model = Artifact(response["manifest"].encode(), b64decode(response["arrays"]))

@@ -1,4 +1,4 @@
-"""Which code computed something."""
+"""The identity of the code that computed a result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trueup.canonical import Json
 
 @cache
 def code_identity() -> dict[str, Json]:
-    """The library's version, and the SHA-256 over the names and bytes of its source files."""
+    """Returns the library's version, and the SHA-256 of the names and bytes of its source files."""
     root = Path(trueup.__file__).parent
     hashed = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):

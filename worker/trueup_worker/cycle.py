@@ -1,4 +1,4 @@
-"""The cycle as a job's effects continue it."""
+"""The correction cycle, as the effects of a job continue it."""
 
 from __future__ import annotations
 
@@ -11,5 +11,5 @@ from trueup_service.wiring import Parts
 
 
 def cycle_of(parts: Parts, tx: Transaction, context: ActorContext) -> Cycle:
-    """The cycle in a job's transaction."""
+    """Returns the correction cycle within a job's transaction."""
     return Cycle(tx, parts.queue, lambda: uuid.uuid4().hex, context)

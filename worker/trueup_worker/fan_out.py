@@ -1,11 +1,10 @@
-"""Fan out: a diagnosis asks workers that have nothing else to do for help with its tasks, and does
-itself what nobody took.
+"""Fan out: a diagnosis offers its tasks to idle workers, and solves itself what nobody takes.
 
-- A parcel of tasks is named by its content, so that asking twice is asking once.
-- What a helper answers is what we would have found: it declines where its code or processor is
-  another.
-- Nobody is waited for in vain: what a helper took and does not bring back is done here.
-- While nobody helps, one parcel is all that is offered, so that asking costs nothing worth a name.
+- A batch of tasks is named by its content, so offering it twice is offering it once.
+- A helper answers with the bits that this worker would compute; it declines if its compute
+  fingerprint is another.
+- A batch that a helper took and does not return in time is solved here.
+- While nobody helps, only one batch of each step is offered, so that offering costs little.
 """
 
 from __future__ import annotations
@@ -25,26 +24,27 @@ from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.task_batch import pack_tasks, unpack_answers
 from trueup.diagnose.tasks import Share, Task, get_ready
 from trueup_service.jobs import Helped, JobQueue
-from trueup_worker.likeness import likeness
+from trueup_worker.compute_fingerprint import compute_fingerprint
 
 log = logging.getLogger("trueup.worker")
 
-MOST_PARCELS = 12  # of one step of a search
-LOOK_S = 0.05  # between looks at what others did
-PATIENCE_S, PATIENCE = (
-    2.0,
-    3.0,
-)  # a helper may take so long at least, and so many times what our own longest parcel took
-PREFIX = "help."  # of a parcel's name; the job's id and the parcel's digest follow
+MOST_BATCHES = 12  # of one step of a search
+POLL_S = 0.05  # between looks at the offered batches
+# a helper may take PATIENCE times as long as our longest task takes for each of its tasks, and at
+# least PATIENCE_S [s]
+PATIENCE_S, PATIENCE = 2.0, 3.0
+PREFIX = "help."  # of a batch's name; the job's id and the batch's digest follow
 
 
 class FanOut:
-    """Solves the tasks of one job's diagnosis. Use it as a context: at its end nothing is left of
-    what was asked."""
+    """Solves the tasks of one job's diagnosis, with the help of idle workers.
+
+    Use it as a context: at its end every offered batch is removed.
+    """
 
     def __init__(self, queue: JobQueue, job: str) -> None:
         self._queue, self._job = queue, job
-        self._is_helped = True  # until nobody was there
+        self._is_helped = True  # until nobody took a batch
 
     def __enter__(self) -> FanOut:
         return self
@@ -57,45 +57,49 @@ class FanOut:
     ) -> None:
         self._queue.forget(f"{PREFIX}{self._job}.")
 
-    def __call__(self, problem: SearchProblem, tasks: Sequence[Task], told: Share) -> list[Any]:
-        """What each task answers, in order. Raises what `told` raises, and then does no more."""
+    def __call__(self, problem: SearchProblem, tasks: Sequence[Task], progress: Share) -> list[Any]:
+        """Returns the answers of the tasks, in order.
+
+        Calls `progress` with the share that is done, and ends with what it raises.
+        """
         get_ready(problem, tasks)
-        size = max(cores(), -(-len(tasks) // MOST_PARCELS))
-        parcels = [range(i, min(i + size, len(tasks))) for i in range(0, len(tasks), size)]
-        offered = parcels[1:] if self._is_helped else parcels[1:][-1:]
-        named = {
-            self._name(text): (part, text)
-            for part, text in ((p, pack_tasks(problem, [tasks[i] for i in p])) for p in offered)
-        }
+        size = max(cores(), -(-len(tasks) // MOST_BATCHES))
+        batches = [range(i, min(i + size, len(tasks))) for i in range(0, len(tasks), size)]
+        offered = batches[1:] if self._is_helped else batches[1:][-1:]
+        packed = [(batch, pack_tasks(problem, [tasks[i] for i in batch])) for batch in offered]
+        named = {self._name(text): (batch, text) for batch, text in packed}
+        fingerprint = compute_fingerprint()
         self._queue.ask_for_help(
-            self._job, {name: f"{likeness()} {text}" for name, (_, text) in reversed(named.items())}
+            self._job,
+            {name: f"{fingerprint} {text}" for name, (_, text) in reversed(named.items())},
         )
-        step = _Step(problem, tasks, [i for p in parcels if p not in offered for i in p])
-        asked = _Asked(self._queue, {name: part for name, (part, _) in named.items()})
+        ours = [i for batch in batches if batch not in offered for i in batch]
+        step = _Step(problem, tasks, ours)
+        offers = _Offers(self._queue, {name: batch for name, (batch, _) in named.items()})
         try:
             while step.missing:
-                step.wait(LOOK_S)
-                asked.look(step)
-                told(1.0 - len(step.missing) / len(tasks))
+                step.wait(POLL_S)
+                offers.collect(step)
+                progress(1.0 - len(step.missing) / len(tasks))
         finally:
             step.end()
-            asked.end()
+            offers.withdraw()
         if named:
-            self._is_helped = asked.was_heard
+            self._is_helped = offers.were_taken
         return step.answers
 
-    def _name(self, parcel: str) -> str:
-        return f"{PREFIX}{self._job}.{digest_of_bytes(parcel.encode())}"
+    def _name(self, packed: str) -> str:
+        return f"{PREFIX}{self._job}.{digest_of_bytes(packed.encode())}"
 
 
 class _Step:
-    """The tasks of one step, some of them in the hands of our own threads."""
+    """The tasks of one step, some of which threads of this process solve."""
 
     def __init__(self, problem: SearchProblem, tasks: Sequence[Task], ours: Sequence[int]) -> None:
         self._problem, self._tasks = problem, tasks
         self._ours, self._changed = deque(ours), threading.Condition()
         self._running, self._ends = 0, False
-        self._failed: BaseException | None = None
+        self._failure: BaseException | None = None
         self.answers: list[Any] = [None] * len(tasks)
         self.missing = set(range(len(tasks)))
         self.longest_s = 0.0
@@ -107,32 +111,32 @@ class _Step:
             thread.start()
 
     @property
-    def has_idle_hands(self) -> bool:
+    def has_idle_thread(self) -> bool:
         """Whether one of our threads has nothing to do."""
         with self._changed:
             return not self._ours and self._running < len(self._threads)
 
-    def take(self, part: Sequence[int]) -> None:
-        """Do what is missing of a part ourselves."""
+    def solve(self, batch: Sequence[int]) -> None:
+        """Has our threads solve what is missing of a batch."""
         with self._changed:
-            self._ours.extend(i for i in part if i in self.missing and i not in self._ours)
+            self._ours.extend(i for i in batch if i in self.missing and i not in self._ours)
             self._changed.notify_all()
 
-    def bring(self, part: Sequence[int], answers: Sequence[Any]) -> None:
-        """What somebody else answered."""
-        for i, answer in zip(part, answers, strict=True):
-            self._keep(i, answer)
+    def accept(self, batch: Sequence[int], answers: Sequence[Any]) -> None:
+        """Records the answers of a helper."""
+        for i, answer in zip(batch, answers, strict=True):
+            self._record(i, answer)
 
     def wait(self, longest_s: float) -> None:
-        """Until something is answered, or so long [s]. Raises what a task raised."""
+        """Waits until a task is answered, but at most so long [s]. Raises what a task raised."""
         with self._changed:
-            if self.missing and self._failed is None:
+            if self.missing and self._failure is None:
                 self._changed.wait(longest_s)
-            if self._failed is not None:
-                raise self._failed
+            if self._failure is not None:
+                raise self._failure
 
     def end(self) -> None:
-        """Begin nothing more, and wait for what was begun."""
+        """Begins no more tasks, and waits for those that run."""
         with self._changed:
             self._ends = True
             self._changed.notify_all()
@@ -143,10 +147,10 @@ class _Step:
         while (i := self._next()) is not None:
             began = time.monotonic()
             try:
-                self._keep(i, self._tasks[i].done(self._problem))
-            except BaseException as error:  # noqa: BLE001  (it is raised where the step is waited for)
+                self._record(i, self._tasks[i].done(self._problem))
+            except BaseException as error:  # noqa: BLE001  (`wait` raises it)
                 with self._changed:
-                    self._failed = error
+                    self._failure = error
             with self._changed:
                 self._running -= 1
                 self.longest_s = max(self.longest_s, time.monotonic() - began)
@@ -165,7 +169,7 @@ class _Step:
                     self._changed.wait()
             return None
 
-    def _keep(self, i: int, answer: Any) -> None:
+    def _record(self, i: int, answer: Any) -> None:
         with self._changed:
             if i in self.missing:  # else somebody was quicker, with the same answer
                 self.answers[i] = answer
@@ -173,50 +177,51 @@ class _Step:
                 self._changed.notify_all()
 
 
-class _Asked:
-    """What others were asked for in one step."""
+class _Offers:
+    """The batches of one step that were offered to helpers, by name."""
 
-    def __init__(self, queue: JobQueue, parts: dict[str, Sequence[int]]) -> None:
-        self._queue, self._parts = queue, parts
-        self._taken: dict[str, float] = {}  # when a helper was first seen at it
-        self.was_heard = False
+    def __init__(self, queue: JobQueue, batches: dict[str, Sequence[int]]) -> None:
+        self._queue, self._batches = queue, batches
+        self._taken: dict[str, float] = {}  # when a helper was first seen at a batch
+        self.were_taken = False
 
-    def look(self, step: _Step) -> None:
-        """Gather what was done, and give our own idle hands the first part that nobody has, or that
-        was taken too long ago."""
-        if not self._parts:
+    def collect(self, step: _Step) -> None:
+        """Collects the answers, and gives one batch to an idle thread of our own.
+
+        That batch is the first that nobody has taken, or else one that is overdue.
+        """
+        if not self._batches:
             return
-        now, waiting, late = time.monotonic(), [], []
-        states = self._queue.help(list(self._parts))
-        for name, part in list(self._parts.items()):
-            helped = states.get(name)
-            if helped is None or helped.state is Helped.FAILED:
-                step.take(self._parts.pop(name))
-            elif helped.state is Helped.DONE:
-                answers = _answers(helped.answer, len(part))
-                self.was_heard = self.was_heard or bool(answers)
-                step.bring(part[: len(answers)], answers)
-                step.take(self._parts.pop(name))
-            elif helped.state is Helped.WAITING:
+        now, waiting, overdue = time.monotonic(), [], []
+        states = self._queue.help(list(self._batches))
+        for name, batch in list(self._batches.items()):
+            help_ = states.get(name)
+            if help_ is None or help_.state is Helped.FAILED:
+                step.solve(self._batches.pop(name))
+            elif help_.state is Helped.DONE:
+                answers = _unpacked(help_.answer, len(batch))
+                self.were_taken = self.were_taken or bool(answers)
+                step.accept(batch[: len(answers)], answers)
+                step.solve(self._batches.pop(name))
+            elif help_.state is Helped.WAITING:
                 waiting.append(name)
             else:
-                self.was_heard = True
-                if now - self._taken.setdefault(name, now) > max(
-                    PATIENCE_S, PATIENCE * step.longest_s * len(part)
-                ):
-                    late.append(name)
-        if step.has_idle_hands and (waiting or late):
-            name = [*waiting, *late][0]
+                self.were_taken = True
+                limit_s = max(PATIENCE_S, PATIENCE * step.longest_s * len(batch))
+                if now - self._taken.setdefault(name, now) > limit_s:
+                    overdue.append(name)
+        if step.has_idle_thread and (waiting or overdue):
+            name = [*waiting, *overdue][0]
             self._queue.withdraw([name] if waiting else [])
-            step.take(self._parts.pop(name))
+            step.solve(self._batches.pop(name))
 
-    def end(self) -> None:
-        """Take back what is left."""
-        self._queue.withdraw(list(self._parts))
+    def withdraw(self) -> None:
+        """Withdraws the batches that are left."""
+        self._queue.withdraw(list(self._batches))
 
 
-def _answers(text: str | None, many: int) -> list[Any]:
-    """What a helper answered; nothing where it declined, or where that cannot be read."""
+def _unpacked(text: str | None, count: int) -> list[Any]:
+    """Returns a helper's answers; none if it declined, or if they cannot be read."""
     if not text:
         return []
     try:
@@ -224,4 +229,4 @@ def _answers(text: str | None, many: int) -> list[Any]:
     except (ValueError, LookupError, TypeError, zlib.error):
         log.exception("what a helper answered cannot be read")
         return []
-    return answers if len(answers) == many else []
+    return answers if len(answers) == count else []

@@ -1,4 +1,4 @@
-"""What a job reads: noted before it is read, and refused if its role forbids it."""
+"""What a job reads. Each read is recorded first, and refused if the episode's role forbids it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from trueup_service.wiring import Parts
 
 
 def read_plant(parts: Parts, job: JobRecord) -> Plant:
-    """The job's plant."""
+    """Returns the job's plant."""
     with reading(parts.database) as tx:
         return Plant.from_document(find.plant(tx, job.plant).document)
 
@@ -33,8 +33,11 @@ def read_episodes(
     roles: Sequence[Role],
     progress: Callable[[float], None],
 ) -> list[Episode]:
-    """The episodes that the job's request names. Raises RoleRefused, BadEpisode if the stored bytes
-    are not what their digest names."""
+    """Returns the episodes that the job's request names.
+
+    Raises RoleRefused if a role is not one of `roles`, and BadEpisode if the stored bytes are not
+    what their digest names.
+    """
     digests: Any = job.request["episodes"]
     with writing(parts.database) as tx:
         tx.jobs.add_reads(job.id, digests, job.kind)
@@ -53,7 +56,7 @@ def read_episodes(
 
 
 def read_predictor(parts: Parts, job: JobRecord, digest: str) -> Predictor:
-    """A predictor by its artifact's digest."""
+    """Returns a predictor by its artifact's digest."""
     with writing(parts.database) as tx:
         record = find.artifact(tx, job.plant, digest)
         tx.jobs.add_reads(job.id, [digest], "artifact")
@@ -61,7 +64,7 @@ def read_predictor(parts: Parts, job: JobRecord, digest: str) -> Predictor:
 
 
 def sources(episodes: Sequence[Episode]) -> list[Json]:
-    """Episodes as provenance names them: digest, role, collection conditions."""
+    """Returns episodes as provenance names them: digest, role, collection conditions."""
     return [
         {"sha256": e.digest, "role": str(e.role), "conditions": dict(e.conditions)}
         for e in episodes

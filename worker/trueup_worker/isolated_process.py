@@ -1,8 +1,8 @@
-"""An isolated process that diagnoses case folders and knows nothing else.
+"""An isolated process that diagnoses case folders without their labels.
 
-It is started with an empty environment, reads the paths of folders from its standard input, and
-answers each with one line of JSON. What it diagnoses was drawn by the process that started it;
-labels exist only in that one's memory.
+It is started with an almost empty environment, reads the paths of folders from its standard input,
+and answers each with one line of JSON. The labels are in the memory of the process that started it,
+and nowhere else.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ class IsolatedProcess:
         )
 
     def __call__(self, folder: Path) -> Mapping[str, Any]:
-        """Returns `report`, `manifest` and `arrays` (base64), or `problem`; and `seconds`.
+        """Diagnoses a case folder. A process that ends without an answer is started once more.
 
-        A process that ends without an answer is started once more.
+        Returns `report`, `manifest` and `arrays` (base64), or `problem`; and `seconds`.
         """
         answer = self._ask(folder)
         if answer is None:
@@ -77,7 +77,7 @@ class IsolatedProcess:
 
     def _close(self) -> None:
         self._process.kill()
-        with suppress(BrokenPipeError), self._process:  # closes what leads to it, and waits
+        with suppress(BrokenPipeError), self._process:  # closes its pipes, and waits
             pass
 
     def __enter__(self) -> IsolatedProcess:
@@ -92,7 +92,7 @@ class IsolatedProcess:
         self._close()
 
 
-def _answer(folder: Path) -> Mapping[str, Any]:
+def _diagnose(folder: Path) -> Mapping[str, Any]:
     from trueup.artifact.artifact import pack  # noqa: PLC0415
     from trueup.diagnose.case import read_case  # noqa: PLC0415
     from trueup.diagnose.diagnosis import diagnose  # noqa: PLC0415
@@ -104,7 +104,7 @@ def _answer(folder: Path) -> Mapping[str, Any]:
         model = pack(diagnosis.predictor, {"origin": "diagnosis"})
     except TrueupError as error:
         return {"problem": f"{error.code}: {error.message}", "seconds": time.monotonic() - began}
-    except Exception as error:  # noqa: BLE001  (a diagnosis that breaks is a miss of that machine, and of no other)
+    except Exception as error:  # noqa: BLE001  (a diagnosis that breaks is one miss)
         return {
             "problem": f"failed: {type(error).__name__}: {error}",
             "seconds": time.monotonic() - began,
@@ -114,12 +114,12 @@ def _answer(folder: Path) -> Mapping[str, Any]:
 
 
 def main() -> None:
-    """Diagnose folders until the standard input ends."""
+    """Diagnoses folders until the standard input ends."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {int(sys.argv[1])})
     answers, sys.stdout = sys.stdout, sys.stderr  # whatever prints must not spoil an answer
     for line in sys.stdin:
-        answers.write(json.dumps(_answer(Path(json.loads(line)))) + "\n")
+        answers.write(json.dumps(_diagnose(Path(json.loads(line)))) + "\n")
         answers.flush()
 
 

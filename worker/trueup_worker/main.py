@@ -1,4 +1,4 @@
-"""One worker process: the job engine, and the look-out for dead workers."""
+"""One worker process: the job engine, the recovery of jobs, and the schedule."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from trueup_service.engine import DBOS, DBOSConfig, DBOSPortableJSONSerializer, 
 from trueup_service.jobs import ENGINE_VERSION, HELP, QUEUE, WATCHING, WORKFLOW, plain_url
 from trueup_service.wiring import Parts
 from trueup_worker.fan_out import PREFIX
+from trueup_worker.liveness import liveness_of
+from trueup_worker.recovery import recover
 from trueup_worker.run_help import Helping
 from trueup_worker.run_job import compute, finish
-from trueup_worker.schedule import keep
-from trueup_worker.takeover import FileLives, Lives, PostgresLives, watch
+from trueup_worker.schedule import run_schedule
 
 log = logging.getLogger("trueup.worker")
 
-WATCHED_AT_ONCE = 4  # a job begins when the queue is looked at: one at a time would be ten a second
+WATCHED_AT_ONCE = 4  # a job begins when the queue is polled; one at a time would be ten a second
 RETRIED: StepOptions = {
     "retries_allowed": True,
     "interval_seconds": 0.5,
@@ -31,11 +32,13 @@ RETRIED: StepOptions = {
 
 
 def work(parts: Parts, *, with_parent: bool = False) -> None:
-    """Run jobs until SIGTERM or SIGINT; with `with_parent` also until standard input closes, as it
-    does when the parent dies."""
+    """Runs jobs until SIGTERM or SIGINT.
+
+    With `with_parent` it also ends when standard input closes, as it does when the parent dies.
+    """
     name = f"{socket.gethostname()}-{os.getpid()}-{uuid.uuid4().hex[:8]}"
-    lives = _lives(parts)
-    lives.begin(name)
+    liveness = liveness_of(parts)
+    liveness.acquire(name)
     stop = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: stop.set())
@@ -44,21 +47,21 @@ def work(parts: Parts, *, with_parent: bool = False) -> None:
     _launch(parts, name)
     log.info("working", extra={"worker": name})
     threading.Thread(
-        target=watch,
-        args=(parts.database, lives, name, parts.settings.takeover_interval_s, stop),
+        target=recover,
+        args=(parts.database, liveness, name, parts.settings.takeover_interval_s, stop),
         daemon=True,
     ).start()
     threading.Thread(
-        target=keep, args=(parts, parts.settings.schedule_interval_s, stop), daemon=True
+        target=run_schedule, args=(parts, parts.settings.schedule_interval_s, stop), daemon=True
     ).start()
     stop.wait()
     log.info("stopping", extra={"worker": name})
     DBOS.destroy(workflow_completion_timeout_sec=0)
-    os._exit(0)  # a job under way is another worker's from here on
+    os._exit(0)  # another worker resumes a job under way
 
 
 def _launch(parts: Parts, name: str) -> None:
-    parts.queue.prepare()  # a finished job may ask for another, in a transaction of its own
+    parts.queue.prepare()  # a finished job may submit another in its own transaction
     config: DBOSConfig = {
         "name": "trueup",
         "system_database_url": plain_url(parts.settings.sqlalchemy_url),
@@ -74,13 +77,13 @@ def _launch(parts: Parts, name: str) -> None:
     helping = Helping(parts)
 
     @DBOS.workflow(name=HELP)  # type: ignore[untyped-decorator]
-    def help_with(job_id: str, parcel: str) -> str:
-        return helping.answer(job_id, parcel)  # it changes nothing, so a repetition needs no step
+    def help_with(job_id: str, offer: str) -> str:
+        return helping.answer(job_id, offer)  # it changes nothing, so a repetition needs no step
 
     @DBOS.workflow(name=WORKFLOW)  # type: ignore[untyped-decorator]
     def job(job_id: str) -> str:
-        found = DBOS.run_step({"name": "compute", **RETRIED}, compute, parts, job_id)
-        return str(DBOS.run_step({"name": "finish", **RETRIED}, finish, parts, job_id, found))
+        computed = DBOS.run_step({"name": "compute", **RETRIED}, compute, parts, job_id)
+        return str(DBOS.run_step({"name": "finish", **RETRIED}, finish, parts, job_id, computed))
 
     DBOS.launch()
     every_s = parts.settings.job_poll_interval_s
@@ -97,19 +100,11 @@ def _launch(parts: Parts, name: str) -> None:
 
 
 class _Withdrawn(logging.Filter):
-    """Drops the engine's alarm at help that was taken back while it was given."""
+    """Drops the engine's error about a batch that was withdrawn while a helper solved it."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         error = record.exc_info[1] if record.exc_info else ""
         return f"workflow {PREFIX}" not in f"{record.getMessage()} {error}".lower()
-
-
-def _lives(parts: Parts) -> Lives:
-    return (
-        FileLives(parts.settings.data_dir / "workers")
-        if parts.settings.embedded
-        else PostgresLives(parts.database)
-    )
 
 
 def _until_parent_is_gone(stop: threading.Event) -> None:

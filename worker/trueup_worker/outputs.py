@@ -1,4 +1,4 @@
-"""Outputs: the bytes that a job made, durable before any row names them."""
+"""Outputs of jobs: bytes that are durable before any row names them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ from trueup_service.wiring import Parts, keep_bytes
 
 
 def keep_arrays(parts: Parts, artifact: Artifact) -> str | None:
-    """Put an artifact's arrays into the blob store; their digest, None where it has none. Repeating
-    it changes nothing."""
+    """Stores an artifact's arrays as a blob, and returns its digest; None if it has no arrays.
+
+    Repeating it changes nothing.
+    """
     return keep_bytes(parts, artifact.arrays) if artifact.arrays else None
 
 
 def keep_file(parts: Parts, name: str, media_type: str, content: bytes) -> dict[str, Json]:
-    """Put a file that a job leaves behind into the blob store; what its row will say. Repeating it
-    changes nothing."""
+    """Stores a file of a job as a blob, and returns the fields of its row.
+
+    Repeating it changes nothing.
+    """
     return {
         "name": name,
         "media_type": media_type,
@@ -30,6 +34,6 @@ def keep_file(parts: Parts, name: str, media_type: str, content: bytes) -> dict[
 
 
 def add_files(tx: Transaction, job: JobRecord, files: Sequence[dict[str, Any]]) -> None:
-    """Name the files that a job left behind."""
+    """Writes the rows of a job's files."""
     for file in files:
         tx.outputs.add(OutputRecord(plant=job.plant, job=job.id, **file))

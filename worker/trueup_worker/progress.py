@@ -1,4 +1,4 @@
-"""A job's progress, written down now and then; where cancellation is noticed."""
+"""A job's progress, stored at intervals. Storing it is where a cancellation is noticed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trueup_service.registry.records import JobRecord, JobState
 from trueup_service.registry.transaction import writing
 from trueup_service.wiring import Parts
 
-WRITE_INTERVAL_S = 0.2  # often enough to watch, seldom enough not to matter to other writers
+WRITE_INTERVAL_S = 0.2  # often enough to watch, rare enough not to slow other writers
 
 
 class Cancelled(TrueupError):
@@ -22,7 +22,7 @@ class Cancelled(TrueupError):
 
 
 class Progress:
-    """Call it with the share done, 0 to 1, of the present stage. Raises Cancelled."""
+    """Called with the share of the present stage that is done, 0 to 1. Raises Cancelled."""
 
     def __init__(self, parts: Parts, job: JobRecord) -> None:
         self._parts, self._job = parts, job
@@ -30,8 +30,10 @@ class Progress:
         self._written = 0.0
 
     def stage(self, name: str, begin: float, end: float) -> Progress:
-        """From now on the job is in this stage, which takes it from one share to another; told
-        again, nothing changes."""
+        """Enters a stage that covers the job's progress from `begin` to `end`, each 0 to 1.
+
+        Entering the present stage again changes nothing.
+        """
         if (name, begin, end) == (self._stage, self._begin, self._end):
             return self
         self._stage, self._begin, self._end, self._written = name, begin, end, 0.0
@@ -47,6 +49,6 @@ class Progress:
             tx.jobs.update(
                 self._job.id, now=time_text(datetime.now(UTC)), progress=done, stage=self._stage
             )
-            found = tx.jobs.get(self._job.id)
-        if found is None or found.state in (JobState.CANCELLING, JobState.CANCELLED):
+            job = tx.jobs.get(self._job.id)
+        if job is None or job.state in (JobState.CANCELLING, JobState.CANCELLED):
             raise Cancelled

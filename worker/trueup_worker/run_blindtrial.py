@@ -1,5 +1,5 @@
-"""Run a blind trial: labels are committed in the audit log before the first diagnosis, and opened
-with the job's end."""
+"""Run a blind trial: its labels are committed in the audit log before the first diagnosis, and
+opened when the job ends."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ READING = 0.02  # of the job's time
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """The report. Repeating it draws and commits anew: an auditor sees every commitment, and which
-    of them was opened."""
+    """Returns the report.
+
+    Repeating it draws and commits anew. An auditor sees every commitment, and which one was opened.
+    """
     plant = read_plant(parts, job)
     episodes = read_episodes(
         parts,
@@ -58,9 +60,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 def effects(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: object
 ) -> None:
-    """None beside its result: what was opened stands in it."""
+    """Has none: the result holds what was opened."""
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     return {"report": outcome["report"]}

@@ -20,7 +20,7 @@ READING = 0.2  # of the job's time
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Calibrate. Repeating it gives the same monitor."""
+    """Calibrates. Repeating it gives the same monitor."""
     request: dict[str, Any] = job.request
     plant = read_plant(parts, job)
     predictor = read_predictor(parts, job, request["artifact"])
@@ -45,13 +45,13 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 def effects(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
-    """The monitor watches from when it was asked for."""
+    """Adds the monitor, which watches from the time of the job's submission."""
     add_monitor(tx, job.plant, outcome["monitor"], outcome["kept"], job.id, job.created_at, context)
     cycle_of(parts, tx, context).go_on(job.plant)
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     document = outcome["monitor"]
     return {
         "monitor": digest_of(document),

@@ -1,5 +1,7 @@
-"""Run a comparison: two versions on the same recordings, as numbers to be drawn; of one recording
-also as an MCAP to be looked at."""
+"""Run a comparison of two versions on the same recordings, as numbers to draw.
+
+A comparison on one recording also leaves an MCAP with both predictions.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ OVERLAY_FILE = "overlay.mcap"
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Compare. Repeating it gives the same bytes."""
+    """Compares. Repeating it gives the same bytes."""
     request: dict[str, Any] = job.request
     plant = read_plant(parts, job)
     first, second = (read_predictor(parts, job, request[which]) for which in ("first", "second"))
@@ -43,13 +45,13 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
                 for which in ("first", "second")
             }
         models = {"first": first, "second": second}
-        said = {name: predicted(models[which], episodes[0]) for name, which in names.items()}
+        predictions = {name: predicted(models[which], episodes[0]) for name, which in names.items()}
         written = BytesIO()
         write_overlay(
             written,
             parts.blobs.get(episodes[0].digest),
             episodes[0],
-            said,
+            predictions,
             regions_of_samples(plant, episodes[0]),
         )
         files.append(keep_file(parts, OVERLAY_FILE, "application/vnd.mcap", written.getvalue()))
@@ -59,10 +61,10 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 def effects(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
-    """The files stand beside the job."""
+    """Adds the job's files."""
     add_files(tx, job, outcome["files"])
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     return {"by_episode": outcome["by_episode"]}

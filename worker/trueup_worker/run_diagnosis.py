@@ -1,5 +1,5 @@
-"""Run a diagnosis: adaptation and validation episodes become a report and the corrected model, a
-candidate like any other."""
+"""Run a diagnosis: adaptation and validation episodes become a report and a corrected model, which
+is a candidate like any other."""
 
 from __future__ import annotations
 
@@ -29,8 +29,10 @@ READING = 0.1  # of the job's time
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Diagnose, keep the arrays, and give the manifest and the report. Repeating it gives the same
-    bytes."""
+    """Diagnoses, stores the arrays, and returns the manifest and the report.
+
+    Repeating it gives the same bytes.
+    """
     plant = read_plant(parts, job)
     roles = Role.ADAPTATION, Role.VALIDATION
     episodes = read_episodes(
@@ -39,13 +41,14 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     request: dict[str, Any] = dict(job.request)
     seed = int(request["seed"])
     with FanOut(parts.queue, job.id) as fan_out:
-        found = diagnose(
+        diagnosis = diagnose(
             plant,
             episodes,
             seed,
             lambda stage, part: progress.stage(stage, READING, 1.0)(part),
             fan_out,
         )
+    report = dict(diagnosis.document)
     provenance: dict[str, Json] = {
         "origin": "diagnosis",
         "episodes": sources(episodes),
@@ -58,22 +61,17 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         "seed": seed,
         "parent": job.request["parent"],
         "report": {
-            "sha256": digest_of(dict(found.document)),
-            "verdict": found.document["verdict"],
-            "sentence": sentence(found.document),
+            "sha256": digest_of(report),
+            "verdict": report["verdict"],
+            "sentence": sentence(report),
         },
     }
-    artifact = pack(found.predictor, provenance)
-    files = [
-        keep_file(
-            parts, FIGURES_FILE, "application/json", canonical_bytes(figures(found, episodes))
-        )
-    ]
-    if found.experiment is not None and found.experiment.command is not None:
-        files.append(
-            keep_file(parts, COMMAND_FILE, "text/csv", found.experiment.csv(plant).encode())
-        )
-    report = dict(found.document)
+    artifact = pack(diagnosis.predictor, provenance)
+    drawn = canonical_bytes(figures(diagnosis, episodes))
+    files = [keep_file(parts, FIGURES_FILE, "application/json", drawn)]
+    experiment = diagnosis.experiment
+    if experiment is not None and experiment.command is not None:
+        files.append(keep_file(parts, COMMAND_FILE, "text/csv", experiment.csv(plant).encode()))
     return {
         "manifest": artifact.manifest.decode(),
         "arrays": keep_arrays(parts, artifact),
@@ -85,7 +83,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 def effects(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
-    """The corrected model becomes the plant's next version, and is judged if a policy says so."""
+    """Adds the corrected model as the plant's next version, and judges it if a policy says so."""
     add_files(tx, job, outcome.get("files", ()))
     artifact = Artifact(outcome["manifest"].encode(), b"")
     add_artifact(tx, job.plant, artifact, job.id, context)
@@ -93,5 +91,5 @@ def effects(
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     return {"artifact": digest_of_bytes(outcome["manifest"].encode()), "report": outcome["report"]}

@@ -23,12 +23,14 @@ from trueup_worker.inputs import read_episodes, read_plant, sources
 from trueup_worker.outputs import keep_arrays
 from trueup_worker.progress import Progress
 
-SEED = 0  # both methods are deterministic; the field stands so that every provenance has it
+SEED = 0  # both methods are deterministic; every provenance names a seed
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Fit, keep the arrays, and give the manifest and the report. Repeating it gives the same
-    bytes."""
+    """Fits, stores the arrays, and returns the manifest and the report.
+
+    Repeating it gives the same bytes.
+    """
     plant = read_plant(parts, job)
     episodes = read_episodes(
         parts, job, plant, (Role.ADAPTATION,), progress.stage("reading episodes", 0.0, 0.5)
@@ -47,16 +49,16 @@ def _fit(
     plant: Plant, episodes: list[Episode], request: dict[str, Any], progress: Progress
 ) -> tuple[Predictor, dict[str, Json]]:
     if request["method"] == "identify":
-        identified, found = identify(plant, episodes, progress)
-        return identified, {"method": "identify", **found.document()}
-    residual, missed = fit_residual(
+        identified, report = identify(plant, episodes, progress)
+        return identified, {"method": "identify", **report.document()}
+    residual, residual_report = fit_residual(
         plant,
         episodes,
         tuple(request.get("features") or ()),
         request.get("penalty") or RIDGE,
         progress,
     )
-    return residual, {"method": "residual", **missed.document()}
+    return residual, {"method": "residual", **residual_report.document()}
 
 
 def _provenance(
@@ -77,10 +79,10 @@ def _provenance(
 def effects(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
-    """The candidate becomes the plant's next version."""
+    """Adds the candidate as the plant's next version."""
     add_artifact(tx, job.plant, Artifact(outcome["manifest"].encode(), b""), job.id, context)
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     return {"artifact": digest_of_bytes(outcome["manifest"].encode()), "fit": outcome["report"]}

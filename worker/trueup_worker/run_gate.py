@@ -1,5 +1,5 @@
-"""Run a gate: candidate and incumbent are scored on held-out episodes, and the frozen rules
-decide."""
+"""Run a gate: it scores the candidate and the incumbent on held-out episodes and applies the frozen
+rules."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from trueup_worker.progress import Progress
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Score both and judge."""
+    """Scores the candidate and the incumbent, and judges the candidate."""
     request: dict[str, Any] = job.request
     plant = read_plant(parts, job)
     with reading(parts.database) as tx:
@@ -46,28 +46,30 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     episodes = read_episodes(
         parts, job, plant, HELD_OUT, progress.stage("reading episodes", 0.0, 0.4)
     )
-    beside = (
+    others = (
         {digest: read_predictor(parts, job, digest) for digest in request["beside"]}
         if "beside" in request
         else None
     )
     run = run_trial(
-        gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0), copy, beside
+        gate, candidate, incumbent, episodes, progress.stage("scoring", 0.4, 1.0), copy, others
     )
-    named = {name: request[name] for name in ("candidate", "incumbent", "generation")}
-    told = {"known": known, "uses": request.get("uses", ()), "selection": request.get("selection")}
     decision = judge(
         gate,
         run.trial,
         plant=plant.digest,
         controls=run.controls,
         beside=run.beside,
-        **told,
-        **named,
+        known=known,
+        uses=request.get("uses", ()),
+        selection=request.get("selection"),
+        candidate=request["candidate"],
+        incumbent=request["incumbent"],
+        generation=request["generation"],
     )
     outcome: dict[str, Json] = {
         "decision": decision.document(),
-        "rehearsed": _rehearsed(parts, job, episodes, gate, candidate) if decision.accepted else {},
+        "rehearsed": _rehearse(parts, job, episodes, gate, candidate) if decision.accepted else {},
     }
     if not request.get("scales"):
         return outcome
@@ -77,10 +79,10 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     }
 
 
-def _rehearsed(
+def _rehearse(
     parts: Parts, job: JobRecord, episodes: Sequence[Episode], gate: Gate, candidate: Predictor
 ) -> dict[str, Json]:
-    """The way back, tried before anybody goes forward."""
+    """Tries the switch back to the incumbent, before anything is promoted."""
     request: dict[str, Any] = job.request
     with reading(parts.database) as tx:
         back, registered = (
@@ -101,30 +103,30 @@ def _rehearsed(
 def effects(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
-    """The decision stands in the registry, and its candidate is promoted if a policy says so."""
+    """Records the decision, and promotes its candidate if a policy says so."""
     decision = record_decision(tx, job.plant, outcome["decision"], job.id, context)
-    driven: Any = outcome["decision"]["figures"].get("closed_loop")
-    if driven is not None:
-        add_evidence(tx, job.plant, _evidence(outcome["decision"], driven), job.id, context)
+    closed_loop: Any = outcome["decision"]["figures"].get("closed_loop")
+    if closed_loop is not None:
+        add_evidence(tx, job.plant, _evidence(outcome["decision"], closed_loop), job.id, context)
     cycle_of(parts, tx, context).judged(job, decision, outcome["rehearsed"])
 
 
-def _evidence(decision: dict[str, Any], driven: dict[str, Any]) -> dict[str, Any]:
-    """Runs in closed loop as evidence of the candidate: passed if no rule on them refused."""
+def _evidence(decision: dict[str, Any], closed_loop: dict[str, Any]) -> dict[str, Any]:
+    """Returns the runs in closed loop as evidence: passed if no rule on them refused."""
     judged = [v["passed"] for v in decision["verdicts"] if rules()[v["rule"]].closed_loop]
-    figures = {k: v for k, v in driven.items() if k not in ("stage", "shows", "cannot_show")}
+    figures = {k: v for k, v in closed_loop.items() if k not in ("stage", "shows", "cannot_show")}
     return Evidence(
         decision["candidate"],
-        driven["stage"],
+        closed_loop["stage"],
         all(judged),
-        driven["shows"],
-        driven["cannot_show"],
+        closed_loop["shows"],
+        closed_loop["cannot_show"],
         {**figures, "decision": digest_of(decision), "against": decision["incumbent"]},
     ).document()
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     scales = {"scales": outcome["scales"]} if "scales" in outcome else {}
     return {
         "decision": digest_of(outcome["decision"]),

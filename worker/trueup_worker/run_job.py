@@ -1,8 +1,8 @@
 """Run one job in two steps that may each be repeated: compute, then finish.
 
-Computing has no effect but blobs, which are named by their content. Finishing is one transaction
-that happens only if the job is not finished yet: so a job has its effects once, however often its
-worker was killed.
+Computing writes blobs only, which are named by their content. Finishing is one transaction, which
+happens only if the job is not finished yet. So a job has its effects once, however often its worker
+was killed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ KINDS: dict[str, ModuleType] = {
 
 
 def compute(parts: Parts, job_id: str) -> dict[str, Json]:
-    """What came of the job, as JSON: its final state, and the outcome or the problem."""
+    """Computes a job, and returns its final state with the outcome or the problem, as JSON."""
     with writing(parts.database) as tx:
         job = find.job(tx, job_id)
         if job.state == JobState.QUEUED:
@@ -84,36 +84,33 @@ def compute(parts: Parts, job_id: str) -> dict[str, Json]:
         }
 
 
-def finish(parts: Parts, job_id: str, found: dict[str, Any]) -> str:
-    """Close the job with what was computed."""
+def finish(parts: Parts, job_id: str, computed: dict[str, Any]) -> str:
+    """Closes a job with what `compute` returned, and returns its final state."""
     with reading(parts.database) as tx:
         job = find.job(tx, job_id)
-    context, state = ActorContext(job.created_by, _now()), JobState(found["state"])
-    if "outcome" not in found:
-        _close(parts, job, state, found.get("problem", {}), context)
+    context, state = ActorContext(job.created_by, _now()), JobState(computed["state"])
+    if "outcome" not in computed:
+        _close(parts, job, state, computed.get("problem", {}), context)
         return state
     try:
-        _finish(parts, job, state, found["outcome"], context)
+        _finish(parts, job, state, computed["outcome"], context)
     except SQLAlchemyError as error:
         if not isinstance(error, DataError):
             raise  # the database, not the job: the engine tries this step again
         state = _failed(parts, job, error, context)
-    except Exception as error:  # noqa: BLE001  (whatever it is, the job must end)
+    except Exception as error:  # noqa: BLE001  (the job must end)
         state = _failed(parts, job, error, context)
     return state
 
 
 def _failed(parts: Parts, job: JobRecord, error: Exception, context: ActorContext) -> JobState:
-    """Close a job whose outcome cannot be written down."""
+    """Closes a job whose outcome cannot be stored, and returns its state."""
     log.error(
         "the job could not be closed with what came of it", extra={"job": job.id}, exc_info=error
     )
-    told = (
-        error
-        if isinstance(error, TrueupError)
-        else TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
-    )
-    _close(parts, job, JobState.FAILED, _problem(told), context)
+    if not isinstance(error, TrueupError):
+        error = TrueupError(f"{type(error).__name__}: {error}", hint="Read the worker's log.")
+    _close(parts, job, JobState.FAILED, _problem(error), context)
     return JobState.FAILED
 
 

@@ -1,5 +1,4 @@
-"""Run a recomputation: a decision is made anew from its bytes, and held against what was
-recorded."""
+"""Run a recomputation: compute a decision anew from its inputs, and compare it with the record."""
 
 from __future__ import annotations
 
@@ -18,18 +17,19 @@ from trueup_worker.progress import Progress
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Recompute, and say where the two differ. Raises BrokenChain if the kept document is not the
-    one that the digest names."""
+    """Recomputes a decision, and returns where it differs from the recorded one.
+
+    Raises BrokenChain if the recorded document is not the one that its digest names.
+    """
     with reading(parts.database) as tx:
-        made = find.decision(tx, job.plant, str(job.request["decision"]))
-        gate, registered = (
-            find.gate(tx, job.plant, made.gate).document,
-            find.plant_digest(tx, job.plant),
-        )
-    recorded: dict[str, Any] = made.document
-    if digest_of(recorded) != made.digest:
+        decision = find.decision(tx, job.plant, str(job.request["decision"]))
+        gate = find.gate(tx, job.plant, decision.gate).document
+        registered = find.plant_digest(tx, job.plant)
+    recorded: dict[str, Any] = decision.document
+    if digest_of(recorded) != decision.digest:
         raise BrokenChain(
-            "the decision's document is not the one that its digest names", decision=made.digest
+            "the decision's document is not the one that its digest names",
+            decision=decision.digest,
         )
     predictors = {
         name: read_predictor(parts, job, digest) for name, digest in models(recorded).items()
@@ -37,19 +37,24 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     episodes = read_episodes(
         parts, job, read_plant(parts, job), HELD_OUT, progress.stage("reading episodes", 0.0, 0.4)
     )
-    found = recompute(
+    recomputed = recompute(
         recorded, gate, predictors, episodes, registered, progress.stage("scoring", 0.4, 1.0)
     )
-    wrong: list[Json] = list(differences(recorded, found))
-    return {"decision": made.digest, "agrees": not wrong, "differences": wrong, "recomputed": found}
+    differing: list[Json] = list(differences(recorded, recomputed))
+    return {
+        "decision": decision.digest,
+        "agrees": not differing,
+        "differences": differing,
+        "recomputed": recomputed,
+    }
 
 
 def effects(
     parts: Parts, tx: object, job: JobRecord, outcome: dict[str, Any], context: object
 ) -> None:
-    """None beside its result."""
+    """Has none."""
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     return outcome

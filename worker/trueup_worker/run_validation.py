@@ -1,5 +1,7 @@
-"""Run a validation without any alarm: is what serves as right on what was held out since as it was
-when it was promoted?"""
+"""Run a validation: score the model that serves on episodes held out since its promotion.
+
+It has become worse if its error is above that on the episodes of its promotion.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ from trueup_worker.cycle import cycle_of
 from trueup_worker.inputs import read_episodes, read_plant, read_predictor
 from trueup_worker.progress import Progress
 
-WORSE = 1.25  # times the error at promotion, at the lower end of the interval
+WORSE = 1.25  # ratio to the error at promotion, at the lower end of its interval
 RESAMPLES = 1000
 READING = 0.5  # of the job's time
 
@@ -31,8 +33,7 @@ Array = NDArray[np.float64]
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Score what serves on the episodes of its promotion and on those that came since, with the
-    same rollouts."""
+    """Scores what serves on the episodes of its promotion and on those since, in the same way."""
     request: dict[str, Any] = job.request
     plant, predictor = read_plant(parts, job), read_predictor(parts, job, request["artifact"])
     episodes = read_episodes(
@@ -46,10 +47,9 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     both = {c for c, n in zip(cells, new, strict=True) if n} & {
         c for c, n in zip(cells, new, strict=True) if not n
     }
-    alike = (
-        np.array([c in both for c in cells]) if both else np.ones(len(cells), np.bool_)
-    )  # another task is no worse model
-    before, now = errors[~new & alike], errors[new & alike]
+    # only conditions that occur before and since: the error of another task says nothing
+    comparable = np.array([c in both for c in cells]) if both else np.ones(len(cells), np.bool_)
+    before, now = errors[~new & comparable], errors[new & comparable]
     with reading(parts.database) as tx:
         first = min(
             (find.episode(tx, job.plant, d) for d in request["new"]),
@@ -64,25 +64,21 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def _compared(before: Array, now: Array) -> dict[str, Json]:
-    """Mean errors, their ratio with a bootstrap interval over episodes, and whether it is worse."""
+    """Returns mean errors, their ratio with a bootstrap interval over episodes, and a verdict."""
     rng = np.random.default_rng(0)
-    found: dict[str, Json] = {
+    errors: dict[str, Json] = {
         "episodes": len(now),
         "error": float(now.mean()) if np.isfinite(now).all() else None,
         "error_before": float(before.mean()) if len(before) and np.isfinite(before).all() else None,
     }
-    if found["error"] is None or not found["error_before"]:
-        return {
-            **found,
-            "ratio": None,
-            "ratio_ci95": None,
-            "worse": found["error"] is None,
-        }  # what runs away is worse than anything
+    if errors["error"] is None or not errors["error_before"]:
+        diverges = errors["error"] is None
+        return {**errors, "ratio": None, "ratio_ci95": None, "worse": diverges}
     drawn = [x[rng.integers(0, len(x), (RESAMPLES, len(x)))].mean(axis=1) for x in (now, before)]
     ratios = drawn[0] / np.maximum(drawn[1], 1e-300)
     low, high = (float(np.quantile(ratios, q)) for q in (0.025, 0.975))
     return {
-        **found,
+        **errors,
         "ratio": float(now.mean() / before.mean()),
         "ratio_ci95": [low, high],
         "worse": low > WORSE,
@@ -92,11 +88,11 @@ def _compared(before: Array, now: Array) -> dict[str, Json]:
 def effects(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
-    """Worse is an alarm like a monitor's."""
-    found = outcome["validation"]
-    if found["worse"] and find.serving(tx, job.plant).artifact == outcome["artifact"]:
+    """Raises an alarm, as a monitor does, if the model has become worse."""
+    validation = outcome["validation"]
+    if validation["worse"] and find.serving(tx, job.plant).artifact == outcome["artifact"]:
         tx.plants.lock(job.plant)
-        ratio = found["ratio"]
+        ratio = validation["ratio"]
         words = (
             "the model runs away"
             if ratio is None
@@ -106,7 +102,7 @@ def effects(
             "detectors": {"scheduled_validation": {"at_s": 0.0, "leading": words}},
             "since": outcome["first"],
             "since_ns": outcome["since_ns"],
-            "episodes": found["episodes"],
+            "episodes": validation["episodes"],
             "change": {"words": [words]},
         }
         raise_alarm(
@@ -122,5 +118,5 @@ def effects(
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     return {"artifact": outcome["artifact"], **outcome["validation"]}

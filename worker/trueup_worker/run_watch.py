@@ -1,8 +1,9 @@
-"""Run a look at new episodes: the plant's monitor follows them, in the order of their start, and
-says what changed if it alarms.
+"""Run the plant's monitor over new episodes, in the order of their start.
 
-Following is repeatable, and what it found is written down only if the monitor still stands where it
-began: of two such jobs at once one does nothing.
+If it alarms, the alarm says what changed.
+
+Following is repeatable. Its outcome is stored only if the monitor still stands where the job began,
+so that of two such jobs at once one does nothing.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ from trueup_worker.inputs import read_plant, read_predictor
 from trueup_worker.progress import Progress
 
 AT_ONCE = 200  # episodes in one job; another follows if there are more
-HISTORY = 1000  # episodes before an alarm that are looked through for the beginning of the change
+HISTORY = 1000  # episodes before an alarm in which the onset of the change is sought
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
-    """Follow what the monitor has not seen."""
+    """Follows the episodes that the monitor has not seen."""
     with reading(parts.database) as tx:
         watching = tx.watches.current(job.plant)
         if watching is None or watching.monitor != job.request["monitor"]:
@@ -55,31 +56,23 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         tx.jobs.add_reads(job.id, [e.digest for e in waiting], job.kind)
     plant, predictor = read_plant(parts, job), read_predictor(parts, job, monitor.artifact)
     channels = [c.name for c in plant.layout.observations]
-    kept: Mapping[str, Sequence[float]] = watching.kept  # type: ignore[assignment]
+    states: Mapping[str, Sequence[float]] = watching.kept  # type: ignore[assignment]
     seen: list[dict[str, Any]] = []
     alarm: dict[str, Any] | None = None
     rows = [(w.episode, w.seen) for w in history if "channels" in w.seen]
     progress.stage("following episodes", 0.0, 1.0)
     for record in waiting:
         try:
-            kept, found = monitor.follow(
-                kept, predictor, read_episode(parts.blobs.get(record.digest), plant.layout)
-            )
-        except (
-            BadEpisode,
-            BlobMissing,
-        ) as error:  # it is told, and does not keep the others from being looked at
-            seen.append(
-                {
-                    "episode": record.digest,
-                    "seen": {"not_followed": error.message, "seconds": 0.0, "alarms": {}},
-                }
-            )
+            episode = read_episode(parts.blobs.get(record.digest), plant.layout)
+            states, followed = monitor.follow(states, predictor, episode)
+        except (BadEpisode, BlobMissing) as error:  # recorded; the others are still followed
+            failure = {"not_followed": error.message, "seconds": 0.0, "alarms": {}}
+            seen.append({"episode": record.digest, "seen": failure})
             continue
-        document = found.document(channels)
+        document = followed.document(channels)
         rows.append((record.digest, document))
         seen.append({"episode": record.digest, "seen": document})
-        if found.alarms and alarm is None:
+        if followed.alarms and alarm is None:
             alarm = _alarm(parts, job.plant, monitor, channels, rows, record, document)
         progress(len(seen) / len(waiting))
     return {
@@ -87,7 +80,7 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
         "from": watching.sequence,
         "since": watching.since,
         "seen": seen,
-        "kept": {name: list(state) for name, state in kept.items()},
+        "kept": {name: list(state) for name, state in states.items()},
         "alarm": alarm,
     }
 
@@ -101,28 +94,27 @@ def _alarm(
     at: EpisodeRecord,
     document: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """What an alarm says: which detectors, since which episode, and what is different since
-    then."""
+    """Returns an alarm: which detectors, since which episode, and what is different since then."""
     rms = np.array([[seen["channels"][c]["rms"] for c in channels] for _, seen in rows])
-    begun = onset(rms, monitor.usual)
+    first = onset(rms, monitor.usual)
     with reading(parts.database) as tx:
-        episodes = [find.episode(tx, plant, digest) for digest, _ in rows[begun:]]
+        episodes = [find.episode(tx, plant, digest) for digest, _ in rows[first:]]
     now = Before.of_summaries([e.summary for e in episodes])
-    found = changed(monitor.before, {c: rms[begun:, i] for i, c in enumerate(channels)}, now)
-    said: dict[str, Json] = {
+    change = changed(monitor.before, {c: rms[first:, i] for i, c in enumerate(channels)}, now)
+    alarm: dict[str, Json] = {
         "detectors": document["alarms"],
         "since": episodes[0].digest,
         "since_ns": str(episodes[0].start_ns),
         "episodes": len(episodes),
-        "change": found,
+        "change": change,
     }
-    return {"episode": at.digest, "document": said}
+    return {"episode": at.digest, "document": alarm}
 
 
 def effects(
     parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
 ) -> None:
-    """The monitor has moved on, an alarm is raised, and what is left is looked at next."""
+    """Moves the monitor on, raises the alarm, and submits the job that follows."""
     if outcome["from"] is not None:
         before = Watching(
             plant=job.plant,
@@ -148,7 +140,7 @@ def effects(
 
 
 def result(outcome: dict[str, Any]) -> dict[str, Json]:
-    """What the job answers with."""
+    """Returns the result of the job."""
     return {
         "monitor": outcome["monitor"],
         "episodes": len(outcome["seen"]),

@@ -1,4 +1,4 @@
-"""The schedule: validations that are due, whether anything alarmed or not."""
+"""The schedule: it submits the validations that are due, without any alarm."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from trueup_service.registry.transaction import reading, writing
 from trueup_service.wiring import Parts
 
 log = logging.getLogger("trueup.worker")
-SCHEDULE = "schedule"  # the actor of what nobody asked for
+SCHEDULE = "schedule"  # the actor of the jobs that it submits
 
 
-def keep(parts: Parts, interval_s: float, stop: threading.Event) -> None:
-    """Submit what is due, again and again."""
+def run_schedule(parts: Parts, interval_s: float, stop: threading.Event) -> None:
+    """Submits what is due, every `interval_s` [s] until `stop` is set."""
     while not stop.wait(interval_s):
         try:
             submit_due(parts, datetime.now(UTC))
@@ -28,29 +28,32 @@ def keep(parts: Parts, interval_s: float, stop: threading.Event) -> None:
 
 
 def submit_due(parts: Parts, now: datetime) -> list[str]:
-    """Submit a validation of every plant whose policy wants one by now; their names."""
+    """Submits a validation of every plant whose policy asks for one by now.
+
+    Returns the plants' names.
+    """
     with reading(parts.database) as tx:
-        held = [
+        policies = [
             (p.plant, UpdatePolicy.from_document(p.document)) for p in tx.policies.all_in_force()
         ]
     due = [
         (plant, policy.validate_every_h)
-        for plant, policy in held
+        for plant, policy in policies
         if policy.validate_every_h is not None
     ]
-    return [plant for plant, every_h in due if _tried(parts, plant, every_h, now)]
+    return [plant for plant, every_h in due if _try_submit(parts, plant, every_h, now)]
 
 
-def _tried(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
-    """One plant's trouble is no other's."""
+def _try_submit(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
+    """Returns whether a validation was submitted. An error of one plant is logged only."""
     try:
-        return _submitted(parts, plant, every_h, now)
+        return _submit_if_due(parts, plant, every_h, now)
     except Exception:
         log.exception("a validation that may be due could not be submitted", extra={"plant": plant})
         return False
 
 
-def _submitted(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
+def _submit_if_due(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
     context = ActorContext(SCHEDULE, time_text(now))
     with writing(parts.database) as tx:
         tx.plants.lock(plant)  # another worker may look at the same time
@@ -60,5 +63,5 @@ def _submitted(parts: Parts, plant: str, every_h: float, now: datetime) -> bool:
         try:
             submit_validation(tx, parts.queue, uuid.uuid4().hex, plant, {}, context)
         except TrueupError:
-            return False  # nothing was held out since: there is nothing to validate on
+            return False  # nothing was held out since then
         return True

@@ -1,1 +1,1 @@
-"""Pictures: what a command leaves behind to be looked at, as SVG that stands alone."""
+"""Pictures that commands write, as SVG files that stand alone."""

@@ -1,5 +1,4 @@
-"""Before and after as one SVG: what was measured, what each model predicted window by window, and
-by how much it missed."""
+"""Two models before and after as one SVG: measurement, predictions by window, and their errors."""
 
 from __future__ import annotations
 
@@ -35,8 +34,10 @@ def before_and_after(
     starts_s: Array,
     unit: str,
 ) -> str:
-    """The picture. Rollouts start anew at `starts_s` [s]; errors are drawn in thousandths of
-    `unit`."""
+    """Draws the picture.
+
+    Rollouts start anew at `starts_s` [s]. Errors are drawn in thousandths of `unit`.
+    """
     span = nice(float(t_s[0]), float(t_s[-1]))
     upper = Panel(*TOP_PANEL, span, nice(*range_of([measured, *(t.values for t in traces)])))
     lower = Panel(

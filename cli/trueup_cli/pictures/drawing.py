@@ -1,4 +1,4 @@
-"""Drawing: axes, lines and words as SVG."""
+"""Axes, lines and text as SVG."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
 def sheet(title: str, subtitle: str, height: int, parts: Sequence[str]) -> str:
-    """A picture with its title."""
+    """Returns a picture with its title."""
     return "\n".join(
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" '
@@ -39,20 +39,20 @@ class Panel:
         self.top, self.bottom, self._x, self._y = top, top + height, x, y
 
     def x(self, value: float) -> float:
-        """Where a value lies across."""
+        """Returns the horizontal position of a value."""
         return float(
             LEFT + (value - self._x[0]) / (self._x[-1] - self._x[0]) * (WIDTH - LEFT - RIGHT)
         )
 
     def y(self, value: float) -> float:
-        """Where a value lies up."""
+        """Returns the vertical position of a value."""
         return float(
             self.bottom
             - (value - self._y[0]) / (self._y[-1] - self._y[0]) * (self.bottom - self.top)
         )
 
     def frame(self, label: str, *, times: bool = False) -> str:
-        """The lines behind the data, their numbers, and what they are of."""
+        """Returns the grid with its numbers and its label."""
         rows = [
             f'<path d="M{LEFT} {self.y(v):.1f}H{WIDTH - RIGHT}" stroke="{GRID}"/>'
             + text(LEFT - 10, self.y(v) + 4, f"{v:g}", PALE, anchor="end")
@@ -75,7 +75,7 @@ class Panel:
         dash: str = "",
         breaks: Array | None = None,
     ) -> str:
-        """A line, broken where a new rollout starts, and thinned to about one point a pixel."""
+        """Returns a line, broken where a rollout starts, and thinned to about one point a pixel."""
         cuts = np.searchsorted(t, [] if breaks is None else breaks)
         pieces = [p for p in np.split(np.arange(len(t)), cuts) if len(p) > 1]
         every = max(1, len(t) // WIDTH)
@@ -95,7 +95,7 @@ class Panel:
 
 
 def legend(entries: Sequence[tuple[str, str]], y: float = 84) -> str:
-    """Names with their colours, in one row that ends at the right."""
+    """Returns names with their colours, in one row that ends at the right."""
     x, parts = float(WIDTH - RIGHT), []
     for name, colour in reversed(entries):
         x -= 7.2 * len(name) + 34
@@ -107,13 +107,13 @@ def legend(entries: Sequence[tuple[str, str]], y: float = 84) -> str:
 
 
 def range_of(values: Sequence[Array]) -> tuple[float, float]:
-    """The least and the largest finite value."""
+    """Returns the least and the largest finite value."""
     finite = np.concatenate([v[np.isfinite(v)] for v in values])
     return float(finite.min()), float(finite.max())
 
 
 def nice(low: float, high: float) -> Array:
-    """Round ticks that enclose a range."""
+    """Returns round ticks that enclose a range."""
     span = max(high - low, 1e-12) / TICKS
     power = 10.0 ** np.floor(np.log10(span))
     step = power * next(s for s in STEPS if s * power >= span)
@@ -132,6 +132,6 @@ def text(
     weight: int = 400,
     anchor: str = "start",
 ) -> str:
-    """Words at a place."""
+    """Returns text at a position."""
     look = f'fill="{colour}" font-size="{size}" font-weight="{weight}" text-anchor="{anchor}"'
     return f'<text x="{x:.1f}" y="{y:.1f}" {look}>{escape(words)}</text>'

@@ -1,4 +1,4 @@
-"""A designed excitation as one SVG: the command, and the motion under every model still in play."""
+"""A designed excitation as one SVG: the command, and the motion under every plausible model."""
 
 from __future__ import annotations
 
@@ -25,25 +25,24 @@ PANEL, GAP, TOP = 130, 54, 98
 BOUND = "#c23030"
 
 
-def excite_picture(plant: Plant, found: Excitation) -> str:
-    """The picture: one panel for each command and each observation, with limits and envelope as
-    dashed lines."""
-    span = nice(0.0, float(found.t_s[-1]))
+def excite_picture(plant: Plant, excitation: Excitation) -> str:
+    """Draws a panel for each command and observation, with limits and envelope as dashed lines."""
+    span = nice(0.0, float(excitation.t_s[-1]))
     parts: list[str] = []
     top = float(TOP)
     for channel in plant.layout.commands:
-        values = found.command[:, plant.joint_of(channel)]
+        values = excitation.command[:, plant.joint_of(channel)]
         limits = channel.limits or (float(values.min()), float(values.max()))
         panel = Panel(top, PANEL, span, nice(*range_of([values, np.array(limits)])))
         parts += [
             panel.frame(f"{channel.name} [{channel.unit}]"),
             *(_level(panel, x) for x in limits),
-            panel.line(found.t_s, values, SERIES[0]),
+            panel.line(excitation.t_s, values, SERIES[0]),
         ]
         top += PANEL + GAP
-    kept, sources = found.bounds.whole(), found.bounds.sources
+    kept, sources = excitation.bounds.whole(), excitation.bounds.sources
     for channel, column in zip(plant.layout.observations, plant.state_columns, strict=True):
-        paths = found.paths[:, :, column]
+        paths = excitation.paths[:, :, column]
         bounds = tuple(kept[column]) if sources[column] != UNBOUNDED else ()
         low, high = paths.min(axis=0), paths.max(axis=0)
         panel = Panel(top, PANEL, span, nice(*range_of([low, high, np.array(bounds)])))
@@ -51,29 +50,29 @@ def excite_picture(plant: Plant, found: Excitation) -> str:
             panel.frame(f"{channel.name} [{channel.unit}]", times=True),
             *(_level(panel, x) for x in bounds),
         ]
-        parts += [_band(panel, found.t_s, low, high), *_centres(panel, found, paths)]
+        parts += [_band(panel, excitation.t_s, low, high), *_centres(panel, excitation, paths)]
         top += PANEL + GAP
     parts += [
         legend(
             [
-                *zip(_names(found), SERIES, strict=False),
-                (f"limit, {_envelope(plant, found)}", BOUND),
+                *zip(_names(excitation), SERIES, strict=False),
+                (f"limit, {_envelope(plant, excitation)}", BOUND),
             ],
             78,
         ),
         text(WIDTH / 2, top - 8, "time [s]", PALE, anchor="middle"),
     ]
     words = (
-        f"{len(found.paths)} models drawn anew, {found.breaches} breaches of the "
-        f"{_envelope(plant, found)}, of which "
-        f"{100 * found.bounds.margin:.0f} % is kept free"
+        f"{len(excitation.paths)} models drawn anew, {excitation.breaches} breaches of the "
+        f"{_envelope(plant, excitation)}, of which "
+        f"{100 * excitation.bounds.margin:.0f} % is kept free"
     )
     return sheet(f"{plant.name}: a bounded excitation", words, round(top + 10), parts)
 
 
-def _envelope(plant: Plant, found: Excitation) -> str:
-    """What the bounds of the travel are: declared, or the range of what was recorded."""
-    of = set(found.bounds.sources[: len(plant.joints)])
+def _envelope(plant: Plant, excitation: Excitation) -> str:
+    """Returns where the bounds of the travel come from, in words."""
+    of = set(excitation.bounds.sources[: len(plant.joints)])
     return (
         "declared envelope"
         if of == {DECLARED}
@@ -83,20 +82,20 @@ def _envelope(plant: Plant, found: Excitation) -> str:
     )
 
 
-def _names(found: Excitation) -> list[str]:
-    """What the lines of each composition are called."""
-    names = list(found.central)
+def _names(excitation: Excitation) -> list[str]:
+    """Returns the name of each composition's line."""
+    names = list(excitation.central)
     return [
         f"command; {names[0]}" if len(names) > 1 else "command; motion of the central model",
         *names[1:],
     ]
 
 
-def _centres(panel: Panel, found: Excitation, paths: Array) -> list[str]:
-    """The central motion of each composition, the answer's above the others."""
+def _centres(panel: Panel, excitation: Excitation, paths: Array) -> list[str]:
+    """Draws the central motion of each composition, the answer's above the others."""
     lines = [
-        panel.line(found.t_s, paths[i], colour, width=1.2)
-        for i, colour in zip(found.central.values(), SERIES, strict=False)
+        panel.line(excitation.t_s, paths[i], colour, width=1.2)
+        for i, colour in zip(excitation.central.values(), SERIES, strict=False)
     ]
     return lines[::-1]
 

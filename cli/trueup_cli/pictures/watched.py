@@ -1,5 +1,5 @@
-"""What a plant's monitors saw as one SVG: detectors' statistics against their levels, and each
-channel's error, episode by episode."""
+"""What a plant's monitors saw as one SVG: detector statistics over their levels, and each channel's
+error, by episode."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from trueup_cli.pictures.drawing import INK, PALE, SERIES, WIDTH, Panel, legend,
 
 Array = NDArray[np.float64]
 TOP_PANEL, BOTTOM_PANEL, HEIGHT = (136, 192), (404, 160), 640
-MOST = 3.0  # times the level: what is far beyond is drawn at the edge
+MOST = 3.0  # times the level; larger statistics are drawn at the edge
 ALARM = "#c23030"
 
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What one monitor saw of one version: its document, and each episode's record."""
+    """What one monitor saw of one version: the monitor's document, and each episode's record."""
 
     version: int
     monitor: Mapping[str, Any]
     watches: Sequence[Mapping[str, Any]]
 
 
-def watch_picture(plant: str, found: Sequence[Watched]) -> str:
-    """The picture of monitors one after the other, each in its own healthy spreads and levels."""
-    found = [
+def watch_picture(plant: str, monitors: Sequence[Watched]) -> str:
+    """Draws the monitors one after the other, each in its own healthy spreads and levels."""
+    monitors = [
         Watched(w.version, w.monitor, [one for one in w.watches if "channels" in one["seen"]])
-        for w in found
+        for w in monitors
     ]
-    found = [w for w in found if w.watches]
-    detectors = list(dict.fromkeys(d["detector"] for w in found for d in w.monitor["detectors"]))
-    channels = list(found[0].watches[0]["seen"]["channels"])
+    monitors = [w for w in monitors if w.watches]
+    detectors = list(dict.fromkeys(d["detector"] for w in monitors for d in w.monitor["detectors"]))
+    channels = list(monitors[0].watches[0]["seen"]["channels"])
     hours, begins, now = [], [], 0.0
-    for watched in found:
+    for watched in monitors:
         begins.append(now)
         hours.append(now + np.cumsum([w["seen"]["seconds"] for w in watched.watches]) / 3600.0)
         now = float(hours[-1][-1])
     rms = [
         {c: np.array([w["seen"]["channels"][c]["rms"] for w in watched.watches]) for c in channels}
-        for watched in found
+        for watched in monitors
     ]
     span = nice(0.0, now)
     upper = Panel(*TOP_PANEL, span, nice(0.0, MOST))
@@ -67,7 +67,7 @@ def watch_picture(plant: str, found: Sequence[Watched]) -> str:
         legend([(c, of_channel[c]) for c in channels], 600),
         text(WIDTH / 2, 626, "operating hours; triangles are alarms", PALE, anchor="middle"),
     ]
-    for watched, times, begin, errors in zip(found, hours, begins, rms, strict=True):
+    for watched, times, begin, errors in zip(monitors, hours, begins, rms, strict=True):
         parts += [_begun(upper, lower, begin, f"version {watched.version}")]
         for d in watched.monitor["detectors"]:
             share = np.minimum(
@@ -80,16 +80,16 @@ def watch_picture(plant: str, found: Sequence[Watched]) -> str:
             for t in raised
         ]
         parts += [lower.line(times, values, of_channel[c]) for c, values in errors.items()]
-    episodes = sum(len(w.watches) for w in found)
+    episodes = sum(len(w.watches) for w in monitors)
     words = (
         f"{episodes} episodes, {now:.2f} h; one false alarm in "
-        f"{found[-1].monitor['promise_h']:g} h is promised"
+        f"{monitors[-1].monitor['promise_h']:g} h is promised"
     )
     return sheet(f"{plant}: is the model still right?", words, HEIGHT, parts)
 
 
 def _begun(upper: Panel, lower: Panel, at: float, name: str) -> str:
-    """Where another model began to serve."""
+    """Marks where another model began to serve."""
     x = upper.x(at)
     line = (
         f'<path d="M{x:.1f} {upper.top - 22}V{lower.bottom}" stroke="{PALE}" '

@@ -1,10 +1,11 @@
-// What pages do beyond links and forms: recordings that can be looked through, and signing in by a link.
+// What pages do beyond links and forms: browse recordings, and sign in by a link.
 "use strict";
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const digits = (x) => (x == null ? "–" : Number(x).toPrecision(4));
 
-/** The recordings of a diagnosis: one plot of the signal and one of the errors for each channel, with one cursor for all. */
+/** The recordings of a diagnosis: for each channel a plot of its signal and one of its errors,
+ * with one cursor for all. */
 class Recordings {
   constructor(root, data) {
     this.root = root;
@@ -39,16 +40,23 @@ class Recordings {
     this.charts = [];
     for (const channel of episode.channels) {
       const unit = channel.unit && channel.unit !== "1" ? ` [${channel.unit}]` : "";
-      const bounds = (channel.envelope || []).map((y) => ["envelope", "--bad", episode.t_s.map(() => y), [5, 4]]);
-      this.add(channel.name + unit, [...this.lines.map(([name, of]) => [name, of, channel[name]]), ...bounds], 230);
-      const missed = (name) => channel[name].map((p, i) => (p == null ? null : p - channel.measured[i]));
-      this.add(`error of ${channel.name}${unit}`, this.models.map(([name, of]) => [name, of, missed(name)]), 130);
+      const signals = this.lines.map(([name, of]) => [name, of, channel[name]]);
+      const flat = (y) => episode.t_s.map(() => y);
+      const bounds = (channel.envelope || []).map((y) => ["envelope", "--bad", flat(y), [5, 4]]);
+      this.add(channel.name + unit, [...signals, ...bounds], 230);
+      const errorOf = (name) =>
+        channel[name].map((p, i) => (p == null ? null : p - channel.measured[i]));
+      const errors = this.models.map(([name, of]) => [name, of, errorOf(name)]);
+      this.add(`error of ${channel.name}${unit}`, errors, 130);
     }
-    for (const c of episode.commands) this.add(`command ${c.name} [${c.unit}]`, [["issued", "--pale", c.issued]], 90);
+    for (const c of episode.commands) {
+      this.add(`command ${c.name} [${c.unit}]`, [["issued", "--pale", c.issued]], 90);
+    }
     this.range.max = episode.t_s.length - 1;
     const at = Math.min(Number(this.range.value), episode.t_s.length - 1);
     this.show(at);
-    requestAnimationFrame(() => this.episode === episode && this.scrub(at)); // the axes have their scales by then
+    // by then the axes have their scales
+    requestAnimationFrame(() => this.episode === episode && this.scrub(at));
   }
 
   add(title, lines, height) {
@@ -57,20 +65,44 @@ class Recordings {
     const place = document.createElement("div");
     place.className = "plot";
     this.plots.append(heading, place);
-    const axis = { stroke: colour("--pale"), grid: { stroke: colour("--line"), width: 1 }, ticks: { show: false }, font: "12px system-ui" };
+    const axis = {
+      stroke: colour("--pale"),
+      grid: { stroke: colour("--line"), width: 1 },
+      ticks: { show: false },
+      font: "12px system-ui",
+    };
+    const isPointer = (u) => u.cursor.event && u.cursor.idx != null && u.cursor.left >= 0;
     const options = {
       width: Math.max(this.plots.clientWidth, 240),
       height,
-      cursor: { y: false, sync: { key: "recording", setSeries: false }, drag: { x: true, y: false }, points: { size: 5 } },
+      cursor: {
+        y: false,
+        sync: { key: "recording", setSeries: false },
+        drag: { x: true, y: false },
+        points: { size: 5 },
+      },
       scales: { x: { time: false } },
-      axes: [{ ...axis, size: 28, values: (_, ticks) => ticks.map((t) => `${+t.toPrecision(6)} s`) }, { ...axis, size: 58 }],
-      series: [{}, ...lines.map(([label, of, , dash]) => ({ label, stroke: colour(of), width: 1.4, spanGaps: false, dash }))],
+      axes: [
+        { ...axis, size: 28, values: (_, ticks) => ticks.map((t) => `${+t.toPrecision(6)} s`) },
+        { ...axis, size: 58 },
+      ],
+      series: [
+        {},
+        ...lines.map(([label, of, , dash]) => ({
+          label,
+          stroke: colour(of),
+          width: 1.4,
+          spanGaps: false,
+          dash,
+        })),
+      ],
       hooks: {
-        setCursor: [(u) => u.cursor.event && u.cursor.idx != null && u.cursor.left >= 0 && this.show(u.cursor.idx)], // a pointer's, not our own
+        setCursor: [(u) => isPointer(u) && this.show(u.cursor.idx)],
         setScale: [(u, key) => key === "x" && !this.busy && this.zoom(u)],
       },
     };
-    this.charts.push(new uPlot(options, [this.episode.t_s, ...lines.map((line) => line[2])], place));
+    const values = [this.episode.t_s, ...lines.map((line) => line[2])];
+    this.charts.push(new uPlot(options, values, place));
   }
 
   zoom(from) {
@@ -81,7 +113,10 @@ class Recordings {
   }
 
   scrub(at) {
-    for (const each of this.charts) each.setCursor({ left: each.valToPos(this.episode.t_s[at], "x"), top: 0 }, false);
+    const t = this.episode.t_s[at];
+    for (const plot of this.charts) {
+      plot.setCursor({ left: plot.valToPos(t, "x"), top: 0 }, false);
+    }
     this.show(at);
   }
 
@@ -94,7 +129,8 @@ class Recordings {
       ...this.episode.channels.map((c) => {
         const row = document.createElement("tr");
         const last = this.models.at(-1)[0];
-        for (const text of [c.name, ...this.lines.map(([name]) => digits(c[name][at])), digits(c[last][at] - c.measured[at])]) {
+        const shown = this.lines.map(([name]) => digits(c[name][at]));
+        for (const text of [c.name, ...shown, digits(c[last][at] - c.measured[at])]) {
           const cell = document.createElement("td");
           cell.className = row.children.length ? "n" : "";
           cell.textContent = text;
@@ -106,6 +142,7 @@ class Recordings {
   }
 }
 
+/** Draws the recordings of a page, or signs in with the token that the link holds. */
 function look() {
   const data = document.getElementById("figures");
   const root = document.getElementById("recordings");

@@ -5,11 +5,11 @@ import sys
 
 import numpy as np
 import pytest
-from tests.unit.model.test_stepper import PLANT, TOGETHER, commands, compiled, corrected
 
 import trueup
 from tests.support.made import TRUE, episode_bytes, plant_document
 from tests.support.robots import arm_plant
+from tests.unit.model.test_step_function import PLANT, TOGETHER, commands, compiled, corrected
 from trueup.artifact.artifact import pack
 from trueup.episode.mcap import read_episode
 from trueup.errors import BadArtifact

@@ -6,7 +6,10 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
-from tests.unit.model.test_stepper import (
+
+from tests.support.made import TRUE
+from tests.support.robots import arm_plant
+from tests.unit.model.test_step_function import (
     ALL,
     PLANT,
     TOGETHER,
@@ -15,9 +18,6 @@ from tests.unit.model.test_stepper import (
     corrected,
     stepped,
 )
-
-from tests.support.made import TRUE
-from tests.support.robots import arm_plant
 from trueup.artifact.onnx import SCHEMA, to_onnx
 from trueup.errors import NotExportable
 from trueup.model.features import FRICTION

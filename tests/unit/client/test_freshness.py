@@ -61,7 +61,7 @@ def test_a_watch_confirms_the_model_at_every_answer(monkeypatch):
                                b' "decision": null, "move": "registered", "actor": "x"}'), (304,
                                {}, b"")])  # fmt: skip
     client, times = Client("http://127.0.0.1:1"), []
-    monkeypatch.setattr(client._to, "tagged", lambda *_: next(answers))
+    monkeypatch.setattr(client._connection, "tagged", lambda *_: next(answers))
     watch = client.watch("p", 0.0, lambda: times.append(1))
     next(watch)
     next(watch)

@@ -167,11 +167,11 @@ def test_an_envelope_opens_with_its_key_as_its_type_alone():
 def test_signatures_hold_exactly_where_the_library_made_them(seed, message, at, flip):
     key = Ed25519PrivateKey.from_private_bytes(seed)
     public, signature = key.public_key().public_bytes_raw(), key.sign(message)
-    assert ed25519.holds(public, signature, message)
+    assert ed25519.is_valid(public, signature, message)
     broken = bytearray(signature)
     broken[at] ^= flip
-    assert not ed25519.holds(public, bytes(broken), message)
-    assert not ed25519.holds(public, signature, message + b"!")
+    assert not ed25519.is_valid(public, bytes(broken), message)
+    assert not ed25519.is_valid(public, signature, message + b"!")
 
 
 def test_the_first_vector_of_the_standard_holds():
@@ -180,7 +180,7 @@ def test_the_first_vector_of_the_standard_holds():
     signature = bytes.fromhex(
         "e5564300c360ac729086e2cc806e828a84877f1eb8e5d974d873e065224901555fb8821590a33bacc61e39701cf9b46bd25bf5f0595bbe24655141438e7a100b"
     )
-    assert ed25519.holds(public, signature, b"")
+    assert ed25519.is_valid(public, signature, b"")
 
 
 def test_a_signature_with_a_number_beyond_the_order_is_refused():
@@ -189,6 +189,6 @@ def test_a_signature_with_a_number_beyond_the_order_is_refused():
     key = Ed25519PrivateKey.from_private_bytes(bytes(32))
     signature = key.sign(b"m")
     s = int.from_bytes(signature[32:], "little") + ed25519.ORDER
-    assert not ed25519.holds(
+    assert not ed25519.is_valid(
         key.public_key().public_bytes_raw(), signature[:32] + s.to_bytes(32, "little"), b"m"
     )

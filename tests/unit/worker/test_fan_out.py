@@ -1,5 +1,4 @@
-"""A step of a search is done whoever helps, dies, declines or is not there, with the same
-answers."""
+"""A step of a search has the same answers whether helpers answer, die, decline or are absent."""
 
 import threading
 from dataclasses import replace
@@ -16,33 +15,33 @@ from trueup.diagnose.task_worker import TaskWorker
 from trueup.diagnose.tasks import Screen, in_threads
 from trueup.model.series import refined
 from trueup_service.jobs import Help, Helped
+from trueup_worker.compute_fingerprint import compute_fingerprint
 from trueup_worker.fan_out import FanOut
-from trueup_worker.likeness import likeness
 
 TERMS = tuple(searchable()[:8])
 
 
 class Others:
-    """A queue in memory, whose parcels fare as `fares` says."""
+    """A queue in memory, whose batches fare as `fares` says."""
 
     def __init__(self, fares):
-        self.fares, self.parcels, self.withdrawn, self.asked = fares, {}, set(), []
+        self.fares, self.batches, self.withdrawn, self.asked = fares, {}, set(), []
 
-    def ask_for_help(self, job, parcels):
-        self.asked.append(len(parcels))
-        self.parcels |= {name: (job, parcel) for name, parcel in parcels.items()}
+    def ask_for_help(self, job, batches):
+        self.asked.append(len(batches))
+        self.batches |= {name: (job, offer) for name, offer in batches.items()}
 
     def help(self, names):
-        found = {
-            name: self.fares(*self.parcels[name]) for name in names if name not in self.withdrawn
+        states = {
+            name: self.fares(*self.batches[name]) for name in names if name not in self.withdrawn
         }
-        return {name: help_ for name, help_ in found.items() if help_ is not None}
+        return {name: help_ for name, help_ in states.items() if help_ is not None}
 
     def withdraw(self, names):
         self.withdrawn.update(names)
 
     def forget(self, prefix):
-        self.parcels = {name: p for name, p in self.parcels.items() if not name.startswith(prefix)}
+        self.batches = {name: p for name, p in self.batches.items() if not name.startswith(prefix)}
 
 
 @pytest.fixture(scope="module")
@@ -63,16 +62,16 @@ def case():
 @pytest.fixture(autouse=True)
 def one_core(monkeypatch):
     monkeypatch.setattr(module, "cores", lambda: 1)
-    monkeypatch.setattr(module, "LOOK_S", 0.001)
+    monkeypatch.setattr(module, "POLL_S", 0.001)
     monkeypatch.setattr(module, "PATIENCE_S", 0.0)
     monkeypatch.setattr(module, "PATIENCE", 0.01)
 
 
 def helpful(helper):
-    def fares(job, parcel):
+    def fares(job, offer):
         assert job == "job"
-        like, text = parcel.split(" ")
-        assert like == likeness()
+        fingerprint, text = offer.split(" ")
+        assert fingerprint == compute_fingerprint()
         return Help(Helped.DONE, helper.answer(text))
 
     return fares
@@ -101,11 +100,11 @@ def test_the_answers_are_the_same_where(case, fares):
         len(tasks) - 1,
         len(tasks) - 1 if fares in ("somebody helps", "somebody took it and died") else 1,
     ]
-    assert not others.parcels
+    assert not others.batches
     assert max(shares) == 1.0
 
 
-def test_one_parcel_is_offered_while_nobody_helps_and_all_once_somebody_does(case):
+def test_one_batch_is_offered_while_nobody_helps_and_all_once_somebody_does(case):
     helper, problem, tasks, _ = case
     there = threading.Event()
     others = Others(
@@ -117,18 +116,18 @@ def test_one_parcel_is_offered_while_nobody_helps_and_all_once_somebody_does(cas
                 there.set()
             fan_out(
                 problem, [replace(t, expected=t.expected + step) for t in tasks], lambda _: None
-            )  # as parcels that are new
+            )  # as batches that are new
     assert others.asked == [7, 1, 1, 7]
 
 
-def test_a_parcel_has_the_name_of_its_content(case):
+def test_a_batch_has_the_name_of_its_content(case):
     _, problem, tasks, _ = case
     names = []
     for _ in range(2):
         others = Others(lambda *_: Help(Helped.WAITING, None))
         with FanOut(others, "job") as fan_out:
             fan_out(problem, tasks, lambda _: None)
-            names.append(set(others.parcels))
+            names.append(set(others.batches))
     assert names[0] == names[1]
     assert all(name.startswith("help.job.") for name in names[0])
 
@@ -137,13 +136,13 @@ def test_a_cancelled_job_takes_back_what_it_asked_for(case):
     _, problem, tasks, _ = case
     others = Others(lambda *_: Help(Helped.TAKEN, None))
 
-    def told(_):
+    def cancel(_):
         raise InterruptedError
 
     with pytest.raises(InterruptedError), FanOut(others, "job") as fan_out:
-        fan_out(problem, tasks, told)
+        fan_out(problem, tasks, cancel)
     assert len(others.withdrawn) == len(tasks) - 1
-    assert not others.parcels
+    assert not others.batches
 
 
 def test_a_task_that_fails_fails_the_step(case):

@@ -1,4 +1,4 @@
-"""Which workers compute the same bits: those with the same code, libraries and processor."""
+"""The compute fingerprint: workers that share one compute the same bits."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ from trueup_worker.code_identity import code_identity
 
 
 @cache
-def likeness() -> str:
-    """A digest that two workers share only if they compute the same: kernels are compiled for the
-    processor at hand."""
-    found: dict[str, Json] = {
+def compute_fingerprint() -> str:
+    """Returns a digest of this worker's code, libraries and processor.
+
+    The processor is part of it because kernels are compiled for the processor at hand.
+    """
+    document: dict[str, Json] = {
         "code": code_identity(),
         "python": platform.python_version(),
         "numpy": np.__version__,
@@ -25,4 +27,4 @@ def likeness() -> str:
         "processor": llvm.get_host_cpu_name(),
         "features": llvm.get_host_cpu_features().flatten(),
     }
-    return digest_of(found)
+    return digest_of(document)

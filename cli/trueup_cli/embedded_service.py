@@ -1,4 +1,4 @@
-"""Beside: a server with a worker on a data folder, for as long as a command lasts."""
+"""An embedded service: a server with a worker on a data folder, while a command runs."""
 
 from __future__ import annotations
 
@@ -15,19 +15,21 @@ from pathlib import Path
 from trueup_cli.show import progress
 from trueup_client import Client, Unreachable
 
-START_LIMIT_S, PAUSE_S, STEP_S = 60.0, 0.05, 0.2
+START_LIMIT_S, READY_POLL_S, WAIT_STEP_S = 60.0, 0.05, 0.2
 LOG_FILE = "service.log"
 
 
 @contextmanager
-def service_beside(
+def embedded_service(
     data: Path, port: int | None = None
 ) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
-    """Its address and process; its log is `service.log` in the folder. Without a port it takes a
-    free one. Raises OSError, Unreachable."""
-    with socket.create_server(
-        ("127.0.0.1", port or 0)
-    ) as free:  # raises where another service listens: it would be taken for ours
+    """Starts a service and yields its address and process; ends it after the block.
+
+    Its log is `service.log` in the folder. Without a port it takes a free one. Raises OSError if
+    another process listens on the port, and Unreachable if the service does not start.
+    """
+    # raises if another service listens there, which would be mistaken for ours
+    with socket.create_server(("127.0.0.1", port or 0)) as free:
         url = f"http://127.0.0.1:{free.getsockname()[1]}"
     data.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "trueup_cli.main", "serve", "--port", url.rpartition(":")[2]]
@@ -38,8 +40,10 @@ def service_beside(
         ended: list[int] = []
 
         def end(number: int, _: object) -> None:
-            """End as after an error, and the service beside at once, for the error may be lost on
-            its way: in a finalizer, say."""
+            """Exits as after an error, and ends the service at once.
+
+            The exception may be lost on its way, for example in a finalizer.
+            """
             ended.append(128 + number)
             child.terminate()
             sys.exit(ended[0])
@@ -56,11 +60,13 @@ def service_beside(
             sys.exit(ended[0])
 
 
-def wait(child: subprocess.Popen[bytes]) -> None:
-    """Wait until a service beside ends, in steps: a signal that comes just before one long wait
-    would go unheard."""
+def wait_until_ended(child: subprocess.Popen[bytes]) -> None:
+    """Waits until a service ends.
+
+    It waits in steps, because a signal that comes just before one long wait would go unheard.
+    """
     while child.poll() is None:
-        time.sleep(STEP_S)
+        time.sleep(WAIT_STEP_S)
 
 
 def _wait_until_ready(url: str, child: subprocess.Popen[bytes], data: Path) -> None:
@@ -72,10 +78,10 @@ def _wait_until_ready(url: str, child: subprocess.Popen[bytes], data: Path) -> N
                     return
         except Unreachable:
             pass
-        time.sleep(PAUSE_S)
-    said = (
+        time.sleep(READY_POLL_S)
+    advice = (
         "another service may be there: give --url with another port, or see"
         if child.poll() is not None
         else "see"
     )
-    raise Unreachable(f"the service did not start at {url}; {said} {data / LOG_FILE}")
+    raise Unreachable(f"the service did not start at {url}; {advice} {data / LOG_FILE}")

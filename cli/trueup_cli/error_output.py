@@ -1,4 +1,4 @@
-"""What went wrong, for whoever sits at the command, with what to do next."""
+"""Errors as a command prints them: what went wrong, and what to do next."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ REWRITTEN_HINT = (
     "checkpoint; if it was made anew on purpose, "
     "remove the named file."
 )
-SHOWN = 200  # characters of a value that a program may want
+SHOWN = 200  # characters of a fact that are printed
 PATH_HINT = "Check the path; it is looked for from the folder in which the command runs."
 PORT_HINT = "Choose another with --port, or use the service that listens there already."
-HINTS = {  # what to do at the command, where the service's words are for programs
+HINTS = {  # where the service's hint is for programs, what to do at the command
     ("not-found", "plant"): "`trueup plant list` says which there are.",
     ("not-found", "artifact"): "`trueup versions PLANT` lists them.",
     ("not-found", "decision"): "`trueup decisions PLANT` lists them.",
@@ -33,7 +33,7 @@ HINTS = {  # what to do at the command, where the service's words are for progra
         "TRUEUP_DATA_DIR), where it finds the first admin's token."
     ),
 }
-NOT_AS_SAID = ("blob-damaged", "broken-chain")  # what the service finds wrong with what it keeps
+DAMAGED = ("blob-damaged", "broken-chain")  # codes by which a service reports its own storage
 SERVER_PARTS = ("trueup_service", "trueup_worker", "trueup_migrations")
 NO_SERVER_HINT = (
     "Install it with `pip install 'trueup-cli[server]'`, or use the command with a service "
@@ -42,61 +42,52 @@ NO_SERVER_HINT = (
 UNREACHABLE_HINT = "Start it with `trueup serve`, or name it with --url or TRUEUP_URL."
 
 
-def trace(error: Exception) -> int:
-    """Print an error that nobody expected and where it came from, for its message may quote others;
-    the exit code is Python's own."""
+def print_traceback(error: Exception) -> int:
+    """Prints an unexpected error with its traceback, escaped, and returns Python's exit code."""
     lines("".join(traceback.format_exception(error)), to=err)
     return REFUSED
 
 
-def complain(error: Exception) -> int | None:
-    """Print an error of ours and give the exit code; None for one that is not ours."""
+def print_error(error: Exception) -> int | None:
+    """Prints an error of ours and returns the exit code; None for any other error."""
     code = UNREACHABLE if isinstance(error, ClientError) else REFUSED
     facts: Mapping[str, object] = {}
     if isinstance(error, Problem):
-        code = DISAGREES if error.code in NOT_AS_SAID else REFUSED
-        noun, facts = (
-            str(error.facts.get("noun", "")),
-            {k: x for k, x in error.facts.items() if k != "noun"},
-        )
-        told = error.code, error.detail, HINTS.get((error.code, noun), error.hint)
+        code = DISAGREES if error.code in DAMAGED else REFUSED
+        noun = str(error.facts.get("noun", ""))
+        facts = {name: value for name, value in error.facts.items() if name != "noun"}
+        message = error.code, error.detail, HINTS.get((error.code, noun), error.hint)
     elif isinstance(error, DigestMismatch):
-        told, code = ("untrue", str(error), UNTRUE_HINT), DISAGREES
+        message, code = ("untrue", str(error), UNTRUE_HINT), DISAGREES
     elif isinstance(error, NotSigned | LogForked):
-        told, code = (
-            (
-                "not-signed" if isinstance(error, NotSigned) else "rewritten",
-                str(error),
-                REWRITTEN_HINT,
-            ),
-            DISAGREES,
-        )
+        name = "not-signed" if isinstance(error, NotSigned) else "rewritten"
+        message, code = (name, str(error), REWRITTEN_HINT), DISAGREES
     elif isinstance(error, ClientError):
-        told = "unreachable", str(error), UNREACHABLE_HINT
+        message = "unreachable", str(error), UNREACHABLE_HINT
     elif isinstance(error, TrueupError):
-        told, facts = (error.code, error.message, error.hint), error.facts
+        message, facts = (error.code, error.message, error.hint), error.facts
     elif (
         isinstance(error, ModuleNotFoundError) and str(error.name).partition(".")[0] in SERVER_PARTS
     ):
-        told = (
+        message = (
             "not-installed",
             f"this command runs the service, and {error.name} is not installed",
             NO_SERVER_HINT,
         )
     elif isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
-        told = "address-in-use", str(error.strerror), PORT_HINT
+        message = "address-in-use", str(error.strerror), PORT_HINT
     elif isinstance(error, OSError) and error.filename is not None:
-        told = "file", f"{error.strerror}: {error.filename}", PATH_HINT
+        message = "file", f"{error.strerror}: {error.filename}", PATH_HINT
     else:
         return None
-    _print(*told, facts, getattr(error, "request_id", None))
+    _print(*message, facts, getattr(error, "request_id", None))
     return code
 
 
 def _print(
     code: str, detail: str, hint: str, facts: Mapping[str, object], request_id: str | None
 ) -> None:
-    """In words; for a program that asked for JSON as a problem document on standard output."""
+    """Prints in words on standard error; with --json as a problem document on standard output."""
     known = {name: x for name, x in facts.items() if x is not None}
     if "--json" in sys.argv:
         as_json(

@@ -1,5 +1,4 @@
-"""The command in a process that may open few files: `trueup …` with a limit of TRUEUP_TEST_FILES
-descriptors."""
+"""The `trueup` command in a process that may open at most TRUEUP_TEST_FILES descriptors."""
 
 import os
 import resource
