@@ -145,7 +145,7 @@ def house(machine: Hidden) -> dict[str, Given]:
     rules = {
         "BIC on our fits": min(candidates, key=lambda c: penalised(c, spread)),
         "lowest held-out error": min(candidates, key=lambda c: c.reduced_chi_square),
-        "always Coulomb": search.found[Hypothesis(("coulomb_friction",))],
+        "always Coulomb": search.candidates[Hypothesis(("coulomb_friction",))],
     }
     for name, c in rules.items():
         predictor = corrected(plant, quality, c.fit, search.problem.scheme, adaptation)

@@ -39,6 +39,7 @@ PACKAGES = (
 SOURCES = sorted(
     p for part in PARTS for p in (ROOT / part).rglob("*.py") if "versions" not in p.parts
 )
+LONGEST_FILE = 400  # lines
 
 
 def tracked() -> list[Path]:
@@ -173,6 +174,47 @@ def test_every_public_name_is_documented_and_typed(path):
         ) and not node.name.startswith("_"):
             is_route = path.parent.name == "routers"  # its summary documents it
             assert ast.get_docstring(node) or is_route, node.name
+
+
+def _classes():
+    """Every public class of ours, with the modules imported that hold them."""
+    for package in PACKAGES:
+        path = importlib.import_module(package).__path__
+        for module in pkgutil.walk_packages(path, f"{package}."):
+            if module.name.endswith(("cli.main", "worker.main")):
+                continue
+            for name, kind in vars(importlib.import_module(module.name)).items():
+                if inspect.isclass(kind) and kind.__module__ == module.name and name[0] != "_":
+                    yield kind
+
+
+def test_every_public_method_is_documented_where_it_is_declared():
+    bare = []
+    for kind in _classes():
+        for name, member in vars(kind).items():
+            function = getattr(member, "__func__", getattr(member, "fget", member))
+            if name.startswith("_") or not inspect.isfunction(function) or function.__doc__:
+                continue
+            declared = (
+                hasattr(base, name) or name in inspect.get_annotations(base)
+                for base in kind.__mro__[1:]
+            )
+            if not any(declared):
+                bare.append(f"{kind.__module__}.{kind.__name__}.{name}")
+    assert bare == []
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_a_file_is_short_and_its_names_and_docstrings_can_be_read_alone(path):
+    text = path.read_text()
+    assert text.count("\n") <= LONGEST_FILE
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            assert not (ast.get_docstring(node) or "").startswith("The same"), node.name
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            names = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+            names |= {n.arg for n in ast.walk(node) if isinstance(n, ast.arg)}
+            assert not names & {"found", "told"}, f"{node.name}: found or told of what?"
 
 
 def test_the_readmes_commands_are_what_ci_runs():

@@ -155,13 +155,13 @@ class _Exploration:
         everywhere = [c for c in search.at_once(Search.everywhere, best) if c is not None]
         # at how many of the joints does it act?
         search.at_once(Search.eliminate, [c for c in everywhere if self._is_enough(c, search)])
-        known = set(search.found)
+        known = set(search.candidates)
         for c in leaders[:1]:
             search.try_aliases(c)  # of two that are nearly alike one may hide what else there is
-        leaders = [search.found[c.hypothesis] for c in leaders]
+        leaders = [search.candidates[c.hypothesis] for c in leaders]
         limit = SEARCH.worth_following * leaders[0].total
         made = [c for c in everywhere if c.total < limit]
-        made += [search.found[h] for h in search.found if h not in known]
+        made += [search.candidates[h] for h in search.candidates if h not in known]
         return sorted([*leaders, *(c for c in made if c.resolved)], key=lambda c: c.total)
 
     def _converged(self, search: Search, generation: Sequence[Candidate]) -> list[Candidate]:

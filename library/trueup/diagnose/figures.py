@@ -74,7 +74,7 @@ def _maps(diagnosis: Diagnosis, episodes: Sequence[Episode], columns: Told) -> l
     corrected one."""
     plant, fits = (
         diagnosis.plant,
-        {"nominal": diagnosis.nominal, "refitted": diagnosis.search.found[Hypothesis()].fit},
+        {"nominal": diagnosis.nominal, "refitted": diagnosis.search.candidates[Hypothesis()].fit},
     )
     fits["corrected"] = diagnosis.choice.winner.fit
     layers = {

@@ -71,7 +71,7 @@ def locate(
 ) -> dict[str, Json]:
     """Shares of the residual by channel, by port, by region and by band of frequency; of a robot,
     when something outside pushes."""
-    base, episodes = search.found[Hypothesis()], [*adaptation, *validation]
+    base, episodes = search.candidates[Hypothesis()], [*adaptation, *validation]
     strides = strides_of(plant, search, base.fit, episodes)
     force, moved = _by_joint(strides)
     worst = int(np.argmax(force))

@@ -96,7 +96,7 @@ def report(
                 for i, c in zip(plant.state_columns, plant.layout.observations, strict=True)
             },
             "convergence": _convergence(answer, *choice.rivals),
-            "uses_of_validation": len(search.found),
+            "uses_of_validation": len(search.candidates),
             "misfit": _finite(choice.winner.reduced_chi_square),
             "unexplained": choice.left,
             **({"not_simulated": _left_out(plant)} if plant.family == "mjcf" else {}),

@@ -39,12 +39,12 @@ class Search:
     problem: SearchProblem
     terms: Sequence[str] = ()  # what is sought
     solve: Solve = in_threads
-    found: dict[Hypothesis, Candidate] = field(default_factory=dict)
+    candidates: dict[Hypothesis, Candidate] = field(default_factory=dict)
 
     @property
     def base(self) -> Candidate:
         """The nominal form refitted, without any effect."""
-        return self.found[Hypothesis()]
+        return self.candidates[Hypothesis()]
 
     def extend(
         self,
@@ -116,7 +116,7 @@ class Search:
         wanted = [
             (n, parent.hypothesis | n) for n in names if not has_already(parent.hypothesis, n)
         ]
-        rest = [n for n, h in wanted if h not in self.found and problem.fitter.has_room(h)]
+        rest = [n for n, h in wanted if h not in self.candidates and problem.fitter.has_room(h)]
         near = problem.short_fit(parent.fit)
         expect = partial(screen, problem.fitter, problem.short, near.fit)
         new = [n for n in rest if n not in near.expected]
@@ -157,7 +157,7 @@ class Search:
                 hypothesis = hypothesis | t
                 units = [fitter.unit(t, n.scale) / fitter.unit(at, n.scale) for n in effect.params]
                 values[list(fitter.block.rows(t))] = values[rows] * units
-        if hypothesis in self.found or hypothesis == candidate.hypothesis:
+        if hypothesis in self.candidates or hypothesis == candidate.hypothesis:
             return None
         fit = partial(
             fitter.fit,
@@ -178,7 +178,7 @@ class Search:
 
     def fitted(self, hypothesis: Hypothesis, larger: Candidate) -> Candidate:
         """A part of a composition, fitted if it was not yet."""
-        if hypothesis not in self.found:
+        if hypothesis not in self.candidates:
             values = larger.fit.values
             for name in set(larger.hypothesis.effects) - set(hypothesis.effects):
                 values = self.problem.fits.without(values, name)
@@ -191,7 +191,7 @@ class Search:
                     iterations=SEARCH.fit_iterations,
                 )
             )
-        return self.found[hypothesis]
+        return self.candidates[hypothesis]
 
     def at_once(
         self, work: Callable[[Search, Candidate], Result], candidates: Sequence[Candidate]
@@ -202,13 +202,13 @@ class Search:
         Each works on a copy of what is known now. Of what they found the cheaper fit is kept, and
         of equal ones that of the candidate that comes first.
         """
-        copies = [replace(self, found=dict(self.found)) for _ in candidates]
+        copies = [replace(self, candidates=dict(self.candidates)) for _ in candidates]
         answers = list(
             in_parallel(lambda pair: work(*pair), list(zip(copies, candidates, strict=True)))
         )
         for copy in copies:
-            for candidate in copy.found.values():
-                known = self.found.get(candidate.hypothesis)
+            for candidate in copy.candidates.values():
+                known = self.candidates.get(candidate.hypothesis)
                 if known is None or candidate.fit.cost < known.fit.cost:
                     self.adopt(candidate)
         return answers
@@ -229,7 +229,7 @@ class Search:
         while len(candidate.hypothesis.effects) > 1:
             self._smaller(candidate)
             parts = [
-                self.found[candidate.hypothesis.without(name)]
+                self.candidates[candidate.hypothesis.without(name)]
                 for name in candidate.hypothesis.effects
             ]
             least = min(parts, key=lambda c: c.fit.cost)
@@ -245,7 +245,7 @@ class Search:
             fit = self._fit_from(
                 candidate, smaller, self.problem.fits.without(candidate.fit.values, name)
             )
-            if smaller not in self.found or fit.cost < self.found[smaller].fit.cost:
+            if smaller not in self.candidates or fit.cost < self.candidates[smaller].fit.cost:
                 better.append(self.keep(fit))
         return better
 
@@ -269,7 +269,7 @@ class Search:
                 for guess in guesses
             ]
             fit = min(tried, key=lambda f: f.cost)
-            known = self.found.get(fit.hypothesis)
+            known = self.candidates.get(fit.hypothesis)
             if known is None or fit.cost < known.fit.cost:
                 converged = self.problem.converge(self.keep(fit))
                 self.keep(converged.fit, candidate.check.starts)
@@ -299,11 +299,11 @@ class Search:
 
     def adopt(self, candidate: Candidate) -> Candidate:
         """Remember a candidate as what its composition can do."""
-        self.found[candidate.hypothesis] = candidate
+        self.candidates[candidate.hypothesis] = candidate
         return candidate
 
     def __iter__(self) -> Iterator[Candidate]:
-        resolved = (c for c in self.found.values() if c.resolved)
+        resolved = (c for c in self.candidates.values() if c.resolved)
         return iter(sorted(resolved, key=lambda c: c.reduced_chi_square))
 
 

@@ -185,6 +185,7 @@ class Rollouts:
         )
 
     def task(self, data: Sequence[Series], hypothesis: Hypothesis, free: Free) -> Task:
+        """What is fitted: some series by a hypothesis, with the numbers that are free."""
         keys = [key for key in self.block.memories if key[0] in hypothesis.effects]
         states = tuple(keys[: max(0, self.room() - len(free.rows))])  # as far as lanes are left
         directions = sum(owner == "" for owner, _ in free.names)

@@ -29,6 +29,7 @@ class Reader:
 
     @staticmethod
     def of(document: object, path: str = "") -> Reader:
+        """A reader of a JSON object that stands at a path. Raises BadPlant where it is none."""
         if not isinstance(document, Mapping):
             raise BadPlant(f"{path or 'the document'} must be an object", field=path)
         return Reader(document, path)
@@ -78,6 +79,7 @@ class Reader:
         return float(value)
 
     def text(self, key: str, default: str | None = None) -> str:
+        """A printable string of 1 to 256 characters. Raises BadPlant."""
         text = default if key not in self.value and default is not None else self._get(key)
         if (
             not isinstance(text, str)
@@ -105,6 +107,7 @@ class Reader:
         return name
 
     def choice(self, key: str, options: Sequence[str], default: str | None = None) -> str:
+        """One of some options. Raises BadPlant."""
         choice = default if key not in self.value and default is not None else self._get(key)
         if not isinstance(choice, str) or choice not in options:
             raise BadPlant(

@@ -211,6 +211,7 @@ class LinearMap:
     def restore(
         description: Mapping[str, Json], arrays: Mapping[str, Array], states: int
     ) -> LinearMap:
+        """The map that was described. Raises BadArtifact where weights and features do not fit."""
         features = tuple(str(f) for f in description["features"])  # type: ignore[union-attr]
         known_features(features)
         weights = arrays["weights"]

@@ -62,6 +62,7 @@ class RobotBench:
         )
 
     def relative_noise(self) -> float:
+        """The noise over the standard deviation of the motion, of the noisiest channel."""
         motion = np.concatenate([p.reached for p in self.recorded]).std(axis=0)
         return float(np.max(self.sigma / motion))
 

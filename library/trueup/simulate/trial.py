@@ -110,6 +110,7 @@ class JointBench:
         return np.concatenate([series[self.warm_up : 0 : -1], series]) if self.recorded else series
 
     def relative_noise(self) -> float:
+        """The noise over the standard deviation of the motion."""
         return self.noise
 
     def draw(
@@ -120,6 +121,7 @@ class JointBench:
         gaps: tuple[float, float],
         spread: tuple[float, float],
     ) -> SimulatedTrial:
+        """A machine with these imperfections, recorded on this bench."""
         return draw(self, [name for name, _ in imperfections], shifted, rng, gaps, spread)
 
 

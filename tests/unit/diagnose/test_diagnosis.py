@@ -287,7 +287,7 @@ def test_a_lag_below_one_sample_is_no_effect():
     plant, episodes, _ = recorded("A0", [], 5)
     recordings = Recordings.of(plant, episodes)
     problem, _ = Setup(recordings, assess(plant, episodes), DECLARED).problem(1)
-    search, fitter, data = Search(problem, found={}), problem.fitter, problem.adaptation
+    search, fitter, data = Search(problem, candidates={}), problem.fitter, problem.adaptation
     values = fitter.initial_values(plant.parameters)
     for periods, resolved in ((0.5, False), (3.0, True)):
         values[plant.block.rows_of("velocity_lag")["time_constant"]] = (

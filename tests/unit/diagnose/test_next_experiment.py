@@ -24,7 +24,7 @@ def case():
     recordings = Recordings.of(plant, episodes)
     quality = assess(plant, recordings.adaptation)
     problem, base = Setup(recordings, quality, refined(plant)).problem(1)
-    return plant, quality, Search(problem, found={Hypothesis(): base}), recordings
+    return plant, quality, Search(problem, candidates={Hypothesis(): base}), recordings
 
 
 def having(search, effect, part=0.3):

@@ -300,9 +300,9 @@ def test_a_robot_is_searched_in_shorter_windows_where_a_fit_ends_far_behind_none
     other = replace(episode, role=Role.VALIDATION, digest="other")
     recordings = Recordings.of(plant, [episode, other])
     problem, base = Setup(recordings, assess(plant, [episode]), DECLARED).problem(1)
-    search = Search(problem, found={base.hypothesis: base})
+    search = Search(problem, candidates={base.hypothesis: base})
     far = replace(base.fit, hypothesis=Hypothesis() | "cogging", cost=times * base.fit.cost)
-    search.found[far.hypothesis] = Candidate(far, base.check)
+    search.candidates[far.hypothesis] = Candidate(far, base.check)
     assert went_astray(search) is astray
     joint = replace(problem.strategy, in_pieces=False)  # whose windows are short enough
     fits = replace(problem.fits, strategy=joint)

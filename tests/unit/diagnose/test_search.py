@@ -71,4 +71,4 @@ def test_the_cheaper_fit_of_a_part_is_kept_whichever_thread_is_faster(slow, monk
             done.set()
 
     search.at_once(work, pair)
-    assert search.found[SHARED].fit.cost == 8.0
+    assert search.candidates[SHARED].fit.cost == 8.0
