@@ -343,11 +343,9 @@ def _version(mlflow: ModuleType, model: str) -> Any:
         )
     name, number, alias = match.groups()
     registry = mlflow.MlflowClient()
-    return (
-        registry.get_model_version(name, number)
-        if number
-        else registry.get_model_version_by_alias(name, alias)
-    )
+    if number:
+        return registry.get_model_version(name, number)
+    return registry.get_model_version_by_alias(name, alias)
 
 
 def _of_version(mlflow: ModuleType, version: Any) -> dict[str, JsonValue]:
