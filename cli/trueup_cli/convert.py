@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from trueup.artifact.model import Model, load
 from trueup.artifact.onnx import to_onnx
 from trueup.errors import NotExportable
 from trueup.model.corrected import Corrected
-from trueup.model.dynamics import CompiledFamily
+from trueup.model.dynamics import CompiledFamily, Dynamics
 from trueup.model.mjcf import compile_file
 from trueup.model.mjcf_family import mjcf_of_joint
 from trueup.model.mjcf_patch import Left, patch
@@ -85,10 +86,12 @@ def _mjcf(model: Model, source: Path | None) -> Written:
     heading = [
         f"{model.plant.name}, artifact {model.digest}, written by trueup {trueup.__version__}"
     ]
-    if isinstance(model.plant.dynamics, CompiledFamily):
-        with tempfile.TemporaryDirectory() as folder:
-            return mjcf_of_joint(predictor, Path(folder), heading)
-    nominal: Any = model.plant.document["nominal"]
+    return _written(model.plant.dynamics, predictor, source, heading)
+
+
+@singledispatch
+def _written(_: Dynamics, predictor: Corrected, source: Path | None, heading: list[str]) -> Written:
+    nominal: Any = predictor.plant.document["nominal"]
     if source is None:
         raise NotExportable(
             "the model of a robot is written into the file that it was declared by",
@@ -104,3 +107,11 @@ def _mjcf(model: Model, source: Path | None) -> Written:
             hint=f"Name the one whose SHA-256 is {nominal.get('sha256')}; this one's is {sha256}.",
         )
     return write(source, patch(predictor), heading)
+
+
+@_written.register
+def _written_joint(
+    _: CompiledFamily, predictor: Corrected, source: Path | None, heading: list[str]
+) -> Written:
+    with tempfile.TemporaryDirectory() as folder:
+        return mjcf_of_joint(predictor, Path(folder), heading)

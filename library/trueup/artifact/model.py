@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import singledispatch
 from os import PathLike
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from trueup.episode.episode import Episode
 from trueup.episode.layout import Channel
 from trueup.episode.role import Role
 from trueup.errors import BadArtifact
-from trueup.model.dynamics import CompiledFamily
+from trueup.model.dynamics import CompiledFamily, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor, predict_episode
 from trueup.model.step_function import StepFunction
@@ -82,12 +83,7 @@ class Model:
                     f"there is no observation {name!r}: this model has {', '.join(columns)}"
                 )
             state[columns[name]] = x
-        if isinstance(self.plant.dynamics, CompiledFamily):
-            predicted = self._stepped(state, issued[:, :, 0])
-        else:
-            predicted = np.stack(
-                [self.plant.observe(self.predictor.run(state, one)) for one in issued]
-            )
+        predicted = _rolled(self.plant.dynamics, self, state, issued)
         return predicted if np.ndim(commands) == 3 else predicted[0]  # noqa: PLR2004
 
     def predict(
@@ -115,18 +111,6 @@ class Model:
         )
         episode = Episode(t - t[0], *columns, layout, Role.TEST, {}, 0, "")
         return predict_episode(self.predictor, episode, horizon_s)
-
-    def _stepped(self, state: Array, u: Array) -> Array:
-        """Observations of one joint from a state `(2,)` under many commands `(n, samples)`."""
-        stepper = StepFunction.of(self.predictor)
-        samples = []
-        now = stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), u[:, 0])
-        # A model that runs away answers with inf or nan.
-        with np.errstate(over="ignore", invalid="ignore"):
-            for i in range(u.shape[1]):
-                seen, now = stepper.step(now, u[:, i])
-                samples.append(np.stack(seen, axis=1))
-        return np.stack(samples, axis=1)
 
     def _issued(self, commands: ArrayLike) -> Array:
         """Commands as `(n, samples, commands)`."""
@@ -159,3 +143,23 @@ def load(folder: str | PathLike[str], digest: str | None = None) -> Model:
         )
     artifact = Artifact(manifest.read_bytes(), arrays.read_bytes() if arrays.is_file() else b"")
     return Model(unpack(artifact, digest), artifact.digest)
+
+
+@singledispatch
+def _rolled(_: Dynamics, model: Model, state: Array, issued: Array) -> Array:
+    """Observations from a state `(states,)` under many commands `(n, samples, commands)`."""
+    return np.stack([model.plant.observe(model.predictor.run(state, one)) for one in issued])
+
+
+@_rolled.register
+def _rolled_joint(_: CompiledFamily, model: Model, state: Array, issued: Array) -> Array:
+    u = issued[:, :, 0]
+    stepper = StepFunction.of(model.predictor)
+    samples = []
+    now = stepper.begin(np.full(len(u), state[0]), np.full(len(u), state[1]), u[:, 0])
+    # A model that runs away answers with inf or nan.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for i in range(u.shape[1]):
+            seen, now = stepper.step(now, u[:, i])
+            samples.append(np.stack(seen, axis=1))
+    return np.stack(samples, axis=1)

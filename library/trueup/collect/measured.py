@@ -18,7 +18,6 @@ from trueup.collect.coverage import Coverage, compared
 from trueup.episode.episode import Episode
 from trueup.episode.role import STAGES, Role
 from trueup.model.clock import off_step
-from trueup.model.dynamics import CompiledFamily
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
 
@@ -112,12 +111,9 @@ def _excitation(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str
             c.name: float(part) for c, part in zip(plant.layout.commands, used, strict=True)
         }
     }
-    if not isinstance(plant.dynamics, CompiledFamily):
+    columns = plant.dynamics.own_regressors(smoothed_states(plant, episode), applied)
+    if columns is None:
         return {**record, "rank": None, "condition": None, "numbers": None}
-    states = smoothed_states(plant, episode)
-    columns = np.stack(
-        plant.dynamics.family.regressors(states[:, 0], states[:, 1], applied[:, 0]), axis=1
-    )
     rank, condition = _rank(columns[np.isfinite(columns).all(axis=1)])
     names = plant.dynamics.parameter_names
     if episode.role in (Role.ADAPTATION, Role.TRAINING):

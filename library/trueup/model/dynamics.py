@@ -102,6 +102,16 @@ class Dynamics(ABC):
         """Mass matrices at positions `(n, joints)` in units of each joint's own inertia, `(n,
         joints, joints)`."""
 
+    def own_regressors(self, states: Array, applied: Array) -> Array | None:
+        """The factors of a family's numbers in the acceleration `(n, numbers)`, at states `(n, 2)`
+        and commands `(n, 1)`; None of a robot, whose numbers show in sums only."""
+        return None
+
+    @property
+    def has_own_numbers(self) -> bool:
+        """Whether each parameter moves the machine in a way of its own, as a family's do."""
+        return False
+
     @abstractmethod
     def without_dry_friction(self, parameters: Array) -> Array:
         """The parameters with dry friction, which has no linear part, at 0."""
@@ -172,6 +182,12 @@ class CompiledFamily(Dynamics):
 
     def neutral(self, parameters: Sequence[float], joint: int, q: Array) -> Array:
         return np.zeros(len(q))
+
+    def own_regressors(self, states: Array, applied: Array) -> Array:
+        columns = self.family.regressors(states[:, 0], states[:, 1], applied[:, 0])
+        return np.stack(columns, axis=1)
+
+    has_own_numbers = True
 
     def without_dry_friction(self, parameters: Array) -> Array:
         return parameters

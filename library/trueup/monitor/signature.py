@@ -19,7 +19,6 @@ from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.model.block import BLOCK, joint, kind, term
 from trueup.model.corrected import Corrected
-from trueup.model.dynamics import CompiledFamily
 from trueup.model.effect import NULL, effects
 from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
 from trueup.model.plant import Plant
@@ -62,7 +61,7 @@ class Signatures:
             for e in shown
             for s in _shapes(e.starts, SHAPES if joints == 1 else 1)
         ]
-        if isinstance(plant.dynamics, CompiledFamily):
+        if plant.dynamics.has_own_numbers:
             signs += [Sign(name) for name, value in plant.nominal.items() if value]
         return Signatures(tuple(signs), sizes_of(plant, reference))
 
