@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from trueup.collect.measured import off_step
 from trueup.diagnose.tuning import EVIDENCE
-from trueup.model.clock import off_step
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 DIGITS = 2  # of an uncertainty that are worth writing

@@ -108,6 +108,7 @@ class Effect(ABC):
     name: ClassVar[str]
     port: ClassVar[Port]
     category: ClassVar[str]
+    in_mjcf: ClassVar[str] = "no element of MJCF does this"  # what a person can write instead
     order: ClassVar[int] = 0
     params: ClassVar[tuple[Number, ...]]
     states: ClassVar[tuple[str, ...]] = ()

@@ -16,6 +16,7 @@ from trueup.canonical import Json
 from trueup.model.block import joint, kind
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledTree, Dynamics
+from trueup.model.effect import effects
 from trueup.model.feasible import feasible
 from trueup.model.tree import AT_JOINT, INERTIAL, JOINT, LINK, OFFSET, REST, Tree
 
@@ -25,50 +26,6 @@ ELEMENTS = dict(
     zip(AT_JOINT, ("joint", "joint", "actuator", "actuator", "joint", "joint"), strict=True)
 )
 PARTLY = ("hard_stop", "stribeck_friction")
-OF_SERVO = ", u being what ctrl exceeds a servo's position by, and the position added again"
-INSTEAD = {
-    "asymmetric_viscous_friction": "subtract difference |v| from qfrc_applied of the joint",
-    "backlash": (
-        "give the actuator a joint of its own before the link, with a range as wide as the play"
-    ),
-    "clock_skew": (
-        "stamp the log with the machine's clock; (1 + skew) timestep simulates it as it is"
-    ),
-    "cogging": (
-        "add sine sin(2 pi q / pitch) + cosine cos(2 pi q / pitch) to qfrc_applied of the joint"
-    ),
-    "command_quantization": "round ctrl to multiples of the step before each step",
-    "constant_force": "add the level to qfrc_applied of the joint",
-    "cubic_stiffness": "subtract coefficient q^3 from qfrc_applied of the joint",
-    "deadband": "set ctrl to sign(u) max(|u| - width, 0) before each step" + OF_SERVO,
-    "dropped_frames": "hold the sensor's last value in what reads it",
-    "elastic_transmission": (
-        "give the motor a joint and an inertia of its own, joined to the link's by a tendon "
-        "with stiffness and damping"
-    ),
-    "gain_asymmetry": "set ctrl to u + asymmetry |u| before each step" + OF_SERVO,
-    "hard_stop": (
-        "the tendon's spring is the stop's; add damping v to qfrc_applied against the "
-        "motion while it is pressed"
-    ),
-    "hysteresis": (
-        "integrate the hidden state beside mj_step and subtract its force from qfrc_applied "
-        "of the joint"
-    ),
-    "load_dependent_friction": "set dof_frictionloss from the transmitted force before each step",
-    "quadratic_gain": "set ctrl to u + (odd u |u| + even u^2) / limit before each step" + OF_SERVO,
-    "rate_limit": "let ctrl change by no more than rate x timestep from step to step",
-    "sensor_bias": "add the bias to the sensor's reading",
-    "sensor_drift": "add rate x time to the sensor's reading",
-    "sensor_quantization": "round the sensor's reading to multiples of the step",
-    "sensor_scale": "multiply the sensor's reading by 1 + error",
-    "stribeck_friction": (
-        "frictionloss holds the level; add what comes on top near rest to dof_frictionloss "
-        "before each step"
-    ),
-    "thermal_derating": "multiply actuator_gainprm by 1 - loss x heat as the heat builds up",
-    "velocity_lag": "filter the velocity sensor's reading",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +123,7 @@ def _patch_of_tree(dynamics: CompiledTree, model: Corrected) -> Patch:
         if not _native(
             effect, values, float(dynamics.form.sizes[joint(term)]), given, joint(term), corrected
         ):
-            left.append(Left(effect, at, INSTEAD.get(effect, "no element of MJCF does this")))
+            left.append(Left(effect, at, effects()[effect].in_mjcf))
     for key, value in corrected.items():
         before = nominal.get(key)
         if before is None or not np.allclose(

@@ -2,6 +2,7 @@
 
 import pytest
 
+from trueup.collect.measured import off_step
 from trueup.diagnose.summary_text import (
     composition,
     plus_minus,
@@ -10,7 +11,6 @@ from trueup.diagnose.summary_text import (
     warnings,
     waterfall,
 )
-from trueup.model.clock import off_step
 
 
 def report(

@@ -14,6 +14,7 @@ class AsymmetricViscousFriction(Effect):
     name = "asymmetric_viscous_friction"
     port = Port.FORCE
     category = "structure"
+    in_mjcf = "subtract difference |v| from qfrc_applied of the joint"
     params = (Number("difference", Scale.DAMPING, 0.0, -INFINITY, INFINITY),)
     starts = ((0.1,), (-0.1,))
 

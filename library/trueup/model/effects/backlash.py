@@ -16,6 +16,9 @@ class Backlash(Effect):
     port = Port.COMMAND
     order = 6
     category = "structure"
+    in_mjcf = (
+        "give the actuator a joint of its own before the link, with a range as wide as the play"
+    )
     params = (Number("gap", Scale.COMMAND, 0.0, 0.0, 1.2),)
     states = ("play",)
     begins = ("u",)

@@ -16,6 +16,9 @@ class Cogging(Effect):
     name = "cogging"
     port = Port.FORCE
     category = "structure"
+    in_mjcf = (
+        "add sine sin(2 pi q / pitch) + cosine cos(2 pi q / pitch) to qfrc_applied of the joint"
+    )
     periodic = True
     params = (
         Number("sine", Scale.ACCELERATION, 0.0, -INFINITY, INFINITY),

@@ -13,6 +13,7 @@ class ConstantForce(Effect):
     name = "constant_force"
     port = Port.FORCE
     category = "structure"
+    in_mjcf = "add the level to qfrc_applied of the joint"
     params = (Number("level", Scale.ACCELERATION, 0.0, -INFINITY, INFINITY),)
     starts = ((0.05,), (-0.05,))
 

@@ -14,6 +14,7 @@ class CubicStiffness(Effect):
     name = "cubic_stiffness"
     port = Port.FORCE
     category = "structure"
+    in_mjcf = "subtract coefficient q^3 from qfrc_applied of the joint"
     params = (Number("coefficient", Scale.CUBIC, 0.0, -INFINITY, INFINITY),)
     starts = ((0.05,), (-0.05,))
 

@@ -17,6 +17,10 @@ class Deadband(Effect):
     port = Port.COMMAND
     order = 5
     category = "structure"
+    in_mjcf = (
+        "set ctrl to sign(u) max(|u| - width, 0) before each step, u being what ctrl "
+        "exceeds a servo's position by, and the position added again"
+    )
     of_drive = True
     params = (Number("width", Scale.DRIVE, 0.0, 0.0, 0.8),)
     starts = tuple((0.02 * 1.5**i,) for i in range(9))

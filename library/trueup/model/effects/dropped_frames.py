@@ -16,6 +16,7 @@ class DroppedFrames(Effect):
     port = Port.OBSERVATION
     order = 0
     category = "timing"
+    in_mjcf = "hold the sensor's last value in what reads it"
     counted = True
     params = (Number("fraction", Scale.ONE, 0.0, 0.0, 0.9),)
     starts = ((0.1,),)

@@ -18,6 +18,10 @@ class ElasticTransmission(Effect):
     port = Port.FORCE
     order = 9
     category = "structure"
+    in_mjcf = (
+        "give the motor a joint and an inertia of its own, joined to the link's by a "
+        "tendon with stiffness and damping"
+    )
     params = (
         Number("period", Scale.TIME, 0.0, 0.0, 4.0),
         Number("ratio", Scale.ONE, 0.05, 0.0, 1.0),

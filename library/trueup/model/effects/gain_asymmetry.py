@@ -16,6 +16,10 @@ class GainAsymmetry(Effect):
     port = Port.COMMAND
     order = 8
     category = "structure"
+    in_mjcf = (
+        "set ctrl to u + asymmetry |u| before each step, u being what ctrl exceeds a "
+        "servo's position by, and the position added again"
+    )
     of_drive = True
     params = (Number("asymmetry", Scale.ONE, 0.0, -0.95, 0.95),)
     starts = ((0.1,), (-0.1,))

@@ -18,6 +18,10 @@ class HardStop(Effect):
     name = "hard_stop"
     port = Port.FORCE
     category = "structure"
+    in_mjcf = (
+        "the tendon's spring is the stop's; add damping v to qfrc_applied against the "
+        "motion while it is pressed"
+    )
     params = (
         Number("limit", Scale.POSITION, 1e9, 0.2, 1.6),
         Number("stiffness", Scale.STIFFNESS, 1e3, 8.0, 1e6),

@@ -16,6 +16,10 @@ class Hysteresis(Effect):
     name = "hysteresis"
     port = Port.FORCE
     category = "structure"
+    in_mjcf = (
+        "integrate the hidden state beside mj_step and subtract its force from "
+        "qfrc_applied of the joint"
+    )
     params = (
         Number("level", Scale.ACCELERATION),
         Number("distance", Scale.POSITION, 1.0, 0.02, 1.0),

@@ -16,6 +16,7 @@ class LoadDependentFriction(Effect):
     name = "load_dependent_friction"
     port = Port.FRICTION
     category = "structure"
+    in_mjcf = "set dof_frictionloss from the transmitted force before each step"
     params = (
         Number("coefficient", Scale.ONE, 0.0, 0.0, 4.0),
         Number("extra", Scale.ONE, 0.0, 0.0, 4.0),

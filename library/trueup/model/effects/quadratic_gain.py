@@ -18,6 +18,10 @@ class QuadraticGain(Effect):
     port = Port.COMMAND
     order = 10
     category = "saturation"
+    in_mjcf = (
+        "set ctrl to u + (odd u |u| + even u^2) / limit before each step, u being what "
+        "ctrl exceeds a servo's position by, and the position added again"
+    )
     of_drive = True
     params = (Number("odd", Scale.ONE, 0.0, -0.9, 2.0), Number("even", Scale.ONE, 0.0, -0.9, 0.9))
     starts = ((0.1, 0.0), (-0.1, 0.0), (0.0, 0.1), (0.0, -0.1))

@@ -16,6 +16,7 @@ class RateLimit(Effect):
     port = Port.COMMAND
     order = 4
     category = "saturation"
+    in_mjcf = "let ctrl change by no more than rate x timestep from step to step"
     params = (Number("rate", Scale.RATE, INFINITY, 0.02, 1e3),)
     states = ("y",)
     begins = ("u",)

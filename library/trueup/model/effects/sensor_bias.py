@@ -15,6 +15,7 @@ class SensorBias(Effect):
     port = Port.OBSERVATION
     order = 2
     category = "observation"
+    in_mjcf = "add the bias to the sensor's reading"
     params = (Number("bias", Scale.POSITION, 0.0, -INFINITY, INFINITY),)
     starts = ((0.05,), (-0.05,))
 

@@ -15,6 +15,7 @@ class SensorDrift(Effect):
     port = Port.OBSERVATION
     order = 3
     category = "observation"
+    in_mjcf = "add rate x time to the sensor's reading"
     params = (Number("rate", Scale.DRIFT, 0.0, -INFINITY, INFINITY),)
     starts = ((0.02,), (-0.02,))
 

@@ -17,6 +17,7 @@ class SensorQuantization(Effect):
     port = Port.OBSERVATION
     order = 9
     category = "observation"
+    in_mjcf = "round the sensor's reading to multiples of the step"
     counted = True
     params = (Number("step", Scale.POSITION), Number("velocity_step", Scale.VELOCITY))
     starts = ((0.02, 0.0),)

@@ -15,6 +15,7 @@ class SensorScale(Effect):
     port = Port.OBSERVATION
     order = 1
     category = "observation"
+    in_mjcf = "multiply the sensor's reading by 1 + error"
     params = (Number("error", Scale.ONE, 0.0, -0.6, 1.5),)
     starts = ((0.05,), (-0.05,))
 

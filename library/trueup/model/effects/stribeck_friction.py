@@ -16,6 +16,10 @@ class StribeckFriction(Effect):
     name = "stribeck_friction"
     port = Port.FRICTION
     category = "structure"
+    in_mjcf = (
+        "frictionloss holds the level; add what comes on top near rest to "
+        "dof_frictionloss before each step"
+    )
     params = (
         Number("level", Scale.ACCELERATION),
         Number("extra", Scale.ACCELERATION),

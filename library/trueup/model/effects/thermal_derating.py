@@ -17,6 +17,7 @@ class ThermalDerating(Effect):
     port = Port.COMMAND
     order = 9
     category = "saturation"
+    in_mjcf = "multiply actuator_gainprm by 1 - loss x heat as the heat builds up"
     of_drive = True
     params = (
         Number("loss", Scale.ONE, 0.0, 0.0, 4.0),

@@ -21,6 +21,7 @@ class VelocityLag(Effect):
     port = Port.OBSERVATION
     order = 4
     category = "observation"
+    in_mjcf = "filter the velocity sensor's reading"
     params = (Number("time_constant", Scale.TIME, 0.0, 0.0, 1.0),)
     states = ("behind", "before")
     begins = ("zero", "first")
