@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.collect.coverage import Coverage, compared
+from trueup.collect.step_warning import off_step
 from trueup.episode.episode import Episode
 from trueup.episode.role import STAGES, Role
-from trueup.model.clock import is_off_step, step_taken_s
 from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
 
@@ -142,23 +142,3 @@ def _rank(columns: Array) -> tuple[int, float]:
     powers: Any = np.linalg.svd(columns / length, compute_uv=False)
     rank = int((powers > SINGULAR * powers[0]).sum())
     return rank, float(powers[0] / powers[-1]) if rank == columns.shape[1] else float("inf")
-
-
-def off_step(period_s: float, timestep_s: float) -> str | None:
-    """In words that a recording's median interval [s] is no whole number of declared steps [s];
-    None where it is.
-
-    Two digits are given, so that recordings of one loop get one sentence.
-    """
-    if not is_off_step(period_s, timestep_s):
-        return None
-    return (
-        f"recorded every {_ms(period_s)}, and the plant declares steps of "
-        f"{1e3 * timestep_s:.3g} ms: they were taken as "
-        f"{_ms(step_taken_s(period_s, timestep_s))} long, and a delay or a lag is known no better "
-        "than that; declare the step of the loop that recorded"
-    )
-
-
-def _ms(seconds: float) -> str:
-    return f"{float(f'{1e3 * seconds:.2g}'):g} ms"

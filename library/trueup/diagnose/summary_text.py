@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trueup.collect.measured import off_step
+from trueup.collect.step_warning import off_step
 from trueup.diagnose.tuning import EVIDENCE
 
 PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.episode.episode import Episode
-from trueup.model.clock import declared_steps
 from trueup.model.plant import Plant
 from trueup.model.state import past_states
 
@@ -89,7 +88,7 @@ def intervals(t_s: Array, timestep_s: float) -> tuple[Array, NDArray[np.int64]]:
     """Step length [s] and number of steps from each sample to the next, `(samples,)` each; the last
     sample has none."""
     spans = np.diff(t_s)
-    steps = declared_steps(spans, timestep_s)
+    steps = np.maximum(1, np.rint(spans / timestep_s)).astype(np.int64)
     h_s = spans / steps
     h_s[np.abs(h_s - timestep_s) < SAME * timestep_s] = timestep_s
     return np.append(h_s, timestep_s), np.append(steps, 0)

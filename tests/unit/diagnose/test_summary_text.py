@@ -2,7 +2,7 @@
 
 import pytest
 
-from trueup.collect.measured import off_step
+from trueup.collect.step_warning import off_step
 from trueup.diagnose.summary_text import (
     composition,
     plus_minus,

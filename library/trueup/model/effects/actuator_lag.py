@@ -8,8 +8,10 @@ class ActuatorLag(Effect):
     the declared implicit one.
 
     Equation: time_constant y' = u - y, with exp(-x) taken as 1 / (1 + x + x^2 / 2 + x^3 / 6 + x^4 /
-    24) Source: G. F. Franklin, J. D. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems,
-    section 3.3. Blind: commands that change slowly.
+      24)
+    Source: G. F. Franklin, J. D. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems,
+      section 3.3.
+    Blind: commands that change slowly.
     """
 
     name = "actuator_lag"

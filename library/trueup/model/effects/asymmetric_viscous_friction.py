@@ -8,7 +8,8 @@ class AsymmetricViscousFriction(Effect):
 
     Equation: a - difference |v|, so that the coefficients are c + difference and c - difference
     Source: A. Janot, M. Gautier, M. Brunot, Data Set and Reference Models of EMPS (2019), for a
-    worn screw. Blind: motion of one direction.
+      worn screw.
+    Blind: motion of one direction.
     """
 
     name = "asymmetric_viscous_friction"

@@ -8,8 +8,10 @@ from trueup.model.effect import Effect, Number, Port, Scale
 class Backlash(Effect):
     """What arrives follows what is issued only after the play is used up.
 
-    Equation: play' = clip(play, u - gap / 2, u + gap / 2) Source: M. A. Krasnosel'skii, A. V.
-    Pokrovskii, Systems with Hysteresis (1989), the play operator. Blind: commands that never turn.
+    Equation: play' = clip(play, u - gap / 2, u + gap / 2)
+    Source: M. A. Krasnosel'skii, A. V. Pokrovskii, Systems with Hysteresis (1989), the play
+      operator.
+    Blind: commands that never turn.
     """
 
     name = "backlash"

@@ -6,9 +6,10 @@ from trueup.model.effect import Effect, Number, Port, Scale
 class ClockSkew(Effect):
     """The machine's clock runs faster or slower than the log's.
 
-    Equation: h' = (1 + skew) h Source: D. L. Mills, RFC 5905, on frequency errors of clocks. Blind:
-    a log without velocity, where other parameters of the model do the same; on a linear plant the
-    scale of the position does.
+    Equation: h' = (1 + skew) h
+    Source: D. L. Mills, RFC 5905, on frequency errors of clocks.
+    Blind: a log without velocity, where other parameters of the model do the same; on a linear
+      plant the scale of the position does.
     """
 
     name = "clock_skew"

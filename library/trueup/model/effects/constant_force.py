@@ -6,8 +6,10 @@ from trueup.model.effect import INFINITY, Effect, Number, Port, Scale
 class ConstantForce(Effect):
     """A force that is always there.
 
-    Equation: a + level Source: Newton's second law. Blind: a linear spring whose position sensor
-    may have a bias: the two move the rest position alike.
+    Equation: a + level
+    Source: Newton's second law.
+    Blind: a linear spring whose position sensor may have a bias: the two move the rest position
+      alike.
     """
 
     name = "constant_force"

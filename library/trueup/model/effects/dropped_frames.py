@@ -8,8 +8,9 @@ class DroppedFrames(Effect):
     are held.
 
     Equation: y(t_i) = x(t_j), j the last frame that arrived; mean delay = period fraction / (1 -
-    fraction) Source: L. Schenato, IEEE Transactions on Automatic Control 53 (2008), the hold
-    strategy. Blind: a joint at rest, for there every frame repeats the last.
+      fraction)
+    Source: L. Schenato, IEEE Transactions on Automatic Control 53 (2008), the hold strategy.
+    Blind: a joint at rest, for there every frame repeats the last.
     """
 
     name = "dropped_frames"

@@ -9,9 +9,9 @@ class ElasticTransmission(Effect):
     """Two masses and a damped spring; the observed joint is the load's.
 
     Equation: load (1 - share) a = passive + T, motor share m'' = drive - T, T = K w + D w', w = m -
-    q, K = (2 pi / period)^2 share (1 - share), D = 4 pi ratio / period share (1 - share) Source: M.
-    W. Spong, Journal of Dynamic Systems, Measurement, and Control 109 (1987). Blind: an excitation
-    far below the resonance.
+      q, K = (2 pi / period)^2 share (1 - share), D = 4 pi ratio / period share (1 - share)
+    Source: M. W. Spong, Journal of Dynamic Systems, Measurement, and Control 109 (1987).
+    Blind: an excitation far below the resonance.
     """
 
     name = "elastic_transmission"

@@ -8,8 +8,10 @@ from trueup.model.effect import Effect, Number, Port, Scale
 class GainAsymmetry(Effect):
     """Two gains, one for each sign of the command; their mean is the model's own.
 
-    Equation: u' = u + asymmetry |u| Source: A. Janot, M. Gautier, M. Brunot, Data Set and Reference
-    Models of EMPS (2019), for an axis that differs by direction. Blind: commands of one sign.
+    Equation: u' = u + asymmetry |u|
+    Source: A. Janot, M. Gautier, M. Brunot, Data Set and Reference Models of EMPS (2019), for an
+      axis that differs by direction.
+    Blind: commands of one sign.
     """
 
     name = "gain_asymmetry"

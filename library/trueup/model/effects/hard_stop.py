@@ -9,10 +9,10 @@ class HardStop(Effect):
     """A stiff, damped contact at the same distance to both sides of a centre.
 
     Equation: a - stiffness d - damping v (where pressed), with d = q beyond centre +- limit;
-    damping is rebound times as large on the way back; the contact never pulls Source: K. H. Hunt,
-    F. R. E. Crossley, Journal of Applied Mechanics 42 (1975), the linear case. Blind: travel within
-    the limit. One not stiffer than eight times what the motion itself meets is a spring that
-    differs by side, no stop.
+      damping is rebound times as large on the way back; the contact never pulls
+    Source: K. H. Hunt, F. R. E. Crossley, Journal of Applied Mechanics 42 (1975), the linear case.
+    Blind: travel within the limit. One not stiffer than eight times what the motion itself meets is
+      a spring that differs by side, no stop.
     """
 
     name = "hard_stop"

@@ -7,10 +7,11 @@ class Hysteresis(Effect):
     """A force that builds up over a distance after each reversal.
 
     Equation: a - level z, z' = (v - s(z) (shape |v| z + (1 - shape) v |z|)) / distance, s(z) = 1 -
-    sharpness + sharpness |z| Source: R. Bouc (1967), Y.-K. Wen, Journal of the Engineering
-    Mechanics Division 102 (1976), exponents 1 to 2 (sharpness 0 to 1); shape 1 and sharpness 0 is
-    P. Dahl's model (1968). Blind: an episode without reversals; a distance far below the motion
-    looks like Coulomb friction, one far above like a spring.
+      sharpness + sharpness |z|
+    Source: R. Bouc (1967), Y.-K. Wen, Journal of the Engineering Mechanics Division 102 (1976),
+      exponents 1 to 2 (sharpness 0 to 1); shape 1 and sharpness 0 is P. Dahl's model (1968).
+    Blind: an episode without reversals; a distance far below the motion looks like Coulomb
+      friction, one far above like a spring.
     """
 
     name = "hysteresis"

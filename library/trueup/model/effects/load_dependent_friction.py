@@ -8,9 +8,10 @@ class LoadDependentFriction(Effect):
     what it works against: a spring, gravity, in a robot also what the joints' motion throws. More
     of it near rest.
 
-    Equation: |friction| <= (coefficient + extra / (1 + (v / speed)^2)) |drive - spring| / 2 Source:
-    M. Duclusaud et al., Extended Friction Models for the Physics Simulation of Servo Actuators,
-    ICRA 2025, models M3 and M5. Blind: an episode in which the load stays the same.
+    Equation: |friction| <= (coefficient + extra / (1 + (v / speed)^2)) |drive - spring| / 2
+    Source: M. Duclusaud et al., Extended Friction Models for the Physics Simulation of Servo
+      Actuators, ICRA 2025, models M3 and M5.
+    Blind: an episode in which the load stays the same.
     """
 
     name = "load_dependent_friction"

@@ -8,8 +8,10 @@ from trueup.model.effect import INFINITY, Effect, Number, Port, Scale
 class RateLimit(Effect):
     """A slew rate.
 
-    Equation: |y'| <= rate, y follows u Source: D. W. Clarke et al., Guidance, Control, and
-    Dynamics: the usual actuator model of flight control. Blind: commands that change more slowly.
+    Equation: |y'| <= rate, y follows u
+    Source: D. W. Clarke et al., Guidance, Control, and Dynamics: the usual actuator model of flight
+      control.
+    Blind: commands that change more slowly.
     """
 
     name = "rate_limit"

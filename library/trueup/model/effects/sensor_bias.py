@@ -6,9 +6,10 @@ from trueup.model.effect import INFINITY, Effect, Number, Port, Scale
 class SensorBias(Effect):
     """A constant added to the observed position.
 
-    Equation: y = q + bias Source: J. R. Taylor, An Introduction to Error Analysis (1997), section
-    4.1. Blind: a plant without a force that depends on the position; on a linear spring a constant
-    force does the same.
+    Equation: y = q + bias
+    Source: J. R. Taylor, An Introduction to Error Analysis (1997), section 4.1.
+    Blind: a plant without a force that depends on the position; on a linear spring a constant force
+      does the same.
     """
 
     name = "sensor_bias"

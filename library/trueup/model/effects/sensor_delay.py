@@ -7,10 +7,11 @@ class SensorDelay(Effect):
     """A pure transport delay of all observations: on a log's own clock the same law as a delay of
     the command.
 
-    Equation: y(t) = x(t - delay), that is x'(t) = f(x(t), u(t - delay)) for the logged x Source: as
-    the actuator's delay; their equivalence follows by a shift of time, as the dynamics do not
-    depend on it. Blind: one loop's log: only a second time stamp, or a log of the applied command,
-    tells it from a delay of the actuator.
+    Equation: y(t) = x(t - delay), that is x'(t) = f(x(t), u(t - delay)) for the logged x
+    Source: as the actuator's delay; their equivalence follows by a shift of time, as the dynamics
+      do not depend on it.
+    Blind: one loop's log: only a second time stamp, or a log of the applied command, tells it from
+      a delay of the actuator.
     """
 
     name = "sensor_delay"

@@ -7,10 +7,11 @@ class StribeckFriction(Effect):
     """Dry friction that falls from its breakaway level to a lower one as the joint gains speed.
 
     Equation: |friction| <= level + extra / (1 + x^2 + sharpness (x^4 / 2! + ... + x^12 / 6!)), x =
-    v / speed Source: R. Stribeck, Zeitschrift des VDI 46 (1902); the algebraic curve: B.
-    Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30 (1994), section 2; with
-    sharpness 1 it is the Gaussian one but for its last thousandth. Blind: an episode without slow
-    motion, or without fast one.
+      v / speed
+    Source: R. Stribeck, Zeitschrift des VDI 46 (1902); the algebraic curve: B. Armstrong-Helouvry,
+      P. Dupont, C. Canudas de Wit, Automatica 30 (1994), section 2; with sharpness 1 it is the
+      Gaussian one but for its last thousandth.
+    Blind: an episode without slow motion, or without fast one.
     """
 
     name = "stribeck_friction"

@@ -9,8 +9,9 @@ class ThermalDerating(Effect):
     """A gain that falls with heat, to a least one; the square of the command heats, time cools.
 
     Equation: u' = u max(1 - loss heat, least), time_constant heat' = (u / scale)^2 - heat, the
-    scale being the command's limit Source: B. C. Kuo, J. Tal, DC Motors and Control Systems (1978),
-    the one-body thermal model. Blind: episodes short against the time constant, or of even use.
+      scale being the command's limit
+    Source: B. C. Kuo, J. Tal, DC Motors and Control Systems (1978), the one-body thermal model.
+    Blind: episodes short against the time constant, or of even use.
     """
 
     name = "thermal_derating"

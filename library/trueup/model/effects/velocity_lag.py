@@ -12,9 +12,10 @@ class VelocityLag(Effect):
     positions over twice the time constant.
 
     Equation: y' = (v - y) / time_constant, exactly for a velocity that runs straight from sample to
-    sample Source: K. J. Astrom, B. Wittenmark, Computer-Controlled Systems (1997), section 8.2; of
-    differences: P. R. Belanger et al., International Journal of Robotics Research 17 (1998). Blind:
-    a log without velocity; motion that is slow beside the time constant.
+      sample
+    Source: K. J. Astrom, B. Wittenmark, Computer-Controlled Systems (1997), section 8.2; of
+      differences: P. R. Belanger et al., International Journal of Robotics Research 17 (1998).
+    Blind: a log without velocity; motion that is slow beside the time constant.
     """
 
     name = "velocity_lag"
