@@ -152,7 +152,7 @@ def extension_of_all(path):
 
 
 def endless_keys(path):
-    """A seal whose key was handed over so often that checking would take hours."""
+    """A manifest signature whose key was handed over so often that checking takes hours."""
     index = json.loads(index_of("0" * 64, 2))
     index["manifests"][0]["annotations"][ENDORSEMENTS] = json.dumps([FORGER.note("a\n")] * 3000)
     tarred(path, {"index.json": json.dumps(index).encode()})

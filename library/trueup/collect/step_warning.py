@@ -1,5 +1,5 @@
-"""Step warning: in words that a recording was not made at the declared step. Needs no numpy, so that
-pages can say it."""
+"""Step warning: in words that a recording was not made at the declared step. Needs no numpy, so
+that pages can say it."""
 
 from __future__ import annotations
 
