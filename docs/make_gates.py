@@ -8,7 +8,7 @@ from trueup.gate.rule import rules
 
 HEAD = """# Gates
 
-A gate says, before it judges anything, what a candidate must show. Its digest freezes it; the
+A gate declares the criteria for a candidate before it judges anything. Its digest fixes it; the
 decision holds every figure, so that anybody can [recompute](audit.md) it.
 
 ```json
@@ -26,15 +26,15 @@ decision holds every figure, so that anybody can [recompute](audit.md) it.
 ```
 
 `trueup gate PLANT CANDIDATE --rules gate.json` declares it and judges. Every rule must pass.
-Without a file the plant's gate in force judges, or where there is none the default:
+Without a file the gate in force for the plant is used or, if there is none, the default:
 `rollout_improves` and `one_step_no_worse` as they stand below, over every window of the plant's own
 horizon.
 
 - **What is scored**: held-out episodes (the roles validation and retained). One whose samples are
-  in as an adaptation episode, too, is refused: a fit may have seen them. The candidate and the
-  incumbent, which is what serves at that moment, roll out from the start of each window over
+  also in an adaptation episode is refused, because a fit may have used them. The candidate and the
+  incumbent (the version that serves at that moment) roll out from the start of each window over
   `horizon_s` on commands alone. `windows` is `every`, or `first` for the first of each episode
-  alone, which says nothing of what comes after it.
+  only, which says nothing about the rest of the episode.
 - **The error** of a rollout is the mean over its samples of the Euclidean distance of what is
   predicted from what was observed, each channel in units of the `scale` that plant.json declares
   for it. (A diagnosis counts in each channel's own standard deviations instead: its figures and a
@@ -45,18 +45,18 @@ horizon.
   each has one window, or over paired runs in closed loop. A rule with `"require": "bound"` must
   stay within its bound at the interval's upper end, not at the mean.
 - `trueup gate … --scales` also says how the verdict moves when the reporting scale of each channel
-  is halved and doubled. It should not hang on a unit of reporting.
+  is halved and doubled. The verdict should not depend on a unit of reporting.
 
-## A gate cannot be shopped for
+## Protection against choosing the gate or the episodes afterwards
 
 - *Declare a gate that nothing can fail.* Refused (`vacuous-gate`): an equal candidate must be
   rejected, and one ten times as wrong must fail every rule. Before each trial the incumbent itself,
-  a copy of it and the incumbent with noise added are judged, and stand in the decision. With
+  a copy of it and the incumbent with added noise are judged and recorded in the decision. With
   `"vacuous": true` and a reason in `because` (`--vacuous --because REASON`) it is taken; a decision
   by it says that a control was accepted.
 - *Declare another gate once a candidate was judged, or while one is.* Refused (`gate-follows`),
   unless it names the gate in force in `follows` and says why in `because` (`--because REASON`).
-  What is looser in it than in any gate before it is worked out and told.
+  The service determines where it is looser than any earlier gate, and reports this.
 - *Judge by an older gate.* Refused (`gate-superseded`): the last one declared judges.
 - *Promote a candidate that was rejected before.* Refused (`rejected-before`), unless every episode
   of the accepted decision came in after its gate was declared and after the rejection, with samples
@@ -65,34 +65,34 @@ horizon.
 - *Pack the same model anew, or nudge its numbers.* The newest twenty candidates of the plant that
   were rejected, or still wait, are scored beside each new one, on its episodes and over its
   horizon. One whose errors differ by less than 1 % in every episode is the same model: the decision
-  says so, and what holds for the one that was rejected holds for it.
-- *Register the plant anew, in another project, too.* On the same episodes a model is known by the
-  errors that it makes: the same holds.
-- *Send the same recording in other bytes.* An episode is known by its samples: other metadata,
-  another encoding or another start of the clock make no fresh one, and its uses count on.
-- *Judge on the same episodes again and again, or on those that suit.* Each is good for
+  says so, and the new candidate is treated like the rejected one.
+- *Register the plant again, even in another project.* On the same episodes a model is recognised by
+  its errors, so the same rule applies.
+- *Send the same recording as another file.* An episode is known by its samples: other metadata,
+  another encoding or another clock offset does not make it fresh, and its use count continues.
+- *Judge repeatedly on the same episodes, or on a selection.* Each episode can be used for
   `held_out_uses` trials, 20 unless the gate says otherwise, counted over all plants; then it is
-  spent. The decision gives the number of held-out episodes that it used and that there were, of
-  decisions on other candidates on them since the gate was declared, and of comparisons that showed
-  errors on them (`selection`).
+  spent. The decision states how many held-out episodes it used and how many existed, how many
+  decisions on other candidates used them since the gate was declared, and how many comparisons
+  showed errors on them (`selection`).
 
 Every decision carries in `known` how its candidate and its episodes had been judged when its gate
 was declared, in `uses` how often each episode has been used, this trial included, in `selection`
-and in `figures.beside` what the list above says. The decision's page, `trueup gate`, `trueup
-replay` and the JSON (`disclosure`) say it in a few sentences. `trueup audit verify` works it out
-from the log again, and finds a decision that says something else. In a registry that took in a
-plant from elsewhere it does not, for what was known there is not in this log; the page and the
-command say it all the same.
+and in `figures.beside` the facts listed above. The decision's page, `trueup gate`, `trueup
+replay` and the JSON (`disclosure`) state this in a few sentences. `trueup audit verify` derives it
+from the log again, and reports a decision that differs. In a registry that imported a
+plant from elsewhere it cannot, because the earlier history is not in this log; the page and the
+command still state it.
 
-What this does not keep:
+What this does not prevent:
 
-- Whoever records a new episode for each attempt may go on until one passes; every attempt is told.
-  Recordings are what was sent, and the log says whose token sent them: a recording that was cut in
-  two or changed in one sample is another one.
-- A model that errs by more than 1 % otherwise is another candidate. So is one that somebody tuned
-  on a copy of the held-out episodes at home, which nobody here can see.
-- Two names that an admin gave to one person are two people here.
-- A channel may be moved back to a version that has served, also where a later decision rejected it.
+- Somebody can record a new episode for each attempt until one passes; every attempt is reported.
+  Recordings are taken as sent, and the log says whose token sent them: a recording that was cut in
+  two, or changed in one sample, counts as a different recording.
+- A model whose errors differ by more than 1 % is another candidate. So is one that somebody tuned
+  elsewhere on a copy of the held-out episodes, which the service cannot detect.
+- If an admin gives one person two names, they count as two people.
+- A channel may be moved back to a version that has served, even if a later decision rejected it.
 
 ## Rules
 
