@@ -38,6 +38,7 @@ LOOPS = (
 )  # drawn as output over input
 OVER_POSITION = ("cogging", "cubic_stiffness", "hard_stop", "hysteresis")
 # numbers that show the effect in a motion and a command of size 1
+# of effects whose largest initial guess makes no good picture
 NUMBERS: dict[str, tuple[float, ...]] = {
     "actuator_delay": (0.4,),
     "actuator_lag": (0.4,),
@@ -93,7 +94,8 @@ Drawn = tuple[str, Array, list[tuple[str, Array]], tuple[str, str]]
 
 
 def _drawn(effect: type[Effect]) -> Drawn:
-    values = dict(zip((n.name for n in effect.params), NUMBERS[effect.name], strict=True))
+    numbers = NUMBERS.get(effect.name, np.nan_to_num(effect.starts[-1]))
+    values = dict(zip((n.name for n in effect.params), map(float, numbers), strict=True))
     told = ", ".join(f"{name.replace('_', ' ')} {x:g}" for name, x in values.items())
     of_port: dict[
         Port,
@@ -153,9 +155,12 @@ def _command(
         for state, begins in zip(effect.states, effect.begins, strict=True)
     }
     applied = []
-    for u in issued:
+    for at, u in zip(t, issued, strict=True):
         given: dict[str, Any] = {
             "u": u,
+            "q": np.sin(np.pi * at / 2.0),
+            "v": np.cos(np.pi * at / 2.0),
+            "t": at,
             "h": PERIOD_S,
             "u_scale": 1.0,
             "implicit": 1.0,

@@ -219,7 +219,8 @@ def it_documents_itself(effect: type[Effect]) -> None:
     says where it begins."""
     text = inspect.getdoc(effect) or ""
     for word in ("Equation:", "Source:", "Blind:"):
-        require(word in text, "documents itself", effect.name, f"{word} is missing")
+        begins = any(line.strip().startswith(word) for line in text.splitlines())
+        require(begins, "documents itself", effect.name, f"no line begins with {word}")
     require(
         len(effect.states) == len(effect.begins) == len(effect.memory),
         "documents itself",
