@@ -52,6 +52,7 @@ serve: $(RUN) ## run the service with a worker, on embedded storage in .trueup
 
 test: $(DEV) ## run every test; brings its own PostgreSQL, S3 server and strace
 	@$(BIN)/python tools/advisories.py --tell
+	@$(BIN)/trueup kernels
 	@$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 quick: $(DEV) ## run the units, laws and structure without whole diagnoses; about a minute
