@@ -57,17 +57,17 @@ class Diagnosis:
 
 
 class _Selection:
-    """Chooses among what a search found, by what is expected of the laws on these recordings."""
+    """Chooses among the candidates of a search, by the recordings' selection criteria."""
 
     def __init__(self, recordings: Recordings, search: Search) -> None:
         self.search, self.criteria = search, recordings.criteria
         self.nominal = search.problem.fits.nominal(recordings.plant.parameters)
 
     def choice(self) -> Choice:
-        """The choice once aliases of the answer were tried, and the fits of all that it names
-        converged."""
+        """The choice among all candidates, made again once aliases of the answer were tried, and
+        once the fits of the answer and of its rivals stand at their minima."""
         choice = self._select()
-        for _ in range(SEARCH.mirrored):
+        for _ in range(SEARCH.alias_rounds):
             self.search.try_aliases(choice.winner)
             choice = self._select()
         if self.search.problem.strategy.robot:

@@ -1,7 +1,8 @@
-"""Explore: how far the search goes before there is nothing left to explain.
+"""Explore: the search for compositions of effects, until there is nothing left to explain.
 
 Under each scheme of integration compositions of one effect are tried, then of two, and so on, until
-noise is all that is left. Where residuals show that the noise is another one, all begins again.
+noise is all that is left. Where the residuals show that the noise differs from what was estimated
+first, the search is repeated with the new estimate.
 """
 
 from __future__ import annotations
@@ -53,8 +54,8 @@ class _Exploration:
         best: Search | None = None
         parts = 1
         for scheme in self._schemes():
-            search = self._begun(scheme, parts)
-            if best is not None and self.strategy.robot and not _promises(search, best):
+            search = self._begin(scheme, parts)
+            if best is not None and self.strategy.robot and not _is_promising(search, best):
                 break
             generation = self._singles(search)
             better_known = self._quality_by(search) if best is None else None
@@ -62,7 +63,7 @@ class _Exploration:
                 return search, better_known
             if best is None and went_astray(search):
                 parts = SETUP.pieces
-                search = self._begun(scheme, parts)
+                search = self._begin(scheme, parts)
                 generation = self._singles(search)
             self._grow(search, generation)
             if best is None or _least_total(search) < _least_total(best):
@@ -78,11 +79,11 @@ class _Exploration:
         if self.strategy.physical:
             return schemes[:1]  # a machine has no step
         if is_quiet(self.quality):
-            schemes.reverse()  # a log without noise is a simulator's, whose step is the declared
+            schemes.reverse()  # a log without noise is a simulator's, made at the declared step
         return schemes
 
-    def _begun(self, scheme: Scheme, parts: int) -> Search:
-        """A search that knows the nominal form refitted."""
+    def _begin(self, scheme: Scheme, parts: int) -> Search:
+        """A new search, which has the nominal form refitted and nothing else yet."""
         problem, base = Setup(self.recordings, self.quality, scheme).problem(parts)
         self.progress("the nominal form refitted", 1.0)
         return Search(problem, self.recordings.terms, self.solve, {Hypothesis(): base})
@@ -108,7 +109,7 @@ class _Exploration:
         effort, largest = self.effort, self.strategy.most_effects
         for size in range(2, largest + 1):
             leaders = self._leaders(search, generation)
-            if size > PAIR:  # one effect less than two is what the others began from
+            if size > PAIR:
                 leaders = self._exchanged(search, leaders)
                 search.at_once(Search.eliminate_all, leaders[:2])
             enough = any(
@@ -129,7 +130,7 @@ class _Exploration:
             )
         leaders = self._leaders(search, generation)
         explains = not _left(search) > SEARCH.hopeless_pair
-        if self.strategy.exact and largest == PAIR and explains:
+        if self.strategy.thorough and largest == PAIR and explains:
             leaders = self._exchanged(search, leaders)
         for c in leaders[: min(2, effort.parents)]:
             if self.strategy.robot:
@@ -138,22 +139,25 @@ class _Exploration:
                 search.eliminate_all(c)
 
     def _is_hopeless(self, search: Search, size: int) -> bool:
-        """Whether so much of the gap is left that one effect more makes no explanation of it."""
+        """Whether so much of the gap is left that one more effect cannot explain it."""
         if size > PAIR:
             return _left(search) > SEARCH.hopeless
-        return not self.strategy.exact and _left(search) > SEARCH.hopeless_on_machine
+        return not self.strategy.thorough and _left(search) > SEARCH.hopeless_on_machine
 
     def _leaders(self, search: Search, generation: Sequence[Candidate]) -> list[Candidate]:
-        """The best of a generation converged, with those in which their effects act at every joint
-        where that is still wanted: drives of one make on one bus are late, weak or sticky alike.
+        """The best of a generation converged, the best first.
+
+        Of a robot that is not explained yet, their effects are also tried at every joint: drives of
+        one make on one bus are late, weak or sticky alike. So are aliases of the best.
         """
         leaders = self._converged(search, generation)
-        if not self.strategy.robot or any(self._is_enough(c, search) for c in leaders):
+        explained = any(self._is_enough(c, search) for c in leaders)
+        if not self.strategy.robot or explained or not leaders:
             return leaders
         by_kinds = {tuple(kind(t).name for t in c.hypothesis.effects): c for c in reversed(leaders)}
         best = list(by_kinds.values())[::-1][: SEARCH.spread]
         everywhere = [c for c in search.at_once(Search.everywhere, best) if c is not None]
-        # at how many of the joints does it act?
+        # leave out the joints at which it does not act
         search.at_once(Search.eliminate, [c for c in everywhere if self._is_enough(c, search)])
         known = set(search.candidates)
         for c in leaders[:1]:
@@ -197,21 +201,21 @@ def is_quiet(quality: DataQuality) -> bool:
 
 
 def went_astray(search: Search) -> bool:
-    """Whether an effect that did well in a robot's short windows ends far behind none in its long
-    ones: descent does not reach so far."""
+    """Whether an effect that did well in a robot's short windows does far worse than no effect in
+    its long ones: descent does not reach so far."""
     strategy, limit = search.problem.strategy, SEARCH.far_behind * search.base.fit.cost
-    return strategy.in_pieces and strategy.exact and any(c.fit.cost > limit for c in search)
+    return strategy.in_pieces and strategy.thorough and any(c.fit.cost > limit for c in search)
 
 
-def _promises(search: Search, best: Search) -> bool:
-    """Whether the nominal form, or the best composition of another search, does much better under a
-    robot's search's own scheme."""
+def _is_promising(search: Search, best: Search) -> bool:
+    """Whether the nominal form, or the best composition of another search, does much better under
+    this search's scheme of integration."""
     at, problem = min(best, key=lambda c: c.total).fit, search.problem
     again = problem.fitter.fit(
         problem.adaptation,
         at.hypothesis,
         at.values,
-        problem.fits.placed(problem.adaptation, at),
+        problem.fits.estimated_starts(problem.adaptation, at),
         iterations=SEARCH.fit_iterations,
         fixed=problem.fits.resting(at.values, at.hypothesis.effects),
     )

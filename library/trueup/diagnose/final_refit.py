@@ -11,7 +11,7 @@ from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.problem_setup import Recordings, in_pieces
 from trueup.diagnose.search_problem import SearchProblem
 from trueup.diagnose.tuning import SEARCH
-from trueup.diagnose.windowed_fits import WindowedFits, remembering
+from trueup.diagnose.windowed_fits import WindowedFits, observed_starts
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.series import Scheme, series
 
@@ -37,7 +37,7 @@ def final_refit(recordings: Recordings, problem: SearchProblem, best: Candidate)
     if scheme.alpha == 0.0 and not strategy.physical:
         return FinalRefit(best, scheme, best.fit)
     finer = scheme
-    if scheme.alpha and strategy.exact:
+    if scheme.alpha and strategy.thorough:
         finer = Scheme(scheme.alpha, SEARCH.finer_steps * scheme.parts)
     shortens = not strategy.robot and not strategy.physical
     refits: list[Candidate] = []
@@ -71,7 +71,7 @@ def _last_windows(
     starts.
     """
     plant, strategy = recordings.plant, problem.strategy
-    in_parts = strategy.in_pieces and strategy.exact
+    in_parts = strategy.in_pieces and strategy.thorough
     return WindowedFits(
         problem.fitter.holding() if strategy.physical else problem.fitter,
         strategy,
@@ -86,16 +86,16 @@ def _refit(last: WindowedFits, problem: SearchProblem, best: Candidate) -> Candi
     """The answer of a problem taken to its minimum on the last windows; None where it runs away
     there."""
     if last.pieces:
-        starts = last.placed(last.adaptation, best.fit)
+        starts = last.estimated_starts(last.adaptation, best.fit)
     else:
-        starts = remembering(last.adaptation, best.fit)
+        starts = observed_starts(last.adaptation, best.fit)
     fit = last.fitter.fit(
         last.adaptation,
         best.hypothesis,
         best.fit.values,
         starts,
         iterations=SEARCH.converge_iterations,
-        tolerance=1e-7 if problem.strategy.exact else 1e-4,
+        tolerance=1e-7 if problem.strategy.thorough else 1e-4,
         fixed=problem.fits.resting(best.fit.values, best.hypothesis.effects),
     )
     if not np.isfinite(fit.cost):

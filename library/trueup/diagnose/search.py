@@ -165,7 +165,7 @@ class Search:
             fixed=fits.resting(values, hypothesis.effects),
         )
         near = fit(self.problem.short, hypothesis, values, tolerance=SEARCH.screen_tolerance)
-        starts = fits.placed(self.problem.adaptation, near)
+        starts = fits.estimated_starts(self.problem.adaptation, near)
         return self.keep(
             fit(
                 self.problem.adaptation,
@@ -250,8 +250,8 @@ class Search:
         return better
 
     def try_aliases(self, candidate: Candidate) -> None:
-        """The candidate with each effect replaced by its alias, from the same place, fitted until
-        nothing moves; kept where that is better."""
+        """The candidate with each effect replaced by its alias (an effect that may look the same on
+        a log), from the same place, fitted until nothing moves; kept where that is better."""
         fitter, fits = self.problem.fitter, self.problem.fits
         for effect, alias in aliases(candidate.hypothesis):
             if alias not in self.terms:

@@ -1,8 +1,9 @@
 """Search problem: what a search of compositions works on, and its three kinds of fits.
 
-A term is *screened* by short fits from several initial guesses, *fitted* on whole windows where it
+A *term* is one effect at one joint, a *composition* the terms that act together (a `Hypothesis`). A
+term is *screened* by short fits from several initial guesses, *fitted* on whole windows where it
 did well, and *converged* until nothing moves. What these answer depends on the problem and their
-arguments alone, so that whoever has the episodes may be asked.
+arguments alone, so another process that has the episodes can do them.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.spatial_periods import PeriodicGuess
 from trueup.diagnose.strategy import Strategy
 from trueup.diagnose.tuning import SEARCH
-from trueup.diagnose.windowed_fits import Numbers, WindowedFits, is_worth_it, remembering
+from trueup.diagnose.windowed_fits import Numbers, WindowedFits, is_worth_it, observed_starts
 from trueup.fit.fitter import Fitter
 from trueup.fit.multiple_shooting import estimate_starts
 from trueup.fit.rollout_fit import RolloutFit
@@ -44,8 +45,9 @@ class SearchProblem:
 
     `fits` are the whole windows, `short` the windows on which terms are screened, `base` the
     nominal form refitted. `nominal_numbers` are the declared ones. `periodic` are initial guesses
-    of terms that repeat with the position, `evident` terms that something else speaks for, which
-    are screened in any case. It remembers nothing but parents' fits on short windows.
+    of terms that repeat with the position; `evident` are those among them that explain much of the
+    missing force by themselves, and are screened in any case. Parents' fits on short windows are
+    kept, so that each is made once.
     """
 
     fits: WindowedFits
@@ -85,7 +87,7 @@ class SearchProblem:
         """A parent's fit on short windows."""
         known = self._short_fits.get(parent.hypothesis)
         if known is None or not _begin_alike(known.parent, parent):
-            starts = remembering(self.short, parent)
+            starts = observed_starts(self.short, parent)
             fit = estimate_starts(
                 self.fitter, self.short, parent.hypothesis, parent.values, starts, iterations=2
             )
@@ -110,12 +112,12 @@ class SearchProblem:
             self.fitter.fit,
             self.short,
             parent.hypothesis | term,
-            starts=remembering(self.short, near.fit),
+            starts=observed_starts(self.short, near.fit),
             fixed=self.fits.resting(begins[0], [term]),
             derivatives=near.derivatives,
         )
-        if self.strategy.exact and self.strategy.robot:
-            # what no number of the nominal form explains may have led them astray
+        if self.strategy.thorough and self.strategy.robot:
+            # the parent's numbers may be wrong where it lacks an effect: try declared ones, too
             declared = self.nominal_numbers
             others = [np.concatenate([declared, b[len(declared) :]]) for b in begins]
             glances = [fit(b, iterations=SEARCH.glance_iterations) for b in [*begins, *others]]
@@ -124,7 +126,7 @@ class SearchProblem:
             fit(b, iterations=SEARCH.screen_iterations, tolerance=SEARCH.screen_tolerance)
             for b in begins
         ]
-        kept = SEARCH.guesses_kept if self.strategy.exact else 1
+        kept = SEARCH.guesses_kept if self.strategy.thorough else 1
         return sorted(screened, key=lambda f: f.cost)[:kept]
 
     def fit(self, parent_cost: float, term: str, screened: Sequence[RolloutFit]) -> Candidate:
@@ -144,7 +146,7 @@ class SearchProblem:
                 self.adaptation,
                 hypothesis,
                 f.values,
-                self.fits.starts_from(self.adaptation, f),
+                self.fits.starts_after(self.adaptation, f),
                 fixed=resting,
             )
             for f in distinct
@@ -165,19 +167,19 @@ class SearchProblem:
 
     def converge(self, candidate: Candidate) -> Candidate:
         """The composition fitted until nothing moves; no worse than it was."""
-        at = self.fits.restarted(candidate.fit)
+        at = self.fits.with_initial_states(candidate.fit)
         fit = self.fitter.fit(
             self.adaptation,
             at.hypothesis,
             at.values,
             at.starts,
             iterations=SEARCH.converge_iterations,
-            tolerance=1e-6 if self.strategy.exact else 1e-4,
+            tolerance=1e-6 if self.strategy.thorough else 1e-4,
             fixed=self._resting(at),
         )
         for term in candidate.hypothesis.effects:
             fit = self._from_other_end(fit, term)
-            for parameter in kind(term).threshold[:1] if self.strategy.exact else ():
+            for parameter in kind(term).threshold[:1] if self.strategy.thorough else ():
                 fit = self._grid_refined(fit, term, parameter)
         cheaper = min(fit, candidate.fit, key=lambda f: f.cost)
         return self.fits.candidate(self.fits.pruned(cheaper))
@@ -231,8 +233,8 @@ class SearchProblem:
         return free if free.cost <= best.cost else best
 
     def _from_other_end(self, best: RolloutFit, of: str) -> RolloutFit:
-        """The best of the fit and of those from the other end of a number between 0 and 1: laws of
-        two shapes have a valley each."""
+        """The best of the fit and of fits from the other end of each number between 0 and 1: such a
+        number chooses between two shapes of a law, and each shape has a minimum of its own."""
         for number in kind(of).params:
             if number.name not in kind(of).optional or (number.low, number.high) != (0.0, 1.0):
                 continue
@@ -269,8 +271,7 @@ def most_promising(expected: np.ndarray) -> list[int]:
 
 
 def _begin_alike(one: RolloutFit, other: RolloutFit) -> bool:
-    """Whether a fit of other windows begins at the same place from either of two fits of one
-    composition."""
+    """Whether two fits of one composition give the same beginning to a fit of other windows."""
     memories = [
         {digest: dict(start.memory) for digest, start in fit.starts.items()} for fit in (one, other)
     ]

@@ -1,9 +1,9 @@
-"""Strategy: how a plant is diagnosed, chosen once from its nominal model and from what its episodes
-are of.
+"""Strategy: how a plant is diagnosed. It is chosen once, from the nominal model and from whether
+the episodes are a machine's or a simulator's.
 
-One joint of a family is cheap to roll out and has few numbers, so everything is tried. A robot's
-tree takes long, its joints move each other, and it soon goes its own way: terms are screened where
-they show most, windows are as long as predictions, and their starts are found piece by piece.
+One joint of a family is cheap to roll out and has few parameters, so everything is tried. A robot
+takes long, its joints move each other, and a rollout soon diverges from the log: terms are screened
+where they show most, windows are as long as predictions, and their starts are found piece by piece.
 """
 
 from __future__ import annotations
@@ -21,12 +21,15 @@ PAIR = 2  # effects
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How many go on. 0 is all, but of partners none.
+    """How many terms and compositions go on at each step.
 
-    Terms `screened` at the joint where a linear model expects most of one, and `others` at the
-    other joints; of those screened so many are `fitted`, and `converged`; of the best compositions
-    so many `parents` grow by one more term, each tried with the `grown` most promising, and so many
-    `partners` that come next with a few.
+    screened    terms at the joint where a linear model expects most of one; 0 is all
+    others      terms at the other joints
+    fitted      of those screened, on whole windows; 0 is all
+    converged   of those fitted, until nothing moves
+    parents     best compositions that grow by one more term
+    grown       most promising terms that each parent is tried with
+    partners    compositions that come next, tried with a few terms
     """
 
     screened: int
@@ -48,21 +51,21 @@ class Strategy:
     """What differs between kinds of plants and of episodes, by name.
 
     effort              how many go on at each step
-    robot               whether the nominal form is a robot's tree: its joints move each other, a
-                        fit takes long, and it falls where nothing holds it
-    exact               whether laws hold so well that a fit to a millionth of its cost tells
-                        anything
+    robot               whether the nominal form is a robot's tree of joints
+    thorough            whether fits are carried to a millionth of their cost: a joint's always,
+                        for they are cheap; a robot's only on a simulator's log, whose laws hold so
+                        exactly that it tells anything
     held_starts         whether windows start as observed while a search fits
     horizon_windows     whether windows are as long as predictions; else some seconds at least
-    in_pieces           whether windows' starts are found in pieces of them, since a long window
-                        from a wrong start ends far away
+    in_pieces           whether the starts of windows are found on pieces of them, since a long
+                        window from a wrong start ends far away
     most_effects        how many effects a composition may have
     physical            whether the episodes are a machine's
     """
 
     effort: Effort
     robot: bool
-    exact: bool
+    thorough: bool
     held_starts: bool
     horizon_windows: bool
     in_pieces: bool
@@ -85,7 +88,7 @@ def _of_joint(_: CompiledFamily, criteria: SelectionCriteria) -> Strategy:
     return Strategy(
         effort=ONE_JOINT,
         robot=False,
-        exact=True,
+        thorough=True,
         held_starts=criteria.of_machine,
         horizon_windows=criteria.of_machine,
         in_pieces=False,
@@ -99,7 +102,7 @@ def _of_robot(dynamics: CompiledTree, criteria: SelectionCriteria) -> Strategy:
     return Strategy(
         effort=ROBOT if dynamics.joints < MANY_JOINTS else LARGE_ROBOT,
         robot=True,
-        exact=not criteria.of_machine,
+        thorough=not criteria.of_machine,
         held_starts=False,
         horizon_windows=True,
         in_pieces=True,

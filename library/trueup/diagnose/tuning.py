@@ -223,8 +223,8 @@ class SearchTuning:
     refits: int = number(
         4, "rounds", "At most, until all that a choice names is fitted to its minimum."
     )
-    mirrored: int = number(
-        2, "times", "An alias that turns out better shows its own alias a better place."
+    alias_rounds: int = number(
+        2, "rounds", "In which aliases of the answer are tried: a better one may have another."
     )
 
 

@@ -62,7 +62,7 @@ class WindowedFits:
     def nominal(self, parameters: Sequence[float]) -> RolloutFit:
         """The nominal form with given parameters on validation episodes."""
         values = self.fitter.initial_values(parameters)
-        return self._starts_for(self.validation, Hypothesis(), values, None)
+        return self._estimate(self.validation, Hypothesis(), values, None)
 
     def converged(self, fit: RolloutFit) -> Candidate:
         """A fit taken to its minimum, and every other minimum that the data do not tell from it; of
@@ -90,16 +90,16 @@ class WindowedFits:
         return replace(self.candidate(best), others=tuple(others))
 
     def candidate(self, fit: RolloutFit, starts: Mapping[str, Start] | None = None) -> Candidate:
-        """A fit as a candidate, with the starts of validation windows estimated, from given ones
-        too."""
-        placed = self.placed(self.validation, fit)
-        checks = [self._starts_for(self.validation, fit.hypothesis, fit.values, placed)]
+        """A fit as a candidate. The starts of validation windows are estimated, and a second time
+        from `starts` where those are given; the cheaper estimate counts."""
+        placed = self.estimated_starts(self.validation, fit)
+        checks = [self._estimate(self.validation, fit.hypothesis, fit.values, placed)]
         if starts is not None:
-            checks.append(self._starts_for(self.validation, fit.hypothesis, fit.values, starts))
+            checks.append(self._estimate(self.validation, fit.hypothesis, fit.values, starts))
         return Candidate(fit, min(checks, key=lambda f: f.cost), self._resolved(fit))
 
     def _resolved(self, fit: RolloutFit) -> bool:
-        """Whether no effect of a fit is so small that it stands for the integration."""
+        """Whether no effect of a fit is so small that it may be an error of integration."""
         period_s = max(s.period_s for s in self.adaptation)
         return all(
             abs(fit.values[self.fitter.block.rows(t)[0]]) >= kind(t).least_periods * period_s
@@ -107,8 +107,8 @@ class WindowedFits:
         )
 
     def pruned(self, best: RolloutFit, terms: Sequence[str] | None = None) -> RolloutFit:
-        """The fit with each optional number of some terms, of all where none are given, at its
-        null, where the log does not ask for it; those are free no more."""
+        """The fit with optional numbers fixed at their null where the log does not ask for them;
+        of some terms, or of all."""
         terms = best.hypothesis.effects if terms is None else terms
         fixed = self.resting(best.values, terms)
         alone = [(t, (name,)) for t in terms for name in kind(t).optional if not kind(t).tries]
@@ -150,42 +150,42 @@ class WindowedFits:
         values[rows] = self.fitter.block.nulls[rows]
         return values
 
-    def starts_from(self, data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
+    def starts_after(self, data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
         """Where windows start when a fit of other windows goes on in them: a robot's where that fit
-        places them, a joint's where they were seen."""
-        return self.placed(data, fit) if self.pieces else remembering(data, fit)
+        puts them, a joint's where they were observed."""
+        return self.estimated_starts(data, fit) if self.pieces else observed_starts(data, fit)
 
-    def placed(self, data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
-        """Where the windows of episodes start by a fit, and what hidden states began with.
+    def estimated_starts(self, data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
+        """Where the windows of episodes start by a fit, with their initial hidden states.
 
-        Of a robot piece by piece: a long window that starts where a sensor wrongly says ends far
-        away, and nothing leads back.
+        A robot's starts are estimated piece by piece: a long window that starts where a sensor
+        wrongly says ends far away, and descent does not lead back.
         """
         pieces = [self.pieces.get(s.digest, s) for s in data]
-        starts = self._recalled(pieces, fit, remembering(pieces, fit))
+        starts = self._recalled(pieces, fit, observed_starts(pieces, fit))
         if not self.pieces:
             return starts
-        placed = self._starts_for(pieces, fit.hypothesis, fit.values, starts).starts
+        placed = self._estimate(pieces, fit.hypothesis, fit.values, starts).starts
         first = {s.digest: p.resets[s.resets >= 0] for s, p in zip(data, pieces, strict=True)}
         return {
             digest: Start(start.windows[first[digest]], start.memory)
             for digest, start in placed.items()
         }
 
-    def restarted(self, fit: RolloutFit) -> RolloutFit:
-        """The fit with what its hidden states with corners began with sought anew, where that costs
-        less."""
+    def with_initial_states(self, fit: RolloutFit) -> RolloutFit:
+        """The fit with other initial hidden states, sought at many places, where that costs less;
+        only of effects with corners, whose initial states descent does not find."""
         if not self._with_corners(fit.hypothesis):
             return fit
         if self.pieces:
-            starts = self.placed(self.adaptation, fit)
+            starts = self.estimated_starts(self.adaptation, fit)
         else:
             windows = {digest: Start(start.windows, {}) for digest, start in fit.starts.items()}
             starts = self._recalled(self.adaptation, fit, windows)
-        again = self._starts_for(self.adaptation, fit.hypothesis, fit.values, starts)
+        again = self._estimate(self.adaptation, fit.hypothesis, fit.values, starts)
         return again if again.cost < fit.cost else fit
 
-    def _starts_for(
+    def _estimate(
         self,
         data: Sequence[Series],
         hypothesis: Hypothesis,
@@ -197,8 +197,7 @@ class WindowedFits:
         )
 
     def _with_corners(self, hypothesis: Hypothesis) -> list[Memory]:
-        """The hidden states of effects with corners: what they began with is not found by
-        descent."""
+        """The hidden states of effects with corners: descent does not find how they began."""
         return [
             key
             for key in self.fitter.block.memories
@@ -208,15 +207,15 @@ class WindowedFits:
     def _recalled(
         self, data: Sequence[Series], fit: RolloutFit, starts: dict[str, Start]
     ) -> dict[str, Start]:
-        """Starts with what hidden states with corners began with sought at many places in each
-        episode."""
+        """Starts with initial hidden states sought at many places in each episode, of effects with
+        corners."""
         for key in self._with_corners(fit.hypothesis):
             starts = {s.digest: self._scanned(s, fit, starts[s.digest], key) for s in data}
         return starts
 
     def _scanned(self, s: Series, fit: RolloutFit, start: Start, key: Memory) -> Start:
-        """The start with what one hidden state began with where the episode costs least, of many
-        places at once: one in each lane."""
+        """The start with the initial hidden state, of many tried at once, where the episode costs
+        least."""
         memories, effect = self.fitter.block.memories, kind(key[0])
         scale = self.fitter.unit(key[0], effect.memory[effect.states.index(key[1])])
         pasts = (past * scale for past in SEARCH.pasts)
@@ -244,8 +243,8 @@ def trajectory(fitter: Fitter, fit: RolloutFit, s: Series) -> np.ndarray:
     )
 
 
-def remembering(data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
-    """Starts as observed, with what hidden states began with in a fit of the same episodes in other
+def observed_starts(data: Sequence[Series], fit: RolloutFit) -> dict[str, Start]:
+    """Starts as observed, with the initial hidden states of a fit of the same episodes in other
     windows."""
     return {
         s.digest: Start(s.begin, fit.starts[s.digest].memory if s.digest in fit.starts else {})

@@ -30,8 +30,8 @@ FAIR_GAIN = 0.5  # of the expected decrease: a step that gains less wants new de
 ASTRAY = 100.0  # times the cost: a step that leads there was far too long, and does not count
 ROUGH = 5e-3  # a tolerance beyond which a fit may end on earlier derivatives
 NEGLIGIBLE = 0.02  # of a squared standard error: a decrease not worth an iteration
-# times what is left of a sample: the cost of a robot's number that is off by its size, for
-# neighbours err alike
+# times the mean squared error of a sample: what a robot's number costs that is off by its size.
+# Neighbouring samples err alike, so the data count for less than their number
 PRIOR = 50.0
 
 
@@ -60,7 +60,7 @@ class Objective:
         return Objective(rollouts, task, rollouts.samples(task.data), weight, centre)
 
     def prior(self, cost: float) -> Array:
-        """Diagonal of the prior's normal matrix `(free,)`, in units of what is left of a sample."""
+        """Diagonal of the prior's normal matrix `(free,)` at a cost."""
         return PRIOR * cost / self.samples * self.weight
 
 
@@ -116,7 +116,7 @@ def step(objective: Objective, state: State, tolerance: float) -> State:
         state.damping, at, task.free.low, task.free.high, prior, prior * (objective.centre - at)
     )
     if not expected > tolerance * cost + NEGLIGIBLE and not state.astray:
-        # a place from which derivatives run away is as far as the fit goes
+        # where rollouts for new derivatives run away, the fit ends
         fresh = renewed(objective, state) if state.stale and tolerance < ROUGH else None
         return fresh or replace(state, end=End.CONVERGED)
     values = task.free.moved(state.values, by)
@@ -159,8 +159,8 @@ def _after_gain(damping: float, gained: float, expected: float) -> float:
 
 
 def _damped(state: State, *, astray: bool) -> State:
-    """The state after a step that gained nothing; stale derivatives are to blame before the
-    damping is."""
+    """The state after a step that gained nothing. With stale derivatives the damping stays, for
+    those are taken anew first."""
     damping = state.damping
     damping *= GROW_FAST if astray else 1.0 if state.stale else GROW
     end = End.CONVERGED if damping > MOST_DAMPING else None
