@@ -14,7 +14,7 @@ from trueup.episode.role import Role
 from trueup.model.block import term
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledTree
-from trueup.model.effect import Port, effects
+from trueup.model.effect import Effect, Port, effects
 from trueup.model.feasible import feasible
 from trueup.model.hypothesis import Hypothesis
 from trueup.model.mjcf import compile_file, resolved
