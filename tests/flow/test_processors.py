@@ -25,7 +25,7 @@ OTHERS = ("BLAS for Haswell", "BLAS for Nehalem", "C library without FMA")
 def answers(tmp_path_factory):
     """Reports and decisions of each processor; all judge the model that the first of them made."""
     rng, folder = np.random.default_rng(11), tmp_path_factory.mktemp("cases")
-    bench = replace(draw_bench("B1", rng), law=NoiseModel(0.7))
+    bench = replace(draw_bench("A1", rng), law=NoiseModel(0.7))
     plant, trial = plant_of(bench), draw(bench, ["coulomb_friction"], True, rng)
     trial = replace(
         trial,
