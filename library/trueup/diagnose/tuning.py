@@ -133,7 +133,7 @@ class SetupTuning:
         "of the acceleration",
         "Spans are so long that the noise of a mean acceleration is no larger.",
     )
-    longest_span: int = number(12, "samples", "Of a mean acceleration in the scan.")
+    longest_span: int = number(12, "samples", "Over which the scan takes mean accelerations.")
     period_samples: int = number(6000, "samples", "At most, of all episodes, in the scan.")
 
 
@@ -152,7 +152,7 @@ class SearchTuning:
     guesses: int = number(3, "guesses", "Tried of each term; twice as many where it has many.")
     many_guesses: int = number(50, "guesses", "Of so many, twice as many are tried.")
     neighbours: int = number(
-        50, "to one distance", "Guesses within a fiftieth of all are neighbours: one is tried."
+        50, "neighbourhoods", "Guesses are split into so many: of neighbours one is tried."
     )
     guesses_kept: int = number(2, "guesses", "That go on from screening.")
     same_place: float = number(0.02, "of a value", "Nearer fits are one.")
@@ -195,13 +195,13 @@ class SearchTuning:
         2, "compositions", "Tried at every joint, where the gap is not explained at one."
     )
     hopeless: float = number(
-        0.25, "of the gap", "What the best of a size leaves: one effect more explains no such gap."
+        0.25, "of the gap", "Where the best two effects leave more, no third is tried."
     )
     hopeless_pair: float = number(
-        0.5, "of the gap", "The limit for two effects of a robot, before one is exchanged."
+        0.5, "of the gap", "Where the best pair leaves more, none of its effects is exchanged."
     )
     hopeless_on_machine: float = number(
-        0.6, "of the gap", "The limit for one effect in a robot's real recording."
+        0.6, "of the gap", "Where the best effect of a real robot leaves more, no second is tried."
     )
     noise_looks: int = number(3, "searches", "At most, each with the noise of the one before.")
     finer_steps: int = number(4, "for one of the search", "In the final refit.")
@@ -233,10 +233,10 @@ class SelectionTuning:
     """When one composition is better than another, whatever the recordings."""
 
     log_likelihood: float = number(
-        9.0, "units of log-likelihood", "That separate two compositions whose windows agree."
+        9.0, "units of log-likelihood", "Separate two compositions whose windows agree."
     )
     certain: float = number(
-        3.0, "times that", "That separate two compositions whose windows do not agree."
+        3.0, "times log_likelihood", "Separate two compositions whose windows do not agree."
     )
     agreement: float = number(
         3.0, "of the evidence against a difference", "So much windows must have for it to agree."
@@ -244,7 +244,7 @@ class SelectionTuning:
     next_to: float = number(
         1.02,
         "times the reduced chi-square",
-        "Aliases are no further apart, but for where their fits stopped.",
+        "An alias within this factor of the answer is reported beside it.",
     )
     least_chi_square: float = number(
         0.5, "reduced chi-square", "Noise is known to some per cent: none is far below 1."
@@ -260,7 +260,7 @@ class SelectionTuning:
         0.5, "of the reduced chi-square", "What is removed beyond it was clearly no noise."
     )
     scraps: float = number(
-        0.1, "of what was left", "An accident does not take so much that so little is left."
+        0.1, "of what was left", "A composition that leaves less was not found by accident."
     )
 
 
@@ -268,7 +268,7 @@ class SelectionTuning:
 class FilterTuning:
     """The gain with which a corrected model follows an episode before it predicts."""
 
-    doublings: int = number(24, "doublings", "Of the time to settle: from one sample to days.")
+    doublings: int = number(24, "doublings", "Of the settling time: from one sample to days.")
     least_disturbance: float = number(
         -7.0, "decades of the motion's acceleration", "In each second, the least that is tried."
     )
@@ -332,7 +332,7 @@ class ExperimentTuning:
         (0.02, 0.07, 0.25, 0.5, 0.95), "of the command's limit", "Of the waves."
     )
     free: float = number(
-        0.01, "of its travel", "A joint that moves no further by itself stays wherever it is."
+        0.01, "of the travel", "A joint that moves less without a command rests at any position."
     )
     part_of_recorded: float = number(
         0.3, "of the largest recorded command", "The largest wave at a robot's joint."
