@@ -109,7 +109,7 @@ def _simulated_robot(_: CompiledTree) -> SelectionCriteria:
     return ROBOT
 
 
-class Verdict(StrEnum):
+class Conclusion(StrEnum):
     """What a diagnosis ends in."""
 
     EFFECT = "effect"
@@ -123,7 +123,7 @@ class Choice:
     """The verdict, the winner, what cannot be told from it, and the part of the gap that it
     leaves."""
 
-    verdict: Verdict
+    verdict: Conclusion
     winner: Candidate
     rivals: tuple[Candidate, ...]
     left: float
@@ -159,14 +159,19 @@ def select(
         noise = level(winner)
         left *= max(winner.reduced_chi_square - noise, 0.0) / (winner.reduced_chi_square - 1.0)
         if winner.reduced_chi_square > SELECTION.adequate * noise and left > bearable:
-            return Choice(Verdict.UNKNOWN, winner, (), left)
+            return Choice(Conclusion.UNKNOWN, winner, (), left)
     if not size:
         better = _improves(base, nominal)
-        return Choice(Verdict.PARAMETERS_ONLY if better else Verdict.NO_GAP, winner, (), left)
+        return Choice(
+            Conclusion.PARAMETERS_ONLY if better else Conclusion.NO_GAP,
+            winner,
+            (),
+            left,
+        )
     rivals = tuple(
         c for c in ranked[size] if c is not winner and not _told_apart(c, winner, base, criteria)
     )
-    return Choice(Verdict.EFFECT, winner, rivals, left)
+    return Choice(Conclusion.EFFECT, winner, rivals, left)
 
 
 def _ranked(
@@ -206,11 +211,13 @@ def agreeing(choice: Choice, gap: Gap) -> Choice:
     noise, no gap is left unexplained, and where those of the nominal model were, there was none.
     """
     if gap.was_at_the_floor:
-        return replace(choice, verdict=Verdict.NO_GAP, rivals=())
-    if choice.verdict is Verdict.UNKNOWN and gap.at_the_floor:
+        return replace(choice, verdict=Conclusion.NO_GAP, rivals=())
+    if choice.verdict is Conclusion.UNKNOWN and gap.at_the_floor:
         return replace(
             choice,
-            verdict=Verdict.EFFECT if choice.winner.hypothesis.effects else Verdict.PARAMETERS_ONLY,
+            verdict=Conclusion.EFFECT
+            if choice.winner.hypothesis.effects
+            else Conclusion.PARAMETERS_ONLY,
         )
     return choice
 

@@ -12,7 +12,7 @@ from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import DataQuality
 from trueup.diagnose.explain import Bound, counted
 from trueup.diagnose.measure import Gap
-from trueup.diagnose.model_selection import Choice, Verdict
+from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.next_experiment import Experiment
 from trueup.diagnose.search import Search
 from trueup.episode.episode import Episode
@@ -57,9 +57,9 @@ def report(
     samples = sum(len(e.t_s) for e in episodes)
     seen = counted(quality, plant, samples)
     verdict = choice.verdict
-    named = seen + (effects if verdict is Verdict.EFFECT else [])
-    if named and verdict in (Verdict.NO_GAP, Verdict.PARAMETERS_ONLY):
-        verdict = Verdict.EFFECT
+    named = seen + (effects if verdict is Conclusion.EFFECT else [])
+    if named and verdict in (Conclusion.NO_GAP, Conclusion.PARAMETERS_ONLY):
+        verdict = Conclusion.EFFECT
     extra = [_named(entry) for entry in seen if isinstance(entry, dict)]
     return {
         "schema": SCHEMA,
@@ -146,7 +146,7 @@ def _named(entry: Mapping[str, Json]) -> Json:
 
 def indistinguishable(choice: Choice, joints: int = 1) -> list[list[str]]:
     """Compositions that cannot be told from the answer, those of the same law among them."""
-    if choice.verdict is not Verdict.EFFECT:
+    if choice.verdict is not Conclusion.EFFECT:
         return []
     named = [list(c.hypothesis.effects) for c in (choice.winner, *choice.rivals)]
     if joints > 1:

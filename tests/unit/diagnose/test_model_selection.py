@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trueup.diagnose.candidate import Candidate
-from trueup.diagnose.model_selection import PHYSICAL, SIMULATED, Verdict, select
+from trueup.diagnose.model_selection import PHYSICAL, SIMULATED, Conclusion, select
 from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.hypothesis import Hypothesis
 
@@ -50,7 +50,7 @@ NOMINAL = fit((), 150.0)
 def test_an_effect_that_leaves_noise_alone_is_the_answer():
     choice = select([BASE, candidate("coulomb_friction", misfit=1.0)], NOMINAL)
     assert (choice.verdict, choice.winner.hypothesis.effects, choice.rivals) == (
-        Verdict.EFFECT,
+        Conclusion.EFFECT,
         ("coulomb_friction",),
         (),
     )
@@ -80,7 +80,8 @@ def test_a_gain_that_one_window_alone_shows_is_not_certain():
 
 
 @pytest.mark.parametrize(
-    ("criteria", "verdict"), [(SIMULATED, Verdict.UNKNOWN), (PHYSICAL, Verdict.EFFECT)]
+    ("criteria", "verdict"),
+    [(SIMULATED, Conclusion.UNKNOWN), (PHYSICAL, Conclusion.EFFECT)],
 )
 def test_what_a_law_leaves_is_judged_by_where_it_was_recorded(criteria, verdict):
     """A tenth of the gap is left: no textbook law holds better on a machine, and every one does on
@@ -93,11 +94,11 @@ def test_what_a_law_leaves_is_judged_by_where_it_was_recorded(criteria, verdict)
 
 def test_new_numbers_in_the_nominal_form_are_parameters_only_and_none_where_nothing_was_wrong():
     good = candidate(misfit=1.0)
-    assert select([good], NOMINAL).verdict is Verdict.PARAMETERS_ONLY
-    assert select([good], good.check).verdict is Verdict.NO_GAP
+    assert select([good], NOMINAL).verdict is Conclusion.PARAMETERS_ONLY
+    assert select([good], good.check).verdict is Conclusion.NO_GAP
 
 
 def test_outliers_that_happen_to_be_held_out_are_no_unknown_effect():
     left = candidate("coulomb_friction", misfit=3.0)
-    assert select([BASE, left], NOMINAL).verdict is Verdict.UNKNOWN
-    assert select([BASE, left], NOMINAL, level=lambda _: 3.0).verdict is Verdict.EFFECT
+    assert select([BASE, left], NOMINAL).verdict is Conclusion.UNKNOWN
+    assert select([BASE, left], NOMINAL, level=lambda _: 3.0).verdict is Conclusion.EFFECT

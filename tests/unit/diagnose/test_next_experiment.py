@@ -10,7 +10,7 @@ from trueup.collect.bounds import Recorded
 from trueup.collect.excitation import DETECTABLE
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import assess
-from trueup.diagnose.model_selection import Choice, Verdict
+from trueup.diagnose.model_selection import Choice, Conclusion
 from trueup.diagnose.next_experiment import SHAPES, _command, next_experiment
 from trueup.diagnose.problem_setup import Recordings, Setup
 from trueup.diagnose.search import Search
@@ -38,7 +38,7 @@ def having(search, effect, part=0.3):
 
 def experiment(case, winner, *rivals):
     plant, quality, search, recordings = case
-    choice = Choice(Verdict.EFFECT, winner, rivals, 0.0)
+    choice = Choice(Conclusion.EFFECT, winner, rivals, 0.0)
     bounds = Recorded.of(plant, recordings.adaptation)
     return next_experiment(plant, quality, search, choice, bounds)
 

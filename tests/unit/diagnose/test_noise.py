@@ -9,7 +9,7 @@ from tests.support.simulated import recorded_twice as recorded
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.measure import Gap
-from trueup.diagnose.model_selection import Verdict, agreeing
+from trueup.diagnose.model_selection import Conclusion, agreeing
 from trueup.diagnose.noise import Noise, gain, noise_of
 from trueup.diagnose.tuning import DATA_QUALITY
 from trueup.simulate.noise import NoiseModel
@@ -93,7 +93,7 @@ def test_white_noise_stays_white_and_is_searched_once():
 
 def test_nothing_is_claimed_against_the_floor():
     plant, episodes, _ = recorded("A1", ["coulomb_friction"], 3)
-    choice = replace(diagnose(plant, episodes).choice, verdict=Verdict.UNKNOWN)
+    choice = replace(diagnose(plant, episodes).choice, verdict=Conclusion.UNKNOWN)
     gap = Gap(
         2.0,
         before=0.1,
@@ -104,6 +104,6 @@ def test_nothing_is_claimed_against_the_floor():
         ci95=(0.9, 1.0),
         by_channel={},
     )
-    assert agreeing(choice, gap).verdict is Verdict.EFFECT
-    assert agreeing(choice, replace(gap, after=0.02)).verdict is Verdict.UNKNOWN
-    assert agreeing(choice, replace(gap, before=0.009)).verdict is Verdict.NO_GAP
+    assert agreeing(choice, gap).verdict is Conclusion.EFFECT
+    assert agreeing(choice, replace(gap, after=0.02)).verdict is Conclusion.UNKNOWN
+    assert agreeing(choice, replace(gap, before=0.009)).verdict is Conclusion.NO_GAP
