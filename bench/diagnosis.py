@@ -40,12 +40,8 @@ from trueup.simulate.machine import BEYOND
 from trueup.simulate.trial import CATALOGUE, draw, draw_bench
 
 TIERS = ("A1", "B1", "B2")
-ON_INERTIA = (
-    "sensor_bias",
-    "sensor_drift",
-    "k_modulated",
-    "asymmetric_stiffness",
-)  # nothing there shows them
+# nothing there shows them
+ON_INERTIA = "sensor_bias", "sensor_drift", "k_modulated", "asymmetric_stiffness"
 PAIRS, NONE, OUTSIDE = 6, 6, 6
 SEED = 20260
 HORIZON_S = 1.0

@@ -35,12 +35,8 @@ LAWS = {
     "AR(0.5), t with 3": NoiseModel(0.5, 3.0),
 }
 COUNTED = ("sensor_quantization", "dropped_frames")
-NO_SPRING = (
-    "sensor_bias",
-    "sensor_drift",
-    "k_modulated",
-    "asymmetric_stiffness",
-)  # nothing shows them on a bare inertia
+# nothing shows them on a bare inertia
+NO_SPRING = "sensor_bias", "sensor_drift", "k_modulated", "asymmetric_stiffness"
 TIERS = ("A1", "B1", "B2")
 NONE = 12
 SEED = 20280

@@ -47,10 +47,8 @@ MODELS, WINDOWS = 16, 20
 SIX = 6
 AXES = {2: "yy", 3: "zyy", SIX: "zyyxyx"}
 LIMITS = (40.0, 25.0, 12.0, 6.0, 4.0, 2.0)  # [N m]
-STIFF, DAMP = (
-    (45.0, 25.0, 10.0, 6.0, 4.0, 2.0),
-    (4.5, 2.5, 1.0, 0.5, 0.3, 0.15),
-)  # of the controller
+# of the controller
+STIFF, DAMP = (45.0, 25.0, 10.0, 6.0, 4.0, 2.0), (4.5, 2.5, 1.0, 0.5, 0.3, 0.15)
 SEED = 7
 
 

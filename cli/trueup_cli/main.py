@@ -167,13 +167,8 @@ _COMMANDS = {
     ),
     "demo": ("demo:demo", "Run the main job on a real recording.", LOCAL),
 }
-APPS = (
-    "plant:app",
-    "audit:app",
-    "mlflow:app",
-    "access:tokens",
-    "access:projects",
-)  # which have help and exit codes of their own
+# which have help and exit codes of their own
+APPS = "plant:app", "audit:app", "mlflow:app", "access:tokens", "access:projects"
 for _name, (_target, _help, _codes) in _COMMANDS.items():
     app.command(
         f"trueup_cli.{_target}",

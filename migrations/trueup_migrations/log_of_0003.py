@@ -35,10 +35,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "channels": ("plant", "name"),
     "channel_moves": ("plant", "channel", "generation"),
 }
-EXACT, LARGEST_PLAIN = (
-    2**53 - 1,
-    10**21,
-)  # integers that JSON holds exactly, and those written without an exponent
+# integers that JSON holds exactly, and those written without an exponent
+EXACT, LARGEST_PLAIN = 2**53 - 1, 10**21
 POSITION_BITS = 48
 
 

@@ -44,11 +44,8 @@ from trueup_service.signed_log import SignedLog
 from trueup_service.wiring import Parts
 
 AT_ONCE = 1000
-WITHOUT_ENTRIES = (
-    "audit_key",
-    "job_reads",
-    "idempotency",
-)  # archived of a whole registry, though the log does not name them
+# archived of a whole registry, though the log does not name them
+WITHOUT_ENTRIES = "audit_key", "job_reads", "idempotency"
 NAMES = {
     EPISODE: "episodes/{}.mcap",
     ARRAYS: "arrays/{}.safetensors",

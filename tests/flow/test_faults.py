@@ -130,9 +130,8 @@ def test_a_pointer_that_cannot_be_written_does_not_move(faulty):
             ("EIO", "promote", promotion),
             ("kill", "rollback", {"expected_generation": generation + 1}),
         ):
-            before = (
-                path == "promote" and faulty.storage.name == "embedded"
-            )  # the probe is linked where it is read from
+            # the probe is linked where it is read from
+            before = path == "promote" and faulty.storage.name == "embedded"
             arm(faulty.fault, what, at + before)
             asked = "POST", f"/v1/plants/p/serving/{path}", json.dumps(body), uuid.uuid4().hex
             assert faulty.send(*asked)[0] not in (200, 201)

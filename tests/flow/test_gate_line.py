@@ -43,9 +43,8 @@ class Bench:
         self.admin, self.url, self.name, self.folder = admin, url, name, folder
         self.me, self.colleague = (self.person(who) for who in ("shopper", "colleague"))
         self.me.register_plant(plant_document(name))
-        self.seed = (
-            zlib.crc32(name.encode()) % 300_000
-        )  # uses are counted over all plants: each has recordings of its own
+        # uses are counted over all plants: each has recordings of its own
+        self.seed = zlib.crc32(name.encode()) % 300_000
         self.episodes = [self.held_out()]
         self.b = self.me.add_artifact(name, packed(name, B).manifest)["digest"]
         self.strict = self.me.declare_gate(name, STRICT)["digest"]

@@ -156,9 +156,8 @@ def looks_only_back(effect: type[Effect]) -> None:
     commands, values = _commands(), _values(effect, _usual(effect))
     other = commands.copy()
     other[SAMPLES // 2 :] = -other[SAMPLES // 2 :]
-    half = (
-        SAMPLES // 2 + 1
-    )  # the sample at which the first changed command starts to act is still the same
+    # the sample at which the first changed command starts to act is still the same
+    half = SAMPLES // 2 + 1
     same = np.array_equal(
         _rolled(values, effect, SYMMETRIC, commands)[:half],
         _rolled(values, effect, SYMMETRIC, other)[:half],

@@ -226,9 +226,8 @@ def _steady(a: Array, information: Array, drive: Array) -> Array:
     for _ in range(FILTER.doublings):
         root = _root(p)
         power, axes = np.linalg.eigh(root.T @ gathered @ root)
-        known = (
-            root @ (axes / (1.0 + np.maximum(power, 0.0))) @ axes.T @ root.T
-        )  # what is left of p once it was gathered
+        # what is left of p once it was gathered
+        known = root @ (axes / (1.0 + np.maximum(power, 0.0))) @ axes.T @ root.T
         shared = np.eye(len(a)) - gathered @ known
         later = p + onward.T @ known @ onward
         gathered = gathered + onward @ shared @ gathered @ onward.T

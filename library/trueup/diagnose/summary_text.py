@@ -133,9 +133,8 @@ def warnings(document: Mapping[str, Any]) -> list[str]:
     )
     sentences = [push.format(when) for when in _pushed(document)]
     evidence, gap = document["evidence"], document["gap"]
-    episodes = (
-        evidence["episodes"] if "timestep_s" in evidence else []
-    )  # a report of before does not tell its clock
+    # a report of before does not tell its clock
+    episodes = evidence["episodes"] if "timestep_s" in evidence else []
     late = [off for e in episodes if (off := off_step(e["period_s"], evidence["timestep_s"]))]
     if late:
         sentences.append(

@@ -55,9 +55,8 @@ def _over_intervals(
     every fit.
     """
     commands = values[in_force]
-    last = (
-        np.searchsorted(command_stamps, stamps[1:], side="left") - 1
-    )  # the one in force just before the next sample
+    # the one in force just before the next sample
+    last = np.searchsorted(command_stamps, stamps[1:], side="left") - 1
     for i in np.flatnonzero(last > in_force[:-1]):
         within = np.concatenate(
             [

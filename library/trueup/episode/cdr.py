@@ -52,9 +52,8 @@ def _cdr_shape(data: bytes) -> _CdrShape:
     fields = []
     for _ in FIELDS:
         count, at = _cdr_count(data, at, order, 8)
-        at = (
-            at + (4 - at) % 8 if count else at
-        )  # eight-byte alignment counts from behind the four-byte head
+        # eight-byte alignment counts from behind the four-byte head
+        at = at + (4 - at) % 8 if count else at
         fields.append((at, count))
         at += 8 * count
         if at > len(data):

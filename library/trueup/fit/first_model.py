@@ -29,10 +29,8 @@ UNITS = {Field.POSITION: "rad", Field.VELOCITY: "rad/s", Field.EFFORT: "N·m"}
 SYMBOLS = {Field.POSITION: "q", Field.VELOCITY: "v", Field.EFFORT: "u"}
 SIMPLEST = ("inertia", "pendulum", "oscillator")
 CLEARLY = 0.9  # of a simpler family's residual: a family whose own is not below that is not needed
-HORIZON_S, PARTS = (
-    1.0,
-    5.0,
-)  # rollouts are judged over so long, or over such a part of the shortest recording
+# rollouts are judged over so long, or over such a part of the shortest recording
+HORIZON_S, PARTS = 1.0, 5.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,9 +101,8 @@ class Errors:
         ordered = np.zeros((windows, many + 1 + fresh, many + 1 + fresh))
         ordered[:, :many, :many] = old.products
         _summed(out, *self._arguments(), inverse, lanes, np.zeros_like(lanes), old.rows, ordered)
-        behind = (
-            1 + old.first + fresh
-        )  # where the starts' begin; before them the new ones, and the error first of all
+        # where the starts' begin; before them the new ones, and the error first of all
+        behind = 1 + old.first + fresh
         at = np.array(
             [
                 *range(1, old.first + 1),
@@ -198,9 +197,9 @@ class NormalEquations:
             weight = self.scales**-2
             least = np.array([damping[episode == e].min(initial=np.inf) for e in range(len(sizes))])
             at = np.arange(n + 1, n + m + 1)
-            felt = (
-                total[:, at, at] > weight
-            )  # a past that the episode does not show, as beyond a play's end, stays where it is
+            # a past that the episode does not show, as beyond a play's end, stays
+            # where it is
+            felt = total[:, at, at] > weight
             total[:, at, at] = (total[:, at, at] + weight) * (1.0 + least[:, None])
             pull = np.where(felt, weight * np.array(list(self.began.values())), 0.0)
             total[:, 0, at] -= pull

@@ -101,9 +101,8 @@ class Trial:
                 np.ones(1),
             )
         ours, theirs = self.candidate.windows[episode], self.incumbent.windows[episode]
-        weights = (
-            theirs.samples if error == ROLLOUT else np.ones_like(theirs.samples)
-        )  # every window has one first step
+        # every window has one first step
+        weights = theirs.samples if error == ROLLOUT else np.ones_like(theirs.samples)
         return Pairs(getattr(ours, error), getattr(theirs, error), weights)
 
 

@@ -179,10 +179,8 @@ def seen_from(model: Any, data: Any, body: int, axes: Array, origin: Array) -> A
 def _actuated(engine: Any, model: Any, joint: int, name: str, row: Array) -> tuple[float, float]:
     """Add what the joint's actuator does to its numbers; its constant force and its limit."""
     offset, limit = 0.0, NO_LIMIT
-    through = (
-        int(engine.mjtTrn.mjTRN_JOINT),
-        int(engine.mjtTrn.mjTRN_JOINTINPARENT),
-    )  # alike for hinges and slides
+    # alike for hinges and slides
+    through = int(engine.mjtTrn.mjTRN_JOINT), int(engine.mjtTrn.mjTRN_JOINTINPARENT)
     acting = [
         i
         for i in range(model.nu)

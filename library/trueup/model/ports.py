@@ -40,11 +40,8 @@ from trueup.model.effect import DELAYS, SIGNALS, Effect, Port, effects
 from trueup.model.family import Family, families, source_digest
 
 NOMINAL_PARTS = frozenset({"passive", "drive", "spring", "mobility"})
-WITHIN = (
-    Port.FORCE,
-    Port.FRICTION,
-    Port.OBSERVATION,
-)  # ports inside a step, where a position is the one at which the step acts
+# ports inside a step, where a position is the one at which the step acts
+WITHIN = Port.FORCE, Port.FRICTION, Port.OBSERVATION
 GIVEN = "j, signals, common, memory, on, p"  # what a port is called with
 
 

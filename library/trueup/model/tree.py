@@ -20,18 +20,8 @@ Array = NDArray[np.float64]
 NO_LIMIT = 1e30
 MOST_JOINTS = 32  # of one robot
 SWEEPS = 12  # over the joints that rub, where several do
-INERTIAL = (
-    "mass",
-    "hx",
-    "hy",
-    "hz",
-    "Ixx",
-    "Iyy",
-    "Izz",
-    "Ixy",
-    "Ixz",
-    "Iyz",
-)  # about the joint, along the link's axes
+# about the joint, along the link's axes
+INERTIAL = "mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"
 AT_JOINT = ("armature", "damping", "gain", "servo", "stiffness", "frictionloss")
 LINK, JOINT = len(INERTIAL), len(AT_JOINT)
 ARMATURE, DAMPING, GAIN, SERVO, STIFFNESS, FRICTION = range(JOINT)

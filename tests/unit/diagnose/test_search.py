@@ -13,10 +13,8 @@ from trueup.fit.rollout_fit import RolloutFit
 from trueup.model.hypothesis import Hypothesis
 
 SHARED = Hypothesis() | "coulomb_friction"
-CHEAP, DEAR = (
-    SHARED | "backlash",
-    SHARED | "cogging",
-)  # from where the shared part is fitted at a cost of 8, and of 9
+# from where the shared part is fitted at a cost of 8, and of 9
+CHEAP, DEAR = SHARED | "backlash", SHARED | "cogging"
 
 
 def fit(hypothesis, cost):

@@ -272,10 +272,8 @@ def test_every_verdict_carries_the_interval_of_its_ratio():
 
 
 def test_a_rule_can_require_the_bound_instead_of_the_mean():
-    incumbent, swing = (
-        np.ones(40),
-        np.tile([0.2, 1.6], 20),
-    )  # 0.9 of the error on average, and nobody knows whether it is less than 1
+    # 0.9 of the error on average, and nobody knows whether it is less than 1
+    incumbent, swing = np.ones(40), np.tile([0.2, 1.6], 20)
     windowed_trial = Trial(windowed(swing), windowed(incumbent), ("a" * 64,))
     rng_swing = Trial(
         windowed(np.random.default_rng(0).permutation(swing)), windowed(incumbent), ("a" * 64,)

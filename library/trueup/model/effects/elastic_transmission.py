@@ -40,9 +40,8 @@ class ElasticTransmission(Effect):
         stiff, damp = both * w * w, 2.0 * both * w * ratio
         left = np.maximum(1.0 - share * mobility, 0.05)
         apart = 1.0 / share + mobility / left
-        angle = (
-            2.0 * alpha * apart * stiff * h * h
-        )  # of a step, squared; a symmetric one swings too fast
+        # of a step, squared; a symmetric one swings too fast
+        angle = 2.0 * alpha * apart * stiff * h * h
         stiff = stiff * (1.0 - angle / 12.0 * (1.0 - angle / 30.0))
         ahead = twist + alpha * h * rate
         kick = (

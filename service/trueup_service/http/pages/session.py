@@ -29,9 +29,8 @@ async def sign_in(request: Request, parts: RequestParts) -> Response:
     require_own_page(request)
     fields = await form(request)
     to = fields.get("next", "/")
-    to = (
-        to if to.startswith("/") and not to.startswith(("//", "/\\")) else "/"
-    )  # never to another site
+    # never to another site
+    to = to if to.startswith("/") and not to.startswith(("//", "/\\")) else "/"
     try:
         _, secret = await run_in_threadpool(
             begin_session, request.app.state.authenticator, parts, fields.get("token", "").strip()
