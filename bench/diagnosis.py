@@ -146,10 +146,11 @@ def house(machine: Hidden) -> dict[str, Given]:
     for name, c in rules.items():
         predictor = corrected(plant, quality, c.fit, search.problem.scheme, adaptation)
         names = [*c.hypothesis.effects, *counted]
+        # no rule could part them: each is credited
         others = [
             [*c.hypothesis.without(e).effects, alias, *counted]
             for e, alias in aliases(c.hypothesis)
-        ]  # no rule could part them: each is credited
+        ]
         given[name] = Given(_named(names, others), positions(predictor, machine.tests), took)
     return given
 

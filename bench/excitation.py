@@ -55,9 +55,8 @@ def main() -> None:
             ),
             rng,
         )
-        command = found.command[
-            : 2 + int(np.flatnonzero(found.command[:, 0])[-1])
-        ]  # a random one ends without waiting for rest, too
+        # a random one ends without waiting for rest, too
+        command = found.command[: 2 + int(np.flatnonzero(found.command[:, 0])[-1])]
         ours = _widths(ensemble, truth, command)
         needed = next(
             n

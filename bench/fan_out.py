@@ -99,9 +99,9 @@ def main() -> None:
             for many, seconds in [*took.items()] * ROUNDS:
                 with workers(Path(folder), many):
                     time.sleep(5.0)  # until all of them look at the queue
-                    diagnosed(
-                        port, plant
-                    )  # workers run for days: what they load on first use is loaded
+                    # workers run for days: what they load on first use is
+                    # loaded
+                    diagnosed(port, plant)
                     elapsed, report = diagnosed(port, plant)
                 seconds.append(elapsed)
                 reports.add(report)

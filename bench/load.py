@@ -106,9 +106,8 @@ def _measured(
         _drained(parts)
     alarms, watched = _counts(parts)
     peak = Peak(pids, labour)
-    asks = [
-        list(fleet.asks(robot, i)) for i, robot in enumerate(fleet.robots)
-    ]  # made before, for whoever sends has no time to
+    # made before, for whoever sends has no time to
+    asks = [list(fleet.asks(robot, i)) for i, robot in enumerate(fleet.robots)]
     found = pace(
         [(ports[i % len(ports)], iter(of)) for i, of in enumerate(asks)], FLEET_S, peak.look
     )

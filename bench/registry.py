@@ -153,9 +153,8 @@ def _decisions(port: int, data: Path, name: str) -> list[bytes]:
         episode_bytes(9, 60, role=Role.VALIDATION),
         "application/octet-stream",
     )
-    assert run(port, [iter([held_out])], 60.0).statuses == {
-        201: 1
-    }  # on which the way back is rehearsed before each move
+    # on which the way back is rehearsed before each move
+    assert run(port, [iter([held_out])], 60.0).statuses == {201: 1}
     episode = call(port, "GET", f"/v1/plants/{name}/episodes")["items"][0]["digest"]
     serving = call(port, "GET", f"/v1/plants/{name}/serving")["artifact"]
     parts, requests = build(Settings(data_dir=data)), []

@@ -65,9 +65,8 @@ class Arm:
             np.sort(rng.uniform(0.6, 2.2, self.n))[::-1],
         )
         damping, armature = rng.uniform(0.1, 0.4, self.n), rng.uniform(0.01, 0.04, self.n)
-        self.size = np.minimum(
-            np.array(LIMITS[: self.n]) / LIMITS[2], 1.0
-        )  # a wrist's forces are small
+        # a wrist's forces are small
+        self.size = np.minimum(np.array(LIMITS[: self.n]) / LIMITS[2], 1.0)
         if self.n == SIX:
             lengths, masses, damping, armature = (
                 lengths * 0.5 ** (np.arange(SIX) / 2),

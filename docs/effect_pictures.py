@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 PERIOD_S, SECONDS = 0.01, 8.0
 TOP, HEIGHT_PX = 104, 230
 FOLDER = Path(__file__).parent / "pictures" / "effects"
+# drawn as output over input
 LOOPS = (
     "backlash",
     "command_quantization",
@@ -35,7 +36,7 @@ LOOPS = (
     "gain_asymmetry",
     "quadratic_gain",
     "saturation",
-)  # drawn as output over input
+)
 OVER_POSITION = ("cogging", "cubic_stiffness", "hard_stop", "hysteresis")
 # numbers that show the effect in a motion and a command of size 1
 # of effects whose largest initial guess makes no good picture

@@ -5,9 +5,10 @@ from __future__ import annotations
 import unicodedata
 
 FORMATS = ("Cc", "Cf")  # Unicode's categories of controls and formats
+# and variation selectors
 FILLERS = frozenset("\u034f\u115f\u1160\u17b4\u17b5\u2800\u3164\uffa0") | {
     chr(c) for c in range(0xFE00, 0xFE10)
-}  # and variation selectors
+}
 
 
 def seen(text: str) -> str:

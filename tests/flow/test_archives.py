@@ -114,9 +114,8 @@ def test_a_backup_made_while_it_runs_is_restored_on_the_other_kind_of_storage_an
     backup = tmp_path / "backup"
     assert "sha256:" in run(storage, "backup", backup).stdout
     size = sum(p.stat().st_size for p in backup.rglob("*"))
-    assert (
-        "sha256:" in run(storage, "backup", backup).stdout
-    )  # a second one into the same folder keeps what is there
+    # a second one into the same folder keeps what is there
+    assert "sha256:" in run(storage, "backup", backup).stdout
     assert verified(backup, key) == (0, "holds\n")
     assert size > 10_000
     fresh = elsewhere(site, postgres, s3, tmp_path)
@@ -242,9 +241,8 @@ def test_an_archive_that_was_changed_anywhere_is_refused_by_both(site, tmp_path)
         or (site[2] / "data" / "signing.key").read_text()
     )
     whole_again()  # whichever part the last one was
-    rewrite(
-        tmp_path / "bad", "log/entries.jsonl", lambda data: data, None
-    )  # by somebody who knows the form, and has no key
+    # by somebody who knows the form, and has no key
+    rewrite(tmp_path / "bad", "log/entries.jsonl", lambda data: data, None)
     assert "not signed" in verified(tmp_path / "bad", key)[1]
     assert run(fresh, "import", tmp_path / "bad", "--key", key, check=False).returncode == 4
     for name, (title, change) in EDITS.items():  # and by somebody who has it
@@ -382,9 +380,8 @@ def test_an_upload_goes_on_where_it_broke_off(service, tmp_path, monkeypatch):
         assert shares[-1] == 1.0
         assert next(client.episodes(plant))["digest"] == digest
         assert client._get(at)["offset_bytes"] == 0
-        assert (
-            client._post(f"{at}/finish", None)["digest"] == digest
-        )  # its answer may have been lost
+        # its answer may have been lost
+        assert client._post(f"{at}/finish", None)["digest"] == digest
         wrong = f"/v1/plants/{plant}/uploads/{'0' * 64}"
         client._connection.once("PATCH", wrong, b"something else", half)
         with pytest.raises(Problem) as refused:

@@ -9,9 +9,8 @@ from trueup.episode.role import Role
 from trueup_client import Client, Problem
 
 PROMISE_H, REFERENCE = 2.0, 20
-pytestmark = pytest.mark.parametrize(
-    "service", ["scaled"], indirect=True, scope="session"
-)  # monitoring alone runs on both
+# monitoring alone runs on both
+pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="session")
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,8 @@ from trueup.episode.writer import write_episode
 @pytest.fixture(scope="module")
 def done(service, tmp_path_factory):
     folder = tmp_path_factory.mktemp("job")
-    plant, episodes, _ = recorded(
-        "A1", ["quadratic_drag"], 21, velocity=False
-    )  # its model has arrays: moments of a known velocity
+    # its model has arrays: moments of a known velocity
+    plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21, velocity=False)
     (folder / "plant.json").write_text(json.dumps(dict(plant.document)))
     for i, e in enumerate(episodes):
         stamps = T0_NS + 10**10 * i + np.rint(e.t_s * 1e9).astype(np.int64)

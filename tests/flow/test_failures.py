@@ -355,9 +355,8 @@ def test_a_command_that_is_ended_ends_the_service_beside_it(tmp_path):
         look, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=ROOT
     ) as looking:
         try:
-            assert any(
-                url in line for line in looking.stdout
-            )  # the service beside may say something before
+            # the service beside may say something before
+            assert any(url in line for line in looking.stdout)
         finally:
             looking.terminate()
     assert looking.returncode == 128 + signal.SIGTERM

@@ -236,9 +236,8 @@ def test_the_gate_of_another_plant_does_not_judge_here(bench):
         if k not in ("follows", "because")
     }
     assert refused(lambda: shop.me.declare_gate(shop.name, taken)).code == "gate-follows"
-    shop.me.declare_gate(
-        shop.name, other.me.gate(other.name, lent)["document"]
-    )  # with its reason, for it follows the same strict one
+    # with its reason, for it follows the same strict one
+    shop.me.declare_gate(shop.name, other.me.gate(other.name, lent)["document"])
     assert (
         f"after candidate {shop.b[:12]} had failed one_step_no_worse"
         in shop.judge(lent)["disclosure"]
@@ -401,9 +400,8 @@ def test_the_command_names_what_it_follows_and_shows_intervals_uses_and_scales(
     ):
         assert said in done.stdout
     assert "no scale moves the verdict" in done.stdout
-    again = command(
-        service, "gate", shop.name, shop.b[:12], "--rules", str(rules)
-    )  # in force: it needs no reason again
+    # in force: it needs no reason again
+    again = command(service, "gate", shop.name, shop.b[:12], "--rules", str(rules))
     assert "used 3 of 20" in again.stdout
     assert len(list(shop.me.gates(shop.name))) == 2
 

@@ -47,12 +47,9 @@ def test_what_no_register_does_is_seen():
         Operation("read", 1.5, 3, 1, "a"),
     ]
     assert violations(fine, told) == []
-    assert violations(
-        [*fine, Operation("read", 2.5, 4, 1, "a")], told
-    )  # an old answer after the move was acknowledged
-    assert violations(
-        [*fine, Operation("rollback", 2.1, 4, 2, "b")], told
-    )  # two moves took one generation
-    assert violations(
-        [*fine, Operation("read", 2.1, 4, 2, "a")], told
-    )  # a position that the log does not tell of
+    # an old answer after the move was acknowledged
+    assert violations([*fine, Operation("read", 2.5, 4, 1, "a")], told)
+    # two moves took one generation
+    assert violations([*fine, Operation("rollback", 2.1, 4, 2, "b")], told)
+    # a position that the log does not tell of
+    assert violations([*fine, Operation("read", 2.1, 4, 2, "a")], told)

@@ -275,9 +275,8 @@ def test_a_key_takes_over_and_whoever_pinned_the_one_before_follows_by_its_word_
             (folder / "signing.key.before").unlink()
             assert then != first
             assert client.witness(Witness(tmp_path / "seen.json", first)).size == before.size + 1
-            again = Witness(
-                tmp_path / "seen.json", first
-            )  # as a script names it that has not been told
+            # as a script names it that has not been told
+            again = Witness(tmp_path / "seen.json", first)
             assert [key.text for key in again.keys] == [first, then]
             assert again.last.size == before.size + 1
             told_by_hand = Witness(tmp_path / "told.json", first)

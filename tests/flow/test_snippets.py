@@ -38,11 +38,12 @@ PAGES = [
     ROOT / "README.md",
     *sorted(p for p in (ROOT / "docs").rglob("*.md") if p.name != "commands.md"),
 ]
+# need days of recordings: tests of monitoring have them
 WATCHED = {
     "calibrate",
     "monitor",
     "alarms",
-}  # need days of recordings: tests of monitoring have them
+}
 LONG = {
     "serve",
     "work",
@@ -57,13 +58,14 @@ LONG = {
     "mlflow",
     "init",
 }
+# what is no command of ours, or is tested as what `make` does
 OTHERS = {
     "make",
     "export",
     "pip",
     "ros2",
     ".",
-}  # what is no command of ours, or is tested as what `make` does
+}
 DIGEST = re.compile(r"\b[0-9a-f]{64}\b")
 
 

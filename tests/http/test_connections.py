@@ -173,9 +173,8 @@ def test_a_body_that_comes_slowly_but_steadily_is_taken(service):
         for _ in range(20):
             raw.sendall(b"x" * 60)
             time.sleep(0.25)
-        assert raw.recv(1 << 16).startswith(
-            b"HTTP/1.1 422 "
-        )  # all of it came, and is not what the digest names
+        # all of it came, and is not what the digest names
+        assert raw.recv(1 << 16).startswith(b"HTTP/1.1 422 ")
 
 
 def test_a_long_poll_is_no_silence(service):

@@ -303,9 +303,8 @@ def accepted(client, plant, k):
     """An accepted decision of a real gate job."""
     candidate = identified(plant, k)
     client.add_artifact(plant, candidate.manifest)
-    gate = declare_lenient(
-        client, plant, held_out_uses=1_000_000
-    )  # the same recording is used by every plant of these tests
+    # the same recording is used by every plant of these tests
+    gate = declare_lenient(client, plant, held_out_uses=1_000_000)
     if not list(client.episodes(plant, "validation")):
         with tempfile.TemporaryDirectory() as folder:
             client.upload_episode(

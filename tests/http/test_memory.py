@@ -53,13 +53,14 @@ def test_large_arrays_are_looked_at_by_another_process(server):
     digest, manifest = hashlib.sha256(arrays).hexdigest(), manifest_of(arrays)
     with closing(Client(service.url)) as client:
         client.register_plant(plant_document("p"))
+    # loads what that needs
     request(
         service,
         "POST",
         "/v1/plants/p/artifacts",
         manifest_of(b"none"),
         Content_Type="application/json",
-    )  # loads what that needs
+    )
     before = peak_bytes(pid)
     assert request(service, "PUT", f"/v1/blobs/{digest}", arrays)[0] == 201
     with ThreadPoolExecutor(4) as at_once:

@@ -173,9 +173,8 @@ def test_a_model_from_elsewhere_becomes_a_candidate_that_says_so(
         {"who": "</script>"},
     )
     assert known["metrics"]["rmse"] == 0.25
-    assert (
-        known["metrics"]["worst"] is None or known["metrics"]["worst"] > 1e300
-    )  # this registry keeps an infinity as its largest number
+    # this registry keeps an infinity as its largest number
+    assert known["metrics"]["worst"] is None or known["metrics"]["worst"] > 1e300
     assert known["params"]["solver"] == "lm"
 
 

@@ -19,9 +19,8 @@ from trueup_cli.error_output import print_traceback
 from trueup_client import Client
 from trueup_service.logs import JsonLines
 
-OURS = re.compile(
-    r"\x1b\[[0-9;]*m|\x1b\[\?25[lh]|\x1b\[[12][AK]|\r"
-)  # colours, and what moves a progress bar
+# colours, and what moves a progress bar
+OURS = re.compile(r"\x1b\[[0-9;]*m|\x1b\[\?25[lh]|\x1b\[[12][AK]|\r")
 JSON = {"Content_Type": "application/json"}
 COMMANDS = {  # each prints what others wrote, and ends with this code
     "plant list": 0,

@@ -99,9 +99,8 @@ class Seat:
             color_scheme=scheme,
             java_script_enabled=scripts,
         )
-        self.context.set_default_timeout(
-            3 * A_MINUTE
-        )  # a browser that has a twelfth of one core gets there, too
+        # a browser that has a twelfth of one core gets there, too
+        self.context.set_default_timeout(3 * A_MINUTE)
         self.page = self.context.new_page()
         self.page.on("pageerror", lambda error: self.faults.append(str(error)))
         self.page.on(
@@ -237,9 +236,8 @@ def test_a_serious_fault_would_be_found(seat, pages):
 def test_from_all_plants_to_what_a_diagnosis_says_by_keyboard_alone(seat, pages, running):
     seat.go("/")
     seat.press("Tab")
-    assert (
-        seat.page.evaluate("document.activeElement.className") == "skip"
-    )  # the first stop leads past the navigation
+    # the first stop leads past the navigation
+    assert seat.page.evaluate("document.activeElement.className") == "skip"
     seat.tab_to("emps")
     seat.press("Enter")
     seat.page.wait_for_url(f"{running.url}/plants/emps")
@@ -266,12 +264,10 @@ def test_a_recording_is_looked_through_by_keyboard(seat, pages):
     then = seat.page.locator(".values td").all_inner_texts()
     assert first[0] == then[0] == "q"
     assert first != then
-    assert float(then[4]) == pytest.approx(
-        float(then[3]) - float(then[1]), abs=1e-3
-    )  # corrected less measured
-    assert (
-        seat.page.locator("#recordings canvas").count() == 3
-    )  # the signal, its error, the command
+    # corrected less measured
+    assert float(then[4]) == pytest.approx(float(then[3]) - float(then[1]), abs=1e-3)
+    # the signal, its error, the command
+    assert seat.page.locator("#recordings canvas").count() == 3
     other = seat.page.get_by_label("recording")
     other.focus()
     seat.press("ArrowDown")
@@ -307,9 +303,8 @@ def test_two_versions_are_compared_by_a_button(seat, running):
     seat.page.wait_for_url(re.compile("/compare"))
     seat.go("/plants/emps/compare?first=1&second=2")
     changed = seat.page.get_by_role("region", name="what changed", exact=True)
-    expect(changed.get_by_role("row", name="parameter b")).to_contain_text(
-        "0.37"
-    )  # as it was declared
+    # as it was declared
+    expect(changed.get_by_role("row", name="parameter b")).to_contain_text("0.37")
     seat.tab_to("Compare on what was held out")
     seat.press("Enter")
     expect(seat.page.locator("#recordings canvas").first).to_be_visible(timeout=A_MINUTE)
@@ -319,9 +314,8 @@ def test_two_versions_are_compared_by_a_button(seat, running):
     diagnosed = _ratios(seat)
     assert len(identified) == len(diagnosed) == 2
     for of_numbers, of_effects in zip(identified, diagnosed, strict=True):
-        assert (
-            of_effects < 0.05 < of_numbers < 1.0
-        )  # other numbers take a part of the declared model's error, effects nearly all
+        # other numbers take a part of the declared model's error, effects nearly all
+        assert of_effects < 0.05 < of_numbers < 1.0
 
 
 def _ratios(seat):
@@ -353,9 +347,8 @@ def test_an_episode_is_looked_through_and_taken_to_foxglove(seat, pages, running
         topics = {c.topic for c in make_reader(file).get_summary().channels.values()}
     assert {"/joint_states", "/joint_commands", "/trueup/regions"} <= topics
     assert plotted <= topics
-    assert (
-        len(plotted) == 5
-    )  # what was recorded, and of two versions the prediction and the residual
+    # what was recorded, and of two versions the prediction and the residual
+    assert len(plotted) == 5
 
 
 # -- going back

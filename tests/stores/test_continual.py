@@ -223,9 +223,8 @@ def test_validation_is_due_without_any_alarm_and_not_before_its_time(parts):
         tx = Transaction(connection)
         gate, _ = declare_gate(tx, "p", None, at(1))
         declare_policy(tx, "p", UpdatePolicy(gate.digest, validate_every_h=1.0).document(), at(2))
-    assert (
-        submit_due(parts, NOW + timedelta(seconds=3)) == []
-    )  # nothing was held out since the model serves
+    # nothing was held out since the model serves
+    assert submit_due(parts, NOW + timedelta(seconds=3)) == []
     for i, name in enumerate("abcd"):
         add_episode(parts, name, "validation", 4 + 0.1 * i)
     assert submit_due(parts, NOW + timedelta(seconds=5)) == []  # four differ by luck alone

@@ -16,12 +16,13 @@ from trueup_cli import exits, main, show
 from trueup_cli.error_output import print_error
 from trueup_client.problem import DigestMismatch, NotSigned, Problem, Unreachable
 
+# what runs until it is stopped, what is to be watched, what a shell reads
 FOR_PEOPLE = {
     "serve",
     "work",
     "demo",
     "completion",
-}  # what runs until it is stopped, what is to be watched, what a shell reads
+}
 SHELLS = ("bash", "zsh", "fish", "powershell")
 
 

@@ -23,12 +23,13 @@ from trueup_worker.schedule import run_schedule
 log = logging.getLogger("trueup.worker")
 
 WATCHED_AT_ONCE = 4  # a job begins when the queue is polled; one at a time would be ten a second
+# a minute of a lost database
 RETRIED: StepOptions = {
     "retries_allowed": True,
     "interval_seconds": 0.5,
     "backoff_rate": 2.0,
     "max_attempts": 8,
-}  # a minute of a lost database
+}
 
 
 def work(parts: Parts, *, with_parent: bool = False) -> None:

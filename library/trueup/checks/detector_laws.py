@@ -100,9 +100,8 @@ def it_looks_only_back(detector: Detector) -> None:
         one, other = (
             detector.follow(detector.begin(), e).statistic[before] for e in (episode, later)
         )
-        upto = slice(
-            None, -1
-        )  # the last sample of a window is where the next may count for the first time
+        # the last sample of a window is where the next may count for the first time
+        upto = slice(None, -1)
         require(np.array_equal(one[upto], other[upto]), "it looks only back", detector.name)
 
 

@@ -95,9 +95,8 @@ def coverage_of(plant: Plant, episodes: Sequence[Episode]) -> list[Coverage]:
         x = (triples - low) / np.maximum(high - low, LEAST)
         corners = x[np.unique((x @ _directions().T).argmax(axis=0))]
         chosen = x[:: -(-len(x) // SAMPLES)]
-        between = x[
-            len(x) // (2 * SAMPLES) :: -(-len(x) // SAMPLES)
-        ]  # as far from chosen ones as samples can be
+        # as far from chosen ones as samples can be
+        between = x[len(x) // (2 * SAMPLES) :: -(-len(x) // SAMPLES)]
         near = float(np.quantile(_from_samples(chosen, between), NEAR)) + TOUCH
         coverages.append(Coverage(plant.joint_name(joint), low, high, corners, chosen, near))
     return coverages

@@ -72,9 +72,8 @@ class Ensemble:
             names.append(name)
             rows.append(order.index(name))
             sizes.append(_deviation(parameter["ci95"]))
-        smooth = Hypothesis(
-            tuple(t for t in model.hypothesis.effects if not kind(t).counted)
-        )  # what rounds is in the noise
+        # what rounds is in the noise
+        smooth = Hypothesis(tuple(t for t in model.hypothesis.effects if not kind(t).counted))
         for term in smooth.effects:
             where = plant.joint_name(joint(term))
             entry = next(
@@ -90,9 +89,10 @@ class Ensemble:
                 if estimate and estimate["value"]:
                     names.append(f"{_written(plant, term)} {number}")
                     rows.append(row)
+                    # the report's unit cancels out
                     sizes.append(
                         abs(_deviation(estimate["ci95"]) / estimate["value"] * centre[row])
-                    )  # the report's unit cancels out
+                    )
         spread = np.maximum(np.array(sizes), LEAST * np.abs(centre[rows]))
         return Ensemble(
             plant,

@@ -249,9 +249,8 @@ class SplittingGoal(Goal):
             member, start = moved
             if gained < GAIN * left:
                 break
-        return (
-            float(rounded(left)) if np.isfinite(left) else 0.0
-        )  # a wave that is better in its last bit is no better
+        # a wave that is better in its last bit is no better
+        return float(rounded(left)) if np.isfinite(left) else 0.0
 
     def _tangent(
         self, which: int, member: Array, start: Array, t_s: Array, command: Array

@@ -70,9 +70,8 @@ class Travelled:
             far = np.nanmax(np.abs(positions), axis=0)
             return Travelled(-far, far, speed, np.ones(1, np.bool_))
         low, high = np.nanmin(positions, axis=0), np.nanmax(positions, axis=0)
-        shakes = np.nanstd(
-            np.diff(positions, n=2, axis=0), axis=0
-        )  # what noise alone moves from sample to sample
+        # what noise alone moves from sample to sample
+        shakes = np.nanstd(np.diff(positions, n=2, axis=0), axis=0)
         return Travelled(low, high, speed, (high > low) & (high - low > MOVED * shakes))
 
 
@@ -149,9 +148,8 @@ def compare(
         (low + high) / 2.0,
         SHARE * np.where(travelled.moved, (high - low) / 2.0, 0.0),
     )
-    scale = np.where(
-        travelled.moved, amplitude, amplitude[travelled.moved].mean()
-    )  # what never moved is held still
+    # what never moved is held still
+    scale = np.where(travelled.moved, amplitude, amplitude[travelled.moved].mean())
     every = max(1, round(plant.horizon_s / TICKS_A_HORIZON / plant.timestep_s))
     t_s = np.arange(TICKS) * every * plant.timestep_s
     fastest = (
@@ -241,9 +239,8 @@ def _run(
     states = np.zeros((len(reference) + 1, 2 * joints))
     states[0] = begin
     estimator, late_s = Estimator(planner.predictor), transport_delay_s(planner.predictor)
-    ticks = np.arange(len(reference)) + late_s / (
-        every * plant.timestep_s
-    )  # when what is commanded shows
+    # when what is commanded shows
+    ticks = np.arange(len(reference)) + late_s / (every * plant.timestep_s)
     aims = np.stack([np.interp(ticks, np.arange(len(reference)), r) for r in reference.T], axis=1)
     for tick in range(len(reference)):
         now, then = tick * every, (tick + 1) * every

@@ -325,9 +325,8 @@ def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plan
                 shapes.get(shape, np.inf),
                 limit if limit <= EVIDENCE.linear_reach * start else np.inf,
             )
-    sound = [
-        limit for limit in shapes.values() if np.isfinite(limit)
-    ]  # of the shapes that would have shown
+    # of the shapes that would have shown
+    sound = [limit for limit in shapes.values() if np.isfinite(limit)]
     if not sound:
         return Bound(name, where, number.name, None, False, measure, _blind(effect))
     return Bound(name, where, number.name, float(max(sound)) * factor, False, measure, "")

@@ -147,9 +147,8 @@ def _joint_gain(
     at, sizes, h = quality.of_joint(joint), quality.scales[joint], period_s
     seen, deviation = quality.observed[at], np.nan_to_num(quality.noise[at])
     first = sizes.velocity if unknown is None else unknown
-    unit = np.array(
-        [sizes.position, sizes.velocity, sizes.acceleration, sizes.velocity]
-    )  # keeps the equation well scaled
+    # keeps the equation well scaled
+    unit = np.array([sizes.position, sizes.velocity, sizes.acceleration, sizes.velocity])
     a, disturbed = np.eye(4), np.eye(4)[:, :3]
     a[:2, :2] = update
     a[:2, 2] = h * h / 2.0, h

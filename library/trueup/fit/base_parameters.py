@@ -102,9 +102,8 @@ def _shown(design: Array, felt: float) -> Array:
     _, singular, ways = np.linalg.svd(design, full_matrices=False)
     shown = ways[singular > felt]
     largest = np.take_along_axis(shown, np.abs(rounded(shown)).argmax(axis=1)[:, None], axis=1)
-    return np.asarray(
-        rounded(shown * np.sign(largest), GUESS_BITS)
-    )  # a singular vector's sign is nobody's
+    # a singular vector's sign is nobody's
+    return np.asarray(rounded(shown * np.sign(largest), GUESS_BITS))
 
 
 def _single(

@@ -101,9 +101,8 @@ def converge(
     free = fitter.free(fit.hypothesis, fixed)
     values, starts = fit.values, _starts_at_rest(fitter, data, fit, fit.values, np.inf, fit.starts)
     best = _examined(fitter, data, fit, values, starts, free)
-    best = _examined(
-        fitter, data, fit, values, starts, best.free
-    )  # now as far apart as the data tell
+    # now as far apart as the data tell
+    best = _examined(fitter, data, fit, values, starts, best.free)
     part, distances, path = 1.0, [best.distance], [(free.at(values), best.step)]
     nearest = best, values, starts
     for _ in range(most):
@@ -298,9 +297,8 @@ def _far_starts(fit: RolloutFit) -> list[Array]:
         return []
     size = np.sqrt(np.diag(fit.information)[shown])
     powers, ways = np.linalg.eigh(fit.information[np.ix_(shown, shown)] / size[:, None] / size)
-    way = ways[:, 0] * np.sign(
-        ways[np.abs(rounded(ways[:, 0])).argmax(), 0]
-    )  # an eigenvector's sign is nobody's
+    # an eigenvector's sign is nobody's
+    way = ways[:, 0] * np.sign(ways[np.abs(rounded(ways[:, 0])).argmax(), 0])
     by = np.zeros(len(shown))
     by[shown] = (
         DISPLACED

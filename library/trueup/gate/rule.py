@@ -184,9 +184,8 @@ class Rule(ABC):
 
     def _over(self, compared: Compared, bound: float) -> float:
         if self.require == MEAN:
-            return (
-                compared.candidate - bound * compared.incumbent
-            )  # a difference: an incumbent's error may be 0
+            # a difference: an incumbent's error may be 0
+            return compared.candidate - bound * compared.incumbent
         return float("nan") if compared.ci95 is None else compared.ci95[1] - bound
 
     def verdict(self, passed: bool, compared: Compared, bound: float, because: str) -> Verdict:

@@ -56,9 +56,8 @@ SIGNALS = {
     Port.FRICTION: ("level",),
     Port.OBSERVATION: ("q", "v"),
 }
-DELAYS = (
-    "lag_s",
-)  # what an effect returns instead of its port's signal where it is a pure transport delay
+# what an effect returns instead of its port's signal where it is a pure transport delay
+DELAYS = ("lag_s",)
 
 
 class Scale(StrEnum):
@@ -112,38 +111,28 @@ class Effect(ABC):
     order: ClassVar[int] = 0
     params: ClassVar[tuple[Number, ...]]
     states: ClassVar[tuple[str, ...]] = ()
-    begins: ClassVar[
-        tuple[str, ...]
-        # of each state: "zero", the signal that it starts from, or "first": what it was does not
-        # matter
-    ] = ()
+    # Of each state: "zero", the signal that it starts from, or "first": what it was does not matter
+    begins: ClassVar[tuple[str, ...]] = ()
     memory: ClassVar[tuple[Scale, ...]] = ()
     starts: ClassVar[tuple[tuple[float, ...], ...]]
     threshold: ClassVar[tuple[str, ...]] = ()
     zoomed: ClassVar[str] = ""
-    optional: ClassVar[
-        tuple[str, ...]
-    ] = ()  # numbers that stay at their null unless the log asks for them
-    tries: ClassVar[
-        tuple[tuple[float, ...], ...]
-    ] = ()  # values from which those are tried, as in `starts`; without, from their nulls
-    contains: ClassVar[str] = ""  # the effect that this one is where some of its parameters vanish
+    # Numbers that stay at their null unless the log asks for them
+    optional: ClassVar[tuple[str, ...]] = ()
+    # Values from which those are tried, as in `starts`; without, from their nulls
+    tries: ClassVar[tuple[tuple[float, ...], ...]] = ()
+    contains: ClassVar[str] = ""  # the effect that this one is where some of its numbers vanish
     counted: ClassVar[bool] = False
-    periodic: ClassVar[bool] = (
-        False  # its first two numbers are a sine's and a cosine's, its third the pitch
-    )
+    # Its first two numbers are a sine's and a cosine's, its third their spatial period
+    periodic: ClassVar[bool] = False
     same_as: ClassVar[str] = ""
     hides_velocity: ClassVar[bool] = False
-    least_periods: ClassVar[float] = (
-        0.0  # of the samples: a smaller first number is what integration does, and no effect
-    )
-    of_drive: ClassVar[bool] = (
-        # it acts on what drives the joint: at a servo of position on the error, not on the goal
-        False
-    )
-    falls: ClassVar[bool] = (
-        False  # whether the effect grows as its first parameter falls, as a limit's does
-    )
+    # Of the samples: a smaller first number is what integration does, and no effect
+    least_periods: ClassVar[float] = 0.0
+    # It acts on what drives the joint: at a servo of position on the error, not on the goal
+    of_drive: ClassVar[bool] = False
+    # Whether the effect grows as its first parameter falls, as a limit's does
+    falls: ClassVar[bool] = False
 
     @staticmethod
     @abstractmethod

@@ -17,11 +17,8 @@ import numpy as np
 from trueup.model.effect import Effect, Port
 from trueup.model.family import Family
 
-Memory = Mapping[
-    str, Any
-    # what effects remember, by effect.state; what is not there begins with the signal that it is
-    # told from
-]
+# What effects remember, by effect.state; what is not there begins with the signal that it follows
+Memory = Mapping[str, Any]
 SIGNAL = {Port.TIMING: "h", Port.COMMAND: "u", Port.FORCE: "a"}
 
 

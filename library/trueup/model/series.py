@@ -187,9 +187,8 @@ def held(observed: Array) -> NDArray[np.bool_]:
     runs: NDArray[np.int64] = np.cumsum(fresh)  # of one value each, counted from 1
     many = np.bincount(runs)
     short = (many > 1) & (many < AT_REST)
-    steps = np.abs(
-        np.diff(observed[fresh, 0], append=[np.nan, np.nan])
-    )  # from each run to the next
+    # from each run to the next
+    steps = np.abs(np.diff(observed[fresh, 0], append=[np.nan, np.nan]))
     caught_up = steps[:-1][short[1:]] > CATCHES_UP * steps[1:][short[1:]]
     lost = bool(len(caught_up) and caught_up.mean() > MOSTLY)
     return np.asarray(np.logical_not(fresh) & short[runs] & lost)

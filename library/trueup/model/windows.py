@@ -52,9 +52,8 @@ class Windows:
 def starts_every(t_s: Array, horizon_s: float, begin_s: float = 0.0) -> NDArray[np.int64]:
     """The first sample at or after each multiple of the horizon, counted from `begin_s` [s],
     `(windows,)`."""
-    passed = np.floor(
-        (t_s - begin_s + TOUCH_S) / horizon_s
-    )  # multiples of the horizon passed at each sample
+    # multiples of the horizon passed at each sample
+    passed = np.floor((t_s - begin_s + TOUCH_S) / horizon_s)
     return np.flatnonzero(np.diff(np.maximum(passed, -1.0), prepend=-1.0) > 0.0)
 
 

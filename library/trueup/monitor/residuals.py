@@ -148,9 +148,8 @@ class Healthy:
         """Residuals in units of the healthy spread."""
         with np.errstate(over="ignore", invalid="ignore"):
             values = of.values / self.at(of)
-        gone = np.isnan(of.values) & np.isfinite(of.values).any(
-            axis=0
-        )  # running away; a channel that nobody observed is not
+        # running away; a channel that nobody observed is not
+        gone = np.isnan(of.values) & np.isfinite(of.values).any(axis=0)
         values = np.where(
             gone, RAN_AWAY, np.nan_to_num(values, nan=0.0, posinf=RAN_AWAY, neginf=-RAN_AWAY)
         )

@@ -17,9 +17,8 @@ from trueup.simulate.robot import RobotMachine
 
 Array = NDArray[np.float64]
 AnyMachine = TypeVar("AnyMachine", Machine, RobotMachine)
-Shape = Mapping[
-    str, tuple[float, float, bool]
-]  # of each number: at magnitude 0, its growth, and whether it falls instead
+# of each number: at magnitude 0, its growth, and whether it falls instead
+Shape = Mapping[str, tuple[float, float, bool]]
 ROUNDS = 18  # of bisection for a magnitude
 CLOSE = 0.1  # of what is wanted: close enough for a lot
 # times the motion without it: a drive that an imperfection makes unstable is no machine that

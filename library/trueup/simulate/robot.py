@@ -166,9 +166,8 @@ def run(
             model.dof_frictionloss[:] = drive.friction
             for stage in (engine.mj_fwdPosition, engine.mj_fwdVelocity):
                 stage(model, data)
-            data.efc_aref[:] = (
-                -before[drive.friction > 0.0] / h
-            )  # friction that holds ends the step at rest
+            # friction that holds ends the step at rest
+            data.efc_aref[:] = -before[drive.friction > 0.0] / h
             for stage in (
                 engine.mj_fwdActuation,
                 engine.mj_fwdAcceleration,

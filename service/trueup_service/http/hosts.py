@@ -26,9 +26,8 @@ from trueup_service.http import problems
 from trueup_service.settings import Settings
 
 ANY = "*"
-HOST = re.compile(
-    r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+?)\.?)(?::[0-9]*)?"
-)  # an address in brackets, or a name; a port
+# an address in brackets, or a name; a port
+HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+?)\.?)(?::[0-9]*)?")
 PROBES = ("/healthz", "/readyz")
 
 

@@ -28,9 +28,8 @@ def test_each_ages_by_itself_and_is_stale_after_its_own_timeout():
     fresh.observed()
     fresh.confirmed()
     clock.now += 0.12
-    assert (
-        fresh.ages().fresh or fresh.ages().observation_s > 0.12
-    )  # at the timeout, but for rounding
+    # at the timeout, but for rounding
+    assert fresh.ages().fresh or fresh.ages().observation_s > 0.12
     clock.now += 0.01
     assert fresh.ages().stale == ("observation",)
     fresh.observed()

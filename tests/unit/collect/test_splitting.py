@@ -127,9 +127,8 @@ def test_the_command_writes_the_experiment(undecided, tmp_path, capsys, monkeypa
     excite(tmp_path, out=tmp_path / "out", model=tmp_path / "found", split=True, duration_s=10.0)
     document = json.loads((tmp_path / "out" / "excitation.json").read_text())
     assert document["goal"] == "split"
-    assert (
-        4.0 < document["information"]["separation"][0]["standard_errors"] < 200.0
-    )  # of the noise that the diagnosis result
+    # of the noise that the diagnosis result
+    assert 4.0 < document["information"]["separation"][0]["standard_errors"] < 200.0
     assert "thermal_derating" in capsys.readouterr().out
 
 

@@ -202,9 +202,8 @@ def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(plant):
         "delay"
     ]["value"]
     assert delay == pytest.approx(LATE * PERIOD_S, rel=0.02)
-    assert (
-        found.document["gap"]["beginnings"] == "left out"
-    )  # what the drive was told before the log is in no log
+    # what the drive was told before the log is in no log
+    assert found.document["gap"]["beginnings"] == "left out"
     assert "left out" in report_page(found.document, figures(found, episodes))
 
 

@@ -157,9 +157,8 @@ def pad(data: bytes) -> bytes:
         op, length = struct.unpack_from("<BQ", data, at)
         body = data[at + 9 : at + 9 + length]
         more = b"" if op in (Op.MESSAGE, Op.CHUNK, Op.ATTACHMENT) else b"\1\2\3"
-        body = {Op.FOOTER: bytes(20), Op.DATA_END: bytes(4)}.get(
-            op, body
-        )  # their checksums are of the file as it was
+        # their checksums are of the file as it was
+        body = {Op.FOOTER: bytes(20), Op.DATA_END: bytes(4)}.get(op, body)
         out += record(op, body + more)
         at += 9 + length
     return out + MAGIC

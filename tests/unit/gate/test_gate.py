@@ -393,9 +393,8 @@ def test_a_channel_that_no_episode_observed_adds_no_noise_to_the_controls():
 
 def test_a_gate_that_accepts_a_control_judges_nobody():
     held_out = [read_episode(episode_bytes(role=Role.VALIDATION), PLANT.layout)]
-    lenient = Gate(
-        (rules()["one_step_no_worse"](),), Scoring(0.5, EVERY)
-    )  # as it may have been declared before this was asked
+    # as it may have been declared before this was asked
+    lenient = Gate((rules()["one_step_no_worse"](),), Scoring(0.5, EVERY))
     with pytest.raises(VacuousGate, match="the incumbent itself"):
         run_trial(lenient, Identified(PLANT, NEAR), Nominal(PLANT), held_out)
     meant = Gate(lenient.rules, lenient.scoring, vacuous=True, because="a first model")

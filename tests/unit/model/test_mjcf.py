@@ -92,10 +92,11 @@ def test_dry_friction_stops_a_joint_and_never_turns_it(tmp_path):
     numbers = np.array(tree.parameters)
     numbers[LINK * 2 + FRICTION :: JOINT] = 0.4
     rubbing = replace(tree, parameters=tuple(numbers))
+    # no gravity
     flat = replace(
         rubbing,
         constants=np.where(np.arange(rubbing.constants.shape[1]) >= 18, 0.0, rubbing.constants),
-    )  # no gravity
+    )
     samples = 800
     found = CompiledTree(flat).rollout(
         np.array([flat.parameters]), np.array([[0.0, 0.0, 1.0, -2.0]]), np.zeros((1, samples, 2)),

@@ -111,9 +111,8 @@ def test_the_promise_is_shared_by_the_detectors_and_what_was_achieved_stands_bes
         assert all(delay["episodes"] == 20 for delay in figures["delays"].values())
     assert of["likelihood_ratio_cusum"]["delays"]["the spread of a channel doubles"]["found"] == 1.0
     assert of["effect_cusum"]["delays"]["an effect moves a channel by its spread"]["found"] > 0.5
-    assert (
-        of["quantile_run"]["delays"]["the mean of a channel moves by its spread"]["found"] < 0.5
-    )  # a cutoff does not add up
+    # a cutoff does not add up
+    assert of["quantile_run"]["delays"]["the mean of a channel moves by its spread"]["found"] < 0.5
     assert not monitor.figures["promise_shown"]  # eight minutes show no hour
 
 

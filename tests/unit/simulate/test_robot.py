@@ -70,9 +70,10 @@ def test_fine_steps_converge_with_their_square(machine, plan, soft):
 
 def test_dry_friction_holds_a_joint_that_is_pushed_by_less(machine):
     still = RobotPlan("test", np.zeros((200, 2)), np.zeros((200, 4)))
+    # no gravity
     flat = replace(
         machine, tree=replace(machine.tree, constants=machine.tree.constants * (np.arange(21) < 18))
-    )  # no gravity
+    )
     pushed = replace(still, commands=np.full((200, 2), 0.5))
     held = flat.having("coulomb_friction", {"level": 0.6}, 0).having(
         "coulomb_friction", {"level": 0.6}, 1
@@ -138,9 +139,8 @@ def test_an_imperfection_that_makes_the_machine_shake_is_too_large(machine):
 
     def observe(tried):
         level = tried.imperfections.get(("constant_force", 0), {"level": 0.0})["level"]
-        return still * (
-            1.0 + np.array([0.1, 0.0, 3.0, 0.0]) * level
-        )  # the velocity grows far more than the position
+        # the velocity grows far more than the position
+        return still * (1.0 + np.array([0.1, 0.0, 3.0, 0.0]) * level)
 
     def drawn(wanted):
         return as_large_as(

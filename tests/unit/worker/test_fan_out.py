@@ -114,9 +114,10 @@ def test_one_batch_is_offered_while_nobody_helps_and_all_once_somebody_does(case
         for step in range(4):
             if step == 2:
                 there.set()
+            # as batches that are new
             fan_out(
                 problem, [replace(t, expected=t.expected + step) for t in tasks], lambda _: None
-            )  # as batches that are new
+            )
     assert others.asked == [7, 1, 1, 7]
 
 

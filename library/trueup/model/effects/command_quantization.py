@@ -25,7 +25,7 @@ class CommandQuantization(Effect):
 
     @staticmethod
     def apply(u, step):  # type: ignore[no-untyped-def]
-        width = np.maximum(
-            step, 2.0**-200
-        )  # a power of two so small that dividing by it, rounding and multiplying give u again
+        # a power of two so small that dividing by it, rounding and multiplying give u
+        # again
+        width = np.maximum(step, 2.0**-200)
         return width * np.rint(u / width)

@@ -198,9 +198,10 @@ class EffectCusum(Cusum):
 
     @staticmethod
     def calibrate(reference: Reference, rng: np.random.Generator) -> EffectCusum:
+        # of each block
         common, power = np.moveaxis(
             np.array([b.evidence.sum(axis=0) for b in reference.fitted]), 2, 0
-        )  # of each block
+        )
         mean = np.maximum(power.mean(axis=0), LEAST_POWER)
         healthy = common.mean(axis=0) / mean
         varies = ((common - healthy * power) ** 2).mean(axis=0)
