@@ -21,6 +21,8 @@ SECONDS = Histogram(
     buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1, 5, 30),
 )
 FIRST_ERROR_STATUS = 400
+# A response is data: nothing in it may run, or be shown inside another site. A page sets its own
+# policy.
 FOR_BROWSERS = (
     (
         b"content-security-policy",
@@ -28,8 +30,6 @@ FOR_BROWSERS = (
     ),
     (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"),
-    # A response is data: nothing in it may run, or be shown inside another site. A page sets its
-    # own policy.
 )
 PLAIN_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 

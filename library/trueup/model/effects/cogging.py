@@ -33,11 +33,9 @@ class Cogging(Effect):
     def apply(a, q, sine, cosine, pitch):  # type: ignore[no-untyped-def]
         turns = q / pitch
         turns = turns - np.rint(turns)
-        half = (
-            turns * turns
-            # sin and cos of 2 pi turns by polynomials of the double angle: no library call in the
-            # step
-        )
+        # sin and cos of 2 pi turns by polynomials of the double angle: no library call in
+        # the step
+        half = turns * turns
         x = 3.141592653589793 * turns
         square = 9.869604401089358 * half
         s = x * (
