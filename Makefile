@@ -8,6 +8,8 @@ RUN := $(VENV)/.run
 DEV := $(VENV)/.dev
 PARTS := library client pages migrations service worker cli
 PROJECTS := $(PARTS:%=%/pyproject.toml)
+# matrices are small: threads of the linear algebra would only wait for each other
+PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo look demo-arm serve test quick advisories check laws flow bench docs site \
@@ -51,12 +53,12 @@ serve: $(RUN) ## run the service with a worker, on embedded storage in .trueup
 	@$(BIN)/trueup serve
 
 test: $(DEV) ## run every test; brings its own PostgreSQL, S3 server and strace
-	@$(BIN)/python tools/advisories.py --tell
 	@$(BIN)/trueup kernels
-	@$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+	@$(BIN)/python tools/advisories.py --tell & \
+		$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder
 
 quick: $(DEV) ## run the units, laws and structure without whole diagnoses; about a minute
-	@$(BIN)/python -m pytest tests/unit tests/laws tests/structure -m 'not slow' -n 2 --dist loadfile
+	@$(PYTEST) tests/unit tests/laws tests/structure -m 'not slow' -n 2 --dist loadfile
 
 advisories: $(DEV) ## look the pinned packages up among published advisories; exit 1 if one is known
 	@$(BIN)/python tools/advisories.py
@@ -68,10 +70,10 @@ check: $(DEV) ## format, lint, types, layers
 	@$(BIN)/lint-imports
 
 laws: $(DEV) ## run the laws over every family, predictor and rule
-	@$(BIN)/python -m pytest tests/laws
+	@$(PYTEST) tests/laws
 
 flow: $(DEV) ## run the tests from MCAP bytes to a moved pointer
-	@$(BIN)/python -m pytest tests/flow
+	@$(PYTEST) tests/flow
 
 bench: $(DEV) ## measure, and print the figures beside their targets
 	@$(BIN)/python -m bench
