@@ -9,8 +9,8 @@ HEAD = """# Who may do what
 
 Every request but those marked *everybody* carries a token (`Authorization: Bearer trueup_…`), or a
 browser's session cookie. A token has one or several roles, and is of one project or of all, a
-robot's of one plant. What a token does not see answers as what does not exist. The service refuses
-every route that has no row here, and the tests hold each row against the running service.
+robot's of one plant. What a token may not see is answered as if it did not exist. The service
+refuses every route that has no row here, and the tests hold each row against the running service.
 
 | role | is for |
 |---|---|
@@ -34,7 +34,7 @@ they expire, by default after a year, and can be revoked. Another server of the 
 refuses a revoked token within `TRUEUP_TOKEN_MEMORY_S`.
 
 Where a plant's policy says `"approvals": 2`, a promotion takes two people: one approves the
-decision (`trueup approve`), another, with another token, promotes it. Going back takes one.
+decision (`trueup approve`), another, with another token, promotes it. Going back takes one person.
 
 """
 

@@ -120,7 +120,7 @@ def _answers(responses: Mapping[str, Any]) -> str:
             found.append(
                 f"{status} {said}".rstrip()
                 + (
-                    ", where it was there already"
+                    ", if it already existed"
                     if response["description"].endswith("already")
                     else ""
                 )

@@ -10,7 +10,7 @@ MEANING = {
     REFUSED: "refused: standard error says why, and what to do next",
     MISUSED: "wrong command line",
     UNREACHABLE: "the service does not answer",
-    DISAGREES: "bytes, a log or a decision do not match what names them",
+    DISAGREES: "bytes, a log or a decision do not match their digest",
     INTERRUPTED: "interrupted",
     PIPE_CLOSED: "the reader of the output has closed the pipe",
 }

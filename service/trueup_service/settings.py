@@ -73,7 +73,7 @@ class Settings(BaseSettings):
     )
     allowed_hosts: str | None = Field(
         None,
-        description="Names by which the service may be asked, beside addresses, localhost, the "
+        description="Host names under which the service answers, beside addresses, localhost, the "
         "machine's own name, `host` and that of "
         "`public_url`: comma-separated, `*.example.com` for every name below it, `*` "
         "for any. Others are refused, so that a page whose own "
@@ -89,7 +89,7 @@ class Settings(BaseSettings):
         ge=4 << 20,
         description="Bytes of the bodies that are held in memory at once, uploads aside, each of "
         "which may have 4 MiB [bytes]; beyond that "
-        "a request is told to come again.",
+        "a request is told to retry.",
     )
     uploads_under_way: int = Field(
         64, ge=1, description="Uploads in parts that a plant may have under way at one server."
