@@ -119,11 +119,7 @@ def _answers(responses: Mapping[str, Any]) -> str:
             )
             found.append(
                 f"{status} {said}".rstrip()
-                + (
-                    ", if it already existed"
-                    if response["description"].endswith("already")
-                    else ""
-                )
+                + (", if it already existed" if response["description"].endswith("already") else "")
             )
     return "; ".join(found)
 
