@@ -95,7 +95,7 @@ def _refit(last: WindowedFits, problem: SearchProblem, best: Candidate) -> Candi
         best.fit.values,
         starts,
         iterations=SEARCH.converge_iterations,
-        tolerance=1e-7 if problem.strategy.thorough else 1e-4,
+        tolerance=SEARCH.final_tolerance if problem.strategy.thorough else SEARCH.rough_tolerance,
         fixed=problem.fits.resting(best.fit.values, best.hypothesis.effects),
     )
     if not np.isfinite(fit.cost):

@@ -89,7 +89,12 @@ class SearchProblem:
         if known is None or not _begin_alike(known.parent, parent):
             starts = observed_starts(self.short, parent)
             fit = estimate_starts(
-                self.fitter, self.short, parent.hypothesis, parent.values, starts, iterations=2
+                self.fitter,
+                self.short,
+                parent.hypothesis,
+                parent.values,
+                starts,
+                SEARCH.short_iterations,
             )
             derivatives = self.fitter.derivatives_of(self.short, fit)
             known = ShortFit(parent, fit, derivatives, {})
@@ -174,7 +179,9 @@ class SearchProblem:
             at.values,
             at.starts,
             iterations=SEARCH.converge_iterations,
-            tolerance=1e-6 if self.strategy.thorough else 1e-4,
+            tolerance=SEARCH.converge_tolerance
+            if self.strategy.thorough
+            else SEARCH.rough_tolerance,
             fixed=self._resting(at),
         )
         for term in candidate.hypothesis.effects:
@@ -227,9 +234,9 @@ class SearchProblem:
                 values = best.values.copy()
                 values[row] = centre * (1.0 + width * point)
                 fixed = [*resting, (term, parameter)]
-                tried = fit(values, best.starts, iterations=2, fixed=fixed)
+                tried = fit(values, best.starts, iterations=SEARCH.grid_iterations, fixed=fixed)
                 best = tried if tried.cost < best.cost else best
-        free = fit(best.values, best.starts, iterations=4, fixed=resting)
+        free = fit(best.values, best.starts, iterations=SEARCH.after_grid_iterations, fixed=resting)
         return free if free.cost <= best.cost else best
 
     def _from_other_end(self, best: RolloutFit, of: str) -> RolloutFit:

@@ -147,8 +147,18 @@ class SearchTuning:
     )
     fit_iterations: int = number(16, "iterations", "Of the best guesses.")
     converge_iterations: int = number(25, "iterations", "Until nothing moves.")
+    short_iterations: int = number(2, "iterations", "Of a parent on short windows.")
+    grid_iterations: int = number(2, "iterations", "At each point of a grid, all else free.")
+    after_grid_iterations: int = number(4, "iterations", "Once the grid's number is free again.")
     screen_tolerance: float = number(1e-2, "of the cost", "A smaller decrease ends a short fit.")
     fit_tolerance: float = number(1e-3, "of the cost", "A smaller decrease ends a fit.")
+    converge_tolerance: float = number(
+        1e-6, "of the cost", "A smaller decrease ends a fit that goes on until nothing moves."
+    )
+    final_tolerance: float = number(1e-7, "of the cost", "The limit in the final refit.")
+    rough_tolerance: float = number(
+        1e-4, "of the cost", "The limit of either where laws are not exact enough for more."
+    )
     guesses: int = number(3, "guesses", "Tried of each term; twice as many where it has many.")
     many_guesses: int = number(50, "guesses", "Of so many, twice as many are tried.")
     neighbours: int = number(
