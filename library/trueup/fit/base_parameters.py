@@ -113,14 +113,11 @@ def _single(
     and friction, which are not negative, and armature, which leaves something of what a joint's
     links weigh.
     """
-    joints, first = len(plant.joints), LINK * len(plant.joints)
+    first = LINK * len(plant.joints)
     single, low = np.zeros(len(plant.parameters), np.bool_), np.zeros(len(plant.parameters))
     for number in (ARMATURE, DAMPING, FRICTION):
         single[first + number :: JOINT] = True
-    poses = np.concatenate(
-        [smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), :joints] for e in episodes]
-    )
-    masses = np.einsum("njj->nj", mass_matrix(tree, poses[np.isfinite(poses).all(axis=1)]))
+    masses = np.einsum("njj->nj", mass_matrix(tree, recorded_poses(plant, episodes)))
     given = np.array(plant.parameters)[first + ARMATURE :: JOINT]
     low[first + ARMATURE :: JOINT] = -LIGHTEST * (masses.min(axis=0) - given)
     return single, low
@@ -168,6 +165,17 @@ def regression(plant: Plant, episodes: Sequence[Episode]) -> tuple[Array, Array]
     every = -(-sum(len(m[0]) for m in moments) // MOST_ROWS)
     q, v, a, u = (np.concatenate([m[i] for m in moments])[::every] for i in range(4))
     return columns(plant, q, v, a, u)
+
+
+def recorded_poses(plant: Plant, episodes: Sequence[Episode]) -> Array:
+    """Joint positions that were recorded, about `POSES` of each episode, `(poses, joints)`."""
+    poses = np.concatenate(
+        [
+            smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), : len(plant.joints)]
+            for e in episodes
+        ]
+    )
+    return np.asarray(poses[np.isfinite(poses).all(axis=1)])
 
 
 def columns(plant: Plant, q: Array, v: Array, a: Array, u: Array) -> tuple[Array, Array]:

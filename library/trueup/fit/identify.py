@@ -12,16 +12,14 @@ from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
-from trueup.fit.base_parameters import directions, regression
+from trueup.fit.base_parameters import directions, recorded_poses, regression
 from trueup.fit.least_squares import solve
 from trueup.fit.transitions import Transitions, transitions
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
-from trueup.model.state import smoothed_states
 from trueup.model.tree import OFFSET
 
-POSES = 50  # of an episode are looked at
 WORST_CONDITION = 1e6  # of the scaled design: beyond this half of float64's digits are gone
 
 
@@ -183,13 +181,7 @@ def _identify_tree(
 
 def _sound(plant: Plant, values: np.ndarray, episodes: Sequence[Episode]) -> tuple[str, ...]:
     """What speaks against a robot's parameters: an inertia that gives way, at a recorded pose."""
-    poses = np.concatenate(
-        [
-            smoothed_states(plant, e)[:: max(1, len(e.t_s) // POSES), : len(plant.joints)]
-            for e in episodes
-        ]
-    )
-    poses = poses[np.isfinite(poses).all(axis=1)]
+    poses = recorded_poses(plant, episodes)
     masses = plant.dynamics.inertia(values, poses) * plant.form.sizes[None, :, None]
     return (
         ()
