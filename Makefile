@@ -8,8 +8,6 @@ RUN := $(VENV)/.run
 DEV := $(VENV)/.dev
 PARTS := library client pages migrations service worker cli
 PROJECTS := $(PARTS:%=%/pyproject.toml)
-# matrices are small: threads of the linear algebra would only wait for each other
-PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo look demo-arm serve test quick advisories check laws flow bench docs site \
@@ -55,10 +53,10 @@ serve: $(RUN) ## run the service with a worker, on embedded storage in .trueup
 test: $(DEV) ## run every test; brings its own PostgreSQL, S3 server and strace
 	@$(BIN)/trueup kernels
 	@$(BIN)/python tools/advisories.py --tell & \
-		$(PYTEST) -n 3 --dist loadfile --no-loadscope-reorder
+		$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 quick: $(DEV) ## run the units, laws and structure without whole diagnoses; about a minute
-	@$(PYTEST) tests/unit tests/laws tests/structure -m 'not slow' -n 2 --dist loadfile
+	@$(BIN)/python -m pytest tests/unit tests/laws tests/structure -m 'not slow' -n 2 --dist loadfile
 
 advisories: $(DEV) ## look the pinned packages up among published advisories; exit 1 if one is known
 	@$(BIN)/python tools/advisories.py
@@ -70,10 +68,10 @@ check: $(DEV) ## format, lint, types, layers
 	@$(BIN)/lint-imports
 
 laws: $(DEV) ## run the laws over every family, predictor and rule
-	@$(PYTEST) tests/laws
+	@$(BIN)/python -m pytest tests/laws
 
 flow: $(DEV) ## run the tests from MCAP bytes to a moved pointer
-	@$(PYTEST) tests/flow
+	@$(BIN)/python -m pytest tests/flow
 
 bench: $(DEV) ## measure, and print the figures beside their targets
 	@$(BIN)/python -m bench
