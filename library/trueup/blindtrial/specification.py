@@ -77,7 +77,7 @@ def draw_specifications(
             drawn.append(Specification(kind, (), moved, placed(next(turns[kind]))))
         elif kind == "pair":
             first = placed(next(turns[kind]))
-            here = joint(first) if len(plant.joints) > 1 else -1
+            here = joint(first) if plant.names_joints else -1
             other = next(
                 name
                 for name in turns[kind]
@@ -181,7 +181,7 @@ def absorbed_effects(source: TrialPlant) -> list[str]:
 
 def _spelled(plant: Plant, of: str) -> str:
     """A term as a label spells it."""
-    return spelled(_name(of), plant.joint_name(joint(of)) if len(plant.joints) > 1 else "")
+    return spelled(_name(of), plant.joint_name(joint(of)) if plant.names_joints else "")
 
 
 def _name(of: str) -> str:

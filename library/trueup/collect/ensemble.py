@@ -87,7 +87,7 @@ class Ensemble:
             for number, row in plant.block.rows_of(term).items():
                 estimate = entry["estimate"].get(number) if entry else None
                 if estimate and estimate["value"]:
-                    names.append(f"{_written(plant, term)} {number}")
+                    names.append(f"{plant.term_words(term)} {number}")
                     rows.append(row)
                     # the report's unit cancels out
                     sizes.append(
@@ -120,7 +120,7 @@ class Ensemble:
     @property
     def effects(self) -> tuple[str, ...]:
         """The effects of the hypothesis, each with its joint where there are several."""
-        return tuple(_written(self.plant, t) for t in self.hypothesis.effects)
+        return tuple(self.plant.term_words(t) for t in self.hypothesis.effects)
 
     def drawn(self, count: int, rng: np.random.Generator) -> Array:
         """Members `(rows, count)`, the centre first; no number changes its sign."""
@@ -201,15 +201,6 @@ class InPlay:
                 for e, m in zip(self.ensembles, members, strict=True)
             ]
         )
-
-
-def _written(plant: Plant, term: str) -> str:
-    """A term's effect in words, with its joint where there are several."""
-    return (
-        f"{kind(term).name} at {plant.joint_name(joint(term))}"
-        if len(plant.joints) > 1
-        else kind(term).name
-    )
 
 
 def _deviation(interval: Any) -> float:

@@ -180,7 +180,7 @@ def _entry(
         "channel": name,
         "category": effect.category,
     }
-    if len(plant.joints) > 1:
+    if plant.names_joints:
         entry["joint"] = name
     return {**entry, "estimate": values, "share": share}
 
@@ -298,7 +298,7 @@ def bounds(search: Search, winner: Candidate, plant: Plant) -> tuple[list[Bound]
 
 def _bound(search: Search, screened: Screening, fit: RolloutFit, term: str, plant: Plant) -> Bound:
     effect, fitter, at = kind(term), search.problem.fitter, joint(term)
-    name, where = effect.name, plant.joint_name(at) if len(plant.joints) > 1 else None
+    name, where = effect.name, plant.joint_name(at) if plant.names_joints else None
     error = EVIDENCE.bound_errors * screened.error * np.sqrt(max(fit.reduced_chi_square, 1.0))
     number = effect.params[0]
     factor = in_units(number.scale, plant, at)

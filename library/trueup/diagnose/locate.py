@@ -81,7 +81,7 @@ def locate(
         "regions": _regions(strides, worst),
         "bands": _bands(strides, worst),
     }
-    if len(plant.joints) > 1:
+    if plant.names_joints:
         named = [plant.joint_name(j) for j in range(len(plant.joints))]
         shares = zip(
             named,

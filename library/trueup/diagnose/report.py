@@ -131,7 +131,7 @@ def named_term(plant: Plant, term: str) -> Json:
     """A term as a report has it: the effect's name, with its joint where there are several."""
     return (
         {"effect": kind(term).name, "joint": plant.joint_name(joint(term))}
-        if len(plant.joints) > 1
+        if plant.names_joints
         else kind(term).name
     )
 

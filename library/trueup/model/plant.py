@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from trueup.canonical import Json, digest_of
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.errors import BadPlant
-from trueup.model.block import Block
+from trueup.model.block import Block, joint, kind
 from trueup.model.dynamics import (
     CompiledFamily,
     CompiledTree,
@@ -158,6 +158,16 @@ class Plant:
     def joint_of(self, channel: Channel) -> int:
         """Where a channel's joint stands in a state."""
         return self.joints.index(channel.joint) if channel.joint in self.joints else 0
+
+    @property
+    def names_joints(self) -> bool:
+        """Whether reports name the joint of an effect: where there are several."""
+        return len(self.joints) > 1
+
+    def term_words(self, term: str) -> str:
+        """A term in words: its effect, with its joint where reports name joints."""
+        name = kind(term).name
+        return f"{name} at {self.joint_name(joint(term))}" if self.names_joints else name
 
     def joint_name(self, joint: int) -> str:
         """What a joint is called in a report."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
-from trueup.model.block import BLOCK, joint, kind, term
+from trueup.model.block import BLOCK, joint, term
 from trueup.model.corrected import Corrected
 from trueup.model.effect import NULL, effects
 from trueup.model.hypothesis import Hypothesis, Scales, begun, switches
@@ -123,13 +123,7 @@ class Signatures:
     def names(self, plant: Plant) -> list[str]:
         """What each signature is of, in words: an effect, with its joint where there are several,
         or a parameter."""
-        several = len(plant.joints) > 1
-        return [
-            (f"{kind(s.of).name} at {plant.joint_name(joint(s.of))}" if several else s.of)
-            if s.start
-            else f"parameter {s.of}"
-            for s in self.signs
-        ]
+        return [plant.term_words(s.of) if s.start else f"parameter {s.of}" for s in self.signs]
 
     def document(self) -> dict[str, Json]:
         """The signatures as JSON; a start at an effect's null value is null."""

@@ -30,6 +30,7 @@ def bound(effect, cost, factor, error, *, reduced_chi_square=1.0):
     fit = SimpleNamespace(reduced_chi_square=reduced_chi_square)
     plant = SimpleNamespace(
         joints=(None,),
+        names_joints=False,
         joint_name=lambda _: "joint",
         joint_of=lambda _: 0,
         dynamics=None,
