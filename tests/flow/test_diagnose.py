@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.support.made import T0_NS
+from tests.support.case import write_case, write_recording
+from tests.support.simulated import episode_of
 from tests.support.simulated import recorded_twice as recorded
 from trueup.episode.role import Role
-from trueup.episode.writer import write_episode
 
 TRUEUP = Path(sys.executable).parent / "trueup"
 
@@ -25,28 +25,11 @@ def run(*arguments, code=0):
     return done
 
 
-def _write(file, plant, t_s, commands, observations, role):
-    stamps = T0_NS + np.rint(t_s * 1e9).astype(np.int64)
-    conditions = {"stage": "SIL"}
-    write_episode(
-        file,
-        stamps_ns=stamps,
-        observations=observations,
-        commands=commands,
-        layout=plant.layout,
-        role=role,
-        conditions=conditions,
-    )
-
-
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
     folder = tmp_path_factory.mktemp("case")
     plant, episodes, trial = recorded("A1", ["coulomb_friction"], 11)
-    (folder / "plant.json").write_text(json.dumps(plant.document))
-    for i, e in enumerate(episodes):
-        with (folder / f"{i}-{e.role}.mcap").open("wb") as file:
-            _write(file, plant, e.t_s, e.commands, e.observations, e.role)
+    write_case(folder, plant, episodes)
     out = folder / "out"
     return folder, out, run("diagnose", folder, "--out", out), plant, trial
 
@@ -64,9 +47,7 @@ def test_it_writes_a_report_a_page_and_a_model(case):
 def test_its_model_predicts_an_episode_that_it_never_saw(case):
     folder, out, _, plant, trial = case
     test = trial.of("test")[0]
-    episode = folder / "test.mcap"
-    with episode.open("wb") as file:
-        _write(file, plant, test.t_s, test.issued[:, None], test.observed, Role.TEST)
+    episode = write_recording(folder / "test.mcap", episode_of(plant, test, Role.TEST, "test"))
     missed = {}
     for which, extra in (("nominal", ["--nominal"]), ("corrected", [])):
         table = folder / f"{which}.csv"

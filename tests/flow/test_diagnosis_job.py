@@ -3,14 +3,12 @@ any other; so does a blind trial."""
 
 import json
 
-import numpy as np
 import pytest
 
-from tests.support.made import T0_NS
+from tests.support.case import write_case
 from tests.support.service import command
 from tests.support.simulated import recorded_twice as recorded
 from trueup.blindtrial.commitment import require_commitments
-from trueup.episode.writer import write_episode
 
 
 @pytest.fixture(scope="module")
@@ -18,19 +16,7 @@ def done(service, tmp_path_factory):
     folder = tmp_path_factory.mktemp("job")
     # its model has arrays: moments of a known velocity
     plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21, velocity=False)
-    (folder / "plant.json").write_text(json.dumps(dict(plant.document)))
-    for i, e in enumerate(episodes):
-        stamps = T0_NS + 10**10 * i + np.rint(e.t_s * 1e9).astype(np.int64)
-        with (folder / f"{i}.mcap").open("wb") as file:
-            write_episode(
-                file,
-                stamps_ns=stamps,
-                observations=e.observations,
-                commands=e.commands,
-                layout=plant.layout,
-                role=e.role,
-                conditions={},
-            )
+    write_case(folder, plant, episodes)
     command(service, "plant", "register", str(folder))
     command(service, "upload", "simulated", str(folder))
     job = json.loads(command(service, "diagnosis", "simulated", "--json").stdout)

@@ -3,16 +3,14 @@ bit for bit."""
 
 import json
 
-import numpy as np
 import pytest
 
 from tests.flow.test_failures import until
-from tests.support.made import T0_NS
+from tests.support.case import write_recordings
 from tests.support.service import Service, kill
 from tests.support.simulated import recorded_twice as recorded
 from trueup.diagnose.diagnosis import diagnose
 from trueup.episode.mcap import read_episode
-from trueup.episode.writer import write_episode
 from trueup_client import Client
 from trueup_worker.fan_out import PREFIX
 
@@ -23,20 +21,7 @@ KILLED = 2  # one of two workers is killed once so many batches were helped with
 def alone(tmp_path_factory):
     """A plant, its recordings, and the report of the library."""
     plant, episodes, _ = recorded("A1", ["quadratic_drag"], 21)
-    folder, files = tmp_path_factory.mktemp("recordings"), []
-    for i, e in enumerate(episodes):
-        stamps = T0_NS + 10**10 * i + np.rint(e.t_s * 1e9).astype(np.int64)
-        files.append(folder / f"{i}.mcap")
-        with files[-1].open("wb") as file:
-            write_episode(
-                file,
-                stamps_ns=stamps,
-                observations=e.observations,
-                commands=e.commands,
-                layout=plant.layout,
-                role=e.role,
-                conditions={},
-            )
+    files = write_recordings(tmp_path_factory.mktemp("recordings"), episodes)
     return (
         plant,
         files,

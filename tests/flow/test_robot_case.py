@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from tests.support.made import mcap_bytes, save
+from tests.support.case import write_recordings
 from tests.support.robots import arm_plant, recorded
 from trueup.diagnose.case import read_case
 from trueup.episode.role import Role
@@ -47,12 +47,7 @@ def missed(path, episodes):
 def test_mujoco_moves_as_the_machine_did_once_the_diagnosis_is_written_into_the_model(tmp_path):
     plant = arm_plant(tmp_path)
     roles = ("adaptation", "adaptation", "validation", "validation")
-    for i, e in enumerate(recorded(plant, differs, range(4), roles)):
-        stamps = 10**18 + i * 10**12 + np.rint(e.t_s * 1e9).astype(np.int64)
-        made = mcap_bytes(
-            plant.layout, e.observations, e.commands, role=e.role, stamps_ns=stamps, **e.conditions
-        )
-        save(tmp_path, f"{i}-{e.role}.mcap", made)
+    write_recordings(tmp_path, recorded(plant, differs, range(4), roles))
     found = tmp_path / "found"
     subprocess.run(
         [sys.executable, "-m", "trueup_cli.main", "diagnose", str(tmp_path), "--out", str(found)],

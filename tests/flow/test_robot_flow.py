@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.support.made import mcap_bytes, save
+from tests.support.case import write_recordings
 from tests.support.robots import arm_plant, recorded
 from tests.support.service import command
 
@@ -24,20 +24,7 @@ def carries(spec):
 def flow(service, tmp_path_factory):
     case = tmp_path_factory.mktemp("arm")
     plant = arm_plant(case)
-    for i, e in enumerate(recorded(plant, carries, range(5), ROLES)):
-        stamps = 10**18 + i * 10**12 + np.rint(e.t_s * 1e9).astype(np.int64)
-        save(
-            case,
-            f"{i}-{e.role}.mcap",
-            mcap_bytes(
-                plant.layout,
-                e.observations,
-                e.commands,
-                role=e.role,
-                stamps_ns=stamps,
-                **e.conditions,
-            ),
-        )
+    write_recordings(case, recorded(plant, carries, range(5), ROLES))
 
     def run(*arguments):
         return json.loads(command(service, *arguments, "--json").stdout)

@@ -1,0 +1,66 @@
+"""Case folders: a plant.json and the recordings of a machine whose faults are known."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from tests.support.made import T0_NS
+from tests.support.simulated import recorded_twice
+from trueup.episode.episode import Episode
+from trueup.episode.writer import write_episode
+from trueup.model.plant import Plant
+
+APART_NS = 10**12  # from the start of one recording to that of the next
+
+
+def write_recording(path: Path, episode: Episode, start_ns: int = T0_NS) -> Path:
+    """Writes an episode as MCAP, and returns its path."""
+    with path.open("wb") as file:
+        write_episode(
+            file,
+            stamps_ns=start_ns + np.rint(episode.t_s * 1e9).astype(np.int64),
+            observations=episode.observations,
+            commands=episode.commands,
+            layout=episode.layout,
+            role=episode.role,
+            conditions=episode.conditions,
+        )
+    return path
+
+
+def write_recordings(folder: Path, episodes: Iterable[Episode]) -> list[Path]:
+    """Writes episodes as `0-adaptation.mcap`, `1-validation.mcap`, …, and returns their paths."""
+    return [
+        write_recording(folder / f"{i}-{e.role}.mcap", e, T0_NS + i * APART_NS)
+        for i, e in enumerate(episodes)
+    ]
+
+
+def write_case(folder: Path, plant: Plant, episodes: Iterable[Episode]) -> list[Path]:
+    """Writes a case folder, and returns the paths of its recordings."""
+    (folder / "plant.json").write_text(json.dumps(dict(plant.document)))
+    return write_recordings(folder, episodes)
+
+
+def write_friction_case(folder: Path) -> Plant:
+    """Writes the case of a joint with Coulomb friction, and a gate.
+
+    Its diagnosis takes about a second. Returns its plant.
+    """
+    plant, episodes, _ = recorded_twice("A1", ["coulomb_friction"], 11)
+    write_case(folder, plant, episodes)
+    gate = {
+        "schema": "trueup.gate/1",
+        "rules": [
+            {"rule": "rollout_improves", "ratio": 0.98},
+            {"rule": "one_step_no_worse", "slack": 1.0},
+            {"rule": "no_worse_anywhere", "slack": 1.0},
+        ],
+        "scoring": {"horizon_s": 1.0, "windows": "every"},
+    }
+    (folder / "gate.json").write_text(json.dumps(gate))
+    return plant
