@@ -16,6 +16,7 @@ from tests.support.service import ROOT, free_port
 from trueup_client import Client
 
 PAGES = ("tutorial", "howto-engineer", "howto-operator", "howto-auditor")
+SHARED = "trueup diagnose examples/emps --out diagnosis"  # a minute's work, on more than one page
 FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 
 
@@ -41,20 +42,36 @@ def plain(text):
     return " ".join(text.split())
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, tmp_path):
+def made_in(folder):
+    """A folder as a reader's clone is, and the environment of its shell."""
     for name in ("examples", "tools"):
-        (tmp_path / name).symlink_to(ROOT / name)
-    port, folder = free_port(), tmp_path / "said"
-    folder.mkdir()
-    environment = {
+        (folder / name).symlink_to(ROOT / name)
+    port = free_port()
+    return port, {
         **{k: v for k, v in os.environ.items() if not k.startswith("TRUEUP_")},
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "TRUEUP_PORT": str(port),
         "TRUEUP_URL": f"http://127.0.0.1:{port}",
-        "XDG_STATE_HOME": str(tmp_path / "state"),
-        "XDG_CONFIG_HOME": str(tmp_path / "config"),
+        "XDG_STATE_HOME": str(folder / "state"),
+        "XDG_CONFIG_HOME": str(folder / "config"),
     }
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """Where the command that pages share has run, once: its output, and the folder that it made."""
+    folder = tmp_path_factory.mktemp("shared")
+    _, environment = made_in(folder)
+    with (folder / "printed").open("w") as printed:
+        subprocess.run(SHARED.split(), cwd=folder, env=environment, stdout=printed, check=True)
+    return folder
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, shared, tmp_path):
+    port, environment = made_in(tmp_path)
+    folder = tmp_path / "said"
+    folder.mkdir()
     script, expected, service = ["set -eo pipefail"], [], None
     for kind, more, text in blocks(page):
         if (kind, more) == ("console", "service"):
@@ -64,8 +81,11 @@ def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, tmp_path):
             )
         elif kind == "console":
             for command, lines in commands(text):
+                run = command
+                if command == SHARED:
+                    run = f"cp -r {shared}/diagnosis . && cat {shared}/printed"
                 script.append(
-                    f"{{ {command}\n}} > said/{len(expected)} || {{ echo {len(expected)} "
+                    f"{{ {run}\n}} > said/{len(expected)} || {{ echo {len(expected)} "
                     ">&2; exit 1; }"
                 )
                 expected.append((command, lines))
