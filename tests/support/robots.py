@@ -86,7 +86,7 @@ def arm_plant(folder, **more):
     return Plant.from_document(resolved(arm_document(**more), folder))
 
 
-def recorded(plant, change, seeds, roles, seconds=3.0, noise=(2e-4, 3e-3)):
+def recorded(plant, change, seeds, roles, seconds=2.0, noise=(2e-4, 3e-3)):
     """Returns episodes of ARM after `change(spec)`, simulated by MuJoCo at a fine step.
 
     A controller follows slow waves.

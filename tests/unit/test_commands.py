@@ -11,6 +11,7 @@ from importlib import import_module
 import pytest
 from cyclopts import App
 
+from tests.support import forks
 from tests.support.service import ROOT
 from trueup_cli import exits, main, show
 from trueup_cli.error_output import print_error
@@ -62,14 +63,8 @@ def test_every_argument_is_explained():
 
 
 def run(*arguments, **environment):
-    return subprocess.run(
-        [sys.executable, "-m", "trueup_cli.main", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=ROOT,
-        env={**os.environ, "TRUEUP_URL": "http://127.0.0.1:9", **environment},
-    )
+    environment = {**os.environ, "TRUEUP_URL": "http://127.0.0.1:9", **environment}
+    return forks.run("trueup_cli.main", arguments, environment, ROOT)
 
 
 def test_exit_codes_are_what_they_are_told_to_be(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.made import TRUE, episode_bytes, plant_document
 from tests.support.robots import arm_plant
-from trueup.control.closed_loop import CANNOT, SEEDS, TURNS, Tracking, Travelled, compare
+from trueup.control.closed_loop import CANNOT, SEEDS, TICKS, TURNS, Tracking, Travelled, compare
 from trueup.control.estimator import transport_delay_s
 from trueup.control.loop import LoopRun
 from trueup.control.planner import Linearised
@@ -45,6 +45,13 @@ def corrected(parameters, plant=PLANT, **effects):
 MACHINE = corrected(TRUE)
 
 
+@pytest.fixture
+def one_run_each(monkeypatch):
+    """Of each reference with each model, for half its time."""
+    monkeypatch.setattr("trueup.control.closed_loop.SEEDS", 1)
+    monkeypatch.setattr("trueup.control.closed_loop.TICKS", 100)
+
+
 def went(far):
     """A joint that was recorded so far to either side."""
     return Travelled(np.array([-far]), np.array([far]), np.array([1.0]), np.ones(1, bool))
@@ -70,7 +77,7 @@ def test_a_model_that_is_wrong_about_its_drive_tracks_worse():
     assert tracking.document()["change_ci95"][0] > 0.0
 
 
-def test_the_envelope_says_how_far_the_reference_goes_and_breaches_are_counted():
+def test_the_envelope_says_how_far_the_reference_goes_and_breaches_are_counted(one_run_each):
     assert compare(MACHINE, MACHINE, MACHINE, went(99.0)).amplitude == (pytest.approx(0.6 * 0.9),)
     tight = Plant.from_document(
         {**plant_document(), "envelope": {"q": [-0.9, 0.9], "v": [-0.01, 0.01]}}
@@ -79,7 +86,7 @@ def test_the_envelope_says_how_far_the_reference_goes_and_breaches_are_counted()
     assert compare(machine, machine, machine, went(0.5)).breaches[0] > 0.5
 
 
-def test_what_the_machine_remembers_is_remembered_from_tick_to_tick():
+def test_what_the_machine_remembers_is_remembered_from_tick_to_tick(one_run_each):
     lazy = corrected(TRUE, actuator_lag={"time_constant": 0.4})
     alone, behind = (
         compare(MACHINE, MACHINE, MACHINE, went(0.5)),
@@ -130,8 +137,7 @@ def test_without_a_diagnosed_machine_nothing_is_run():
 
 
 @pytest.fixture
-def arm(tmp_path, monkeypatch):
-    monkeypatch.setattr("trueup.control.closed_loop.SEEDS", 1)
+def arm(tmp_path, one_run_each):
     return arm_plant(tmp_path)
 
 
@@ -149,7 +155,8 @@ REACHED = Travelled(
 )
 
 
-def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm):
+def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm, monkeypatch):
+    monkeypatch.setattr("trueup.control.closed_loop.TICKS", TICKS)  # its beginning weighs less
     machine = of_arm(arm, ("coulomb_friction", 1, "level", 3.0))
     tracking = compare(machine, machine, Nominal(arm), REACHED)
     assert tracking.candidate.mean() < 0.5 * tracking.incumbent.mean()

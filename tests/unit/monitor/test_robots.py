@@ -22,14 +22,14 @@ def rubbing(spec):
 
 
 def test_friction_at_one_joint_is_found_and_the_joint_is_named(plant):
-    reference = recorded(plant, lambda _: None, range(24), [Role.REFERENCE] * 24)
+    reference = recorded(plant, lambda _: None, range(24), [Role.REFERENCE] * 24, 3.0)
     monitor = calibrate(Nominal(plant), "served", reference, 2.0, kinds=KINDS)
     state = monitor.begin()
-    for episode in recorded(plant, lambda _: None, range(100, 103), [Role.REFERENCE] * 3):
+    for episode in recorded(plant, lambda _: None, range(100, 103), [Role.REFERENCE] * 3, 3.0):
         state, seen = monitor.follow(state, Nominal(plant), episode)
         assert seen.alarms == {}
     leading = []
-    for episode in recorded(plant, rubbing, range(200, 203), [Role.REFERENCE] * 3):
+    for episode in recorded(plant, rubbing, range(200, 203), [Role.REFERENCE] * 3, 3.0):
         state, seen = monitor.follow(state, Nominal(plant), episode)
         leading += [words for _, words in seen.alarms.values()]
     assert len(leading) >= 3

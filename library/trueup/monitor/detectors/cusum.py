@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.monitor.detector import Detector, FollowedEpisode, Reference, State
+from trueup.monitor.futures import count_alarms
 from trueup.monitor.residuals import Residuals
 from trueup.monitor.tail import Tail
 
@@ -253,21 +255,29 @@ class _Summary:
     low: Array
     rise: Array
 
+    @cached_property
+    def highest(self) -> Array:
+        """The highest rise of any sum within each block, `(blocks,)`."""
+        return np.asarray(self.rise.max(axis=1))
+
+    @cached_property
+    def tail(self) -> Tail:
+        """The tail of the blocks' highest rises."""
+        return Tail.of(self.highest)
+
     def drawn(self, index: NDArray[np.int64], rng: np.random.Generator) -> _Summary:
         """Blocks by their index `(n,)`; those with the highest rises are made as high as their tail
         is."""
-        tail = Tail.of(self.rise.max(axis=1))
-        rise = self.rise[index].max(axis=1)
-        behind = rise > tail.threshold
-        grown = np.where(behind, tail.draw(len(index), rng) / np.where(behind, rise, 1.0), 1.0)[
-            :, None
-        ]
-        return _Summary(
-            *(
-                np.where(part > 0.0, part * grown, part)
-                for part in (a[index] for a in (self.total, self.high, self.low, self.rise))
-            )
-        )
+        rise, drawn = self.highest[index], self.tail.draw(len(index), rng)
+        behind = np.flatnonzero(rise > self.tail.threshold)
+        grown = (drawn[behind] / rise[behind])[:, None]
+        parts = []
+        for every in (self.total, self.high, self.low, self.rise):
+            part = every[index]
+            raised = part[behind]
+            part[behind] = np.where(raised > 0.0, raised * grown, raised)
+            parts.append(part)
+        return _Summary(*parts)
 
 
 def _summary(detector: Cusum, blocks: Sequence[Residuals]) -> _Summary:
@@ -290,15 +300,13 @@ def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C
     of = _summary(detector, reference.fitted)
     levels = _passed_once(of, rng)
     alarms = np.zeros(LEVELS)
-    n = len(of.rise)
+    n, sums = of.rise.shape
     streams = rng.integers(0, n, (STREAMS, n))
-    state = np.zeros((LEVELS, STREAMS, of.total.shape[1]))
+    state = np.zeros((LEVELS, sums, STREAMS))
     for _ in range(LENGTH):
         block = of.drawn(streams[np.arange(STREAMS), rng.integers(0, n, STREAMS)], rng)
-        beyond = np.maximum(state + block.high, block.rise).max(axis=2) > levels[:, None]
-        alarms += beyond.sum(axis=1)
-        state = np.maximum(state + block.total, block.total - block.low)
-        state[beyond] = 0.0
+        parts = (block.total, block.high, block.low, block.rise)
+        count_alarms(state, *(np.ascontiguousarray(part.T) for part in parts), levels, alarms)
     rates = alarms / (STREAMS * LENGTH)
     counted = alarms >= LEAST_ALARMS
     if rates[counted].min() < reference.cautious_rate:
