@@ -113,7 +113,7 @@ def _forgetting(client: Client, folder: Path) -> list[Figure]:
     fleet.commission()
     fleet.friction *= WORN
     fleet.visit(Role.VALIDATION, Role.VALIDATION)
-    decision = fleet.judge(fleet.add_forgetting_candidate())
+    decision = fleet.judge(fleet.add_candidate(fleet.friction, cubic=0.0))
     said = next(
         v["because"] for v in decision["document"]["verdicts"] if v["rule"] == "retained_conditions"
     )

@@ -3,7 +3,7 @@ evidence."""
 
 import pytest
 
-from tests.support.fleet import WORN, Fleet
+from tests.support.fleet import CUBIC, FRICTION, WORN, Fleet
 from tests.support.service import command
 from trueup.episode.role import Role
 from trueup_client import Client, Problem
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope
 @pytest.fixture(scope="module")
 def fleet(service, tmp_path_factory):
     client = Client(service.url, actor="fleet")
-    found = Fleet(client, "wearing", tmp_path_factory.mktemp("fleet"))
+    found = Fleet(client, "wearing", tmp_path_factory.mktemp("fleet"), cubic=0.0)
     found.commission()
     yield found
     client.close()
@@ -92,10 +92,11 @@ def test_what_forgets_a_covered_condition_is_rejected_and_the_decision_says_whic
 ):
     client = Client(service.url, actor="fleet")
     fleet = Fleet(client, "forgetting", tmp_path)
-    fleet.commission()
+    fleet.register()
+    fleet.promote(fleet.add_candidate(FRICTION, CUBIC))
     fleet.friction *= WORN
     fleet.visit(Role.VALIDATION, Role.VALIDATION)
-    decision = fleet.judge(fleet.add_forgetting_candidate())
+    decision = fleet.judge(fleet.add_candidate(fleet.friction, cubic=0.0))
     verdicts = {v["rule"]: v for v in decision["document"]["verdicts"]}
     assert not decision["accepted"]
     assert not verdicts["retained_conditions"]["passed"]

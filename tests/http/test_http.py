@@ -270,13 +270,13 @@ def test_the_answer_carries_a_tag_and_a_304_needs_no_body(service, plant):
 def test_nobody_is_ever_told_of_an_older_pointer_than_the_last_acknowledged_move(
     service, client, plant
 ):
-    """Eight readers poll while one promotes; each answer that begins after an acknowledgement has
-    that generation at least."""
-    acknowledged, stop, wrong = [1], threading.Event(), []
+    """Eight readers poll while one promotes, and shortly after; each answer that begins after an
+    acknowledgement has that generation at least."""
+    acknowledged, moving, stop, wrong = [1], threading.Event(), threading.Event(), []
 
     def poll():
         reader = Client(service.url)
-        while not stop.is_set():
+        while moving.wait() and not stop.is_set():
             floor = acknowledged[0]
             if reader.serving(plant).generation < floor:
                 wrong.append(floor)
@@ -286,8 +286,13 @@ def test_nobody_is_ever_told_of_an_older_pointer_than_the_last_acknowledged_move
     for reader in readers:
         reader.start()
     for n in range(12):
-        acknowledged[0] = move(client, plant, 1.0 + n / 50).generation
+        decision, generation = accepted(client, plant, 1.0 + n / 50), acknowledged[0]
+        moving.set()
+        acknowledged[0] = client.promote(plant, decision, generation).generation
+        time.sleep(0.05)
+        moving.clear()
     stop.set()
+    moving.set()
     for reader in readers:
         reader.join()
     assert wrong == []

@@ -4,18 +4,18 @@ that its service gets."""
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from tests.support.made import T0_NS
-from trueup.artifact.artifact import pack, unpack
-from trueup.artifact.model import load
+from trueup.artifact.artifact import pack
 from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
 from trueup.model.corrected import Corrected
+from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
+from trueup.model.series import DECLARED
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, run
 from trueup_client import Client
@@ -53,21 +53,23 @@ def plant_document(name: str) -> dict:
 
 
 class Fleet:
-    """One plant of a service, and the simulated machine that its episodes come from."""
+    """One plant of a service, and the simulated machine that its episodes come from, with friction
+    and, over long travel, a `cubic` stiffness."""
 
-    def __init__(self, client: Client, name: str, folder: Path, *rules: dict) -> None:
-        self.client, self.name, self.folder = client, name, folder
+    def __init__(
+        self, client: Client, name: str, folder: Path, *rules: dict, cubic: float = CUBIC
+    ) -> None:
+        self.client, self.name, self.folder, self.cubic = client, name, folder, cubic
         self._gate = {**GATE, "rules": [*GATE["rules"], *rules]}
         self.friction, self.recorded = FRICTION, 0
         self.layout = Plant.from_document(plant_document(name)).layout
 
     def machine(self) -> Machine:
         """Returns the machine with its present friction."""
-        return (
-            Machine("oscillator", K, C, B, 1.0)
-            .having("coulomb_friction", {"level": self.friction})
-            .having("cubic_stiffness", {"coefficient": CUBIC})
+        rubs = Machine("oscillator", K, C, B, 1.0).having(
+            "coulomb_friction", {"level": self.friction}
         )
+        return rubs.having("cubic_stiffness", {"coefficient": self.cubic}) if self.cubic else rubs
 
     def record(self, role: Role, travel: str, size: float = 1.0) -> dict:
         """Records an episode of the machine, and uploads it."""
@@ -97,11 +99,15 @@ class Fleet:
             for travel in TRAVEL:
                 self.record(role, travel)
 
-    def commission(self) -> None:
-        """Registers the plant, diagnoses the first build, and promotes its model."""
+    def register(self) -> None:
+        """Registers the plant, records the first build, and declares the gate."""
         self.client.register_plant(plant_document(self.name))
         self.visit(Role.ADAPTATION, Role.ADAPTATION, Role.VALIDATION)
         self.gate = self.client.declare_gate(self.name, self._gate)["digest"]
+
+    def commission(self) -> None:
+        """Registers the plant, diagnoses the first build, and promotes its model."""
+        self.register()
         diagnosed = self.client.wait(self.client.submit(self.name, {"kind": "diagnose"})["id"])[
             "result"
         ]
@@ -147,22 +153,16 @@ class Fleet:
             assert time.monotonic() < end, f"{what}: {self.client.monitor(self.name)}"
             time.sleep(0.1)
 
-    def add_forgetting_candidate(self) -> str:
-        """Adds a candidate with the worn friction, but without the stiffness of long travel.
-
-        Returns its digest.
-        """
-        serving = self.client.serving(self.name).artifact
-        model = load(
-            self.client.fetch(self.name, serving, self.folder / "served"), serving
-        ).predictor
-        assert isinstance(model, Corrected)
-        values = list(model.values)
-        rows = model.plant.block.rows_of("coulomb_friction")
-        values[rows["level"]] *= WORN
-        values[model.plant.block.rows_of("cubic_stiffness")["coefficient"]] = 0.0
-        artifact = pack(replace(model, values=tuple(values)), {"origin": "by hand"})
-        unpack(artifact)
+    def add_candidate(self, friction: float, cubic: float) -> str:
+        """Adds a model with this friction and this stiffness of long travel. Returns its digest."""
+        plant = Plant.from_document(plant_document(self.name))
+        values = plant.block.nulls.copy()
+        values[: len(plant.parameters)] = plant.parameters
+        values[plant.block.rows_of("coulomb_friction")["level"]] = friction
+        values[plant.block.rows_of("cubic_stiffness")["coefficient"]] = cubic
+        hypothesis = Hypothesis() | "coulomb_friction" | "cubic_stiffness"
+        model = Corrected(plant, hypothesis, tuple(map(float, values)), DECLARED)
+        artifact = pack(model, {"origin": "by hand"})
         return str(
             self.client.add_artifact(self.name, artifact.manifest, artifact.arrays)["digest"]
         )
