@@ -121,7 +121,8 @@ def judge_model(model: Path, case: Path) -> dict:
     from trueup.gate.rule import rules
     from trueup.model.predictor import Nominal
 
-    closed_loop.SEEDS = 1  # a run each way is enough to see another arithmetic
+    # a short run each way is enough to see another arithmetic
+    closed_loop.SEEDS, closed_loop.TICKS = 1, 50
     plant, episodes = read_case(case)
     held_out = [e for e in episodes if e.role is Role.VALIDATION]
     gate = Gate(
