@@ -9,6 +9,9 @@ DEV := $(VENV)/.dev
 PARTS := library client pages migrations service worker cli
 PROJECTS := $(PARTS:%=%/pyproject.toml)
 
+# or every process that is started would compile whatever it imports
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help setup demo look demo-arm serve test quick advisories check laws flow bench docs site \
 	pictures lock clean

@@ -10,6 +10,9 @@ from tests.support.service import command
 from tests.support.simulated import recorded_twice as recorded
 from trueup.blindtrial.commitment import require_commitments
 
+# the main flow and the log run on both
+pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="session")
+
 
 @pytest.fixture(scope="module")
 def done(service, tmp_path_factory):
@@ -45,7 +48,7 @@ def test_a_blind_trial_is_committed_before_it_is_diagnosed_and_opened_at_its_end
     service, done, tmp_path
 ):
     out = tmp_path / "trial"
-    command(service, "blindtrial", "simulated", "--out", str(out), "--trials", "3")
+    command(service, "blindtrial", "simulated", "--out", str(out), "--trials", "2")
     report = json.loads((out / "report.json").read_text())
     entries = json.loads(command(service, "audit", "simulated", "--json").stdout)
     (committed,) = [e for e in entries if e["kind"] == "blindtrial:committed"]
