@@ -257,7 +257,7 @@ def test_a_fall_of_the_drive_with_its_size_has_a_sign():
 
 
 def test_a_play_that_began_anywhere_is_found():
-    plant, episodes, trial = recorded("B2", ["backlash", "deadband"], 26)
+    plant, episodes, trial = recorded("B2", ["backlash", "deadband"], 27)
     found = diagnose(plant, episodes)
     assert sorted(named(found)) == ["backlash", "deadband"]
     entries = {e["effect"]: e for e in found.document["effects"]}

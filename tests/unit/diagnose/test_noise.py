@@ -72,7 +72,7 @@ def test_noise_is_drawn_with_its_colour():
 
 @pytest.mark.parametrize("law", [NoiseModel(0.9), NoiseModel(0.0, 3.0), NoiseModel(0.9, 4.0)])
 def test_a_friction_is_named_under_noise_that_is_not_white(law):
-    plant, episodes, trial = recorded("B1", ["coulomb_friction"], 18, law=law)
+    plant, episodes, trial = recorded("B1", ["coulomb_friction"], 19, law=law)
     found = diagnose(plant, episodes)
     (entry,) = found.document["effects"]
     assert (found.document["verdict"], entry["effect"]) == ("effect", "coulomb_friction")
