@@ -44,11 +44,14 @@ def storage(request: pytest.FixtureRequest, tmp_path: Path) -> Storage:
     )
 
 
-@pytest.fixture(scope="session", params=["embedded", "scaled"])
+@pytest.fixture(scope="module", params=["embedded", "scaled"])
 def service(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Service]:
-    """A running server with a worker, for all tests of a session. Each test uses its own plants."""
+    """A running server with a worker, for all tests of a file. Each test uses its own plants.
+
+    It ends with the file: a worker that waits takes a twentieth of a core.
+    """
     data = tmp_path_factory.mktemp("service")
     storage = (
         embedded(data)

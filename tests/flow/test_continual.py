@@ -10,7 +10,7 @@ from trueup_client import Client, Problem
 
 PROMISE_H, REFERENCE = 2.0, 20
 # monitoring alone runs on both
-pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="session")
+pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="module")
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from tests.support.simulated import recorded_twice as recorded
 from trueup.blindtrial.commitment import require_commitments
 
 # the main flow and the log run on both
-pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="session")
+pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="module")
 
 
 @pytest.fixture(scope="module")

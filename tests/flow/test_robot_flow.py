@@ -12,7 +12,7 @@ from tests.support.robots import arm_plant, recorded
 from tests.support.service import command
 
 # what is stored of a robot is stored as of every plant, which runs on both
-pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="session")
+pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="module")
 ROLES = ("adaptation", "adaptation", "adaptation", "validation", "validation")
 
 
