@@ -376,7 +376,7 @@ def test_a_commitment_hides_behind_its_salt():
 def arm(tmp_path_factory):
     plant = arm_plant(tmp_path_factory.mktemp("arm"))
     return plant, robot_recorded(
-        plant, lambda _spec: None, range(3), ("adaptation", "adaptation", "validation"), seconds=2.0
+        plant, lambda _spec: None, range(3), ("adaptation", "adaptation", "validation"), seconds=1.5
     )
 
 

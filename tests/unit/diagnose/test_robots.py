@@ -50,7 +50,7 @@ def plant(tmp_path_factory):
 
 
 def test_a_payload_is_parameters_only(plant):
-    document = diagnose(plant, recorded(plant, carries, range(3), ROLES)).document
+    document = diagnose(plant, recorded(plant, carries, range(3), ROLES, 1.5)).document
     assert document["verdict"] == "parameters_only"
     assert document["effects"] == []
     assert document["gap"]["closed"] > 0.95
@@ -132,7 +132,7 @@ def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(plant):
     def sticks(spec):
         spec.joint("shoulder").frictionloss = 0.6
 
-    episodes = [late_elbow(e) for e in recorded(plant, sticks, range(3), ROLES)]
+    episodes = [late_elbow(e) for e in recorded(plant, sticks, range(3), ROLES, 1.5)]
     found = diagnose(plant, episodes)
     assert {(e["effect"], e["joint"]) for e in found.document["effects"]} == {
         ("coulomb_friction", "shoulder"),
