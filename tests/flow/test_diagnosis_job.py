@@ -10,9 +10,6 @@ from tests.support.service import command
 from tests.support.simulated import recorded_twice as recorded
 from trueup.blindtrial.commitment import require_commitments
 
-# the main flow and the log run on both
-pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="module")
-
 
 @pytest.fixture(scope="module")
 def done(service, tmp_path_factory):

@@ -12,7 +12,6 @@ import pytest
 
 from tests.support.case import write_recordings
 from tests.support.robots import arm_plant, recorded
-from trueup.artifact.artifact import pack, unpack
 from trueup.artifact.model import load
 from trueup.diagnose.case import read_case
 from trueup.diagnose.summary_text import sentence
@@ -20,8 +19,7 @@ from trueup.episode.role import Role
 from trueup.fit.base_parameters import directions
 from trueup.fit.identify import identify
 from trueup.fit.score import rollout_rms
-from trueup.model.predictor import Nominal, predict_observations
-from trueup.model.windows import cut, starts_every
+from trueup.model.predictor import Nominal
 
 SO101 = Path(__file__).parents[2] / "examples" / "so101"
 HALF_A_SECOND = 125  # samples
@@ -67,6 +65,7 @@ def case(tmp_path_factory):
 
 def test_the_effect_and_its_joint_are_named(case):
     _, out, report = case
+    json.dumps(report, allow_nan=False)
     assert report["verdict"] == "effect"
     assert [(e["effect"], e["joint"]) for e in report["effects"]] == [("coulomb_friction", "elbow")]
     level = report["effects"][0]["estimate"]["level"]
@@ -103,18 +102,14 @@ def test_what_the_motion_cannot_show_is_not_numbered(case):
     assert set(report["parameters"]) == determined
 
 
-def test_the_corrected_model_predicts_what_was_held_out_and_is_packed_as_it_was(case):
+def test_the_corrected_model_predicts_what_was_held_out(case):
     folder, out, _ = case
     plant, episodes = read_case(folder)
     corrected = load(out / "model").predictor
-    again = unpack(pack(corrected, {"origin": "diagnosis"}))
     held_out = episodes[-1]
-    windows = cut(plant, held_out, starts_every(held_out.t_s, 0.5))
-    np.testing.assert_array_equal(
-        predict_observations(again, windows), predict_observations(corrected, windows)
-    )
     after, before = (
-        np.linalg.norm(rollout_rms(p, held_out, plant.horizon_s)) for p in (again, Nominal(plant))
+        np.linalg.norm(rollout_rms(p, held_out, plant.horizon_s))
+        for p in (corrected, Nominal(plant))
     )
     assert after < 0.1 * before
 

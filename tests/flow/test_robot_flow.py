@@ -11,8 +11,6 @@ from tests.support.case import write_recordings
 from tests.support.robots import arm_plant, recorded
 from tests.support.service import command
 
-# what is stored of a robot is stored as of every plant, which runs on both
-pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="module")
 ROLES = ("adaptation", "adaptation", "adaptation", "validation", "validation")
 
 

@@ -52,6 +52,20 @@ def test_what_is_known_is_told_and_what_could_not_be_asked(packages, says, ends)
     assert advisories.summary(packages) == (says, ends)
 
 
+@pytest.mark.slow
+def test_every_pinned_package_is_asked_for():
+    pinned = {
+        line.partition("==")[0]
+        for name in advisories.PINNED
+        for line in (ROOT / name).read_text().splitlines()
+        if "==" in line
+    }
+    packages = advisories.look_up(ROOT)
+    assert not packages or len(
+        {p["name"].lower().replace("_", "-") for p in packages}
+    ) >= 0.8 * len(pinned)  # others are for other platforms
+
+
 @pytest.fixture
 def auditor(tmp_path, monkeypatch):
     """What stands in for pip-audit notes what it was asked, and prints what it is given."""

@@ -8,7 +8,7 @@ import numpy as np
 from trueup.checks.law import require
 from trueup.model.dynamics import Array, Dynamics
 
-VECTORS, WINDOWS, SAMPLES, H_S = 18, 3, 10, 0.01
+VECTORS, WINDOWS, SAMPLES, H_S = 18, 3, 20, 0.01
 # compiled code may order additions otherwise; a robot's motion multiplies the difference
 ROUNDING = 1e-9
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.robots import PERIOD_S, arm_machine, arm_plant, recorded
+from trueup.artifact.artifact import pack, unpack
 from trueup.diagnose.candidate import Candidate
 from trueup.diagnose.data_quality import assess
 from trueup.diagnose.diagnosis import diagnose
@@ -128,12 +129,26 @@ def late_elbow(episode):
     )
 
 
-def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(plant):
+@pytest.fixture(scope="module")
+def late(plant):
     def sticks(spec):
         spec.joint("shoulder").frictionloss = 0.6
 
     episodes = [late_elbow(e) for e in recorded(plant, sticks, range(3), ROLES, 1.5)]
-    found = diagnose(plant, episodes)
+    return episodes, diagnose(plant, episodes)
+
+
+def test_the_corrected_model_is_an_artifact_that_predicts_the_same(late):
+    episodes, found = late
+    again = unpack(pack(found.predictor, {"origin": "diagnosis"}))
+    windows = cut(found.plant, episodes[-1], starts_every(episodes[-1].t_s, 0.5))
+    np.testing.assert_array_equal(
+        predict_observations(again, windows), predict_observations(found.predictor, windows)
+    )
+
+
+def test_a_late_sensor_at_one_joint_is_found_beside_friction_at_another(late):
+    episodes, found = late
     assert {(e["effect"], e["joint"]) for e in found.document["effects"]} == {
         ("coulomb_friction", "shoulder"),
         ("sensor_delay", "elbow"),
