@@ -209,9 +209,9 @@ class Maker:
         times = np.asarray(np.arange(len(t) + more) * self.period_s, np.float64)
         whole = self._slowed(np.concatenate([command, np.repeat(self.hold[None, :], more, axis=0)]))
         paths = self.play.responses(members, times, whole, self.start)
-        velocities = slice(paths.shape[2] // 2, None)
-        fastest = np.maximum(paths.max(axis=0), -paths.min(axis=0))[:, velocities]
-        speed = fastest.max(axis=1)
+        # at each sample the outermost members decide how far and how fast the motion goes
+        outermost = np.stack([paths.max(axis=0), paths.min(axis=0)])
+        speed = np.abs(outermost[:, :, paths.shape[2] // 2 :]).max(axis=(0, 2))
         moving = np.flatnonzero(speed > rest * speed.max())
         still = np.flatnonzero((np.abs(whole - self.hold) > TOUCH).any(axis=1))
         end = max(int(moving[-1]) if len(moving) else 0, int(still[-1]) if len(still) else 0) + 2
@@ -219,6 +219,6 @@ class Maker:
             times[:end],
             whole[:end],
             paths[:, :end],
-            self.bounds.used(paths, self.start),
+            self.bounds.used(outermost, self.start),
             end <= len(times),
         )
