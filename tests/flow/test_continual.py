@@ -9,7 +9,7 @@ from trueup.episode.role import Role
 from trueup_client import Client, Problem
 
 PROMISE_H, REFERENCE = 2.0, 20
-# monitoring alone runs on both
+# test_monitoring runs on both storages
 pytestmark = pytest.mark.parametrize("service", ["scaled"], indirect=True, scope="module")
 
 

@@ -1,16 +1,16 @@
 """Monitoring from end to end: reference, calibration, telemetry, a drift, its alarm, and the
 diagnosis that the alarm opens."""
 
-import io
 import time
 
 import numpy as np
 import pytest
 
+from tests.support.case import write_recording
 from tests.support.made import T0_NS
 from tests.support.service import command
+from tests.support.simulated import episode_of
 from trueup.episode.role import Role
-from trueup.episode.writer import write_episode
 from trueup.model.plant import Plant
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, run
@@ -29,7 +29,7 @@ DOCUMENT = {
     "observations": [{"name": "q", "unit": "rad"}, {"name": "v", "unit": "rad/s"}],
     "evaluation": {"horizon_s": 2.0},
 }
-LAYOUT = Plant.from_document(DOCUMENT).layout
+PLANT = Plant.from_document(DOCUMENT)
 HEALTHY, LEAST = 24, 30.0  # episodes of reference; patience [s]
 
 
@@ -42,14 +42,8 @@ def made(seed, friction=0.0):
 
 
 def upload(client, folder, seed, role, friction=0.0, name="watched"):
-    found, path = made(seed, friction), folder / f"{seed}.mcap"
-    stamps = T0_NS + seed * 10**11 + np.rint(found.t_s * 1e9).astype(np.int64)
-    buffer = io.BytesIO()
-    columns = {"observations": found.observed, "commands": found.issued[:, None]}
-    write_episode(
-        buffer, stamps_ns=stamps, layout=LAYOUT, role=role, conditions={"stage": "SIL"}, **columns
-    )
-    path.write_bytes(buffer.getvalue())
+    episode = episode_of(PLANT, made(seed, friction), Role(role), str(seed))
+    path = write_recording(folder / f"{seed}.mcap", episode, T0_NS + seed * 10**11)
     return client.upload_episode(name, path)
 
 

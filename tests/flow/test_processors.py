@@ -6,17 +6,14 @@ holds more of them against each other, on more cases.
 """
 
 import json
-from dataclasses import replace
 
-import numpy as np
 import pytest
 
+from tests.support.case import write_case
 from tests.support.processors import VARIANTS, difference, start
-from tests.support.simulated import plant_of
-from trueup.blindtrial.recording import case_files
+from tests.support.simulated import recorded_twice
 from trueup.gate.recompute import differences
 from trueup.simulate.noise import NoiseModel
-from trueup.simulate.trial import draw, draw_bench
 
 OTHERS = ("BLAS for Haswell", "BLAS for Nehalem", "C library without FMA")
 
@@ -24,17 +21,11 @@ OTHERS = ("BLAS for Haswell", "BLAS for Nehalem", "C library without FMA")
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory):
     """Reports and decisions of each processor; all judge the model that the first of them made."""
-    rng, folder = np.random.default_rng(11), tmp_path_factory.mktemp("cases")
-    bench = replace(draw_bench("A1", rng), law=NoiseModel(0.7))
-    plant, trial = plant_of(bench), draw(bench, ["coulomb_friction"], True, rng)
-    trial = replace(
-        trial,
-        runs=[(role, one) for role in ("adaptation", "validation") for one in trial.of(role)[:2]],
-    )
+    folder = tmp_path_factory.mktemp("cases")
+    plant, episodes, _ = recorded_twice("A1", ["coulomb_friction"], 11, law=NoiseModel(0.7))
     case = folder / "cases" / "pendulum"
     case.mkdir(parents=True)
-    for name, data in case_files(plant, trial, {"stage": "SIL"}).items():
-        (case / name).write_bytes(data)
+    write_case(case, plant, episodes)
     model, names = folder / "0" / case.name, ("as the machine is", *OTHERS)
     begun = [
         lambda i=i, name=name: start(VARIANTS[name], folder / f"{i}.json", [case, model])

@@ -4,18 +4,17 @@ that its service gets."""
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from tests.support.made import T0_NS
+from tests.support.case import write_recording
+from tests.support.made import T0_NS, corrected
+from tests.support.simulated import episode_of
 from trueup.artifact.artifact import pack
 from trueup.episode.role import Role
-from trueup.episode.writer import write_episode
-from trueup.model.corrected import Corrected
-from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
-from trueup.model.series import DECLARED
 from trueup.simulate.excitation import SHAPES, planned
 from trueup.simulate.machine import Machine, run
 from trueup_client import Client
@@ -62,7 +61,7 @@ class Fleet:
         self.client, self.name, self.folder, self.cubic = client, name, folder, cubic
         self._gate = {**GATE, "rules": [*GATE["rules"], *rules]}
         self.friction, self.recorded = FRICTION, 0
-        self.layout = Plant.from_document(plant_document(name)).layout
+        self.plant = Plant.from_document(plant_document(name))
 
     def machine(self) -> Machine:
         """Returns the machine with its present friction."""
@@ -79,18 +78,9 @@ class Fleet:
         series = size * TRAVEL[travel] * planned(shape, round(SECONDS / STEP_S) + 51, STEP_S, rng)
         recording = run(self.machine(), series, STEP_S, 20, SIGMA, rng, warm_up=50)
         path = self.folder / f"{self.name}-{self.recorded}.mcap"
-        stamps = T0_NS + self.recorded * 10**11 + np.rint(recording.t_s * 1e9).astype(np.int64)
-        columns = {"observations": recording.observed, "commands": recording.issued[:, None]}
-        with path.open("wb") as file:
-            conditions = {"stage": "SIL", "travel": travel}
-            write_episode(
-                file,
-                stamps_ns=stamps,
-                layout=self.layout,
-                role=role,
-                conditions=conditions,
-                **columns,
-            )
+        episode = episode_of(self.plant, recording, role, path.name)
+        episode = replace(episode, conditions={"stage": "SIL", "travel": travel})
+        write_recording(path, episode, T0_NS + self.recorded * 10**11)
         return self.client.upload_episode(self.name, path)
 
     def visit(self, *roles: Role) -> None:
@@ -155,14 +145,11 @@ class Fleet:
 
     def add_candidate(self, friction: float, cubic: float) -> str:
         """Adds a model with this friction and this stiffness of long travel. Returns its digest."""
-        plant = Plant.from_document(plant_document(self.name))
-        values = plant.block.nulls.copy()
-        values[: len(plant.parameters)] = plant.parameters
-        values[plant.block.rows_of("coulomb_friction")["level"]] = friction
-        values[plant.block.rows_of("cubic_stiffness")["coefficient"]] = cubic
-        hypothesis = Hypothesis() | "coulomb_friction" | "cubic_stiffness"
-        model = Corrected(plant, hypothesis, tuple(map(float, values)), DECLARED)
-        artifact = pack(model, {"origin": "by hand"})
+        effects = {
+            "coulomb_friction": {"level": friction},
+            "cubic_stiffness": {"coefficient": cubic},
+        }
+        artifact = pack(corrected(self.plant, effects), {"origin": "by hand"})
         return str(
             self.client.add_artifact(self.name, artifact.manifest, artifact.arrays)["digest"]
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,11 @@ from trueup.artifact.artifact import Artifact, pack
 from trueup.episode.layout import Channel, Field, Layout
 from trueup.episode.role import Role
 from trueup.episode.writer import Encoding, write_episode
+from trueup.model.corrected import Corrected
+from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
+from trueup.model.series import DECLARED, Scheme
 
 T0_NS = 1_760_000_000_000_000_000
 TRUE = (1.25, 0.62, 0.82)  # k, c, b of the machine that the episodes come from
@@ -44,6 +48,24 @@ def identified(name: str, k: float = 1.2) -> Artifact:
     return pack(
         Identified(Plant.from_document(plant_document(name)), (k, 0.6, 0.8)), {"origin": "test"}
     )
+
+
+def corrected(
+    plant: Plant,
+    effects: Mapping[str, Mapping[str, float]],
+    parameters: Sequence[float] | None = None,
+    scheme: Scheme = DECLARED,
+) -> Corrected:
+    """Returns a model with the parameters of these terms, and of the nominal form if other ones are
+    given."""
+    values, hypothesis = plant.block.nulls.copy(), Hypothesis()
+    nominal = plant.parameters if parameters is None else parameters
+    values[: len(nominal)] = nominal
+    for of, numbers in effects.items():
+        hypothesis, rows = hypothesis | of, plant.block.rows_of(of)
+        for number, value in numbers.items():
+            values[rows[number]] = value
+    return Corrected(plant, hypothesis, tuple(map(float, values)), scheme)
 
 
 def arm_layout(joints: int) -> Layout:

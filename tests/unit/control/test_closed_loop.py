@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.support.made import TRUE, episode_bytes, plant_document
+from tests.support.made import TRUE, corrected, episode_bytes, plant_document
 from tests.support.robots import arm_plant
 from trueup.control.closed_loop import CANNOT, SEEDS, TICKS, TURNS, Tracking, Travelled, compare
 from trueup.control.estimator import transport_delay_s
@@ -21,28 +21,19 @@ from trueup.gate.decision import Gate
 from trueup.gate.judge import judge, run_trial
 from trueup.gate.rule import rules
 from trueup.model.block import term
-from trueup.model.corrected import Corrected
-from trueup.model.hypothesis import Hypothesis
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
-from trueup.model.series import DECLARED
 
 pytestmark = pytest.mark.slow  # whole diagnoses, designs or installations
 
 PLANT = Plant.from_document(plant_document())
 
 
-def corrected(parameters, plant=PLANT, **effects):
-    values, hypothesis = plant.block.nulls.copy(), Hypothesis()
-    values[: len(parameters)] = parameters
-    for name, numbers in effects.items():
-        hypothesis = hypothesis | name
-        for number, value in numbers.items():
-            values[plant.block.rows_of(name)[number]] = value
-    return Corrected(plant, hypothesis, tuple(map(float, values)), DECLARED)
+def true(plant=PLANT, **effects):
+    return corrected(plant, effects, TRUE)
 
 
-MACHINE = corrected(TRUE)
+MACHINE = true()
 
 
 @pytest.fixture
@@ -58,7 +49,7 @@ def went(far):
 
 
 def test_the_same_model_twice_tracks_the_same_to_the_last_digit():
-    tracking = compare(MACHINE, MACHINE, corrected(TRUE), went(0.5))
+    tracking = compare(MACHINE, MACHINE, true(), went(0.5))
     assert np.array_equal(tracking.candidate, tracking.incumbent)
     assert len(tracking.candidate) == SEEDS * len(TURNS)
     document = tracking.document()
@@ -82,12 +73,12 @@ def test_the_envelope_says_how_far_the_reference_goes_and_breaches_are_counted(o
     tight = Plant.from_document(
         {**plant_document(), "envelope": {"q": [-0.9, 0.9], "v": [-0.01, 0.01]}}
     )
-    machine = corrected(TRUE, tight)
+    machine = true(tight)
     assert compare(machine, machine, machine, went(0.5)).breaches[0] > 0.5
 
 
 def test_what_the_machine_remembers_is_remembered_from_tick_to_tick(one_run_each):
-    lazy = corrected(TRUE, actuator_lag={"time_constant": 0.4})
+    lazy = true(actuator_lag={"time_constant": 0.4})
     alone, behind = (
         compare(MACHINE, MACHINE, MACHINE, went(0.5)),
         compare(lazy, MACHINE, MACHINE, went(0.5)),
@@ -142,12 +133,7 @@ def arm(tmp_path, one_run_each):
 
 
 def of_arm(plant, *effects):
-    values, hypothesis = plant.block.nulls.copy(), Hypothesis()
-    values[: len(plant.parameters)] = plant.parameters
-    for name, at, number, value in effects:
-        hypothesis = hypothesis | term(name, at)
-        values[plant.block.rows_of(term(name, at))[number]] = value
-    return Corrected(plant, hypothesis, tuple(map(float, values)), DECLARED)
+    return corrected(plant, {term(name, at): {number: x} for name, at, number, x in effects})
 
 
 REACHED = Travelled(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.made import TRUE, plant_document
-from tests.unit.control.test_closed_loop import MACHINE, corrected, went
+from tests.unit.control.test_closed_loop import MACHINE, true, went
 from trueup.control.closed_loop import compare
 from trueup.control.estimator import Estimator, transport_delay_s
 from trueup.control.loop import Deployed, run_loop
@@ -96,7 +96,7 @@ def test_with_a_right_model_late_sensors_cost_nothing(delays):
 
 
 def test_a_model_that_knows_the_delay_tracks_better():
-    late = corrected(TRUE, actuator_delay={"delay": 0.5})
+    late = true(actuator_delay={"delay": 0.5})
     assert transport_delay_s(late) == 0.5
     assert transport_delay_s(Nominal(PLANT)) == transport_delay_s(MACHINE) == 0.0
     tracking = compare(late, late, MACHINE, went(0.5))

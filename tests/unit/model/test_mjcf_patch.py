@@ -8,15 +8,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from tests.support import made
 from tests.support.robots import ARM, EVERYTHING, URDF
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.model.block import term
-from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledTree
 from trueup.model.effect import Effect, Port, effects
 from trueup.model.feasible import feasible
-from trueup.model.hypothesis import Hypothesis
 from trueup.model.mjcf import compile_file, resolved
 from trueup.model.mjcf_patch import patch
 from trueup.model.mjcf_writer import tags, write
@@ -61,14 +60,8 @@ def plant_of(folder, text, driven, name="robot.xml", period_s=0.002):
 
 def corrected(plant, effects_at=(), numbers=None):
     """A model with effects `(name, joint, numbers)` and other parameters."""
-    values = plant.block.nulls.copy()
-    values[: len(plant.parameters)] = plant.parameters if numbers is None else numbers
-    hypothesis = Hypothesis()
-    for name, joint, given in effects_at:
-        hypothesis = hypothesis | term(name, joint)
-        for key, row in plant.block.rows_of(term(name, joint)).items():
-            values[row] = given.get(key, values[row])
-    return Corrected(plant, hypothesis, tuple(values), Scheme(0.0, 1))
+    effects = {term(name, joint): given for name, joint, given in effects_at}
+    return made.corrected(plant, effects, numbers, Scheme(0.0, 1))
 
 
 def driven_episode(plant):
