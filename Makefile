@@ -9,7 +9,7 @@ DEV := $(VENV)/.dev
 PARTS := library client pages migrations service worker cli
 PROJECTS := $(PARTS:%=%/pyproject.toml)
 
-# or every process that is started would compile whatever it imports
+# Where this is set, every process compiles all the Python that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help

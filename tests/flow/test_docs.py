@@ -16,7 +16,7 @@ from tests.support.service import ROOT, free_port
 from trueup_client import Client
 
 PAGES = ("tutorial", "howto-engineer", "howto-operator", "howto-auditor")
-SHARED = "trueup diagnose examples/emps --out diagnosis"  # a minute's work, on more than one page
+SHARED = "trueup diagnose examples/emps --out diagnosis"  # slow, and on more than one page
 FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 
 
@@ -42,12 +42,12 @@ def plain(text):
     return " ".join(text.split())
 
 
-def made_in(folder):
-    """A folder as a reader's clone is, and the environment of its shell."""
+def shell_in(folder):
+    """Makes a folder like a reader's clone, and returns the environment of a shell there."""
     for name in ("examples", "tools"):
         (folder / name).symlink_to(ROOT / name)
     port = free_port()
-    return port, {
+    return {
         **{k: v for k, v in os.environ.items() if not k.startswith("TRUEUP_")},
         "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
         "TRUEUP_PORT": str(port),
@@ -59,9 +59,9 @@ def made_in(folder):
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory):
-    """Where the command that pages share has run, once: its output, and the folder that it made."""
+    """A folder in which the command that pages share has run: its output, and what it wrote."""
     folder = tmp_path_factory.mktemp("shared")
-    _, environment = made_in(folder)
+    environment = shell_in(folder)
     with (folder / "printed").open("w") as printed:
         subprocess.run(SHARED.split(), cwd=folder, env=environment, stdout=printed, check=True)
     return folder
@@ -69,8 +69,7 @@ def shared(tmp_path_factory):
 
 @pytest.mark.parametrize("page", PAGES)
 def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, shared, tmp_path):
-    port, environment = made_in(tmp_path)
-    folder = tmp_path / "said"
+    environment, folder = shell_in(tmp_path), tmp_path / "said"
     folder.mkdir()
     script, expected, service = ["set -eo pipefail"], [], None
     for kind, more, text in blocks(page):
@@ -97,7 +96,7 @@ def test_every_snippet_of_a_page_runs_and_prints_what_it_says(page, shared, tmp_
             pytest.fail(f"a snippet of the kind {kind!r} is not run by anything")
     try:
         if service is not None:
-            until_listening(port, service)
+            until_listening(int(environment["TRUEUP_PORT"]), service)
             _until_ready(environment["TRUEUP_URL"])
         done = subprocess.run(
             ["bash"],

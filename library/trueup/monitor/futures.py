@@ -1,4 +1,4 @@
-"""Resampled futures of cumulative sums: one block further, compiled.
+"""One compiled step of many resampled futures of cumulative sums.
 
 Futures are the innermost index, so that the compiler keeps them in vector registers.
 """
@@ -10,12 +10,13 @@ from numba import njit
 
 
 @njit(cache=True, error_model="numpy")
-def count_alarms(state, total, high, low, rise, levels, alarms):  # type: ignore[no-untyped-def]
-    """Adds one block to every sum of every future, and counts the futures that pass each level.
+def add_block(state, total, high, low, rise, levels, alarms):  # type: ignore[no-untyped-def]
+    """Adds one block to every sum of every future, and an alarm for each future that passes a
+    level.
 
-    state `(levels, sums, futures)`, which is changed: it begins again at 0 where a level is
-    passed; total, high, low and rise of the block `(sums, futures)`; levels `(levels,)`; alarms
-    `(levels,)`, to which is added.
+    Changes `state` `(levels, sums, futures)`, which begins again at 0 where a level is passed, and
+    `alarms` `(levels,)`. `total`, `high`, `low` and `rise` of the block are `(sums, futures)`,
+    `levels` is `(levels,)`.
     """
     sums, futures = total.shape
     highest = np.empty(futures)

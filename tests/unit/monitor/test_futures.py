@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from trueup.monitor.futures import count_alarms
+from trueup.monitor.futures import add_block
 
 SUMS, FUTURES = 5, 40
 LEVELS = np.array([0.5, 1.5, 3.0])
@@ -18,7 +18,7 @@ def test_a_block_moves_every_sum_and_what_passes_a_level_begins_again(seed):
     passed = np.maximum(state + high, rise).max(axis=1) > LEVELS[:, None]
     expected = np.where(passed[:, None, :], 0.0, np.maximum(state + total, total - low))
     alarms = np.ones(len(LEVELS))
-    count_alarms(state, total, high, low, rise, LEVELS, alarms)
+    add_block(state, total, high, low, rise, LEVELS, alarms)
     assert 0 < passed.sum() < passed.size
     assert np.array_equal(state, expected)
     assert np.array_equal(alarms, 1.0 + passed.sum(axis=1))

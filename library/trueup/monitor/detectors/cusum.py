@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.monitor.detector import Detector, FollowedEpisode, Reference, State
-from trueup.monitor.futures import count_alarms
+from trueup.monitor.futures import add_block
 from trueup.monitor.residuals import Residuals
 from trueup.monitor.tail import Tail
 
@@ -272,8 +272,8 @@ class _Summary:
         behind = np.flatnonzero(rise > self.tail.threshold)
         grown = (drawn[behind] / rise[behind])[:, None]
         parts = []
-        for every in (self.total, self.high, self.low, self.rise):
-            part = every[index]
+        for of_blocks in (self.total, self.high, self.low, self.rise):
+            part = of_blocks[index]
             raised = part[behind]
             part[behind] = np.where(raised > 0.0, raised * grown, raised)
             parts.append(part)
@@ -306,7 +306,7 @@ def calibrated(detector: C, reference: Reference, rng: np.random.Generator) -> C
     for _ in range(LENGTH):
         block = of.drawn(streams[np.arange(STREAMS), rng.integers(0, n, STREAMS)], rng)
         parts = (block.total, block.high, block.low, block.rise)
-        count_alarms(state, *(np.ascontiguousarray(part.T) for part in parts), levels, alarms)
+        add_block(state, *(np.ascontiguousarray(part.T) for part in parts), levels, alarms)
     rates = alarms / (STREAMS * LENGTH)
     counted = alarms >= LEAST_ALARMS
     if rates[counted].min() < reference.cautious_rate:
