@@ -112,7 +112,7 @@ def processor() -> str:
 def judge_model(model: Path, case: Path) -> dict:
     """Returns a gate's decision on a corrected model against the nominal one, on one case."""
     from trueup.artifact.model import load
-    from trueup.control import closed_loop
+    from trueup.control import closed_loop, courses
     from trueup.diagnose.case import read_case
     from trueup.episode.role import Role
     from trueup.fit.score import EVERY, Scoring
@@ -122,7 +122,7 @@ def judge_model(model: Path, case: Path) -> dict:
     from trueup.model.predictor import Nominal
 
     # a short run each way is enough to see another arithmetic
-    closed_loop.SEEDS, closed_loop.TICKS = 1, 50
+    closed_loop.SEEDS, courses.TICKS = 1, 50
     plant, episodes = read_case(case)
     held_out = [e for e in episodes if e.role is Role.VALIDATION]
     gate = Gate(

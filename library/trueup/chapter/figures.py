@@ -16,14 +16,13 @@ from trueup.chapter.data import (
     PLANT,
     SHIFTED,
     START_SCALE,
-    U_MAX,
     ChapterData,
     draw,
     drive,
     excitation,
 )
-from trueup.control.estimator import Estimator
-from trueup.control.loop import Deployed, LoopRun, run_loop
+from trueup.control.loop import LoopRun, run_loop
+from trueup.control.machine import Predicted
 from trueup.control.planner import RandomShooting
 from trueup.control.watchdog import inject_sensor_failure
 from trueup.fit.identify import Identification, identify
@@ -31,7 +30,7 @@ from trueup.fit.residual import family_box, fit_blind, fit_conditioned, fit_resi
 from trueup.fit.score import FIRST, Scoring, rollout_errors
 from trueup.gate.decision import default_gate
 from trueup.gate.judge import judge, run_trial
-from trueup.model.predictor import Nominal, Predictor
+from trueup.model.predictor import Identified, Nominal, Predictor
 from trueup.monitor.detectors.quantile import QuantileRun
 from trueup.monitor.residuals import Residuals, one_step_residuals
 
@@ -132,29 +131,29 @@ def _loop(
     predictor: Predictor,
     parameters: tuple[float, ...],
     *delays: int,
-    u_max: float = U_MAX,
+    authority: float = 1.0,
     forward: bool = False,
 ) -> LoopRun:
     return run_loop(
-        Deployed(PLANT, parameters, u_max),
-        RandomShooting(predictor, u_max),
+        Predicted(Identified(PLANT, parameters), authority),
+        RandomShooting(predictor, authority),
         REFERENCE,
         np.random.default_rng(PLANNER_SEED),
-        delays or (0,),
-        Estimator(predictor) if forward else None,
+        delays=delays or (0,),
+        stamped=forward,
     )
 
 
 def _closed_loop(predictors: Mapping[str, Predictor]) -> list[Table]:
     regimes: dict[str, tuple[tuple[float, ...], int, float]] = {
-        "nominal plant": (NOMINAL, 0, U_MAX),
-        "deployment plant": (DEPLOYMENT, 0, U_MAX),
-        "deployment + sensor delay of 3": (DEPLOYMENT, 3, U_MAX),
+        "nominal plant": (NOMINAL, 0, 1.0),
+        "deployment plant": (DEPLOYMENT, 0, 1.0),
+        "deployment + sensor delay of 3": (DEPLOYMENT, 3, 1.0),
         "deployment + u_max 0.5": (DEPLOYMENT, 0, 0.5),
     }
     runs = {
         regime: {
-            name: _loop(p, setting[0], setting[1], u_max=setting[2])
+            name: _loop(p, setting[0], setting[1], authority=setting[2])
             for name, p in predictors.items()
         }
         for regime, setting in regimes.items()

@@ -1,4 +1,4 @@
-"""The closed loop: a planner issues commands, the plant applies them, and the controller sees the
+"""The closed loop: a planner issues commands, the machine applies them, and the controller sees the
 state late."""
 
 from __future__ import annotations
@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trueup.control.estimator import Estimator
+from trueup.control.delay import seen_at
+from trueup.control.estimator import Estimator, transport_delay_s
+from trueup.control.machine import Machine
 from trueup.control.planner import Planner
 from trueup.model.plant import Plant
 
@@ -18,11 +20,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class LoopRun:
-    """States `(ticks + 1, states)` and issued commands `(ticks, commands)` of one closed-loop
-    run."""
+    """One closed-loop run: states `(ticks + 1, states)`, the commands that the controller `issued`
+    and what the actuators' limits left of them, `applied`, `(ticks, commands)` each."""
 
     states: Array
     issued: Array
+    applied: Array
 
     def tracking_error(self, reference: Array, scale: Array | float = 1.0) -> float:
         """Mean squared distance of the positions after each tick from the reference `(ticks,
@@ -40,45 +43,39 @@ class LoopRun:
         return float(outside.mean())
 
 
-@dataclass(frozen=True, slots=True)
-class Deployed:
-    """The machine under control: the plant's form with its true parameters and actuator limit."""
-
-    plant: Plant
-    parameters: Sequence[float]
-    u_max: float
-
-    def update(self, state: Array, issued: Array) -> Array:
-        """Next state `(states,)`."""
-        limited = np.clip(issued, -self.u_max, self.u_max)
-        return np.asarray(self.plant.update(state[None, :], limited[None, :], self.parameters)[0])
-
-
 def run_loop(
-    deployed: Deployed,
+    machine: Machine,
     planner: Planner,
     reference: Array,
     rng: np.random.Generator,
+    *,
+    begin: Array | None = None,
+    hold: int = 1,
     delays: Sequence[int] = (0,),
-    estimator: Estimator | None = None,
+    stamped: bool = False,
 ) -> LoopRun:
-    """Run from rest. At tick t the controller sees the state of tick max(0, t - delay) [ticks];
-    `delays` is one delay, or several that are used in turn.
+    """Run from `begin` `(states,)`, else from rest at zero, with a tick of `hold` steps, along a
+    reference `(ticks, joints)`.
 
-    An `estimator` gets each observed state with its time, and each issued command, and estimates
-    the state to plan from.
+    At tick t the controller sees the state of tick max(0, t - delay); `delays` [ticks] is one
+    delay, or several that are used in turn. A `stamped` observation says how old it is, and is
+    rolled forward through the commands issued since; any other is taken for what is now. A delay
+    that the planner's own model has is planned over in both cases.
     """
-    period = deployed.plant.timestep_s
-    states = np.zeros((len(reference) + 1, 2 * deployed.plant.dynamics.joints))
-    issued = np.zeros((len(reference), len(deployed.plant.layout.commands)))
-    for t in range(len(reference)):
-        seen_at = max(0, t - delays[t % len(delays)])
-        seen = states[seen_at]
-        if estimator is not None:
-            estimator.observed(seen_at * period, seen)
-            seen = estimator.state(t * period)
-        issued[t] = planner.plan(seen, reference[t:], rng)
-        if estimator is not None:
-            estimator.commanded(t * period, issued[t])
-        states[t + 1] = deployed.update(states[t], issued[t])
-    return LoopRun(states, issued)
+    plant, ticks = machine.plant, len(reference)
+    states = np.zeros((ticks + 1, 2 * plant.dynamics.joints))
+    if begin is not None:
+        states[0] = begin
+    issued = np.zeros((ticks, len(plant.layout.commands)))
+    estimator, late_s = Estimator(planner.predictor), transport_delay_s(planner.predictor)
+    t_s = np.arange(ticks) * hold * plant.timestep_s
+    # what is commanded now shows at the reference that is due then
+    shows = np.arange(ticks) + late_s / (hold * plant.timestep_s)
+    aims = np.stack([np.interp(shows, np.arange(ticks), r) for r in reference.T], axis=1)
+    for t in range(ticks):
+        seen = seen_at(t, delays[t % len(delays)])
+        estimator.observed(float(t_s[seen if stamped else t]), states[seen])
+        issued[t] = planner.plan(estimator.state(t_s[t] + late_s), aims[t:], rng)
+        estimator.commanded(t_s[t] + late_s, issued[t])
+        states[t + 1] = machine.after(states[: t + 1], issued[: t + 1], hold)
+    return LoopRun(states, issued, machine.applied(issued))

@@ -32,8 +32,8 @@ class Planner(ABC):
 
 @dataclass(frozen=True, slots=True)
 class RandomShooting(Planner):
-    """Plans `sequences` of `steps` commands, uniform within ± `u_max`, each held for `hold` steps
-    of the predictor.
+    """Plans `sequences` of `steps` commands of one joint, uniform within a share `authority` of its
+    limits, each held for `hold` steps of the predictor.
 
     Cost: sum over the steps of (position after the step - reference)^2 + effort x u^2, the
     reference held at that of the coming tick. Source: A. Rao, A Survey of Numerical Methods for
@@ -41,14 +41,15 @@ class RandomShooting(Planner):
     """
 
     predictor: Predictor
-    u_max: float
+    authority: float = 1.0
     sequences: int = 64
     steps: int = 8
     effort: float = 0.02
     hold: int = 1  # steps of the predictor under each command
 
     def plan(self, state: Array, reference: Array, rng: np.random.Generator) -> Array:
-        commands = rng.uniform(-self.u_max, self.u_max, size=(self.sequences, self.steps))
+        low, high = (float(x[0]) for x in self.predictor.plant.limits_at(self.authority))
+        commands = rng.uniform(low, high, size=(self.sequences, self.steps))
         states = np.repeat(state[None, :], self.sequences, axis=0)
         cost = np.zeros(self.sequences)
         for i in range(self.steps):
@@ -75,9 +76,10 @@ class Linearised(Planner):
     steps: int = 8
     effort: float = 1e-4
     hold: int = 1
+    authority: float = 1.0
 
     def plan(self, state: Array, reference: Array, rng: np.random.Generator) -> Array:
-        low, high = self.predictor.plant.limits
+        low, high = self.predictor.plant.limits_at(self.authority)
         reach, eye = high - low, np.eye(len(low))
         wanted = reference[np.minimum(np.arange(self.steps), len(reference) - 1)] / self.scale
         penalty = np.sqrt(self.effort) * eye

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.canonical import Json
-from trueup.control.closed_loop import Tracking, Travelled, compare
+from trueup.control.closed_loop import Tracking, compare
+from trueup.control.courses import Courses, Travelled
+from trueup.control.machine import stand_in
 from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT
 from trueup.errors import BadGate
@@ -19,7 +21,6 @@ from trueup.gate.cells import cells_of, matrix
 from trueup.gate.controls import controls, judged
 from trueup.gate.decision import Decision, Gate, figures
 from trueup.gate.rule import Trial, Verdict
-from trueup.model.corrected import Corrected
 from trueup.model.predictor import Predictor
 
 Array = NDArray[np.float64]
@@ -106,16 +107,14 @@ def _driven(
     episodes: Sequence[Episode],
     progress: Callable[[float], None],
 ) -> Tracking:
-    """Both models in closed loop on a simulated machine: the candidate's diagnosis of it, or, where
-    the candidate is no diagnosis, the incumbent's.
+    """Both models in closed loop on a simulated machine: the candidate's diagnosis of it, or the
+    incumbent's; where nobody has diagnosed it, what else describes it best.
 
-    Raises BadGate where neither is a diagnosis.
+    Raises NotIdentifiable where no joint moved, or one takes no command.
     """
-    machine = next((p for p in (candidate, incumbent) if isinstance(p, Corrected)), None)
-    if machine is None:
-        hint = "Judge what a diagnosis made, or leave the rule out."
-        raise BadGate("nobody has diagnosed the machine on which to run in closed loop", hint=hint)
-    return compare(machine, candidate, incumbent, Travelled.of(machine.plant, episodes), progress)
+    _, machine = stand_in({"candidate": candidate, "incumbent": incumbent})
+    courses = Courses.within(machine.plant, Travelled.of(machine.plant, episodes))
+    return compare(machine, candidate, incumbent, courses, progress)
 
 
 def judge(

@@ -116,6 +116,15 @@ class Plant:
         bounds = np.array([c.limits for c in self.layout.commands], float)
         return bounds[:, 0], bounds[:, 1]
 
+    def limits_at(self, authority: float) -> tuple[Array, Array]:
+        """Limits of each command, `(commands,)` each, that leave a share of its range, about the
+        range's middle."""
+        low, high = self.limits
+        if authority == 1.0:
+            return low, high
+        middle, half = (low + high) / 2.0, (high - low) / 2.0
+        return middle - authority * half, middle + authority * half
+
     @cached_property
     def scales(self) -> Array:
         """Declared reporting scale of each observation, `(observations,)`."""

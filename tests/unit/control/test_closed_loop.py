@@ -8,14 +8,16 @@ import pytest
 
 from tests.support.made import TRUE, corrected, episode_bytes, plant_document
 from tests.support.robots import arm_plant
-from trueup.control.closed_loop import CANNOT, SEEDS, TICKS, TURNS, Tracking, Travelled, compare
+from trueup.control import closed_loop
+from trueup.control.closed_loop import CANNOT, SEEDS, Tracking
+from trueup.control.courses import TICKS, TURNS, Courses, Travelled
 from trueup.control.estimator import transport_delay_s
-from trueup.control.loop import LoopRun
+from trueup.control.machine import machine_of, stand_in
 from trueup.control.planner import Linearised
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
-from trueup.errors import BadGate, NotIdentifiable
+from trueup.errors import NotIdentifiable
 from trueup.fit.score import Scoring
 from trueup.gate.decision import Gate
 from trueup.gate.judge import judge, run_trial
@@ -36,11 +38,17 @@ def true(plant=PLANT, **effects):
 MACHINE = true()
 
 
+def compare(model, candidate, incumbent, travelled):
+    """Both models in closed loop on the machine that a model describes."""
+    courses = Courses.within(model.plant, travelled)
+    return closed_loop.compare(machine_of(model), candidate, incumbent, courses)
+
+
 @pytest.fixture
 def one_run_each(monkeypatch):
     """Of each reference with each model, for half its time."""
     monkeypatch.setattr("trueup.control.closed_loop.SEEDS", 1)
-    monkeypatch.setattr("trueup.control.closed_loop.TICKS", 100)
+    monkeypatch.setattr("trueup.control.courses.TICKS", 100)
 
 
 def went(far):
@@ -120,11 +128,24 @@ def test_a_gate_can_refuse_a_better_prediction_that_tracks_worse():
     assert document["figures"]["closed_loop"]["runs"] == len(result.tracking.candidate)
 
 
-def test_without_a_diagnosed_machine_nothing_is_run():
+def test_without_a_diagnosis_the_decision_says_which_plant_stands_in(one_run_each):
     gate = Gate((rules()["rollout_improves"](), rules()["tracking_no_worse"]()), Scoring(2.0))
     episode = read_episode(episode_bytes(3, role=Role.VALIDATION), PLANT.layout)
-    with pytest.raises(BadGate, match="nobody has diagnosed"):
-        run_trial(gate, Identified(PLANT, TRUE), Nominal(PLANT), [episode])
+    identified, nominal = Identified(PLANT, TRUE), Nominal(PLANT)
+    trial = run_trial(gate, identified, nominal, [episode]).trial
+    assert "identified parameters, since nobody has diagnosed" in trial.tracking.document()["shows"]
+    on_the_identified = compare(identified, identified, nominal, Travelled.of(PLANT, [episode]))
+    assert np.array_equal(trial.tracking.candidate, on_the_identified.candidate)
+    assert np.array_equal(trial.tracking.incumbent, on_the_identified.incumbent)
+
+
+def test_a_diagnosis_stands_in_before_parameters_and_these_before_the_nominal_plant():
+    models = {"nominal": Nominal(PLANT), "fit": Identified(PLANT, TRUE), "diagnosis": MACHINE}
+    assert stand_in(models)[0] == "diagnosis"
+    assert stand_in({name: models[name] for name in ("nominal", "fit")})[0] == "fit"
+    assert stand_in({"second": true(), "diagnosis": MACHINE})[0] == "second"
+    with pytest.raises(ValueError, match="no model"):
+        stand_in({})
 
 
 @pytest.fixture
@@ -142,7 +163,7 @@ REACHED = Travelled(
 
 
 def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm, monkeypatch):
-    monkeypatch.setattr("trueup.control.closed_loop.TICKS", TICKS)  # its beginning weighs less
+    monkeypatch.setattr("trueup.control.courses.TICKS", TICKS)  # its beginning weighs less
     machine = of_arm(arm, ("coulomb_friction", 1, "level", 3.0))
     tracking = compare(machine, machine, Nominal(arm), REACHED)
     assert tracking.candidate.mean() < 0.5 * tracking.incumbent.mean()
@@ -152,21 +173,15 @@ def test_an_arm_tracks_better_with_the_model_that_knows_its_friction(arm, monkey
     assert document["amplitude"] == pytest.approx([0.36, 0.36])
 
 
-def test_an_arms_references_are_no_faster_and_no_further_than_it_was_recorded(arm, monkeypatch):
-    asked = []
-
-    def noted(machine, planner, reference, every, begin, rng):
-        asked.append(np.abs(np.gradient(reference, every * arm.timestep_s, axis=0)).max(axis=0))
-        return LoopRun(np.zeros((len(reference) + 1, 4)), np.zeros((len(reference), 2)))
-
-    monkeypatch.setattr("trueup.control.closed_loop._run", noted)
-    machine = of_arm(arm)
-    compare(machine, machine, machine, replace(REACHED, speed=np.array([0.2, 2.5])))
-    assert np.max(asked, axis=0)[0] == pytest.approx(0.2, rel=0.01)
+def test_an_arms_references_are_no_faster_and_no_further_than_it_was_recorded(arm):
+    courses = Courses.within(arm, replace(REACHED, speed=np.array([0.2, 2.5])))
+    fastest = [
+        np.abs(np.gradient(courses.reference(hz), courses.tick_s, axis=0)).max(axis=0)
+        for hz in courses.frequencies_hz
+    ]
+    assert np.max(fastest, axis=0)[0] == pytest.approx(0.2, rel=0.01)
     tight = Plant.from_document({**arm.document, "envelope": {"q_elbow": [0.0, 0.2]}})
-    assert compare(of_arm(tight), of_arm(tight), of_arm(tight), REACHED).amplitude == pytest.approx(
-        (0.36, 0.06)
-    )
+    assert Courses.within(tight, REACHED).amplitude == pytest.approx((0.36, 0.06))
 
 
 def test_a_joint_that_never_moved_is_held_still_and_counts_for_nothing(arm):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tests.support.made import TRUE, plant_document
-from tests.unit.control.test_closed_loop import MACHINE, true, went
-from trueup.control.closed_loop import compare
+from tests.unit.control.test_closed_loop import MACHINE, compare, true, went
 from trueup.control.estimator import Estimator, transport_delay_s
-from trueup.control.loop import Deployed, run_loop
+from trueup.control.loop import run_loop
+from trueup.control.machine import Predicted
 from trueup.control.planner import RandomShooting
 from trueup.errors import NotIdentifiable
 from trueup.model.plant import Plant
@@ -79,20 +79,20 @@ def test_it_forgets_what_is_past():
 def test_with_a_right_model_late_sensors_cost_nothing(delays):
     reference = 0.3 * np.sin(0.05 * np.arange(120))[:, None]
 
-    def error(delays, estimator):
+    def error(delays, *, stamped):
         run = run_loop(
-            Deployed(PLANT, TRUE, 1.0),
-            RandomShooting(MODEL, 1.0),
+            Predicted(MODEL),
+            RandomShooting(MODEL),
             reference,
             np.random.default_rng(0),
-            delays,
-            estimator,
+            delays=delays,
+            stamped=stamped,
         )
         return run.tracking_error(reference)
 
-    prompt = error((0,), None)
-    assert error(delays, Estimator(MODEL)) == pytest.approx(prompt, rel=1e-9)
-    assert error(delays, None) != pytest.approx(prompt, rel=0.01)
+    prompt = error((0,), stamped=False)
+    assert error(delays, stamped=True) == pytest.approx(prompt, rel=1e-9)
+    assert error(delays, stamped=False) != pytest.approx(prompt, rel=0.01)
 
 
 def test_a_model_that_knows_the_delay_tracks_better():
