@@ -119,6 +119,16 @@ _COMMANDS = {
         "Hide effects in simulated machines like yours, and say how often a diagnosis finds them.",
         VERIFIES,
     ),
+    "openloop": (
+        "openloop:openloop",
+        "Tell how far models' rollouts go astray, beside the bound on it.",
+        VERIFIES,
+    ),
+    "closedloop": (
+        "closedloop:closedloop",
+        "Tell how models track with a fixed planner, and whether they keep the envelope.",
+        VERIFIES,
+    ),
     "excite": (
         "excite:excite",
         "Design a bounded excitation that is safe under every plausible model.",

@@ -19,6 +19,7 @@ from sqlalchemy import Table
 from sqlalchemy.exc import IntegrityError
 
 from trueup.canonical import Json
+from trueup.gate.line import SHOWING
 from trueup.ledger.archive import Archive, Includes, dangling_rows, foreign_rows, unproven
 from trueup.ledger.archive_layout import (
     ARRAYS,
@@ -249,11 +250,10 @@ def _taking_over(plant: str) -> Iterator[None]:
 
 
 def _note_uses(tx: Transaction, table: Table, row: Mapping[str, Any]) -> None:
-    """Count the episodes that a gate or a comparison has used elsewhere."""
-    if table is t.jobs and row["kind"] in ("gate", "compare"):
-        tx.jobs.add_reads(
-            str(row["id"]), orjson.loads(row["request"])["episodes"], str(row["kind"])
-        )
+    """Count the episodes that a gate has used elsewhere, or a study has shown errors on."""
+    if table is t.jobs and row["kind"] in ("gate", *SHOWING):
+        purpose = "gate" if row["kind"] == "gate" else "compare"
+        tx.jobs.add_reads(str(row["id"]), orjson.loads(row["request"])["episodes"], purpose)
 
 
 def _take_blobs(parts: Parts, archive: Archive, progress: Progress) -> None:

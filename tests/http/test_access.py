@@ -30,6 +30,7 @@ NOTHING = {
     "prefix": "0" * 12,
     "table": "plants",
     "name": "none",
+    "kind": "openloop",
 }
 ROUTES = [
     (method, route)

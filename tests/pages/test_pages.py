@@ -76,7 +76,15 @@ def known(running, workers, tmp_path_factory):
                     {"kind": "compare", "first": first, "second": third, "episodes": episodes},
                 )["id"]
             )
+        studies = {
+            kind: client.wait(client.submit(PLANT, {"kind": kind, **asked})["id"])["id"]
+            for kind, asked in (
+                ("openloop", {}),
+                ("closedloop", {"seeds": [0], "ticks": 40, "sweep_ticks": [0, 2]}),
+            )
+        }
     return {
+        "studies": studies,
         "decision": decision["digest"],
         "job": job["id"],
         "gap": job["result"]["report"]["gap"],
@@ -91,6 +99,7 @@ def pages(known):
         "plants": "/",
         "plant": HOME,
         "diagnosis": f"{HOME}/diagnoses/{known['job']}",
+        **{kind: f"{HOME}/studies/{job}" for kind, job in known["studies"].items()},
         "episode": f"{HOME}/episodes/{known['episode']}",
         "decision": f"{HOME}/decisions/{known['decision']}",
         "compare": f"{HOME}/compare?first=1&second=3",

@@ -17,7 +17,8 @@ from trueup_service.actions.declare_policy import declare_policy
 from trueup_service.actions.record_decision import record_decision
 from trueup_service.actions.record_watch import Followed, record_watch
 from trueup_service.actions.register_plant import register_plant
-from trueup_service.actions.submit_job import submit_gate
+from trueup_service.actions.submission import Submission
+from trueup_service.actions.submit_trial import submit_gate
 from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.errors import Conflict, HeldOutSpent, NotFound
 from trueup_service.registry.records import ArtifactRecord, EpisodeRecord, JobState, Watch
@@ -207,15 +208,17 @@ def test_a_spent_held_out_episode_is_not_judged_on_again(parts):
         gate, _ = declare_gate(tx, "p", {**default.document, "held_out_uses": 1}, at(3))
         candidate = tx.serving.now("p").artifact
         request = {"candidate": candidate, "gate": gate.digest}
-        submit_gate(tx, parts.queue, "1" * 32, "p", {**request, "episodes": [spent]}, at(4))
-        left = submit_gate(tx, parts.queue, "2" * 32, "p", request, at(5))
+
+        def submit(job, request, context):
+            return submit_gate(Submission(tx, parts.queue, job, "p", request, context))
+
+        submit("1" * 32, {**request, "episodes": [spent]}, at(4))
+        left = submit("2" * 32, request, at(5))
         assert (left.request["episodes"], left.request["spent"]) == ([fresh], [spent])
         with pytest.raises(HeldOutSpent, match="2 held-out episodes were used 1 times"):
-            submit_gate(
-                tx, parts.queue, "3" * 32, "p", {**request, "episodes": [spent, fresh]}, at(6)
-            )
+            submit("3" * 32, {**request, "episodes": [spent, fresh]}, at(6))
         with pytest.raises(HeldOutSpent):
-            submit_gate(tx, parts.queue, "4" * 32, "p", request, at(7))
+            submit("4" * 32, request, at(7))
 
 
 def test_validation_is_due_without_any_alarm_and_not_before_its_time(parts):
@@ -305,14 +308,8 @@ def test_only_the_trial_that_the_cycle_asked_for_promotes_and_only_by_the_policy
             strict.digest,
             ["c" * 64, "d" * 64],
         )
-        by_hand = submit_gate(
-            tx,
-            parts.queue,
-            "9" * 32,
-            "p",
-            {"candidate": candidate, "gate": strict.digest},
-            at(10),
-        )
+        request = {"candidate": candidate, "gate": strict.digest}
+        by_hand = submit_gate(Submission(tx, parts.queue, "9" * 32, "p", request, at(10)))
     for job, gate, promoted in (
         (by_hand, lax, 1),
         (by_hand, strict, 1),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from trueup.artifact.artifact import unpack
@@ -61,6 +62,28 @@ def read_predictor(parts: Parts, job: JobRecord, digest: str) -> Predictor:
         record = find.artifact(tx, job.plant, digest)
         tx.jobs.add_reads(job.id, [digest], "artifact")
     return unpack(load_artifact(parts.blobs, record), digest)
+
+
+@dataclass(frozen=True, slots=True)
+class Versions:
+    """The versions of a study: predictors `of` each by its name, and the digests of their
+    `artifacts`."""
+
+    of: dict[str, Predictor]
+    artifacts: dict[str, Json]
+
+
+def read_versions(parts: Parts, job: JobRecord) -> tuple[Versions, tuple[str, Predictor]]:
+    """Returns the versions that a study's request names, and the one that stands in for the
+    machine, with its name; it is the same object where it is one of them."""
+    digests: Any = job.request["versions"]
+    machine: Any = job.request["machine"]
+    with reading(parts.database) as tx:
+        records = {d: find.artifact(tx, job.plant, d) for d in (*digests, machine)}
+    names = {digest: f"v{r.version} {r.kind}" for digest, r in records.items()}
+    predictors = {digest: read_predictor(parts, job, digest) for digest in records}
+    versions = Versions({names[d]: predictors[d] for d in digests}, {names[d]: d for d in records})
+    return versions, (names[machine], predictors[machine])
 
 
 def sources(episodes: Sequence[Episode]) -> list[Json]:

@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from trueup.artifact.artifact import Artifact
-from trueup.canonical import Json
+from trueup.canonical import Json, canonical_bytes
 from trueup_service.registry.records import JobRecord, OutputRecord
 from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts, keep_bytes
+
+REPORT_FILE = "report.json"
 
 
 def keep_arrays(parts: Parts, artifact: Artifact) -> str | None:
@@ -31,6 +33,23 @@ def keep_file(parts: Parts, name: str, media_type: str, content: bytes) -> dict[
         "size_bytes": len(content),
         "digest": keep_bytes(parts, content),
     }
+
+
+def keep_report(parts: Parts, document: dict[str, Any]) -> dict[str, Json]:
+    """Stores a study's report as a file, and returns the outcome of its job: the file, and the
+    report without the runs that are drawn."""
+    content = canonical_bytes(document)
+    return {
+        "files": [keep_file(parts, REPORT_FILE, "application/json", content)],
+        "report": _without_drawn(document),
+    }
+
+
+def _without_drawn(document: Json) -> Json:
+    """A document without its keys `drawn`, at any depth."""
+    if isinstance(document, dict):
+        return {k: _without_drawn(v) for k, v in document.items() if k != "drawn"}
+    return [_without_drawn(x) for x in document] if isinstance(document, list) else document
 
 
 def add_files(tx: Transaction, job: JobRecord, files: Sequence[dict[str, Any]]) -> None:

@@ -25,10 +25,12 @@ from trueup_service.wiring import Parts
 from trueup_worker import (
     run_blindtrial,
     run_calibration,
+    run_closedloop,
     run_compare,
     run_diagnosis,
     run_fit,
     run_gate,
+    run_openloop,
     run_recompute,
     run_validation,
     run_watch,
@@ -47,6 +49,8 @@ KINDS: dict[str, ModuleType] = {
     "validate": run_validation,
     "recompute": run_recompute,
     "compare": run_compare,
+    "openloop": run_openloop,
+    "closedloop": run_closedloop,
 }
 
 

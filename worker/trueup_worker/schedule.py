@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 
 from trueup.errors import TrueupError
 from trueup.gate.policy import UpdatePolicy
+from trueup_service.actions.submission import Submission
 from trueup_service.actions.submit_job import submit_validation
 from trueup_service.actor_context import ActorContext, time_text
 from trueup_service.registry.transaction import reading, writing
@@ -61,7 +62,7 @@ def _submit_if_due(parts: Parts, plant: str, every_h: float, now: datetime) -> b
         if last is not None and last.created_at > time_text(now - timedelta(hours=every_h)):
             return False
         try:
-            submit_validation(tx, parts.queue, uuid.uuid4().hex, plant, {}, context)
+            submit_validation(Submission(tx, parts.queue, uuid.uuid4().hex, plant, {}, context))
         except TrueupError:
             return False  # nothing was held out since then
         return True

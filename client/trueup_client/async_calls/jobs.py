@@ -40,6 +40,11 @@ class AsyncJobCalls(Pooled):
         """
         return await self._pool.run(JobCalls.wait, job, progress)
 
+    async def output(self, job: str, name: str) -> bytes:
+        """Returns a file that a job left behind. Raises KeyError where the job left none of that
+        name, DigestMismatch if the bytes are not what the job says they are."""
+        return await self._pool.run(JobCalls.output, job, name)
+
     async def cancel(self, job: str) -> Job:
         """Cancels a job: at once if it waits, at its next report of progress if it runs."""
         return await self._pool.run(JobCalls.cancel, job)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator
 
-from trueup_client.problem import Problem
+from trueup_client.problem import DigestMismatch, Problem
 from trueup_client.records import Document, Job, JobWithReads
 from trueup_client.transport import Transport, url_path
 
@@ -51,6 +52,17 @@ class JobCalls(Transport):
         if result and "problem" in result:
             raise Problem(0, result["problem"])
         raise Problem(0, {"code": state, "detail": f"job {job} was {state}"})
+
+    def output(self, job: str, name: str) -> bytes:
+        """Returns a file that a job left behind. Raises KeyError where the job left none of that
+        name, DigestMismatch if the bytes are not what the job says they are."""
+        digest = {o["name"]: o["digest"] for o in self.job(job)["outputs"]}[name]
+        content = self._connection.whole(
+            "GET", url_path("jobs", job, "outputs", name), lambda: None
+        )
+        if hashlib.sha256(content).hexdigest() != digest:
+            raise DigestMismatch(f"the file {name} of job {job} is not what the job left behind")
+        return content
 
     def cancel(self, job: str) -> Job:
         """Cancels a job: at once if it waits, at its next report of progress if it runs."""

@@ -25,6 +25,7 @@ from trueup.control.loop import LoopRun, run_loop
 from trueup.control.machine import Predicted
 from trueup.control.planner import RandomShooting
 from trueup.control.watchdog import inject_sensor_failure
+from trueup.diagnose.open_loop import rollout_bound
 from trueup.fit.identify import Identification, identify
 from trueup.fit.residual import family_box, fit_blind, fit_conditioned, fit_residual
 from trueup.fit.score import FIRST, Scoring, rollout_errors
@@ -198,12 +199,6 @@ def _open_loop(predictors: Mapping[str, Predictor], data: ChapterData) -> Table:
         "Open loop",
         {name: {str(h): float(row[h]) for h in HORIZONS} for name, row in errors.items()},
     )
-
-
-def rollout_bound(defect: float, lipschitz: float, steps: int) -> float:
-    """B_H = defect x sum of lipschitz^j for j < H: bounds a rollout from an equal start, and
-    predicts nothing."""
-    return defect * float(sum(lipschitz**j for j in range(steps)))
 
 
 def _bound() -> Table:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.control.courses import Courses
 from trueup.control.loop import run_loop
-from trueup.control.machine import STANDS_IN, Machine
+from trueup.control.machine import Machine, words_of
 from trueup.model.predictor import Predictor
 
 Array = NDArray[np.float64]
@@ -66,7 +66,7 @@ class Tracking:
             **finite,
             "change_ci95": None if (change := self.change_ci95()) is None else list(change),
             "breaches": {"candidate": self.breaches[0], "incumbent": self.breaches[1]},
-            "shows": f"what either model does to the fixed planner on {STANDS_IN[self.machine]}",
+            "shows": f"what either model does to the fixed planner on {words_of(self.machine)}",
             "cannot_show": CANNOT,
         }
 

@@ -75,7 +75,9 @@ class Courses:
     effort: float | None = None
 
     @staticmethod
-    def within(plant: Plant, travelled: Travelled, ticks: int | None = None) -> Courses:
+    def within(
+        plant: Plant, travelled: Travelled, ticks: int | None = None, effort: float | None = None
+    ) -> Courses:
         """Three courses within the recorded ranges and the envelope, the fastest of a robot no
         faster than it moved. Raises NotIdentifiable where no joint moved, or one takes no
         command."""
@@ -97,7 +99,8 @@ class Courses:
             slowest_hz = float(np.min(travelled.speed[moved] / (2.0 * np.pi * amplitude[moved])))
             fastest = min(1.0, slowest_hz * plant.horizon_s / TURNS[-1])
         hz = tuple(fastest * turns / plant.horizon_s for turns in TURNS)
-        return Courses(plant, middle, amplitude, scale, hz, tick_of(plant), ticks or TICKS)
+        hold = tick_of(plant)
+        return Courses(plant, middle, amplitude, scale, hz, hold, ticks or TICKS, effort)
 
     @staticmethod
     def declared(

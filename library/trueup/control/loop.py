@@ -30,7 +30,9 @@ class LoopRun:
     def tracking_error(self, reference: Array, scale: Array | float = 1.0) -> float:
         """Mean squared distance of the positions after each tick from the reference `(ticks,
         joints)` then, in squares of a scale."""
-        return float(np.mean(((self.states[1:, : reference.shape[1]] - reference) / scale) ** 2))
+        with np.errstate(over="ignore", invalid="ignore"):  # a run that ran away gives inf or nan
+            missed = (self.states[1:, : reference.shape[1]] - reference) / scale
+            return float(np.mean(missed**2))
 
     def breaches(self, plant: Plant) -> float:
         """Share of the states outside the declared envelope."""
@@ -72,10 +74,11 @@ def run_loop(
     # what is commanded now shows at the reference that is due then
     shows = np.arange(ticks) + late_s / (hold * plant.timestep_s)
     aims = np.stack([np.interp(shows, np.arange(ticks), r) for r in reference.T], axis=1)
-    for t in range(ticks):
-        seen = seen_at(t, delays[t % len(delays)])
-        estimator.observed(float(t_s[seen if stamped else t]), states[seen])
-        issued[t] = planner.plan(estimator.state(t_s[t] + late_s), aims[t:], rng)
-        estimator.commanded(t_s[t] + late_s, issued[t])
-        states[t + 1] = machine.after(states[: t + 1], issued[: t + 1], hold)
+    with np.errstate(over="ignore", invalid="ignore"):  # a loop that runs away ends as inf
+        for t in range(ticks):
+            seen = seen_at(t, delays[t % len(delays)])
+            estimator.observed(float(t_s[seen if stamped else t]), states[seen])
+            issued[t] = planner.plan(estimator.state(t_s[t] + late_s), aims[t:], rng)
+            estimator.commanded(t_s[t] + late_s, issued[t])
+            states[t + 1] = machine.after(states[: t + 1], issued[: t + 1], hold)
     return LoopRun(states, issued, machine.applied(issued))

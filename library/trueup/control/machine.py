@@ -84,8 +84,7 @@ class Diagnosed(Machine):
         lanes = np.repeat(np.array(model.values)[:, None], BLOCK, axis=1)
         on = switches(model.hypothesis, joints)
         init = np.repeat(states[0][None, :, None], BLOCK, axis=2)
-        with np.errstate(over="ignore", invalid="ignore"):  # a loop that runs away ends as inf
-            return np.asarray(roll(series, plant.form, lanes, on, init)[-1, :, 0])
+        return np.asarray(roll(series, plant.form, lanes, on, init)[-1, :, 0])
 
 
 def machine_of(model: Predictor) -> Machine:
@@ -112,12 +111,23 @@ def stand_in(models: Mapping[str, Predictor]) -> tuple[str, Machine]:
 
 STANDS_IN: Mapping[str, str] = {
     "corrected": "the machine as it was diagnosed",
-    "identified": "the nominal form with identified parameters, since nobody has diagnosed the "
-    "machine",
-    "residual": "the machine as a residual model predicts it, since nobody has diagnosed it",
-    "conditioned": "the machine as a model of its family predicts it, since nobody has diagnosed "
-    "it",
-    "blind": "the machine as a model of its family predicts it, since nobody has diagnosed it",
-    "nominal": "the nominal plant as declared, since nobody has diagnosed or identified the "
-    "machine",
+    "identified": "the nominal form with identified parameters",
+    "residual": "the machine as a residual model predicts it",
+    "conditioned": "the machine as a model of its family predicts it",
+    "blind": "the machine as a model of its family predicts it",
+    "nominal": "the nominal plant as declared",
 }
+
+
+def why_stands_in(kind: str) -> str:
+    """Why no better description stands in for the machine; empty for a diagnosis."""
+    if kind == "corrected":
+        return ""
+    missing = "diagnosed or identified" if kind == "nominal" else "diagnosed"
+    return f"nobody has {missing} the machine"
+
+
+def words_of(kind: str) -> str:
+    """What stands in for the machine, and why nothing better does."""
+    why = why_stands_in(kind)
+    return f"{STANDS_IN[kind]}, since {why}" if why else STANDS_IN[kind]

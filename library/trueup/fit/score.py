@@ -14,7 +14,7 @@ from trueup.errors import NotAnEpisode
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor, predict_observations
 from trueup.model.state import known_from
-from trueup.model.windows import cut, starts_every
+from trueup.model.windows import Windows, cut, starts_every
 
 Array = NDArray[np.float64]
 FIRST, EVERY = "first", "every"
@@ -65,6 +65,12 @@ class Missed:
     by: Array
     inside: NDArray[np.bool_]
 
+    def norms(self, scales: Array) -> Array:
+        """Dimensionless errors with these reporting scales `(channels,)`, `(windows, samples)`."""
+        # a predictor that runs away scores inf or nan, and no gate passes that
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(np.linalg.norm(self.by / scales, axis=2))
+
 
 def score(predictor: Predictor, episodes: Sequence[Episode], scoring: Scoring) -> Score:
     """Dimensionless errors: at each predicted sample the norm over channels of (predicted -
@@ -81,7 +87,7 @@ def score_of(each: Sequence[Missed], scales: Array) -> Score:
 
 
 def _score_one(one: Missed, scales: Array) -> tuple[float, float, Windowed]:
-    errors, inside = _norms(one, scales), one.inside
+    errors, inside = one.norms(scales), one.inside
     counts = inside[:, 1:].sum(axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
         means = np.where(inside[:, 1:], errors[:, 1:], 0.0).sum(axis=1) / counts
@@ -98,25 +104,27 @@ def rollout_errors(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """The error at each sample of each window, `(windows, samples)`, and which of them count."""
     errors = missed(predictor, episode, scoring)
-    return _norms(errors, predictor.plant.scales), errors.inside
+    return errors.norms(predictor.plant.scales), errors.inside
 
 
 def missed(predictor: Predictor, episode: Episode, scoring: Scoring) -> Missed:
     """What a predictor missed in an episode, of the channels that are observed in it; others count
     as 0."""
-    plant = predictor.plant
-    windows = cut(plant, episode, *_starts(plant, episode, scoring))
-    by = predict_observations(predictor, windows) - episode.observations[windows.rows]
-    by[:, :, ~np.isfinite(episode.observations).any(axis=0)] = 0.0
+    windows = scored_windows(predictor.plant, episode, scoring)
+    return missed_in(predictor, windows)
+
+
+def missed_in(predictor: Predictor, windows: Windows) -> Missed:
+    """What a predictor missed in some windows of an episode."""
+    observed = windows.episode.observations
+    by = predict_observations(predictor, windows) - observed[windows.rows]
+    by[:, :, ~np.isfinite(observed).any(axis=0)] = 0.0
     return Missed(by, windows.inside)
 
 
-def _norms(one: Missed, scales: Array) -> Array:
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # a predictor that runs away scores inf or nan, and no gate passes that
-        norms: Array = np.linalg.norm(one.by / scales, axis=2)
-    return norms
+def scored_windows(plant: Plant, episode: Episode, scoring: Scoring) -> Windows:
+    """The windows in which a predictor is scored. Raises NotAnEpisode where there is none."""
+    return cut(plant, episode, *_starts(plant, episode, scoring))
 
 
 def _starts(
@@ -151,7 +159,7 @@ def rollout_rms(predictor: Predictor, episode: Episode, horizon_s: float) -> Arr
     """Root mean square error of each observation over every window, in its own unit,
     `(observations,)`."""
     plant: Plant = predictor.plant
-    windows = cut(plant, episode, *_starts(plant, episode, Scoring(horizon_s, EVERY)))
+    windows = scored_windows(plant, episode, Scoring(horizon_s, EVERY))
     missed = predict_observations(predictor, windows) - episode.observations[windows.rows]
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(np.sqrt(np.mean(missed[:, 1:][windows.inside[:, 1:]] ** 2, axis=0)))

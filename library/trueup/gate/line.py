@@ -36,6 +36,8 @@ SAME = 0.01
 # candidates not accepted that are scored beside a new one, the newest; the log's verifier holds
 # decisions to it
 BESIDE = 20
+# kinds of jobs that show candidates' errors on episodes without any gate
+SHOWING = ("compare", "openloop")
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,13 @@ class LooserThan:
 
     gate: str
     looser: list[str]
+
+
+def shown_candidates(request: Mapping[str, Any]) -> tuple[str, ...]:
+    """The candidates whose errors a job of a kind in SHOWING shows."""
+    if "versions" in request:
+        return tuple(map(str, request["versions"]))
+    return str(request["first"]), str(request["second"])
 
 
 def past_of(decision: str, plant: str, document: Mapping[str, Any]) -> Past:

@@ -7,7 +7,15 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from trueup.episode.role import HELD_OUT
-from trueup.gate.line import BESIDE, Past, known, past_of, rejects, selection
+from trueup.gate.line import (
+    BESIDE,
+    Past,
+    known,
+    past_of,
+    rejects,
+    selection,
+    shown_candidates,
+)
 from trueup.ledger.audit import AuditEntry
 
 
@@ -22,10 +30,10 @@ class DeclaredGate:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A job that ended with entry `at`, and showed two candidates' errors without any gate."""
+    """A job that ended with entry `at`, and showed candidates' errors without any gate."""
 
     job: str
-    candidates: tuple[str, str]
+    candidates: tuple[str, ...]
     episodes: tuple[str, ...]
     at: int
 
@@ -143,7 +151,7 @@ class GateHistory:
 
     def finish_comparison(self, job: str, request: Mapping[str, Any], at: int) -> None:
         """Take in the end of a comparison, by the sequence number of its entry."""
-        candidates = str(request["first"]), str(request["second"])
+        candidates = shown_candidates(request)
         self._comparisons.append(Comparison(job, candidates, tuple(request["episodes"]), at))
 
     def give_back(self, request: Mapping[str, Any]) -> None:

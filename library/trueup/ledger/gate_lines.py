@@ -21,7 +21,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from trueup.gate.line import alike, disclosure_of, looser_than, selected
+from trueup.gate.line import SHOWING, alike, disclosure_of, looser_than, selected
 from trueup.ledger.audit import AuditEntry
 from trueup.ledger.gate_history import DeclaredGate, GateHistory
 from trueup.ledger.person import folded, name_of
@@ -104,7 +104,7 @@ class GateLineCheck:
     def _submitted(self, entry: AuditEntry, plant: str, facts: Any) -> list[str]:
         if facts["kind"] == "gate":
             self._history.submit_trial(entry.subject, plant, facts["request"])
-        elif facts["kind"] == "compare":
+        elif facts["kind"] in SHOWING:
             self._history.submit_comparison(entry.subject, plant, facts["request"])
         return []
 
@@ -115,7 +115,7 @@ class GateLineCheck:
         if facts["state"] in WITHOUT_RESULT:
             if facts["kind"] == "gate":
                 self._history.give_back(request)
-        elif facts["kind"] == "compare":
+        elif facts["kind"] in SHOWING:
             self._history.finish_comparison(entry.subject, request, entry.sequence)
         return []
 

@@ -33,6 +33,8 @@ JOBS: Mapping[str, Operation] = {
     "blindtrial": Operation.MONITORING,
     "recompute": Operation.MONITORING,
     "compare": Operation.MONITORING,
+    "openloop": Operation.MONITORING,
+    "closedloop": Operation.MONITORING,
 }
 
 

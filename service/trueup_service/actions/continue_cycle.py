@@ -26,12 +26,9 @@ from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm, follow_alarm
 from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.move_pointer import promote_decision
-from trueup_service.actions.submit_job import (
-    submit_calibration,
-    submit_diagnosis,
-    submit_gate,
-    submit_watch,
-)
+from trueup_service.actions.submission import Submission
+from trueup_service.actions.submit_job import submit_calibration, submit_diagnosis, submit_watch
+from trueup_service.actions.submit_trial import submit_gate
 from trueup_service.actor_context import ActorContext
 from trueup_service.jobs import JobQueue
 from trueup_service.registry.records import (
@@ -60,6 +57,9 @@ class Cycle:
     queue: JobQueue
     new: Callable[[], str]
     context: ActorContext
+
+    def _submission(self, job: str, plant: str, request: dict[str, Json]) -> Submission:
+        return Submission(self.tx, self.queue, job, plant, request, self.context)
 
     def go_on(self, plant: str) -> None:
         """Take the next step after an episode came in, or after a monitor was calibrated or has
@@ -93,7 +93,7 @@ class Cycle:
         trial = self.new()
         if self._tried(
             job.plant,
-            lambda: submit_gate(self.tx, self.queue, trial, job.plant, request, self.context),
+            lambda: submit_gate(self._submission(trial, job.plant, request)),
         ):
             follow_alarm(self.tx, alarm, self.context, trial=trial)
 
@@ -143,7 +143,7 @@ class Cycle:
             watching is not None
             and find.monitor(self.tx, plant, watching.monitor).artifact == now.artifact
         ):
-            submit_watch(self.tx, self.queue, self.new(), plant, self.context)
+            submit_watch(self._submission(self.new(), plant, {}))
             return
         policy, last = policy_of(self.tx, plant), self.tx.jobs.last(plant, "calibrate")
         if (
@@ -175,9 +175,7 @@ class Cycle:
             }
             self._tried(
                 plant,
-                lambda: submit_calibration(
-                    self.tx, self.queue, self.new(), plant, request, self.context
-                ),
+                lambda: submit_calibration(self._submission(self.new(), plant, request)),
             )
 
     def _diagnose(self, alarm: AlarmRecord, policy: UpdatePolicy | None) -> None:
@@ -189,7 +187,7 @@ class Cycle:
         ):
             return
         request: dict[str, Json] = {"episodes": [e.digest for e in episodes], "seed": 0}
-        job = submit_diagnosis(self.tx, self.queue, self.new(), alarm.plant, request, self.context)
+        job = submit_diagnosis(self._submission(self.new(), alarm.plant, request))
         follow_alarm(self.tx, alarm, self.context, job=job.id, trial=None)
 
     def _is_due(self, alarm: AlarmRecord, policy: UpdatePolicy | None, episodes: int) -> bool:

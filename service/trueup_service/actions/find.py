@@ -36,6 +36,8 @@ PURPOSES = (
     "validate",
     "recompute",
     "compare",
+    "openloop",
+    "closedloop",
 )
 T = TypeVar("T")
 

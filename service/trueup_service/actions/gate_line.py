@@ -12,7 +12,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from trueup.canonical import Json
-from trueup.gate.line import LooserThan, alike, known, looser_than, past_of, rejects, selection
+from trueup.gate.line import (
+    LooserThan,
+    alike,
+    known,
+    looser_than,
+    past_of,
+    rejects,
+    selection,
+    shown_candidates,
+)
 from trueup_service.actions import find
 from trueup_service.errors import GateSuperseded
 from trueup_service.registry.records import (
@@ -128,7 +137,7 @@ def _compared(
     jobs = [
         j
         for j in comparisons
-        if j.state == JobState.SUCCEEDED and candidate in (j.request["first"], j.request["second"])
+        if j.state == JobState.SUCCEEDED and candidate in shown_candidates(j.request)
     ]
     ended: dict[str, int] = {}
     for plant in {j.plant for j in jobs}:

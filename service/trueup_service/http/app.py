@@ -24,6 +24,7 @@ from trueup_service.http.pages import episode as episode_page
 from trueup_service.http.pages import plant as plant_page
 from trueup_service.http.pages import plants as plants_page
 from trueup_service.http.pages import session as session_page
+from trueup_service.http.pages import study as study_page
 from trueup_service.http.request_telemetry import RequestTelemetry
 from trueup_service.http.routers import (
     access,
@@ -73,6 +74,7 @@ PAGES = (
     decision_page,
     episode_page,
     compare_page,
+    study_page,
     audit_page,
 )
 log = logging.getLogger("trueup.http")

@@ -34,6 +34,11 @@ class Artifacts(Repository[ArtifactRecord]):
         """Artifacts in the order of their versions from behind one."""
         return self._page(t.artifacts.c.version, after, limit, t.artifacts.c.plant == plant)
 
+    def newest_of_kind(self, plant: str, kind: str) -> ArtifactRecord | None:
+        """The newest artifact of a plant whose model is of a kind."""
+        query = select(t.artifacts).where(t.artifacts.c.plant == plant, t.artifacts.c.kind == kind)
+        return self._one(query.order_by(t.artifacts.c.version.desc()).limit(1))
+
     def latest_version(self, plant: str) -> int:
         """The highest version of a plant, 0 where there is none."""
         return int(self._connection.scalar(_LATEST_VERSION, {"plant": plant}) or 0)

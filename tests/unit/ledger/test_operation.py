@@ -10,7 +10,7 @@ OPERATIONS = {
     "fit": "model correction", "diagnose": "model correction", "gate": "model correction",
     "calibrate": "monitoring", "watch": "monitoring",
     "validate": "monitoring", "blindtrial": "monitoring", "recompute": "monitoring",
-    "compare": "monitoring",
+    "compare": "monitoring", "openloop": "monitoring", "closedloop": "monitoring",
 }  # fmt: skip
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import uuid
 from typing import Annotated, Any
 
 import orjson
@@ -13,13 +12,12 @@ from starlette.concurrency import run_in_threadpool
 from trueup.diagnose.summary_text import name, short
 from trueup_pages.diagnosis import recordings_of
 from trueup_service.actions import find
-from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.actor_context import ActorContext
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import form, go, show
+from trueup_service.http.pages.page import begin_job, form, go, show
 from trueup_service.registry.records import FINAL, ArtifactRecord, JobRecord
-from trueup_service.registry.transaction import reading, writing
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 router = guarded("", ["pages"])
@@ -68,12 +66,9 @@ async def begin(
 def _begin(
     parts: Parts, context: ActorContext, plant: str, first: str, second: str
 ) -> tuple[int, int]:
-    parts.queue.prepare()
-    with writing(parts.database) as tx:
+    with reading(parts.database) as tx:
         both = (find.artifact(tx, plant, first).version, find.artifact(tx, plant, second).version)
-        SUBMIT["compare"](
-            tx, parts.queue, uuid.uuid4().hex, plant, {"first": first, "second": second}, context
-        )
+    begin_job(parts, context, plant, "compare", {"first": first, "second": second})
     return both
 
 

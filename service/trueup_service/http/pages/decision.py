@@ -3,7 +3,6 @@ and the newest recomputation."""
 
 from __future__ import annotations
 
-import uuid
 from typing import Any
 
 from fastapi import Request, Response
@@ -14,12 +13,11 @@ from trueup.ledger.audit import entry_bytes
 from trueup.ledger.merkle import inclusion, leaf_hash, prove
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import known_at, place
-from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import go, show
+from trueup_service.http.pages.page import begin_job, go, show
 from trueup_service.registry.records import FINAL, DecisionRecord, GateRecord
-from trueup_service.registry.transaction import ReadTransaction, reading, writing
+from trueup_service.registry.transaction import ReadTransaction, reading
 
 router = guarded("", ["pages"])
 
@@ -80,7 +78,5 @@ def recompute(
     parts: RequestParts, context: RequestContext, plant: PlantName, digest: Digest
 ) -> Response:
     """Submit the recomputation of a decision from its bytes."""
-    parts.queue.prepare()
-    with writing(parts.database) as tx:
-        SUBMIT["recompute"](tx, parts.queue, uuid.uuid4().hex, plant, {"decision": digest}, context)
+    begin_job(parts, context, plant, "recompute", {"decision": digest})
     return go(f"/plants/{plant}/decisions/{digest}")

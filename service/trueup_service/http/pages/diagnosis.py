@@ -28,10 +28,14 @@ def diagnosis(request: Request, parts: RequestParts, plant: PlantName, job: JobI
     """The progress of a diagnosis, why it failed, or its report."""
     record = _job(parts, plant, job)
     if record.state not in FINAL:
-        return show(request, "running.html", job=record)
+        return show(request, "running.html", job=record, study="diagnosis")
     if record.state != JobState.SUCCEEDED:
         return show(
-            request, "failed.html", job=record, problem=(record.result or {}).get("problem")
+            request,
+            "failed.html",
+            job=record,
+            study="diagnosis",
+            problem=(record.result or {}).get("problem"),
         )
     report, figures, command = _results(parts, record)
     values = view(

@@ -4,19 +4,17 @@ was used for, and how models predict it."""
 from __future__ import annotations
 
 import json
-import uuid
 from typing import Annotated, Any
 
 from fastapi import Query, Request, Response
 
 from trueup_pages.foxglove import layout
 from trueup_service.actions import find
-from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.http.dependencies import Digest, PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.compare import comparison
-from trueup_service.http.pages.page import go, show
-from trueup_service.registry.transaction import ReadTransaction, reading, writing
+from trueup_service.http.pages.page import begin_job, go, show
+from trueup_service.registry.transaction import ReadTransaction, reading
 
 router = guarded("", ["pages"])
 DECLARED = 1  # the version that every plant begins with
@@ -52,15 +50,14 @@ def look(
     parts: RequestParts, context: RequestContext, plant: PlantName, digest: Digest
 ) -> Response:
     """Submit a comparison of two versions on the episode."""
-    parts.queue.prepare()
-    with writing(parts.database) as tx:
+    with reading(parts.database) as tx:
         find.episode(tx, plant, digest)
         asked: dict[str, Any] = {
             "first": find.version(tx, plant, DECLARED).digest,
             "second": find.version(tx, plant, _beside(tx, plant)).digest,
             "episodes": [digest],
         }
-        SUBMIT["compare"](tx, parts.queue, uuid.uuid4().hex, plant, asked, context)
+    begin_job(parts, context, plant, "compare", asked)
     return go(f"/plants/{plant}/episodes/{digest}")
 
 

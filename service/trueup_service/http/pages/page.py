@@ -5,16 +5,23 @@ Forms work without a script, which only saves reloading. A page loads files of i
 
 from __future__ import annotations
 
+import uuid
 from typing import Any
 from urllib.parse import parse_qs, quote, urlencode
 
 from fastapi import Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
+from trueup.canonical import Json
 from trueup_pages.rendering import render
+from trueup_service.actions.submission import Submission
+from trueup_service.actions.submit_job import SUBMIT
+from trueup_service.actor_context import ActorContext
 from trueup_service.authentication import Principal
 from trueup_service.errors import TooLargeUpload
 from trueup_service.registry.records import Role
+from trueup_service.registry.transaction import writing
+from trueup_service.wiring import Parts
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -28,6 +35,17 @@ HEADERS = {
 FORM_BYTES = 64 << 10
 SIGN_IN = "/sign-in"
 SEE_OTHER = 303
+
+
+def begin_job(
+    parts: Parts, context: ActorContext, plant: str, kind: str, request: dict[str, Json]
+) -> str:
+    """Submit a job that a page asks for, and return its id."""
+    job = uuid.uuid4().hex
+    parts.queue.prepare()
+    with writing(parts.database) as tx:
+        SUBMIT[kind](Submission(tx, parts.queue, job, plant, request, context))
+    return job
 
 
 def show(request: Request, template: str, status: int = 200, **values: Any) -> HTMLResponse:

@@ -15,14 +15,14 @@ from trueup_service.actions import find
 from trueup_service.actions.gate_line import place
 from trueup_service.actions.move_pointer import previous_artifact
 from trueup_service.actions.promotion import rehearse_way_back, roll_back
-from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
-from trueup_service.http.pages.page import form, go, show, wants_page
+from trueup_service.http.pages.page import begin_job, form, go, show, wants_page
+from trueup_service.http.pages.study import STUDIES
 from trueup_service.http.problems import status_of
 from trueup_service.registry.overview import gaps_of
-from trueup_service.registry.transaction import reading, writing
+from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
 router = guarded("", ["pages"])
@@ -60,6 +60,8 @@ def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Respo
             ],
             "decisions": tx.decisions.page(plant, END_OF_TIME, ROWS),
             "versions": list(reversed(tx.artifacts.page(plant, max(latest - ROWS, 0), ROWS))),
+            "studies": [j for j in jobs if j.kind in STUDIES][:ROWS],
+            "study_names": {kind: of.name for kind, of in STUDIES.items()},
             "diagnoses": [j for j in jobs if j.kind == "diagnose"][:ROWS],
             "episodes": tx.episodes.of_roles(plant, ("adaptation", "validation"))[:ROWS],
             "entries": tx.log.newest_entries(NO_END, ENTRIES, plant=plant),
@@ -70,10 +72,7 @@ def plant_page(request: Request, parts: RequestParts, plant: PlantName) -> Respo
 @router.post("/plants/{plant}/diagnoses")
 def diagnose(parts: RequestParts, context: RequestContext, plant: PlantName) -> Response:
     """Submit a diagnosis, and go to its page."""
-    job = uuid.uuid4().hex
-    parts.queue.prepare()
-    with writing(parts.database) as tx:
-        SUBMIT["diagnose"](tx, parts.queue, job, plant, {"seed": 0}, context)
+    job = begin_job(parts, context, plant, "diagnose", {"seed": 0})
     return go(f"/plants/{plant}/diagnoses/{job}")
 
 

@@ -10,6 +10,7 @@ from starlette.responses import StreamingResponse
 
 from trueup_service.actions import find
 from trueup_service.actions.cancel_job import cancel_job
+from trueup_service.actions.submission import Submission
 from trueup_service.actions.submit_job import SUBMIT
 from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import (
@@ -27,12 +28,14 @@ from trueup_service.http.openapi import already_exists
 from trueup_service.http.schemas.jobs import (
     BlindtrialRequest,
     CalibrationRequest,
+    ClosedloopRequest,
     ComparisonRequest,
     DiagnosisRequest,
     FitRequest,
     GateRequest,
     Job,
     JobWithReads,
+    OpenloopRequest,
     Output,
     RecomputationRequest,
     ValidationRequest,
@@ -51,7 +54,9 @@ JobRequest = Annotated[
     | CalibrationRequest
     | ValidationRequest
     | RecomputationRequest
-    | ComparisonRequest,
+    | ComparisonRequest
+    | OpenloopRequest
+    | ClosedloopRequest,
     Body(discriminator="kind"),
 ]
 
@@ -60,7 +65,7 @@ JobRequest = Annotated[
     "/plants/{plant}/jobs",
     status_code=201,
     response_model=Job,
-    summary="Submit a fit, a trial, a diagnosis or a calibration",
+    summary="Submit a fit, a trial, a diagnosis, a study or a calibration",
     responses=already_exists(Job),
 )
 def submit(
@@ -83,7 +88,7 @@ def submit(
         f"jobs/{plant}",
         key,
         frozen,
-        lambda w: (act(w, parts.queue, job, plant, chosen, context), True),
+        lambda w: (act(Submission(w, parts.queue, job, plant, chosen, context)), True),
         Job,
     )
 
@@ -118,7 +123,7 @@ def get_output(
     parts: RequestParts, principal: CurrentPrincipal, job: JobId, name: OutputName
 ) -> StreamingResponse:
     """A diagnosis leaves `figures.json`, the numbers behind its pictures, and `next_experiment.csv`
-    where it proposes one."""
+    where it proposes one. A study in open or closed loop leaves `report.json`."""
     with reading(parts.database) as tx:
         require_visible(
             parts.database, principal, find.job(tx, job).plant, find.not_found("job", job)

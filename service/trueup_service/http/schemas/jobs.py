@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, computed_field
 
 from trueup.ledger.operation import Operation, of_job
 from trueup_service.http.schemas.wire import Digest, FromRecord, RequestBody, Time
+
+Versions = Annotated[list[Digest], Field(min_length=1, max_length=8)]
 
 
 class Job(FromRecord):
@@ -122,6 +124,72 @@ class ComparisonRequest(RequestBody):
     first: Digest
     second: Digest
     episodes: list[Digest] | None = None
+
+
+class OpenloopRequest(RequestBody):
+    """Roll versions out on commands alone, and compare their errors after some numbers of steps
+    with a bound on them.
+
+    `versions` are digests, null for the nominal model and what serves. `machine` is the version
+    that stands in for the true step, null for the newest diagnosis, else the newest identification.
+    `episodes` are null for all of the role test, and where there is none for all held-out ones.
+    """
+
+    kind: Literal["openloop"]
+    versions: Versions | None = None
+    machine: Digest | None = None
+    episodes: list[Digest] | None = None
+    horizons_steps: list[Annotated[int, Field(ge=1, le=100_000)]] = Field(
+        [1, 10, 50, 200], min_length=1, max_length=16, description="declared steps"
+    )
+
+
+class Reference(RequestBody):
+    """A sine wave about zero that a single joint is asked to follow."""
+
+    amplitude: float = Field(gt=0, allow_inf_nan=False, description="in the position's unit")
+    frequency_hz: float = Field(gt=0, allow_inf_nan=False)
+
+
+class ClosedloopRequest(RequestBody):
+    """Run versions in closed loop with a fixed planner, in up to four regimes, on what stands in
+    for the machine.
+
+    `versions` are digests, null for the nominal model and what serves; changes are told against the
+    first. `machine` is the version that stands in for the machine, null for the newest diagnosis,
+    else the newest identification, else the nominal model. `episodes` are adaptation episodes that
+    say how far the machine travels, null for all of them.
+    """
+
+    kind: Literal["closedloop"]
+    versions: Versions | None = None
+    machine: Digest | None = None
+    episodes: list[Digest] | None = None
+    regimes: list[Literal["nominal", "shifted", "delayed", "reduced_authority"]] = Field(
+        ["nominal", "shifted", "delayed", "reduced_authority"], min_length=1, max_length=4
+    )
+    seeds: list[Annotated[int, Field(ge=0, lt=2**32)]] = Field(
+        [0, 1, 2, 3], min_length=1, max_length=64, description="one run of each reference each"
+    )
+    delay_ticks: int = Field(3, ge=0, le=1000, description="of the delayed regime's sensor")
+    authority: float = Field(
+        0.5, gt=0, le=1, description="share of each command's range in the reduced regime"
+    )
+    sweep_ticks: list[Annotated[int, Field(ge=0, le=1000)]] = Field(
+        [],
+        max_length=16,
+        description="sensor delays to sweep, each with and without stamps on what is observed",
+    )
+    reference: Reference | None = Field(
+        None, description="null for three waves within the envelope or the recorded travel"
+    )
+    ticks: int = Field(200, ge=10, le=5000, description="of the controller in each run")
+    effort: float | None = Field(
+        None,
+        ge=0,
+        allow_inf_nan=False,
+        description="single joint only: cost of a squared command, in squares of the position",
+    )
 
 
 class CalibrationRequest(RequestBody):

@@ -1,0 +1,103 @@
+"""What the studies of models share: which models are run, what stands in for the machine, and where
+the report goes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from trueup.artifact.model import load
+from trueup.control.machine import stand_in
+from trueup.episode.episode import Episode
+from trueup.episode.role import Role
+from trueup.errors import BadArtifact, NotIdentifiable
+from trueup.fit.identify import identify
+from trueup.model.plant import Plant
+from trueup.model.predictor import Nominal, Predictor
+from trueup_cli.options import connect
+from trueup_cli.registry import resolve_artifact, result_of, run_job
+from trueup_client import Client
+
+NOMINAL, IDENTIFIED = "nominal", "identified"
+REPORT = "report.json"
+
+
+def is_case(target: str) -> bool:
+    """Whether a target is a case folder, and not the name of a plant."""
+    return (Path(target) / "plant.json").is_file()
+
+
+def local_models(
+    plant: Plant, episodes: Sequence[Episode], named: Sequence[str]
+) -> dict[str, Predictor]:
+    """The nominal model, the models in the named folders, and the nominal form with identified
+    parameters where adaptation episodes determine them. Raises BadArtifact."""
+    models: dict[str, Predictor] = {NOMINAL: Nominal(plant)}
+    for folder in named:
+        name, _, path = folder.rpartition("=")
+        models[name or Path(path).resolve().name] = _load(plant, Path(path))
+    adaptation = [e for e in episodes if e.role is Role.ADAPTATION]
+    if adaptation:
+        with suppress(NotIdentifiable):  # a study without it is still one
+            models[IDENTIFIED] = identify(plant, adaptation)[0]
+    return models
+
+
+def local_machine(
+    plant: Plant, models: Mapping[str, Predictor], folder: Path | None
+) -> tuple[str, Predictor]:
+    """The name and the model of what stands in for the machine: what the folder holds, else the
+    best description among the models."""
+    if folder is None:
+        name, machine = stand_in(models)
+        return name, machine.model
+    return folder.resolve().name, _load(plant, folder)
+
+
+def _load(plant: Plant, folder: Path) -> Predictor:
+    """The predictor in a folder that `trueup fetch` or `trueup diagnose` wrote. Raises
+    BadArtifact."""
+    inner = folder / "model"
+    predictor = load(inner if inner.is_dir() else folder).predictor
+    if (predictor.plant.layout, predictor.plant.timestep_s) != (plant.layout, plant.timestep_s):
+        raise BadArtifact(
+            f"the model in {folder} is of another plant: its channels or its step are not the "
+            "case's",
+            hint="Name models of this case's plant.",
+        )
+    return predictor
+
+
+def remote_study(url: str, plant: str, request: dict[str, Any], what: str) -> dict[str, Any]:
+    """Run a study of uploaded versions as a job, and return its report. `versions` and `machine` of
+    the request are versions' numbers, or digests or their first digits."""
+    client = connect(url)
+    named = {
+        "versions": [_artifact(client, plant, v) for v in request["versions"]] or None,
+        "machine": None
+        if request["machine"] is None
+        else _artifact(client, plant, request["machine"]),
+    }
+    job = run_job(client, plant, {**request, **named}, what)
+    result_of(job)
+    report: dict[str, Any] = json.loads(client.output(job["id"], REPORT))
+    return report
+
+
+def _artifact(client: Client, plant: str, version: str) -> str:
+    if version.isdigit() and len(version) < 10:  # noqa: PLR2004  (digests have 64 digits, and their beginnings letters)
+        return str(client.version(plant, int(version))["digest"])
+    return resolve_artifact(client, plant, version)
+
+
+def write_study(
+    document: Mapping[str, Any], out: Path, page: Callable[[Mapping[str, Any]], str]
+) -> Path:
+    """Write the report as JSON and as a page, and return the page's path."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / REPORT).write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    (out / "report.html").write_text(page(document))
+    return out / "report.html"

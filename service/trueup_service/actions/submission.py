@@ -1,0 +1,95 @@
+"""Submission: a request for a job, before everything that it will read is frozen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from trueup.canonical import Json
+from trueup.episode.role import Role
+from trueup.errors import NotIdentifiable, RoleRefused
+from trueup_service.actions import find
+from trueup_service.actor_context import ActorContext
+from trueup_service.jobs import JobQueue
+from trueup_service.registry.records import EpisodeRecord, JobRecord, JobState
+from trueup_service.registry.transaction import Transaction
+
+
+@dataclass(frozen=True, slots=True)
+class Submission:
+    """A request for a job on a plant, the id that the job will have, and the transaction in which
+    it is submitted."""
+
+    tx: Transaction
+    queue: JobQueue
+    job: str
+    plant: str
+    request: dict[str, Json]
+    context: ActorContext
+
+    def episodes(self, *roles: Role, otherwise: Sequence[Role] = ()) -> list[EpisodeRecord]:
+        """The episodes that the request names, which have one of the roles; where it names none,
+        all of these roles, or of `otherwise` if that is given.
+
+        Raises NotFound, RoleRefused.
+        """
+        named = self.request.get("episodes")
+        if named is None:
+            return self.tx.episodes.of_roles(self.plant, otherwise or roles)
+        digests = map(str, named)  # type: ignore[arg-type]
+        episodes = [find.episode(self.tx, self.plant, digest) for digest in digests]
+        for episode in episodes:
+            if episode.role not in roles:
+                raise RoleRefused(
+                    (
+                        f"episode {episode.digest[:12]} has the role {episode.role}, "
+                        f"{' or '.join(roles)} is needed"
+                    ),
+                    role=episode.role,
+                    digest=episode.digest,
+                )
+        return episodes
+
+    @property
+    def names_episodes(self) -> bool:
+        """Whether the request says on which episodes."""
+        return self.request.get("episodes") is not None
+
+    def enqueue(self, kind: str, frozen: dict[str, Json]) -> JobRecord:
+        """Add the job with what it will read, hand it to the engine, and log it."""
+        record = JobRecord(
+            id=self.job,
+            plant=self.plant,
+            kind=kind,
+            request=frozen,
+            state=JobState.QUEUED,
+            progress=0.0,
+            stage="queued",
+            result=None,
+            created_at=self.context.now,
+            created_by=self.context.actor,
+            updated_at=self.context.now,
+        )
+        self.tx.jobs.add(record)
+        self.queue.enqueue(self.tx.connection, self.job, kind, self.plant)
+        self.tx.log.append(
+            self.context,
+            "job:submitted",
+            plant=self.plant,
+            subject=self.job,
+            facts={"kind": kind, "operation": record.operation, "request": frozen},
+        )
+        return record
+
+
+def digests_of(episodes: Sequence[EpisodeRecord]) -> list[str]:
+    """The digests of episodes, each once."""
+    return list(dict.fromkeys(e.digest for e in episodes))
+
+
+def require_some(episodes: Sequence[EpisodeRecord], role: Role, purpose: str) -> None:
+    """Raises NotIdentifiable where there is no episode for a purpose."""
+    if not episodes:
+        raise NotIdentifiable(
+            f"there is no {purpose}", hint=f"Upload one whose metadata says role = {role}."
+        )

@@ -1,0 +1,87 @@
+"""Submit a study of versions: how they compare on recordings, in open and in closed loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from trueup.canonical import Json
+from trueup.episode.role import HELD_OUT, Role
+from trueup.errors import NotIdentifiable
+from trueup_service.actions import find
+from trueup_service.actions.submission import Submission, digests_of, require_some
+from trueup_service.registry.records import ArtifactRecord, EpisodeRecord, JobRecord
+
+# as which a version stands in for the machine, the first that there is
+STAND_INS = ("corrected", "identified", "nominal")
+
+
+def submit_comparison(s: Submission) -> JobRecord:
+    """Submit a comparison of two versions on the named episodes, or on all held-out ones. Raises
+    NotFound, NotIdentifiable."""
+    both: dict[str, Json] = {
+        which: find.artifact(s.tx, s.plant, str(s.request[which])).digest
+        for which in ("first", "second")
+    }
+    return _submit_on_shown(s, "compare", both, s.episodes(*Role, otherwise=HELD_OUT))
+
+
+def submit_openloop(s: Submission) -> JobRecord:
+    """Submit rollouts of some versions, of the nominal one and what serves by default, on the named
+    episodes, or on all of the role test, else on all held-out ones.
+
+    Raises NotFound, NotIdentifiable.
+    """
+    episodes = s.episodes(*Role, otherwise=(Role.TEST,))
+    if not episodes:
+        episodes = s.episodes(*Role, otherwise=HELD_OUT)
+    frozen = {**s.request, **_versions(s)}
+    return _submit_on_shown(s, "openloop", frozen, episodes)
+
+
+def submit_closedloop(s: Submission) -> JobRecord:
+    """Submit runs of some versions, of the nominal one and what serves by default, in closed loop
+    with a fixed planner, along a declared reference or as far as adaptation episodes travelled.
+
+    Raises NotFound, RoleRefused, NotIdentifiable.
+    """
+    find.plant_digest(s.tx, s.plant)
+    episodes = [] if s.request.get("reference") else s.episodes(Role.ADAPTATION)
+    if not s.request.get("reference"):
+        require_some(episodes, Role.ADAPTATION, "adaptation episode to take the travel from")
+    frozen = {**s.request, **_versions(s), "episodes": list(digests_of(episodes))}
+    return s.enqueue("closedloop", frozen)
+
+
+def _versions(s: Submission) -> dict[str, Json]:
+    """The versions of a study, and the one that stands in for the machine: the newest diagnosis,
+    else the newest identification, else the nominal model."""
+    named: Any = s.request.get("versions")
+    serving = find.serving(s.tx, s.plant).artifact
+    first = find.version(s.tx, s.plant, 1).digest
+    chosen = [find.artifact(s.tx, s.plant, d).digest for d in named or (first, serving)]
+    machine: Any = s.request.get("machine")
+    stands_in = find.artifact(s.tx, s.plant, machine) if machine else _stand_in(s)
+    return {"versions": list(dict.fromkeys(chosen)), "machine": stands_in.digest}
+
+
+def _stand_in(s: Submission) -> ArtifactRecord:
+    newest = (s.tx.artifacts.newest_of_kind(s.plant, kind) for kind in STAND_INS)
+    record = next((r for r in newest if r is not None), None)
+    return record or find.version(s.tx, s.plant, 1)
+
+
+def _submit_on_shown(
+    s: Submission, kind: str, frozen: dict[str, Json], episodes: list[EpisodeRecord]
+) -> JobRecord:
+    """Submit a study that shows versions' errors on episodes, which later decisions on these
+    disclose."""
+    s.tx.plants.lock(s.plant)
+    if not episodes:
+        raise NotIdentifiable(
+            "there is no held-out episode to compare on",
+            hint="Upload one whose metadata says role = validation.",
+        )
+    digests = digests_of(episodes)
+    record = s.enqueue(kind, {**frozen, "episodes": list(digests)})
+    s.tx.jobs.add_reads(s.job, digests, "compare")
+    return record

@@ -1,0 +1,41 @@
+"""Run an open loop: versions' errors after some numbers of steps, beside the bound on them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from trueup.canonical import Json
+from trueup.diagnose.open_loop import open_loop
+from trueup.episode.role import Role
+from trueup_service.actor_context import ActorContext
+from trueup_service.registry.records import JobRecord
+from trueup_service.registry.transaction import Transaction
+from trueup_service.wiring import Parts
+from trueup_worker.inputs import read_episodes, read_plant, read_versions
+from trueup_worker.outputs import add_files, keep_report
+from trueup_worker.progress import Progress
+
+
+def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
+    """Rolls every version out. Repeating it gives the same bytes."""
+    request: dict[str, Any] = job.request
+    plant = read_plant(parts, job)
+    models, machine = read_versions(parts, job)
+    episodes = read_episodes(
+        parts, job, plant, tuple(Role), progress.stage("reading episodes", 0.0, 0.3)
+    )
+    rolling = progress.stage("rolling out", 0.3, 1.0)
+    document = open_loop(models.of, machine, episodes, request["horizons_steps"], rolling)
+    return keep_report(parts, {**document, "artifacts": models.artifacts})
+
+
+def effects(
+    parts: Parts, tx: Transaction, job: JobRecord, outcome: dict[str, Any], context: ActorContext
+) -> None:
+    """Adds the report as a file."""
+    add_files(tx, job, outcome["files"])
+
+
+def result(outcome: dict[str, Any]) -> dict[str, Json]:
+    """Returns the result of the job."""
+    return {"report": outcome["report"]}
