@@ -15,6 +15,7 @@ from trueup.diagnose.report import COMMAND_FILE
 from trueup.diagnose.summary_text import sentence, warnings
 from trueup.episode.episode import Episode
 from trueup.model.mjcf_writer import write as write_corrected
+from trueup.randomise.supported import RANDOMISATION_FILE, supported_ranges
 from trueup_cli.options import Json, Seed
 from trueup_cli.show import as_json, progress, say, show_diagnosis
 from trueup_pages.diagnosis import report_page
@@ -23,7 +24,8 @@ from trueup_pages.diagnosis import report_page
 def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> None:
     """Diagnose the gap between a case's nominal model and its recordings.
 
-    Writes report.json, report.html and the corrected model to a folder. For a robot it also writes
+    Writes report.json, report.html, the corrected model and the randomisation ranges that its
+    intervals support to a folder. For a robot it also writes
     the corrected MJCF, and the difference as a patch.
 
     Parameters
@@ -74,7 +76,8 @@ def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> Non
 
 
 def write(diagnosis: Diagnosis, episodes: list[Episode], out: Path) -> None:
-    """Writes the report as JSON and as a page, the model, and the next experiment's command."""
+    """Writes the report as JSON and as a page, the model, the randomisation ranges that it
+    supports, and the next experiment's command."""
     model = out / "model"
     model.mkdir(parents=True, exist_ok=True)
     artifact = pack(
@@ -90,6 +93,9 @@ def write(diagnosis: Diagnosis, episodes: list[Episode], out: Path) -> None:
     experiment, report = diagnosis.experiment, diagnosis.document
     if experiment is not None and experiment.command is not None:
         (out / COMMAND_FILE).write_text(experiment.csv(diagnosis.plant), newline="")
+    ranges = supported_ranges(diagnosis.predictor, report)
+    if ranges is not None:
+        (out / RANDOMISATION_FILE).write_text(json.dumps(ranges, indent=1) + "\n")
     (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
     (out / "report.html").write_text(report_page(report, figures(diagnosis, episodes)))
 

@@ -129,6 +129,11 @@ _COMMANDS = {
         "Tell how models track with a fixed planner, and whether they keep the envelope.",
         VERIFIES,
     ),
+    "randomise": (
+        "randomise:randomise_plants",
+        "Draw a family of plants, and fit one predictor for all of them.",
+        VERIFIES,
+    ),
     "excite": (
         "excite:excite",
         "Design a bounded excitation that is safe under every plausible model.",

@@ -18,6 +18,7 @@ from trueup_client import Client
 from trueup_client.problem import Problem
 from trueup_client.records import Decision, GateInLine, JobWithReads
 
+SHORTEST_PREFIX = 7  # digits alone: fewer are a version's number
 SENDING = 0.9  # share of the bar for sending; the rest is the inspection by the service
 
 
@@ -97,11 +98,27 @@ def fit(
     plant: PlantName,
     *,
     method: Annotated[
-        Literal["identify", "residual"],
+        Literal["identify", "residual", "blind", "conditioned"],
         Parameter(
-            help="Refit the nominal model's parameters, or fit its residual as a map of features"
+            help="Refit the nominal model's parameters, or fit its residual as a map of features; "
+            "or fit one map for a family of plants from its training episodes"
         ),
     ] = "identify",
+    episode: Annotated[
+        tuple[str, ...],
+        Parameter(
+            help="Adaptation episode to fit, by its digest or the first digits; give it again for "
+            "more; default: all"
+        ),
+    ] = (),
+    context: Annotated[
+        Literal["identification", "configuration", "measurement"],
+        Parameter(help="For conditioned: where its parameters come from"),
+    ] = "identification",
+    measured: Annotated[
+        dict[str, float] | None,
+        Parameter(help="For conditioned: a measured parameter, --measured.k 1.25"),
+    ] = None,
     features: Annotated[
         str | None,
         Parameter(help="For residual: comma-separated features, such as 1,v,u,sign(v),abs(v)"),
@@ -109,13 +126,17 @@ def fit(
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
-    """Fit a candidate from the plant's adaptation episodes."""
+    """Fit a candidate from the plant's adaptation episodes, or a family from training episodes."""
+    client = connect(url)
     request: dict[str, Any] = {
         "kind": "fit",
         "method": method,
         **({"features": features.split(",")} if features else {}),
+        **({"episodes": [resolve_episode(client, plant, e) for e in episode]} if episode else {}),
     }
-    job = run_job(connect(url), plant, request, f"fit {method}")
+    if method == "conditioned":
+        request["context"] = {"by": context, "parameters": measured}
+    job = run_job(client, plant, request, f"fit {method}")
     as_json(job) if as_json_ else say("candidate [bold]{}[/]", result_of(job)["artifact"])
 
 
@@ -172,7 +193,7 @@ def gate(
     Parameters
     ----------
     candidate
-        digest of the artifact, or its first digits
+        number of the version, or the first digits of its digest
     """
     client = connect(url)
     document = None if rules is None else read_json(rules, BadGate)
@@ -296,8 +317,16 @@ def decisions(plant: PlantName, *, url: Url = DEFAULT_URL, as_json_: Json = Fals
 
 
 def resolve_artifact(client: Client, plant: str, prefix: str) -> str:
-    """Returns an artifact's digest by its first digits. Raises NoSuchDigest."""
+    """Returns an artifact's digest by its version's number or its first digits. Raises
+    NoSuchDigest."""
+    if prefix.isdigit() and len(prefix) < SHORTEST_PREFIX:
+        return str(client.version(plant, int(prefix))["digest"])
     return resolve_digest(prefix, client.artifacts(plant), "version", f"trueup versions {plant}")
+
+
+def resolve_episode(client: Client, plant: str, prefix: str) -> str:
+    """Returns an episode's digest by its first digits. Raises NoSuchDigest."""
+    return resolve_digest(prefix, client.episodes(plant), "episode", f"trueup upload {plant} FILE")
 
 
 def run_job(client: Client, plant: str, request: dict[str, Any], what: str) -> JobWithReads:

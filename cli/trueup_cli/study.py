@@ -18,7 +18,7 @@ from trueup.fit.identify import identify
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal, Predictor
 from trueup_cli.options import connect
-from trueup_cli.registry import resolve_artifact, result_of, run_job
+from trueup_cli.registry import resolve_artifact, run_job
 from trueup_client import Client
 
 NOMINAL, IDENTIFIED = "nominal", "identified"
@@ -76,21 +76,23 @@ def remote_study(url: str, plant: str, request: dict[str, Any], what: str) -> di
     the request are versions' numbers, or digests or their first digits."""
     client = connect(url)
     named = {
-        "versions": [_artifact(client, plant, v) for v in request["versions"]] or None,
+        "versions": [resolve_artifact(client, plant, v) for v in request["versions"]] or None,
         "machine": None
         if request["machine"] is None
-        else _artifact(client, plant, request["machine"]),
+        else resolve_artifact(client, plant, request["machine"]),
     }
-    job = run_job(client, plant, {**request, **named}, what)
-    result_of(job)
+    return _report(client, plant, {**request, **named}, what)
+
+
+def remote_report(url: str, plant: str, request: dict[str, Any], what: str) -> dict[str, Any]:
+    """Run a job of a plant on the service, and return the report that it leaves behind."""
+    return _report(connect(url), plant, request, what)
+
+
+def _report(client: Client, plant: str, request: dict[str, Any], what: str) -> dict[str, Any]:
+    job = run_job(client, plant, request, what)
     report: dict[str, Any] = json.loads(client.output(job["id"], REPORT))
     return report
-
-
-def _artifact(client: Client, plant: str, version: str) -> str:
-    if version.isdigit() and len(version) < 10:  # noqa: PLR2004  (digests have 64 digits, and their beginnings letters)
-        return str(client.version(plant, int(version))["digest"])
-    return resolve_artifact(client, plant, version)
 
 
 def write_study(

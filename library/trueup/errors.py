@@ -6,6 +6,7 @@
     │   ├── TooLarge             a declared limit on size is exceeded
     │   └── NotAnEpisode         sound MCAP, but not what an episode must hold
     ├── BadPlant                 plant.json breaks a rule, at a field
+    ├── BadRandomisation         a family of plants breaks a rule, at a field
     ├── NotInstalled             an optional part of the installation is needed
     ├── NotExportable            this model has no form in what was asked for
     ├── NotImportable            what another registry keeps of a model makes no predictor
@@ -95,6 +96,13 @@ class BadPlant(TrueupError):
 
     code = "bad-plant"
     hint = "Correct the field named in `field`; docs/plant.md lists every field."
+
+
+class BadRandomisation(TrueupError):
+    """The document describes no family of plants."""
+
+    code = "bad-randomisation"
+    hint = "Correct the named field; docs/randomisation.md lists what a family may say."
 
 
 class NotInstalled(TrueupError):

@@ -15,7 +15,7 @@ from tests.support.s3 import until_listening
 from tests.support.service import ROOT, free_port
 from trueup_client import Client
 
-PAGES = ("tutorial", "howto-engineer", "howto-operator", "howto-auditor")
+PAGES = ("tutorial", "howto-engineer", "howto-operator", "howto-auditor", "howto-chapter")
 SHARED = "trueup diagnose examples/emps --out diagnosis"  # slow, and on more than one page
 FENCE = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", flags=re.MULTILINE | re.DOTALL)
 

@@ -19,7 +19,8 @@ from trueup.checks import (
 from trueup.checks.law import LawBroken
 from trueup.fit.fitter import Fitter
 from trueup.fit.free_numbers import Directions
-from trueup.fit.residual import fit_blind, fit_conditioned, fit_residual
+from trueup.fit.randomised import fit_blind, fit_conditioned
+from trueup.fit.residual import fit_residual
 from trueup.gate.rule import Rule, Verdict, rules
 from trueup.model.corrected import Corrected
 from trueup.model.dynamics import CompiledFamily, CompiledTree

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from trueup.episode.role import Role
 from trueup.errors import BadEpisode
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
+from trueup.randomise.study import IDENTIFICATION, Context
 from trueup_service.actions import find
 from trueup_service.actions.switchback import load_artifact
 from trueup_service.registry.records import JobRecord
@@ -33,13 +34,14 @@ def read_episodes(
     plant: Plant,
     roles: Sequence[Role],
     progress: Callable[[float], None],
+    field: str = "episodes",
 ) -> list[Episode]:
-    """Returns the episodes that the job's request names.
+    """Returns the episodes that the job's request names in a field.
 
     Raises RoleRefused if a role is not one of `roles`, and BadEpisode if the stored bytes are not
     what their digest names.
     """
-    digests: Any = job.request["episodes"]
+    digests: Any = job.request[field]
     with writing(parts.database) as tx:
         tx.jobs.add_reads(job.id, digests, job.kind)
     episodes = []
@@ -84,6 +86,12 @@ def read_versions(parts: Parts, job: JobRecord) -> tuple[Versions, tuple[str, Pr
     predictors = {digest: read_predictor(parts, job, digest) for digest in records}
     versions = Versions({names[d]: predictors[d] for d in digests}, {names[d]: d for d in records})
     return versions, (names[machine], predictors[machine])
+
+
+def context_of(request: Mapping[str, Any]) -> Context:
+    """Returns where a request takes the context of a conditioned predictor from."""
+    given = request.get("context") or {}
+    return Context(given.get("by", IDENTIFICATION), given.get("parameters"))
 
 
 def sources(episodes: Sequence[Episode]) -> list[Json]:

@@ -13,6 +13,7 @@ from trueup.diagnose.figures import FIGURES_FILE, figures
 from trueup.diagnose.report import COMMAND_FILE
 from trueup.diagnose.summary_text import sentence
 from trueup.episode.role import Role
+from trueup.randomise.supported import RANDOMISATION_FILE, supported_ranges
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
@@ -69,6 +70,10 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     artifact = pack(diagnosis.predictor, provenance)
     drawn = canonical_bytes(figures(diagnosis, episodes))
     files = [keep_file(parts, FIGURES_FILE, "application/json", drawn)]
+    ranges = supported_ranges(diagnosis.predictor, report)
+    if ranges is not None:
+        content = canonical_bytes(ranges)
+        files.append(keep_file(parts, RANDOMISATION_FILE, "application/json", content))
     experiment = diagnosis.experiment
     if experiment is not None and experiment.command is not None:
         files.append(keep_file(parts, COMMAND_FILE, "text/csv", experiment.csv(plant).encode()))

@@ -1,7 +1,9 @@
-"""Run a fit: adaptation episodes become a candidate artifact with its provenance."""
+"""Run a fit: episodes become a candidate artifact with its provenance."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 from trueup.artifact.artifact import Artifact, pack
@@ -10,20 +12,23 @@ from trueup.collect.coverage import coverage_of
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
 from trueup.fit.identify import identify
+from trueup.fit.randomised import pooled
 from trueup.fit.residual import RIDGE, fit_residual
 from trueup.model.plant import Plant
 from trueup.model.predictor import Predictor
+from trueup.randomise.randomisation import Randomisation
+from trueup.randomise.study import CONFIGURATION, Context, Randomised, fit_family
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actor_context import ActorContext
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
 from trueup_worker.code_identity import code_identity
-from trueup_worker.inputs import read_episodes, read_plant, sources
+from trueup_worker.inputs import context_of, read_episodes, read_plant, sources
 from trueup_worker.outputs import keep_arrays
 from trueup_worker.progress import Progress
 
-SEED = 0  # both methods are deterministic; every provenance names a seed
+SEED = 0  # every method is deterministic; every provenance names a seed
 
 
 def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]:
@@ -31,13 +36,21 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
     Repeating it gives the same bytes.
     """
-    plant = read_plant(parts, job)
+    plant, training = read_plant(parts, job), []
+    if "training" in job.request:
+        reading_training = progress.stage("reading training episodes", 0.0, 0.3)
+        training = read_episodes(
+            parts, job, plant, (Role.TRAINING,), reading_training, field="training"
+        )
     episodes = read_episodes(
-        parts, job, plant, (Role.ADAPTATION,), progress.stage("reading episodes", 0.0, 0.5)
+        parts, job, plant, (Role.ADAPTATION,), progress.stage("reading episodes", 0.3, 0.5)
     )
-    predictor, report = _fit(plant, episodes, job.request, progress.stage("fitting", 0.5, 0.95))
+    data = Data(plant, episodes, training)
+    predictor, report = METHODS[str(job.request["method"])](
+        data, job.request, progress.stage("fitting", 0.5, 0.95)
+    )
     progress.stage("packing", 0.95, 1.0)
-    artifact = pack(predictor, _provenance(job, plant, episodes, report))
+    artifact = pack(predictor, _provenance(job, data, report))
     return {
         "manifest": artifact.manifest.decode(),
         "arrays": keep_arrays(parts, artifact),
@@ -45,29 +58,64 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
     }
 
 
-def _fit(
-    plant: Plant, episodes: list[Episode], request: dict[str, Any], progress: Progress
-) -> tuple[Predictor, dict[str, Json]]:
-    if request["method"] == "identify":
-        identified, report = identify(plant, episodes, progress)
-        return identified, {"method": "identify", **report.document()}
-    residual, residual_report = fit_residual(
-        plant,
-        episodes,
-        tuple(request.get("features") or ()),
-        request.get("penalty") or RIDGE,
-        progress,
-    )
-    return residual, {"method": "residual", **residual_report.document()}
+@dataclass(frozen=True, slots=True)
+class Data:
+    """What a fit reads: the plant, its adaptation episodes, and training episodes of its family."""
+
+    plant: Plant
+    episodes: list[Episode]
+    training: list[Episode]
 
 
-def _provenance(
-    job: JobRecord, plant: Plant, episodes: list[Episode], report: dict[str, Json]
-) -> dict[str, Json]:
+Fitted = tuple[Predictor, dict[str, Json]]
+
+
+def _identify(data: Data, request: Mapping[str, Any], progress: Progress) -> Fitted:
+    identified, report = identify(data.plant, data.episodes, progress)
+    return identified, {"method": "identify", **report.document()}
+
+
+def _residual(data: Data, request: Mapping[str, Any], progress: Progress) -> Fitted:
+    features, penalty = tuple(request.get("features") or ()), request.get("penalty") or RIDGE
+    residual, report = fit_residual(data.plant, data.episodes, features, penalty, progress)
+    return residual, {"method": "residual", **report.document()}
+
+
+def _blind(data: Data, request: Mapping[str, Any], progress: Progress) -> Fitted:
+    family_fit = _family(data, request, Context(CONFIGURATION))
+    return family_fit.blind, {"method": "blind", **family_fit.document}
+
+
+def _conditioned(data: Data, request: Mapping[str, Any], progress: Progress) -> Fitted:
+    family_fit = _family(data, request, context_of(request))
+    return family_fit.conditioned, {"method": "conditioned", **family_fit.document}
+
+
+def _family(data: Data, request: Mapping[str, Any], context: Context) -> Randomised:
+    """Both predictors of a family, from its training episodes."""
+    plant, declared = data.plant, request.get("randomisation")
+    box = None if declared is None else Randomisation.of(plant, declared).box()
+    deployment = context.parameters(plant, data.episodes)
+    return fit_family(plant, pooled(plant, data.training), context, deployment, box, data.episodes)
+
+
+METHODS: Mapping[str, Callable[[Data, Mapping[str, Any], Progress], Fitted]] = {
+    "identify": _identify,
+    "residual": _residual,
+    "blind": _blind,
+    "conditioned": _conditioned,
+}
+
+
+def _provenance(job: JobRecord, data: Data, report: dict[str, Json]) -> dict[str, Json]:
+    boxes: dict[str, Json] = {
+        name: report[name] for name in ("family_box", "sample_box") if name in report
+    }
     return {
         "origin": "fit",
-        "episodes": sources(episodes),
-        "coverage": [c.document() for c in coverage_of(plant, episodes)],
+        "episodes": sources([*data.training, *data.episodes]),
+        "coverage": [c.document() for c in coverage_of(data.plant, data.episodes)],
+        **({"randomisation": boxes} if boxes else {}),
         "configuration": {"sha256": digest_of(job.request), "document": job.request},
         "code": code_identity(),
         "seed": SEED,

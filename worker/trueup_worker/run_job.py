@@ -31,6 +31,7 @@ from trueup_worker import (
     run_fit,
     run_gate,
     run_openloop,
+    run_randomise,
     run_recompute,
     run_validation,
     run_watch,
@@ -51,6 +52,7 @@ KINDS: dict[str, ModuleType] = {
     "compare": run_compare,
     "openloop": run_openloop,
     "closedloop": run_closedloop,
+    "randomise": run_randomise,
 }
 
 

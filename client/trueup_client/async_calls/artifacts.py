@@ -6,7 +6,7 @@ Made by tools/make_async_client.py.
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 
 from trueup_client.calls.artifacts import ArtifactCalls
@@ -51,6 +51,20 @@ class AsyncArtifactCalls(Pooled):
     async def artifact_provenance(self, plant: str, digest: str) -> Envelope:
         """Returns where an artifact comes from: an in-toto statement in a signed envelope."""
         return await self._pool.run(ArtifactCalls.artifact_provenance, plant, digest)
+
+    async def membership(
+        self,
+        plant: str,
+        digest: str,
+        of: str | None = None,
+        parameters: Mapping[str, float] | None = None,
+    ) -> Document:
+        """Returns whether a plant lies in the family box and in the sample box of a model.
+
+        The plant's parameters are those of the version `of`, of the newest identified one by
+        default, or the ones given.
+        """
+        return await self._pool.run(ArtifactCalls.membership, plant, digest, of, parameters)
 
     async def add_evidence(self, plant: str, document: Document) -> Evidence:
         """Adds what a stage showed of an artifact.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from trueup_client.files import arrays_digest
@@ -76,6 +76,23 @@ class ArtifactCalls(Transport):
     def artifact_provenance(self, plant: str, digest: str) -> Envelope:
         """Returns where an artifact comes from: an in-toto statement in a signed envelope."""
         return self._get(url_path("plants", plant, "artifacts", digest, "provenance"))
+
+    def membership(
+        self,
+        plant: str,
+        digest: str,
+        of: str | None = None,
+        parameters: Mapping[str, float] | None = None,
+    ) -> Document:
+        """Returns whether a plant lies in the family box and in the sample box of a model.
+
+        The plant's parameters are those of the version `of`, of the newest identified one by
+        default, or the ones given.
+        """
+        given = None if parameters is None else json.dumps(dict(parameters))
+        return self._get(
+            url_path("plants", plant, "artifacts", digest, "membership", of=of, parameters=given)
+        )
 
     def add_evidence(self, plant: str, document: Document) -> Evidence:
         """Adds what a stage showed of an artifact.

@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
-from trueup.fit.residual import PooledTransitions
+from trueup.fit.randomised import PooledTransitions, pooled
 from trueup.model.plant import Plant
+from trueup.randomise.randomisation import Randomisation
+from trueup.randomise.training import Draws, training_episodes
+from trueup.simulate.excitation import smoothed_noise
 
 Array = NDArray[np.float64]
 
@@ -19,10 +22,15 @@ U_MAX = 1.0
 NOMINAL = (1.0, 0.4, 1.0)
 DEPLOYMENT = (1.25, 0.62, 0.82)
 SHIFTED = (1.85, 1.05, 0.70)
-FAMILY_BOX = {"k": (0.6, 1.6), "c": (0.2, 0.8), "b": (0.7, 1.3)}
+FAMILY = {
+    "numbers": [
+        {"number": "k", "distribution": "uniform", "low": 0.6, "high": 1.6},
+        {"number": "c", "distribution": "uniform", "low": 0.2, "high": 0.8},
+        {"number": "b", "distribution": "uniform", "low": 0.7, "high": 1.3},
+    ]
+}
 DATA_SEED, TEST_SEED = 20240517, 999
-TRAINING_PLANTS, TRAINING_STEPS = 24, 160
-START_SCALE = 0.4
+DRAWS = Draws(plants=24, steps=160, start_scale=0.4)
 
 PLANT = Plant.from_document(
     {
@@ -56,13 +64,8 @@ class ChapterData:
 
 
 def excitation(steps: int, rng: np.random.Generator) -> Array:
-    """Smoothed noise, `(steps,)`: x_t = 0.85 x_{t-1} + 0.15 z_t, issued u_t = clip(1.6 x_t,
-    ±u_max)."""
-    x, issued = 0.0, np.empty(steps)
-    for t, z in enumerate(rng.standard_normal(steps)):
-        x = 0.85 * x + 0.15 * z
-        issued[t] = np.clip(1.6 * x, -U_MAX, U_MAX)
-    return issued
+    """Smoothed noise within the command's limits, `(steps,)`."""
+    return U_MAX * smoothed_noise(steps, rng)
 
 
 def drive(parameters: tuple[float, ...], start: Array, issued: Array) -> Array:
@@ -112,17 +115,4 @@ def draw() -> ChapterData:
 
 
 def _pool(rng: np.random.Generator) -> PooledTransitions:
-    plants = [
-        tuple(rng.uniform(*FAMILY_BOX[name]) for name in "kcb") for _ in range(TRAINING_PLANTS)
-    ]
-    runs = []
-    for parameters in plants:
-        issued = excitation(TRAINING_STEPS, rng)
-        runs.append((drive(parameters, START_SCALE * rng.standard_normal(2), issued), issued))
-    each = np.repeat(np.array(plants), TRAINING_STEPS, axis=0)
-    return PooledTransitions(
-        np.concatenate([s[:-1] for s, _ in runs]),
-        np.concatenate([u for _, u in runs])[:, None],
-        np.concatenate([s[1:] for s, _ in runs]),
-        dict(zip("kcb", each.T, strict=True)),
-    )
+    return pooled(PLANT, training_episodes(Randomisation.of(PLANT, FAMILY), DRAWS, rng))

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from trueup.chapter.data import (
     DEPLOYMENT,
+    DRAWS,
     DT_S,
-    FAMILY_BOX,
+    FAMILY,
     NOMINAL,
     PLANT,
     SHIFTED,
-    START_SCALE,
     ChapterData,
     draw,
     drive,
@@ -27,13 +27,16 @@ from trueup.control.planner import RandomShooting
 from trueup.control.watchdog import inject_sensor_failure
 from trueup.diagnose.open_loop import rollout_bound
 from trueup.fit.identify import Identification, identify
-from trueup.fit.residual import family_box, fit_blind, fit_conditioned, fit_residual
+from trueup.fit.randomised import fit_blind, fit_conditioned, sample_box
+from trueup.fit.residual import fit_residual
 from trueup.fit.score import FIRST, Scoring, rollout_errors
 from trueup.gate.decision import default_gate
 from trueup.gate.judge import judge, run_trial
 from trueup.model.predictor import Identified, Nominal, Predictor
 from trueup.monitor.detectors.quantile import QuantileRun
 from trueup.monitor.residuals import Residuals, one_step_residuals
+from trueup.randomise.membership import Box, membership
+from trueup.randomise.randomisation import Randomisation
 
 Array = NDArray[np.float64]
 Value = float | int | str | bool
@@ -82,7 +85,7 @@ def run_chapter(progress: Callable[[str, float], None] = lambda _what, _share: N
 
 
 def _data(data: ChapterData) -> Table:
-    observed = family_box(data.pooled)
+    observed = sample_box(data.pooled)
     rows: dict[str, dict[str, Value]] = {
         name: {"low": low, "high": high} for name, (low, high) in observed.items()
     }
@@ -90,19 +93,19 @@ def _data(data: ChapterData) -> Table:
 
 
 def _membership(data: ChapterData) -> Table:
-    samples = family_box(data.pooled)
+    family, samples = Randomisation.of(PLANT, FAMILY).box(), sample_box(data.pooled)
     plants = {"deployment": DEPLOYMENT, "shifted": SHIFTED, "(0.65, 0.5, 1.0)": (0.65, 0.5, 1.0)}
     return Table(
         "Membership",
         {
-            name: {"family box": _inside(p, FAMILY_BOX), "sample box": _inside(p, samples)}
+            name: {"family box": _inside(family, p), "sample box": _inside(samples, p)}
             for name, p in plants.items()
         },
     )
 
 
-def _inside(parameters: tuple[float, ...], box: Mapping[str, tuple[float, float]]) -> bool:
-    return all(box[name][0] <= x <= box[name][1] for name, x in zip("kcb", parameters, strict=True))
+def _inside(box: Box, parameters: tuple[float, ...]) -> bool:
+    return membership(box, dict(zip("kcb", parameters, strict=True)))["inside"] is True
 
 
 def _identification(identification: Identification) -> Table:
@@ -215,7 +218,7 @@ def _monitor() -> Table:
         residuals = []
         for _ in range(20):
             issued = excitation(120, rng)
-            states = drive(parameters, START_SCALE * rng.standard_normal(2), issued)
+            states = drive(parameters, DRAWS.start_scale * rng.standard_normal(2), issued)
             residuals.append(one_step_residuals(nominal, states, issued[:, None]))
         groups.append(residuals)
     threshold = QuantileRun(float(np.quantile(np.concatenate(groups[0]), 0.99)))

@@ -39,7 +39,7 @@ LOCAL = 100  # recorded states at which the machine's step is linearised
 NUDGE = 1e-4  # of a state's scale, between rounding and what curves
 NEGLIGIBLE = 0.01  # of the defect: a start that noise moves by less counts as equal
 HAIR = 0.01  # of the recorded range, by which a state may lie beyond it
-EXACT = 1e-12  # of the scales: what rounding leaves of an equal start
+EXACT = 1e-9  # of the scales: what rounding leaves of an equal start
 EVEN = 1e-3  # of the declared step, by which stamps may be off it
 ROUNDING = 1e-9  # of an error, by which a proven bound may seem broken
 
@@ -93,7 +93,7 @@ def open_loop(
     if not models or not episodes:
         raise ValueError("an open loop needs a model and an episode")
     plant = machine[1].plant
-    horizons, scales = sorted(set(horizons)), state_scales(plant)
+    horizons, scales = sorted(set(horizons)), plant.state_scales
     lipschitz = _lipschitz(machine[1], episodes, scales)
     progress(0.1)
     common = [
@@ -155,18 +155,6 @@ def rollout_bound(defect: float, lipschitz: float, steps: int) -> float:
     """
     with np.errstate(over="ignore"):
         return defect * float(np.sum(np.float64(lipschitz) ** np.arange(steps)))
-
-
-def state_scales(plant: Plant) -> Array:
-    """The scale of each state `(states,)`: that of its channel, and for a velocity that nobody
-    observes its position's in a horizon."""
-    joints = len(plant.joints)
-    scales = np.full(2 * joints, np.nan)
-    scales[plant.state_columns] = plant.scales
-    positions = scales[:joints]
-    hidden = np.isnan(scales[joints:])
-    scales[joints:][hidden] = positions[hidden] / plant.horizon_s
-    return scales
 
 
 def _rollouts(model: Predictor, episode: Episode, steps: int) -> Rollouts:

@@ -1,8 +1,8 @@
-"""Residual and domain-randomised fits: ridge regression on declared features."""
+"""Residual fits: ridge regression, on declared features, of what the nominal update misses."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +12,9 @@ from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.fit.least_squares import ridge
 from trueup.fit.transitions import transitions
-from trueup.model.features import CONDITIONED, POLYNOMIAL, design, known_features, polynomial
+from trueup.model.features import design, known_features, polynomial
 from trueup.model.plant import Plant
-from trueup.model.predictor import Blind, Conditioned, LinearMap, Residual
+from trueup.model.predictor import LinearMap, Residual
 
 Array = NDArray[np.float64]
 RIDGE = 1e-8  # penalty on every weight, of the normal equations
@@ -75,39 +75,3 @@ def fit_residual(
 
 def _rms(values: Array) -> tuple[float, ...]:
     return tuple(float(x) for x in np.sqrt(np.mean(values**2, axis=0)))
-
-
-@dataclass(frozen=True, slots=True)
-class PooledTransitions:
-    """Single transitions of many plants: states, next states `(n, states)`, issued `(n, commands)`,
-    parameters `(n,)` by name."""
-
-    states: Array
-    issued: Array
-    after: Array
-    parameters: Mapping[str, Array]
-
-
-def fit_blind(plant: Plant, pooled: PooledTransitions, penalty: float = RIDGE) -> Blind:
-    """One ridge fit of the next state over all plants, which are not told apart."""
-    rows = design(POLYNOMIAL, pooled.states, pooled.issued, {})
-    return Blind(plant, LinearMap(POLYNOMIAL, ridge(rows, pooled.after, penalty)))
-
-
-def fit_conditioned(
-    plant: Plant, pooled: PooledTransitions, identified: Sequence[float], penalty: float = RIDGE
-) -> Conditioned:
-    """A linear map with the plants' parameters among the features; at work it is fed the identified
-    ones."""
-    rows = design(CONDITIONED, pooled.states, pooled.issued, pooled.parameters)
-    return Conditioned(
-        plant, LinearMap(CONDITIONED, ridge(rows, pooled.after, penalty)), tuple(identified)
-    )
-
-
-def family_box(pooled: PooledTransitions) -> dict[str, tuple[float, float]]:
-    """The observed range of each parameter over the pooled plants."""
-    return {
-        name: (float(np.min(values)), float(np.max(values)))
-        for name, values in pooled.parameters.items()
-    }

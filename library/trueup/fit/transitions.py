@@ -56,11 +56,13 @@ class Transitions:
         return np.concatenate(parts)
 
 
-def transitions(plant: Plant, episodes: Sequence[Episode]) -> Transitions:
-    """The transitions of adaptation episodes. Raises RoleRefused, NotIdentifiable."""
+def transitions(
+    plant: Plant, episodes: Sequence[Episode], role: Role = Role.ADAPTATION
+) -> Transitions:
+    """The transitions of episodes of one role. Raises RoleRefused, NotIdentifiable."""
     if not episodes:
-        raise NotIdentifiable("there is no adaptation episode to fit")
-    parts = [_of_one(plant, e.require(Role.ADAPTATION)) for e in episodes]
+        raise NotIdentifiable(f"there is no {role} episode to fit")
+    parts = [_of_one(plant, e.require(role)) for e in episodes]
     estimated = len(plant.layout.observations) < 2 * plant.dynamics.joints or any(
         e.missing for e in episodes
     )

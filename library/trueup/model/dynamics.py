@@ -64,6 +64,7 @@ class Dynamics(ABC):
     name: str  # a family's, or mjcf
     joints: int
     parameter_names: tuple[str, ...]
+    products: tuple[str, ...] = ()  # features of each parameter times what it multiplies
     form: Form
 
     @abstractmethod
@@ -155,6 +156,10 @@ class CompiledFamily(Dynamics):
     @property
     def parameter_names(self) -> tuple[str, ...]:  # type: ignore[override]
         return tuple(p.name for p in self.family.params)
+
+    @property
+    def products(self) -> tuple[str, ...]:  # type: ignore[override]
+        return self.family.products
 
     def step(self, state: Array, applied: Array, parameters: Array, h_s: Array | float) -> Array:
         q, v = state[:, 0], state[:, 1]

@@ -33,6 +33,8 @@ class Family(ABC):
 
     name: ClassVar[str]
     params: ClassVar[tuple[Param, ...]]
+    # each parameter times what it multiplies, as a feature, in the order of `params`
+    products: ClassVar[tuple[str, ...]]
 
     @staticmethod
     @abstractmethod

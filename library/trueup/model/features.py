@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trueup.errors import BadArtifact
+from trueup.model.dynamics import Dynamics
 
 Array = NDArray[np.float64]
 
 POLYNOMIAL = ("q", "v", "u", "q*v", "q*u", "v*u", "q*q", "v*v", "u*u", "1")
-CONDITIONED = (*POLYNOMIAL, "k", "c", "b", "k*q", "c*v", "b*u")
 FRICTION = ("1", "v", "u", "sign(v)", "abs(v)")
 
 _FACTOR = re.compile(r"(?:(sign|abs|sin)\(([qvu])(\d{0,3})\)|([qvu])(\d{0,3}))")
@@ -46,8 +46,15 @@ def polynomial(joints: int, commands: int = 1) -> tuple[str, ...]:
     return ("1", *(form.format(i or "") for form, count in counts.items() for i in range(count)))
 
 
-def known_features(features: Sequence[str], parameters: Sequence[str] = ("k", "c", "b")) -> None:
-    """Raises BadArtifact for a factor that is neither a symbol nor a parameter."""
+def conditioned(dynamics: Dynamics, commands: int = 1) -> tuple[str, ...]:
+    """Features of a map that is fed the plant's parameters: those of a map that is not, the
+    parameters, and of a family each parameter's product with what it multiplies."""
+    known = polynomial(dynamics.joints, commands)
+    return (*known, *dynamics.parameter_names, *dynamics.products)
+
+
+def known_features(features: Sequence[str], parameters: Sequence[str]) -> None:
+    """Raises BadArtifact for a factor that is neither a symbol nor one of the parameters."""
     for feature in features:
         for factor in feature.split("*"):
             if factor != "1" and not _FACTOR.fullmatch(factor) and factor not in parameters:

@@ -131,6 +131,17 @@ class Plant:
         return np.array([c.scale for c in self.layout.observations])
 
     @cached_property
+    def state_scales(self) -> Array:
+        """The scale of each state, `(states,)`: that of its channel, and for a velocity that nobody
+        observes its position's in a horizon."""
+        joints = len(self.joints)
+        scales = np.full(2 * joints, np.nan)
+        scales[self.state_columns] = self.scales
+        hidden = np.isnan(scales[joints:])
+        scales[joints:][hidden] = scales[:joints][hidden] / self.horizon_s
+        return scales
+
+    @cached_property
     def form(self) -> Form:
         """What the compiled rollout reads of the nominal model."""
         return self.dynamics.form

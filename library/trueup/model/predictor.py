@@ -209,12 +209,12 @@ class LinearMap:
 
     @staticmethod
     def restore(
-        description: Mapping[str, Json], arrays: Mapping[str, Array], states: int
+        plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
     ) -> LinearMap:
         """The map that was described. Raises BadArtifact where weights and features do not fit."""
         features = tuple(str(f) for f in description["features"])  # type: ignore[union-attr]
-        known_features(features)
-        weights = arrays["weights"]
+        known_features(features, plant.dynamics.parameter_names)
+        weights, states = arrays["weights"], 2 * plant.dynamics.joints
         if weights.shape != (len(features), states) or not np.isfinite(weights).all():
             raise BadArtifact(
                 f"the weights are {weights.shape}, {len(features)} features and {states} "
@@ -246,7 +246,7 @@ class Blind(Stepwise):
     def restore(
         plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
     ) -> Blind:
-        return Blind(plant, LinearMap.restore(description, arrays, 2 * plant.dynamics.joints))
+        return Blind(plant, LinearMap.restore(plant, description, arrays))
 
 
 @dataclass(frozen=True)
@@ -278,9 +278,7 @@ class Conditioned(Stepwise):
         plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
     ) -> Conditioned:
         parameters = Identified.restore(plant, description, arrays).parameters
-        return Conditioned(
-            plant, LinearMap.restore(description, arrays, 2 * plant.dynamics.joints), parameters
-        )
+        return Conditioned(plant, LinearMap.restore(plant, description, arrays), parameters)
 
 
 @dataclass(frozen=True)
@@ -308,7 +306,7 @@ class Residual(Stepwise):
     def restore(
         plant: Plant, description: Mapping[str, Json], arrays: Mapping[str, Array]
     ) -> Residual:
-        return Residual(plant, LinearMap.restore(description, arrays, 2 * plant.dynamics.joints))
+        return Residual(plant, LinearMap.restore(plant, description, arrays))
 
 
 def _move(states: Array, by: Array, plant: Plant, h_s: Array | float | None) -> Array:

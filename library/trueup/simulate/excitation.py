@@ -6,7 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+KEPT, SHOCK, LOUDNESS = 0.85, 0.15, 1.6  # of the smoothed noise
 SHAPES = ("smooth", "multisine", "steps", "triangle")
+
+
+def smoothed_noise(steps: int, rng: np.random.Generator) -> Array:
+    """White noise through a first-order filter, `(steps,)` within +-1: x_t = 0.85 x_{t-1} + 0.15
+    z_t, clip(1.6 x_t, +-1)."""
+    x, series = 0.0, np.empty(steps)
+    for t, z in enumerate(rng.standard_normal(steps)):
+        x = KEPT * x + SHOCK * z
+        series[t] = np.clip(LOUDNESS * x, -1.0, 1.0)
+    return series
 
 
 def planned(shape: str, samples: int, timestep_s: float, rng: np.random.Generator) -> Array:

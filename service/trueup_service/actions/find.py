@@ -38,6 +38,7 @@ PURPOSES = (
     "compare",
     "openloop",
     "closedloop",
+    "randomise",
 )
 T = TypeVar("T")
 

@@ -27,13 +27,15 @@ class Submission:
     request: dict[str, Json]
     context: ActorContext
 
-    def episodes(self, *roles: Role, otherwise: Sequence[Role] = ()) -> list[EpisodeRecord]:
-        """The episodes that the request names, which have one of the roles; where it names none,
-        all of these roles, or of `otherwise` if that is given.
+    def episodes(
+        self, *roles: Role, otherwise: Sequence[Role] = (), field: str = "episodes"
+    ) -> list[EpisodeRecord]:
+        """The episodes that the request names in a field, which have one of the roles; where it
+        names none, all of these roles, or of `otherwise` if that is given.
 
         Raises NotFound, RoleRefused.
         """
-        named = self.request.get("episodes")
+        named = self.request.get(field)
         if named is None:
             return self.tx.episodes.of_roles(self.plant, otherwise or roles)
         digests = map(str, named)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@ transaction."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from trueup.canonical import Json
@@ -16,19 +17,28 @@ from trueup_service.actions.submit_study import (
     submit_openloop,
 )
 from trueup_service.actions.submit_trial import submit_gate
-from trueup_service.registry.records import JobRecord
+from trueup_service.registry.records import EpisodeRecord, JobRecord
 
 # One episode differs by luck alone by as much as an alarm takes.
 LEAST_VALIDATED = 5  # episodes
+RANGES = "randomisation.json"  # the file of a diagnosis with the ranges that it supports
+OF_FAMILIES = ("blind", "conditioned")  # methods that fit one map for a family of plants
 
 
 def submit_fit(s: Submission) -> JobRecord:
-    """Submit a fit of `method` from the named adaptation episodes, or from all of them. Raises
-    NotFound, RoleRefused, NotIdentifiable."""
+    """Submit a fit of `method` from the named adaptation episodes, or from all of them; of a whole
+    family from training episodes. Raises NotFound, RoleRefused, NotIdentifiable."""
     find.plant_digest(s.tx, s.plant)
     episodes = s.episodes(Role.ADAPTATION)
-    require_some(episodes, Role.ADAPTATION, "adaptation episode to fit")
-    return s.enqueue("fit", _from_parent(s, digests_of(episodes)))
+    if s.request["method"] not in OF_FAMILIES:
+        require_some(episodes, Role.ADAPTATION, "adaptation episode to fit")
+        return s.enqueue("fit", _from_parent(s, digests_of(episodes)))
+    training = s.episodes(Role.TRAINING, field="training")
+    require_some(training, Role.TRAINING, "training episode of a plant of the family")
+    if s.request["method"] == "conditioned":
+        require_context(s, episodes)
+    frozen = _from_parent(s, digests_of(episodes))
+    return s.enqueue("fit", {**frozen, "training": list(digests_of(training))})
 
 
 def submit_diagnosis(s: Submission) -> JobRecord:
@@ -132,7 +142,49 @@ def submit_recomputation(s: Submission) -> JobRecord:
     return s.enqueue("recompute", frozen)
 
 
+def submit_randomisation(s: Submission) -> JobRecord:
+    """Submit draws from a family of plants, and fits of its predictors. Raises NotFound,
+    RoleRefused, NotIdentifiable."""
+    find.plant_digest(s.tx, s.plant)
+    episodes = s.episodes(Role.ADAPTATION)
+    require_context(s, episodes)
+    frozen = _from_parent(s, digests_of(episodes))
+    if "randomisation" not in s.request:
+        frozen["diagnosis"] = _ranges(s).id
+    return s.enqueue("randomise", frozen)
+
+
+def require_context(s: Submission, episodes: Sequence[EpisodeRecord]) -> None:
+    """Raises NotIdentifiable where a context is to be identified, and there is no episode to."""
+    context: Any = s.request.get("context") or {}
+    if context.get("by", "identification") == "identification" and not episodes:
+        raise NotIdentifiable(
+            "there is no adaptation episode to identify the context from",
+            hint="Upload one, or give the context by configuration or by measurement.",
+        )
+
+
+def _ranges(s: Submission) -> JobRecord:
+    """The diagnosis whose ranges are drawn from: the named one, else the newest that left any.
+    Raises NotFound, NotIdentifiable."""
+    named = s.request.get("diagnosis")
+    if named is not None:
+        job = find.job(s.tx, str(named))
+        if job.plant != s.plant or job.kind != "diagnose":
+            raise find.not_found("diagnosis", str(named))
+        find.output(s.tx, job.id, RANGES)
+        return job
+    newest = s.tx.jobs.last_with_output(s.plant, "diagnose", RANGES)
+    if newest is None:
+        raise NotIdentifiable(
+            "no family is declared, and no diagnosis of this plant has left ranges",
+            hint="Declare `randomisation`, or diagnose the plant.",
+        )
+    return newest
+
+
 SUBMIT = {
+    "randomise": submit_randomisation,
     "validate": submit_validation,
     "calibrate": submit_calibration,
     "fit": submit_fit,

@@ -76,6 +76,7 @@ ACCESS: Mapping[tuple[str, str], Rule] = {
     ("GET", f"{PLANT}/artifacts/{{digest}}/arrays"): ANYBODY,
     ("GET", f"{PLANT}/artifacts/{{digest}}/provenance"): ANYBODY,
     ("GET", f"{PLANT}/artifacts/{{digest}}/evidence"): READERS,
+    ("GET", f"{PLANT}/artifacts/{{digest}}/membership"): READERS,
     ("DELETE", f"{PLANT}/artifacts/{{digest}}"): ENGINEERS,
     ("GET", f"{PLANT}/versions/{{version}}"): READERS,
     ("POST", f"{PLANT}/gates"): ENGINEERS,

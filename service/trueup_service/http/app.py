@@ -33,6 +33,7 @@ from trueup_service.http.routers import (
     channels,
     decisions,
     episodes,
+    families,
     gates,
     jobs,
     monitors,
@@ -60,8 +61,8 @@ Errors are `application/problem+json` with a stable `code` and a `hint`. Every P
 
 
 ROUTERS = (
-    plants, episodes, uploads, telemetry, artifacts, gates, jobs, decisions, serving, monitors,
-    policies, channels, audit, access,
+    plants, episodes, uploads, telemetry, artifacts, families, gates, jobs, decisions, serving,
+    monitors, policies, channels, audit, access,
     operations,
 )  # fmt: skip
 

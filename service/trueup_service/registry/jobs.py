@@ -54,6 +54,14 @@ class Jobs(Repository[JobRecord]):
         jobs = map(self._record, self._connection.execute(query))
         return next((job for job in jobs if matches(job.request)), None)
 
+    def last_with_output(self, plant: str, kind: str, name: str) -> JobRecord | None:
+        """The newest job of a kind that left a file of a name behind."""
+        left = select(t.outputs.c.job).where(t.outputs.c.plant == plant, t.outputs.c.name == name)
+        query = select(t.jobs).where(
+            t.jobs.c.plant == plant, t.jobs.c.kind == kind, t.jobs.c.id.in_(left)
+        )
+        return self._one(query.order_by(t.jobs.c.created_at.desc()).limit(1))
+
     def is_queued(self, plant: str, kind: str) -> bool:
         """Whether a job of this kind has not begun yet."""
         query = select(t.jobs.c.id).where(

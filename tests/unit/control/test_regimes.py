@@ -13,7 +13,8 @@ from trueup.control.courses import Courses, Travelled
 from trueup.control.machine import Diagnosed, Predicted, machine_of, with_authority
 from trueup.control.regimes import Conditions, run_regimes
 from trueup.errors import NotIdentifiable
-from trueup.fit.residual import fit_blind, fit_conditioned, fit_residual
+from trueup.fit.randomised import fit_blind, fit_conditioned
+from trueup.fit.residual import fit_residual
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
 

@@ -10,8 +10,9 @@ import pytest
 from tests.support.made import TRUE, corrected, plant_document
 from trueup.chapter.data import DEPLOYMENT, PLANT, draw
 from trueup.chapter.published import PUBLISHED
-from trueup.diagnose.open_loop import open_loop, rollout_bound, state_scales
-from trueup.fit.residual import fit_blind, fit_conditioned, fit_residual
+from trueup.diagnose.open_loop import open_loop, rollout_bound
+from trueup.fit.randomised import fit_blind, fit_conditioned
+from trueup.fit.residual import fit_residual
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
 
@@ -105,7 +106,7 @@ def test_a_velocity_that_nobody_observes_breaks_a_premise_and_has_a_scale_of_its
     document = plant_document()
     document["observations"] = [{"name": "q", "unit": "m", "scale": 0.5}]
     plant = Plant.from_document(document)
-    assert state_scales(plant).tolist() == [0.5, 0.25]  # a scale in a horizon of 2 s
+    assert plant.state_scales.tolist() == [0.5, 0.25]  # a scale in a horizon of 2 s
     episode = replace(
         data.test, observations=data.test.observations[:, :1].copy(), layout=plant.layout
     )

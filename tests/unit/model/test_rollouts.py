@@ -185,13 +185,13 @@ def test_features_are_products_of_known_factors():
     assert design(
         ("1", "q*v", "sign(v)", "abs(v)", "k*q"), states, issued, {"k": 4.0}
     ).tolist() == [[1.0, -1.0, -1.0, 2.0, 2.0]]
-    known_features(FRICTION)
+    known_features(FRICTION, ())
 
 
 @pytest.mark.parametrize("feature", ["__import__('os')", "q**2", "w", "", "q*"])
 def test_an_unknown_feature_is_refused_and_never_evaluated(feature):
     with pytest.raises(BadArtifact):
-        known_features((feature,))
+        known_features((feature,), ("k", "c", "b"))
 
 
 def test_a_predictor_that_runs_away_says_so_in_its_numbers():

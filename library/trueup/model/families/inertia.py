@@ -12,6 +12,7 @@ class Inertia(Family):
 
     name = "inertia"
     params = (Param("c", "1/s"), Param("b", "acceleration / command"))
+    products = ("c*v", "b*u")
 
     @staticmethod
     def acceleration(q, v, u, c, b):  # type: ignore[no-untyped-def]

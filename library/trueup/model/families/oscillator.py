@@ -12,6 +12,7 @@ class Oscillator(Family):
 
     name = "oscillator"
     params = (Param("k", "1/s^2"), Param("c", "1/s"), Param("b", "acceleration / command"))
+    products = ("k*q", "c*v", "b*u")
 
     @staticmethod
     def acceleration(q, v, u, k, c, b):  # type: ignore[no-untyped-def]

@@ -14,6 +14,7 @@ class Pendulum(Family):
 
     name = "pendulum"
     params = (Param("k", "1/s^2"), Param("c", "1/s"), Param("b", "acceleration / command"))
+    products = ("k*sin(q)", "c*v", "b*u")
 
     @staticmethod
     def acceleration(q, v, u, k, c, b):  # type: ignore[no-untyped-def]

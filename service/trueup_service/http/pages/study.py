@@ -1,5 +1,5 @@
-"""The pages of studies in open and in closed loop: their progress while they run, then their
-reports."""
+"""The pages of studies in open and in closed loop, and of randomisations: their progress while
+they run, then their reports."""
 
 from __future__ import annotations
 
@@ -11,14 +11,18 @@ import orjson
 from fastapi import Request, Response
 from starlette.responses import HTMLResponse
 
-from trueup_pages import closed_loop, open_loop
+from trueup_pages import closed_loop, open_loop, randomisation
 from trueup_service.actions import find
 from trueup_service.errors import NotFound
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
 from trueup_service.http.pages.page import begin_job, go, show
 from trueup_service.http.routers.jobs import JobId
-from trueup_service.http.schemas.jobs import ClosedloopRequest, OpenloopRequest
+from trueup_service.http.schemas.jobs import (
+    ClosedloopRequest,
+    OpenloopRequest,
+    RandomisationRequest,
+)
 from trueup_service.registry.records import FINAL, JobRecord, JobState
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
@@ -36,7 +40,7 @@ class Study:
     body: str
     view: Callable[[Mapping[str, Any]], dict[str, Any]]
     report_page: Callable[[Mapping[str, Any]], str]
-    request: OpenloopRequest | ClosedloopRequest
+    request: OpenloopRequest | ClosedloopRequest | RandomisationRequest
 
 
 STUDIES: Mapping[str, Study] = {
@@ -54,8 +58,15 @@ STUDIES: Mapping[str, Study] = {
         closed_loop.report_page,
         ClosedloopRequest(kind="closedloop"),
     ),
+    "randomise": Study(
+        "randomisation",
+        randomisation.BODY,
+        randomisation.view,
+        randomisation.report_page,
+        RandomisationRequest(kind="randomise"),
+    ),
 }
-Kind = Literal["openloop", "closedloop"]
+Kind = Literal["openloop", "closedloop", "randomise"]
 
 
 @router.get("/plants/{plant}/studies/{job}")

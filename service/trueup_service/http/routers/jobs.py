@@ -37,6 +37,7 @@ from trueup_service.http.schemas.jobs import (
     JobWithReads,
     OpenloopRequest,
     Output,
+    RandomisationRequest,
     RecomputationRequest,
     ValidationRequest,
 )
@@ -56,7 +57,8 @@ JobRequest = Annotated[
     | RecomputationRequest
     | ComparisonRequest
     | OpenloopRequest
-    | ClosedloopRequest,
+    | ClosedloopRequest
+    | RandomisationRequest,
     Body(discriminator="kind"),
 ]
 

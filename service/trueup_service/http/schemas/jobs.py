@@ -53,12 +53,35 @@ class JobWithReads(Job):
     outputs: list[Output]
 
 
+class Context(RequestBody):
+    """The parameters that a conditioned predictor is fed: identified from adaptation episodes,
+    configured as plant.json declares, or measured, with the values by name."""
+
+    by: Literal["identification", "configuration", "measurement"] = "identification"
+    parameters: dict[str, float] | None = Field(
+        None, description="measurement only; a parameter that is left out is nominal"
+    )
+
+
 class FitRequest(RequestBody):
-    """Fit a candidate. `episodes` are digests of adaptation episodes, null for all of them."""
+    """Fit a candidate. `episodes` are digests of adaptation episodes, null for all of them.
+
+    `blind` and `conditioned` fit a map of the whole family from `training` episodes, one of each
+    plant, null for all of them.
+    """
 
     kind: Literal["fit"]
-    method: Literal["identify", "residual"]
+    method: Literal["identify", "residual", "blind", "conditioned"]
     episodes: list[Digest] | None = None
+    training: list[Digest] | None = Field(None, description="blind and conditioned only")
+    context: Context | None = Field(
+        None, description="conditioned only; null for identification from adaptation episodes"
+    )
+    randomisation: dict[str, Any] | None = Field(
+        None,
+        description="blind and conditioned only: the family that training plants were drawn from, "
+        "whose box is then kept with the model",
+    )
     features: list[str] | None = Field(
         None,
         description="residual only: features of the linear map, such as q, v, u, q*v, sign(v), 1",
@@ -189,6 +212,33 @@ class ClosedloopRequest(RequestBody):
         ge=0,
         allow_inf_nan=False,
         description="single joint only: cost of a squared command, in squares of the position",
+    )
+
+
+class RandomisationRequest(RequestBody):
+    """Draw plants from a family, simulate them, and fit the parameter-blind and the conditioned
+    predictor, which become candidates.
+
+    `randomisation` is the family, schema `trueup.randomisation/1`; null for the ranges that
+    `diagnosis`, the id of a job, supports, by default the newest. `episodes` are adaptation
+    episodes of the deployment plant, null for all of them.
+    """
+
+    kind: Literal["randomise"]
+    randomisation: dict[str, Any] | None = None
+    diagnosis: str | None = Field(None, pattern=r"^[0-9a-f]{32}$")
+    episodes: list[Digest] | None = None
+    context: Context | None = Field(
+        None, description="null for identification from the adaptation episodes"
+    )
+    plants: int = Field(24, ge=1, le=5000)
+    steps: int = Field(160, ge=2, le=100_000, description="simulated of each plant")
+    seed: int = Field(0, ge=0, lt=2**32)
+    start_scale: float = Field(
+        0.4,
+        ge=0,
+        allow_inf_nan=False,
+        description="standard deviation of the starts, in reporting scales",
     )
 
 

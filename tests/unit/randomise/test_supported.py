@@ -1,0 +1,73 @@
+"""The randomisation ranges that a diagnosis supports: its intervals, and each explanation that the
+data could not tell apart as a kind of its own."""
+
+import json
+
+import numpy as np
+import pytest
+
+from tests.support.made import TRUE, corrected, plant_document
+from trueup.model.plant import Plant
+from trueup.randomise.randomisation import Randomisation
+from trueup.randomise.supported import supported_ranges
+
+PLANT = Plant.from_document(plant_document())
+FRICTION = corrected(PLANT, {"coulomb_friction": {"level": 0.2}}, TRUE)
+DRAG = corrected(PLANT, {"quadratic_drag": {"coefficient": 0.3}}, TRUE)
+
+
+def estimate(value, half):
+    return {"value": value, "ci95": [value - half, value + half]}
+
+
+def report(verdict="effect", alternatives=()):
+    return {
+        "plant": "bench-joint",
+        "verdict": verdict,
+        "parameters": {
+            name: estimate(value, 0.05) for name, value in zip("kcb", TRUE, strict=True)
+        },
+        "effects": [{"effect": "coulomb_friction", "estimate": {"level": estimate(0.2, 0.02)}}],
+        "evidence": {"alternatives": list(alternatives)},
+    }
+
+
+def test_every_interval_becomes_a_range():
+    document = supported_ranges(FRICTION, report())
+    family = Randomisation.of(PLANT, json.loads(json.dumps(document)))
+    box = family.box()
+    assert box["k"] == pytest.approx((1.2, 1.3))
+    assert box["coulomb_friction.level"] == pytest.approx((0.18, 0.22))
+    model = family.model(family.draw(np.random.default_rng(0)))
+    assert model.hypothesis.effects == ("coulomb_friction",)
+    assert "95 % intervals" in document["because"]
+
+
+def test_explanations_that_cannot_be_told_apart_are_kinds_of_their_own():
+    other = {
+        "model": DRAG.description(),
+        "parameters": {name: estimate(v, 0.05) for name, v in zip("kcb", TRUE, strict=True)},
+        "effects": [{"effect": "quadratic_drag", "estimate": {"coefficient": estimate(0.3, 0.1)}}],
+    }
+    document = supported_ranges(FRICTION, report(alternatives=[other]))
+    family = Randomisation.of(PLANT, document)
+    assert [set(kind.marginals) - set("kcb") for kind in family.kinds] == [
+        {"coulomb_friction.level"},
+        {"quadratic_drag.coefficient"},
+    ]
+    assert [kind.weight for kind in family.kinds] == [1.0, 1.0]
+    assert "cannot tell apart" in document["because"]
+
+
+def test_a_range_never_crosses_zero():
+    wide = report()
+    wide["effects"][0]["estimate"]["level"] = estimate(0.2, 0.5)
+    family = Randomisation.of(PLANT, supported_ranges(FRICTION, wide))
+    low, high = family.box()["coulomb_friction.level"]
+    assert (low, high) == (0.0, pytest.approx(0.7))
+
+
+def test_an_unexplained_gap_is_said_and_nothing_without_an_interval_is_made_up():
+    assert "do not cover" in supported_ranges(FRICTION, report("unknown_effect"))["because"]
+    nothing = {**report("no_gap"), "parameters": {}, "effects": []}
+    assert supported_ranges(corrected(PLANT, {}, TRUE), nothing) is None
