@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from trueup.episode.cutting import write_part
+from trueup.episode.layout import Layout
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.episode.survey import survey
@@ -142,7 +143,8 @@ def _write_parts(files: list[Path], chosen: Chosen, out: Path, stage: str) -> li
     Each recording is one episode, and the last ones are held out; of a single recording the end is
     held out. Roles that recordings declare are kept.
     """
-    topics, written = {chosen.observed.topic, chosen.commanded.topic}, list[Path]()
+    applied = Layout((), ()).applied_topic
+    topics, written = {chosen.observed.topic, chosen.commanded.topic, applied}, list[Path]()
     held_out = max(1, round(HELD_OUT * len(files)))
     for at, file in enumerate(files):
         recorded = file.read_bytes()

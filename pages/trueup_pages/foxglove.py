@@ -1,5 +1,5 @@
-"""A layout for Foxglove: plots of a recording, of two versions' predictions and errors, and the
-regions."""
+"""A layout for Foxglove: plots of a recording, of two versions' predictions and errors, of issued
+and applied commands, and the regions."""
 
 from __future__ import annotations
 
@@ -14,36 +14,49 @@ def layout(plant: Mapping[str, Any], models: Sequence[str]) -> dict[str, Any]:
 
     `models` names the versions whose predictions the recording holds, such as `v1` and `v5`.
     """
-    topic = plant.get("topics", {}).get("observation", "/joint_states")
+    topics = plant.get("topics", {})
+    observed, ordered = (
+        topics.get("observation", "/joint_states"),
+        topics.get("command", "/joint_commands"),
+    )
     configured: dict[str, Any] = {}
-    panels: list[str] = []
     for at, channel in enumerate(plant["observations"]):
-        field = channel.get("field") or ("position" if at == 0 else "velocity")
-        joint = channel.get("joint")
-        path = f'.{field}[:]{{name=="{joint}"}}' if joint else f".{field}[0]"
-        signals = [f"{topic}{path}", *(f"/trueup/{m}/prediction{path}" for m in models)]
+        path = _path(channel, "position" if at == 0 else "velocity")
+        title = f"{channel['name']} [{channel['unit']}]"
+        signals = [f"{observed}{path}", *(f"/trueup/{m}/prediction{path}" for m in models)]
         residuals = [f"/trueup/{m}/residual{path}" for m in models]
-        for kind, paths, colours in (
-            ("signal", signals, COLOURS),
-            ("residual", residuals, COLOURS[1:]),
-        ):
-            name = f"Plot!{kind}-{at}"
-            configured[name] = {
-                "title": f"{channel['name']} [{channel['unit']}]"
-                if kind == "signal"
-                else f"observed less predicted, {channel['name']}",
-                "paths": [_line(p, c) for p, c in zip(paths, colours, strict=False)],
-                "showLegend": True,
-                "isSynced": True,
-                "xAxisVal": "timestamp",
-            }
-            panels.append(name)
+        configured[f"Plot!signal-{at}"] = _plot(title, signals, COLOURS)
+        configured[f"Plot!residual-{at}"] = _plot(
+            f"observed less predicted, {channel['name']}", residuals, COLOURS[1:]
+        )
+    for at, channel in enumerate(plant["commands"]):
+        path = _path(channel, "effort")
+        title = f"{channel['name']} [{channel['unit']}], issued and applied"
+        both = [f"{ordered}{path}", f"/trueup/applied{path}"]
+        configured[f"Plot!command-{at}"] = _plot(title, both, COLOURS)
+    panels = list(configured)
     configured["RawMessages!regions"] = {"topicPath": "/trueup/regions", "diffEnabled": False}
     return {
         "configById": configured,
         "globalVariables": {},
         "userNodes": {},
         "layout": _stacked([*panels, "RawMessages!regions"]),
+    }
+
+
+def _path(channel: Mapping[str, Any], default: str) -> str:
+    """The path of a channel in a JointState."""
+    field, joint = channel.get("field") or default, channel.get("joint")
+    return f'.{field}[:]{{name=="{joint}"}}' if joint else f".{field}[0]"
+
+
+def _plot(title: str, paths: Sequence[str], colours: Sequence[str]) -> dict[str, Any]:
+    return {
+        "title": title,
+        "paths": [_line(p, c) for p, c in zip(paths, colours, strict=False)],
+        "showLegend": True,
+        "isSynced": True,
+        "xAxisVal": "timestamp",
     }
 
 

@@ -26,6 +26,7 @@ ON_A_MACHINE = ("HIL", "physical")
 CONDITIONS = ("stage", "envelope", "safeguards", "supervisor", "stop_criterion", "excitation")
 SINGULAR = 1e-6  # of the regressors with columns of unit length
 WEAK = 30.0  # condition number of a design that amplifies noise much
+SAME = 1e-6  # of the command's range
 STILL = 0.05  # of the command's range: less is hardly an excitation
 
 
@@ -38,6 +39,7 @@ def measured(plant: Plant, episode: Episode, fitted_on: Sequence[Coverage] = ())
         "conditions": _conditions(episode, warnings),
         "envelope": _envelope(plant, episode, warnings),
         "excitation": _excitation(plant, episode, warnings),
+        "applied": _applied(episode, warnings),
         "outside": compared(plant, episode, fitted_on, warnings) if fitted_on else None,
     }
     return {**record, "warnings": list(warnings)}
@@ -132,6 +134,28 @@ def _excitation(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str
         "condition": condition if np.isfinite(condition) else None,
         "numbers": len(names),
     }
+
+
+def _applied(episode: Episode, warnings: list[str]) -> dict[str, Json] | None:
+    """How far the applied commands that were recorded differ from what the declared limits leave of
+    the issued ones, by channel; None where none were recorded."""
+    if episode.applied is None:
+        return None
+    record: dict[str, Json] = {}
+    pairs = zip(episode.layout.commands, episode.within_limits.T, episode.applied.T, strict=True)
+    for channel, limited, applied in pairs:
+        apart = np.abs(applied - limited)[np.isfinite(applied)]
+        reach = float(np.ptp(channel.limits or (0.0, 1.0)))
+        differs = apart > SAME * reach
+        share = float(differs.mean()) if len(apart) else None
+        record[channel.name] = {"share": share, "largest": float(apart.max(initial=0.0))}
+        if differs.any():
+            warnings.append(
+                f"the applied {channel.name} is not what the declared limits leave of the issued "
+                f"one in {100 * differs.mean():.3g} % of the samples, by up to {apart.max():.3g} "
+                f"{channel.unit}: something in the drive limits, delays or rounds it"
+            )
+    return record
 
 
 def _rank(columns: Array) -> tuple[int, float]:

@@ -75,7 +75,7 @@ def _trace(
         )
     joints = {plant.joint_of(c) for _, c in columns}
     commands: list[Json] = [
-        {**named(plant, c), "issued": numbers(episode.commands[drawn, i])}
+        _command(plant, c, episode.commands[drawn, i], episode.applied_commands[drawn, i])
         for i, c in enumerate(plant.layout.commands)
         if plant.joint_of(c) in joints
     ]
@@ -86,7 +86,15 @@ def _trace(
         "t_s": [round(float(t), 5) for t in episode.t_s[drawn]],
         "channels": channels,
         "commands": commands,
+        "applied": "as recorded" if episode.applied is not None else "by the declared limits",
     }
+
+
+def _command(plant: Plant, channel: Channel, issued: Array, applied: Array) -> Json:
+    """A command as it was issued and, where that is anything else, as it was applied."""
+    pair = {"issued": numbers(issued), "applied": numbers(applied)}
+    same = pair["issued"] == pair["applied"]
+    return {**named(plant, channel), **pair, **({"applied": None} if same else {})}
 
 
 def named(plant: Plant, channel: Channel) -> dict[str, Json]:

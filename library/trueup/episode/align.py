@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,17 +14,29 @@ from trueup.errors import NotAnEpisode
 Array = NDArray[np.float64]
 
 
-def align(observed: Track, issued: Track) -> tuple[NDArray[np.int64], Array, Array]:
-    """Stamps [ns] `(samples,)`, observations and commands at them, from the first command on.
+@dataclass(frozen=True, slots=True)
+class Aligned:
+    """Stamps [ns] `(samples,)`, observations, issued commands and, where they were recorded,
+    applied ones at them."""
 
-    Header stamps count if both topics have them, log times otherwise: two clocks would not be one.
+    stamps: NDArray[np.int64]
+    observations: Array
+    commands: Array
+    applied: Array | None
+
+
+def align(observed: Track, issued: Track, applied: Track | None = None) -> Aligned:
+    """Everything at the stamps of the observations, from the first command on.
+
+    Header stamps count if every topic has them, log times otherwise: two clocks would not be one.
     Raises NotAnEpisode.
     """
-    for track in (observed, issued):
+    tracks = (observed, issued) if applied is None else (observed, issued, applied)
+    for track in tracks:
         track.require_finite()
     issued.require(issued.channels)
     observed.require([c for c in observed.channels if c.field is Field.POSITION])
-    by_stamp = observed.has_stamps and issued.has_stamps
+    by_stamp = all(track.has_stamps for track in tracks)
     stamps, command_stamps = (
         observed.times_ns(by_stamp=by_stamp),
         issued.times_ns(by_stamp=by_stamp),
@@ -38,7 +52,24 @@ def align(observed: Track, issued: Track) -> tuple[NDArray[np.int64], Array, Arr
     in_force = np.searchsorted(command_stamps, stamps, side="right") - 1
     first = int(np.argmax(in_force >= 0))
     commands = _over_intervals(stamps[first:], command_stamps, issued.values, in_force[first:])
-    return stamps[first:], observed.values[first:], commands
+    stamps = stamps[first:]
+    return Aligned(
+        stamps,
+        observed.values[first:],
+        commands,
+        None if applied is None else _applied(stamps, applied, by_stamp=by_stamp),
+    )
+
+
+def _applied(stamps: NDArray[np.int64], track: Track, *, by_stamp: bool) -> Array:
+    """Applied commands over each interval between samples; nan before the first message."""
+    times = track.times_ns(by_stamp=by_stamp)
+    in_force = np.searchsorted(times, stamps, side="right") - 1
+    known = in_force >= 0
+    values = np.full((len(stamps), len(track.channels)), np.nan)
+    if known.any():
+        values[known] = _over_intervals(stamps[known], times, track.values, in_force[known])
+    return values
 
 
 def _over_intervals(

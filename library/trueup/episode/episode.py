@@ -25,7 +25,9 @@ class Episode:
     `t_s` [s] counts from the first sample, strictly increasing, `(samples,)`. `observations` is
     `(samples, observation channels)`, `commands` `(samples, command channels)`: row i acts from
     `t_s[i]` to the next sample, and is the mean of those in force where the command changed in
-    between. A channel that the log lacks is a column of nan, named in `missing`. `clock_doubts`
+    between. These are the commands that were issued; `applied` `(samples, command channels)` is
+    what the drive reports to have applied of them, None where no log says so, nan before its first
+    message. A channel that the log lacks is a column of nan, named in `missing`. `clock_doubts`
     says where the log's own clocks contradict each other. The arrays cannot be written to.
     """
 
@@ -38,6 +40,7 @@ class Episode:
     start_ns: int
     digest: str
     clock_doubts: tuple[str, ...] = ()
+    applied: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         samples = len(self.t_s)
@@ -46,8 +49,11 @@ class Episode:
             raise NotAnEpisode(
                 f"an episode needs two aligned samples at least, this has {samples}", rule="samples"
             )
-        for array in (self.t_s, self.commands, self.observations):
-            array.setflags(write=False)
+        if self.applied is not None and self.applied.shape != self.commands.shape:
+            raise NotAnEpisode("applied commands have the shape of issued ones", rule="samples")
+        for array in (self.t_s, self.commands, self.observations, self.applied):
+            if array is not None:
+                array.setflags(write=False)
         object.__setattr__(self, "conditions", MappingProxyType(dict(self.conditions)))
 
     @property
@@ -58,6 +64,19 @@ class Episode:
         return tuple(
             c.name for c, column in zip(channels, columns.T, strict=True) if np.isnan(column).all()
         )
+
+    @property
+    def within_limits(self) -> NDArray[np.float64]:
+        """What the declared limits leave of the issued commands, `(samples, command channels)`."""
+        ends = [c.limits or (-np.inf, np.inf) for c in self.layout.commands]
+        low, high = np.array(ends, float).reshape(-1, 2).T
+        return np.asarray(np.clip(self.commands, low, high))
+
+    @property
+    def applied_commands(self) -> NDArray[np.float64]:
+        """The applied commands `(samples, command channels)`: as recorded, else what the declared
+        limits leave of the issued ones."""
+        return self.within_limits if self.applied is None else self.applied
 
     @property
     def samples_digest(self) -> str:

@@ -33,9 +33,11 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Topics and channels of an episode, as its plant declares them."""
+    """Topics and channels of an episode, as its plant declares them. Commands are issued on the
+    command topic; what the drive applied of them may stand on another, in the same fields."""
 
     observations: tuple[Channel, ...]
     commands: tuple[Channel, ...]
     observation_topic: str = "/joint_states"
     command_topic: str = "/joint_commands"
+    applied_topic: str = "/joint_commands/applied"  # a recording may lack it

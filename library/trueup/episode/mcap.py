@@ -3,9 +3,10 @@
 Rules of an episode, each named in the NotAnEpisode that it raises:
 - role: one metadata record `episode` carries a role that we know, and the collection conditions, a
   page of text at most;
-- topic: the plant's observation topic and command topic are there, each on one channel;
+- topic: the plant's observation topic and command topic are there, each on one channel; a topic of
+  applied commands may be there, too;
 - encoding: each carries JointState, as CDR, JSON or protobuf; message: and every message is one;
-- clock: header stamps count where both topics have them, log times otherwise; they strictly
+- clock: header stamps count where all topics have them, log times otherwise; they strictly
   increase, and they overlap;
 - samples: two aligned samples at least, every command and every declared position among them;
 - finite: a value is finite, or its whole channel is missing.
@@ -47,6 +48,7 @@ def read_episode_stream(
     tracks = (
         Gathering(layout.observation_topic, layout.observations),
         Gathering(layout.command_topic, layout.commands),
+        Gathering(layout.applied_topic, layout.commands),
     )
     for block in walk:
         for channel, messages in block.messages.items():
@@ -56,20 +58,22 @@ def read_episode_stream(
                     track.add(topic, block, messages)
     role, conditions = _role(walk.contents.metadata)
     known = sorted({t.name for t in walk.contents.topics.values()})
-    observed, issued = (track.track(known) for track in tracks)
-    stamps, observations, commands = align(observed, issued)
+    observed, issued = (track.track(known) for track in tracks[:2])
+    applied = tracks[2].track(known) if tracks[2] else None
+    aligned = align(observed, issued, applied)
     amiss = doubts(observed) + (doubts(issued) if issued.topic != observed.topic else ())
-    start = int(stamps[0])
+    start = int(aligned.stamps[0])
     return Episode(
-        (stamps - start) / 1e9,
-        commands,
-        observations,
+        (aligned.stamps - start) / 1e9,
+        aligned.commands,
+        aligned.observations,
         layout,
         role,
         conditions,
         start,
         hashed.digest,
         amiss,
+        aligned.applied,
     )
 
 

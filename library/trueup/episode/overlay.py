@@ -3,6 +3,8 @@ them beside the recorded ones.
 
     /trueup/<model>/prediction  JointState: the observations that a model predicts
     /trueup/<model>/residual    JointState: observed less predicted
+    /trueup/applied             JointState: commands as they were applied; where nobody recorded
+                                it, what the declared limits leave of the issued ones
     /trueup/regions             JSON: the regions that a sample is in, one whenever they change
 
 The recorded messages, metadata and attachments are copied as they are. Stamps of what is added are
@@ -26,7 +28,7 @@ from trueup.episode.episode import Episode
 from trueup.episode.writer import ROS2_DEFINITION, FieldColumns, encode_cdr
 
 Array = NDArray[np.float64]
-REGIONS = "/trueup/regions"
+REGIONS, APPLIED = "/trueup/regions", "/trueup/applied"
 REGIONS_SCHEMA = {
     "type": "object",
     "properties": {"regions": {"type": "array", "items": {"type": "string"}}},
@@ -52,18 +54,21 @@ def write_overlay(
     schema = writer.register_schema(
         "sensor_msgs/msg/JointState", "ros2msg", ROS2_DEFINITION.encode()
     )
-    rows = FieldColumns(episode.layout.observations)
+    observed, ordered = (
+        FieldColumns(channels)
+        for channels in (episode.layout.observations, episode.layout.commands)
+    )
+    added = [(APPLIED, ordered, episode.applied_commands)]
     for name, predicted in predictions.items():
-        for what, values in (
-            ("prediction", predicted),
-            ("residual", episode.observations - predicted),
-        ):
-            channel = writer.register_channel(f"/trueup/{name}/{what}", "cdr", schema)
-            for i, stamp in enumerate(stamps):
-                data = encode_cdr(stamp, rows.joints, rows.fields(values[i]))
-                writer.add_message(
-                    channel, log_time=stamp, data=data, publish_time=stamp, sequence=i
-                )
+        added += [
+            (f"/trueup/{name}/prediction", observed, predicted),
+            (f"/trueup/{name}/residual", observed, episode.observations - predicted),
+        ]
+    for topic, rows, values in added:
+        channel = writer.register_channel(topic, "cdr", schema)
+        for i, stamp in enumerate(stamps):
+            data = encode_cdr(stamp, rows.joints, rows.fields(values[i]))
+            writer.add_message(channel, log_time=stamp, data=data, publish_time=stamp, sequence=i)
     channel = writer.register_channel(
         REGIONS,
         "json",

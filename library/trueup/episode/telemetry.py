@@ -4,8 +4,8 @@
      "commands": {"u": [0.0, 0.5]}, "conditions": {"payload": "2 kg"}, "role": "telemetry"}
 
 `t_s` [s] counts from `start_ns` [ns since 1970, as text: JSON's numbers are too short]. Every
-channel of the plant has one value for each sample; conditions and role (telemetry or reference) may
-be left out.
+channel of the plant has one value for each sample; conditions, role (telemetry or reference) and
+`applied`, what the drive applied of the commands, may be left out.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from trueup.episode.role import Role
 from trueup.episode.writer import write_episode
 from trueup.errors import NotAnEpisode
 
-ALLOWED = ("start_ns", "t_s", "observations", "commands", "conditions", "role")
+ALLOWED = ("start_ns", "t_s", "observations", "commands", "applied", "conditions", "role")
 LATEST_NS = 2**31 * 1_000_000_000 - 1  # the seconds of a ROS 2 stamp have 32 bits, with a sign
 # a number beyond this is no time of any clock, and would overflow when something is added
 LARGEST = 2**62
@@ -70,6 +70,9 @@ def telemetry_to_mcap(data: bytes, layout: Layout, out: BinaryIO) -> None:
         layout=layout,
         role=Role(role),
         conditions=conditions,
+        applied=_columns(batch["applied"], layout.commands, len(t_s), "applied")
+        if "applied" in batch
+        else None,
     )
 
 

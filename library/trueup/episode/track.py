@@ -110,6 +110,10 @@ class Gathering:
             self._decoders[topic.id] = decoder(topic)
         self._parts.append(self._decoders[topic.id](block, messages, self._channels))
 
+    def __bool__(self) -> bool:
+        """Whether there was any message."""
+        return bool(self._parts)
+
     def track(self, known: Sequence[str]) -> Track:
         """The whole track. Raises NotAnEpisode (rule `topic`) if it has no message. `known` are the
         recording's topics."""

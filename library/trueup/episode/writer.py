@@ -55,9 +55,10 @@ def write_episode(
     conditions: Mapping[str, str],
     encoding: Encoding = Encoding.CDR,
     compression: CompressionType = CompressionType.ZSTD,
+    applied: NDArray[np.float64] | None = None,
 ) -> None:
     """Write `(samples, channels)` observations and as many commands, or one less, as JointState on
-    the layout's topics.
+    the layout's topics; and what was `applied` of them, where that is known.
 
     Without a role the file is a plan: commands alone, and no episode.
     """
@@ -65,13 +66,18 @@ def write_episode(
     writer.start(profile="ros2" if encoding is Encoding.CDR else "", library="trueup")
     name, schema_encoding, definition, encode = _FORMATS[encoding]()
     schema = writer.register_schema(name, schema_encoding, definition)
-    observed, issued = (
-        writer.register_channel(topic, encoding, schema)
-        for topic in (layout.observation_topic, layout.command_topic)
-    )
     states, orders = FieldColumns(layout.observations), FieldColumns(layout.commands)
+    written = [
+        (layout.observation_topic, states, observations),
+        (layout.command_topic, orders, commands),
+        *([] if applied is None else [(layout.applied_topic, orders, applied)]),
+    ]
+    topics = [
+        (writer.register_channel(topic, encoding, schema), rows, values)
+        for topic, rows, values in written
+    ]
     for i, stamp in enumerate(stamps_ns.tolist()):
-        for channel, rows, values in ((observed, states, observations), (issued, orders, commands)):
+        for channel, rows, values in topics:
             if i < len(values):
                 data = encode(stamp, rows.joints, rows.fields(values[i]))
                 writer.add_message(

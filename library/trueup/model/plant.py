@@ -345,13 +345,14 @@ def _layout(root: Reader) -> Layout:
     if len(set(names)) < len(names):
         raise BadPlant("two channels have one name", field="observations")
     topics = root.child("topics", optional=True)
-    topics.no_more("observation", "command")
+    topics.no_more("observation", "command", "applied")
     default = Layout(observations, commands)
     return Layout(
         observations,
         commands,
         topics.text("observation", default.observation_topic),
         topics.text("command", default.command_topic),
+        topics.text("applied", default.applied_topic),
     )
 
 

@@ -50,7 +50,10 @@ class Recordings {
       this.add(`error of ${channel.name}${unit}`, errors, 130);
     }
     for (const c of episode.commands) {
-      this.add(`command ${c.name} [${c.unit}]`, [["issued", "--pale", c.issued]], 90);
+      const issued = ["issued", "--pale", c.issued];
+      const applied = c.applied ? [["applied", "--corrected", c.applied]] : [];
+      const how = c.applied ? `: issued, and applied ${episode.applied}` : "";
+      this.add(`command ${c.name} [${c.unit}]${how}`, [issued, ...applied], 90);
     }
     this.range.max = episode.t_s.length - 1;
     const at = Math.min(Number(this.range.value), episode.t_s.length - 1);

@@ -57,6 +57,13 @@ def test_predictions_and_residuals_stand_at_their_samples(made):
     )
 
 
+def test_applied_commands_are_what_the_limits_leave_where_nobody_recorded_them(made):
+    plant, _, episode, written = made
+    reader = make_reader(BytesIO(written), decoder_factories=[DecoderFactory()])
+    rows = [d for *_, d in reader.iter_decoded_messages(topics=["/trueup/applied"])]
+    np.testing.assert_allclose([d.effort[0] for d in rows], plant.applied(episode.commands)[:, 0])
+
+
 def test_regions_are_told_whenever_they_change(made):
     import orjson
 

@@ -39,6 +39,11 @@ BATCH = {
                         "t_s": {**NUMBERS, "description": "seconds from start_ns, increasing"},
                         "observations": {"type": "object", "additionalProperties": NUMBERS},
                         "commands": {"type": "object", "additionalProperties": NUMBERS},
+                        "applied": {
+                            "type": "object",
+                            "additionalProperties": NUMBERS,
+                            "description": "what the drive applied of the commands",
+                        },
                         "conditions": {
                             "type": "object",
                             "additionalProperties": {"type": "string"},
