@@ -125,19 +125,18 @@ def rollback(
     plant: PlantName,
     *,
     generation: Generation = None,
+    to_generation: Annotated[
+        int | None,
+        Parameter(help="Older generation whose artifact to serve; default: what served before"),
+    ] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
     """Serve what served before, after its switchback test."""
     client = connect_witnessed(url)
-    show_serving(
-        [
-            client.roll_back(
-                plant, client.serving(plant).generation if generation is None else generation
-            )
-        ],
-        as_json_=as_json_,
-    )
+    expected = client.serving(plant).generation if generation is None else generation
+    moved = client.roll_back(plant, expected, to_generation=to_generation)
+    show_serving([moved], as_json_=as_json_)
 
 
 def fetch(

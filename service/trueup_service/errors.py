@@ -123,6 +123,13 @@ class SwitchbackFailed(TrueupError):
     hint = "Keep what serves, and promote a sound artifact instead."
 
 
+class InTheFuture(TrueupError):
+    """The time that was asked for has not come yet."""
+
+    code = "in-the-future"
+    hint = "Ask for a time that has passed, or without `at` for everything up to now."
+
+
 class MemoryFull(TrueupError):
     """The service holds as many bytes of other requests as it may."""
 

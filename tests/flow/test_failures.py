@@ -301,7 +301,7 @@ def promote(client, folder):
 
 
 def test_a_damaged_artifact_is_not_served_again(tmp_path):
-    """The switchback test fails, the pointer stays, and the answer says why."""
+    """The switchback test fails, the pointer stays, and the answer says why and what can serve."""
     service = Service(embedded(tmp_path / "data"))
     with service.running():
         client = Client(service.url)
@@ -329,6 +329,12 @@ def test_a_damaged_artifact_is_not_served_again(tmp_path):
             client.roll_back("p", 3)
         assert refused.value.code == "switchback-failed"
         assert client.serving("p").generation == 3
+        # the next older one is named, and reached by one call
+        older = refused.value.facts["next"]
+        assert (older["generation"], older["version"]) == (1, 1)
+        assert "`to_generation` 1" in refused.value.hint
+        back = client.roll_back("p", 3, to_generation=older["generation"])
+        assert (back.artifact, back.generation) == (older["artifact"], 4)
         client.close()
 
 

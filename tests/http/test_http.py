@@ -379,13 +379,45 @@ def test_a_rollback_goes_back_and_says_what_was_tested(client, plant):
     assert (back.version, back.generation, back.move) == (1, 3, "rolled_back")
     last = list(client.audit(plant))[-1]
     assert last["kind"] == "pointer:moved"
-    assert last["facts"]["switchback"] == {
-        "artifact": back.artifact,
-        "loads": True,
-        "digests_hold": True,
-        "answers_probe": True,
-        "fits_plant": True,
+    tested = last["facts"]["switchback"]
+    held = ("loads", "digests_hold", "answers_probe", "fits_plant")
+    assert {name: tested[name] for name in held} == dict.fromkeys(held, True)
+    assert (tested["artifact"], tested["from_generation"]) == (back.artifact, moved.generation)
+    assert tested["fallback"] is None  # nothing is older than the registered model
+    assert set(tested["libraries"]) == {"python", "numpy", "numba", "safetensors"}
+    assert len(tested["loaded_by"]["sha256"]) == 64
+    assert tested["made_by"] is None  # it was declared, not fitted
+    assert tested["session"] == {
+        "form": "nominal",
+        "remembers": [],
+        "filter": False,
+        "step_s": 0.05,
+        "states": ["position of joint", "velocity of joint"],
+        "on_switch": (
+            "nothing to carry over: the next state follows from the last observed one alone"
+        ),
     }
+
+
+def test_a_rollback_may_name_an_older_generation_and_no_other_one(client, plant):
+    move(client, plant, 1.2)
+    third = move(client, plant, 1.3)
+    with pytest.raises(Problem) as refused:
+        client.roll_back(plant, third.generation, to_generation=third.generation)
+    assert (refused.value.status, refused.value.code) == (409, "not-to-roll-back-to")
+    assert refused.value.hint == "Those are 2, 1."
+    back = client.roll_back(plant, third.generation, to_generation=1)
+    assert (back.version, back.generation, back.move) == (1, 4, "rolled_back")
+    with pytest.raises(Problem) as nothing:
+        client.roll_back(plant, back.generation)
+    assert nothing.value.code == "nothing-to-roll-back-to"
+
+
+def test_what_serves_in_the_future_is_not_known(client, plant):
+    with pytest.raises(Problem) as refused:
+        client.served_at(plant, "2999-01-01T00:00:00Z")
+    assert (refused.value.status, refused.value.code) == (422, "in-the-future")
+    assert "is not known" in refused.value.detail
 
 
 def test_a_repeated_rollback_under_one_key_moves_once(service, client, plant):

@@ -81,6 +81,8 @@ def known(running, workers, tmp_path_factory):
             for kind, asked in (
                 ("openloop", {}),
                 ("closedloop", {"seeds": [0], "ticks": 40, "sweep_ticks": [0, 2]}),
+                # the ranges are those that the diagnosis supports
+                ("randomise", {"plants": 6, "steps": 60}),
             )
         }
     return {
@@ -383,8 +385,10 @@ def test_an_episode_is_looked_through_and_taken_to_foxglove(seat, pages, running
         topics = {c.topic for c in make_reader(file).get_summary().channels.values()}
     assert {"/joint_states", "/joint_commands", "/trueup/regions"} <= topics
     assert plotted <= topics
-    # what was recorded, and of two versions the prediction and the residual
-    assert len(plotted) == 5
+    # what was recorded and applied, and of two versions the prediction and the residual
+    of_versions = {f"/trueup/v{v}/{what}" for v in (1, 2) for what in ("prediction", "residual")}
+    recorded = {"/joint_states", "/joint_commands", "/trueup/applied"}
+    assert plotted == recorded | of_versions
 
 
 # -- going back

@@ -16,10 +16,10 @@ from trueup.episode.role import Role
 from trueup.randomise.supported import RANDOMISATION_FILE, supported_ranges
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actor_context import ActorContext
+from trueup_service.code_identity import code_identity
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
-from trueup_worker.code_identity import code_identity
 from trueup_worker.cycle import cycle_of
 from trueup_worker.fan_out import FanOut
 from trueup_worker.inputs import read_episodes, read_plant, sources

@@ -20,10 +20,10 @@ from trueup.randomise.randomisation import Randomisation
 from trueup.randomise.study import CONFIGURATION, Context, Randomised, fit_family
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actor_context import ActorContext
+from trueup_service.code_identity import code_identity
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts
-from trueup_worker.code_identity import code_identity
 from trueup_worker.inputs import context_of, read_episodes, read_plant, sources
 from trueup_worker.outputs import keep_arrays
 from trueup_worker.progress import Progress

@@ -17,10 +17,10 @@ from trueup.randomise.training import Draws
 from trueup_service.actions import find
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actor_context import ActorContext
+from trueup_service.code_identity import code_identity
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
-from trueup_worker.code_identity import code_identity
 from trueup_worker.inputs import context_of, read_episodes, read_plant, sources
 from trueup_worker.outputs import add_files, keep_arrays, keep_report
 from trueup_worker.progress import Progress

@@ -61,13 +61,20 @@ class AsyncServingCalls(Pooled):
         return await self._pool.run(ServingCalls.promote, plant, decision, expected_generation, key)
 
     async def roll_back(
-        self, plant: str, expected_generation: int, key: str | None = None
+        self,
+        plant: str,
+        expected_generation: int,
+        key: str | None = None,
+        to_generation: int | None = None,
     ) -> Serving:
-        """Serves what served before, after its switchback test.
+        """Serves what served before, or at an older generation, after its switchback test.
 
-        Repeated under the same `key`, it is done once.
+        Where the test fails, the Problem's fact `next` names the next older artifact that passes
+        it. Repeated under the same `key`, it is done once.
         """
-        return await self._pool.run(ServingCalls.roll_back, plant, expected_generation, key)
+        return await self._pool.run(
+            ServingCalls.roll_back, plant, expected_generation, key, to_generation
+        )
 
     async def serving_envelope(self, plant: str) -> Envelope:
         """Returns what serves in a signed envelope, which `Robot` verifies."""

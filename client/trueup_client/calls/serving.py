@@ -62,12 +62,21 @@ class ServingCalls(Transport):
         body = {"decision": decision, "expected_generation": expected_generation}
         return Serving(**self._post(url_path("plants", plant, "serving", "promote"), body, key))
 
-    def roll_back(self, plant: str, expected_generation: int, key: str | None = None) -> Serving:
-        """Serves what served before, after its switchback test.
+    def roll_back(
+        self,
+        plant: str,
+        expected_generation: int,
+        key: str | None = None,
+        to_generation: int | None = None,
+    ) -> Serving:
+        """Serves what served before, or at an older generation, after its switchback test.
 
-        Repeated under the same `key`, it is done once.
+        Where the test fails, the Problem's fact `next` names the next older artifact that passes
+        it. Repeated under the same `key`, it is done once.
         """
         body = {"expected_generation": expected_generation}
+        if to_generation is not None:
+            body["to_generation"] = to_generation
         return Serving(**self._post(url_path("plants", plant, "serving", "rollback"), body, key))
 
     def serving_envelope(self, plant: str) -> Envelope:

@@ -5,7 +5,8 @@ Rules:
 - a move names the generation that it starts from, or it is refused;
 - forward only by an accepted decision that was judged at that very generation, against the artifact
   that serves;
-- back only to an artifact that served before, after its switchback test.
+- back only to an artifact that served before, after its switchback test: to the last one, or to an
+  older one that is named.
 """
 
 from __future__ import annotations
@@ -30,6 +31,13 @@ class NothingToRollBackTo(LedgerError):
 
     code = "nothing-to-roll-back-to"
     hint = "The plant's first artifact is serving; promote a better one instead."
+
+
+class NotToRollBackTo(LedgerError):
+    """The pointer may not go back to that generation."""
+
+    code = "not-to-roll-back-to"
+    hint = "Name a generation of `GET …/serving/history` that served before this one."
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
@@ -12,6 +13,7 @@ from trueup.ledger.operation import Operation
 from trueup.ledger.pointer import (
     JudgedDecision,
     NothingToRollBackTo,
+    NotToRollBackTo,
     ServingPointer,
     promote,
     require_generation,
@@ -78,31 +80,64 @@ def _judged(made: DecisionRecord) -> JudgedDecision:
     )
 
 
-def previous_artifact(
-    tx: ReadTransaction, plant: str, expected_generation: int
-) -> tuple[Move, ArtifactRecord]:
-    """The position that a rollback returns to, and its artifact. Raises PointerMoved,
-    NothingToRollBackTo."""
+@dataclass(frozen=True, slots=True)
+class Older:
+    """A position that a rollback may return to, and its artifact."""
+
+    position: Move
+    artifact: ArtifactRecord
+
+
+def older_positions(tx: ReadTransaction, plant: str, expected_generation: int) -> list[Older]:
+    """The positions that a rollback may return to, what served before first, then what served
+    before that, to the registered model. Raises PointerMoved, NothingToRollBackTo."""
     now = find.serving(tx, plant)
     require_generation(_pointer(now), expected_generation)
-    back = None if now.back_to is None else tx.serving.at_generation(plant, now.back_to)
-    if back is None:
+    older: list[Older] = []
+    back_to = now.back_to
+    while back_to is not None and (back := tx.serving.at_generation(plant, back_to)) is not None:
+        older.append(Older(back, find.artifact(tx, plant, back.artifact)))
+        back_to = back.back_to
+    if not older:
         raise NothingToRollBackTo(plant=plant)
-    return back, find.artifact(tx, plant, back.artifact)
+    return older
+
+
+def chosen_position(
+    older: Sequence[Older], to_generation: int | None
+) -> tuple[Older, Sequence[Older]]:
+    """The position to return to, what served before where none is named, and those older than it.
+    Raises NotToRollBackTo."""
+    if to_generation is None:
+        return older[0], older[1:]
+    generations = [o.position.generation for o in older]
+    if to_generation not in generations:
+        raise NotToRollBackTo(
+            f"generation {to_generation} is none that this one may go back to",
+            hint=f"Those are {', '.join(map(str, generations))}.",
+            generations=generations,
+        )
+    at = generations.index(to_generation)
+    return older[at], older[at + 1 :]
 
 
 def roll_back_pointer(
     tx: Transaction,
     plant: str,
     expected_generation: int,
+    to_generation: int | None,
     tested: dict[str, Json],
     context: ActorContext,
 ) -> Move:
-    """Move the pointer back to the artifact that served before, and return the new position.
-    `tested` is the record of the switchback test. Raises PointerMoved, NothingToRollBackTo."""
+    """Move the pointer back to the artifact that served before, or at an older generation, and
+    return the new position. `tested` is the record of the switchback test.
+
+    Raises PointerMoved, NothingToRollBackTo, NotToRollBackTo.
+    """
     tx.plants.lock(plant)
     now = find.serving(tx, plant)
-    back, artifact = previous_artifact(tx, plant, expected_generation)
+    chosen, _ = chosen_position(older_positions(tx, plant, expected_generation), to_generation)
+    back, artifact = chosen.position, chosen.artifact
     pointer = roll_back(_pointer(now), artifact.digest, expected_generation, _later(now, context))
     move = Move(
         plant=plant,

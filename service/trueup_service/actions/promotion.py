@@ -7,6 +7,8 @@ moves, if it still stands where the rehearsal found it.
 from __future__ import annotations
 
 import uuid
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 from trueup.canonical import Json
@@ -16,12 +18,15 @@ from trueup_service.actions.approve import require_approvals
 from trueup_service.actions.continue_cycle import Cycle
 from trueup_service.actions.idempotency import run_once
 from trueup_service.actions.move_pointer import (
+    Older,
+    chosen_position,
+    older_positions,
     position_document,
-    previous_artifact,
     promote_decision,
     roll_back_pointer,
 )
 from trueup_service.actor_context import ActorContext
+from trueup_service.errors import SwitchbackFailed
 from trueup_service.registry.records import Move
 from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts
@@ -54,13 +59,19 @@ def promote(
 
 
 def roll_back(
-    parts: Parts, context: ActorContext, plant: str, expected_generation: int, key: str | None
+    parts: Parts,
+    context: ActorContext,
+    plant: str,
+    expected_generation: int,
+    key: str | None,
+    to_generation: int | None = None,
 ) -> dict[str, Any]:
-    """Serve what served before, and return the new position as a document. Raises PointerMoved,
-    NothingToRollBackTo, SwitchbackFailed, KeyReused."""
+    """Serve what served before, or at an older generation, and return the new position as a
+    document. Raises PointerMoved, NothingToRollBackTo, NotToRollBackTo, SwitchbackFailed,
+    KeyReused."""
     rehearsal, refusal = {}, None
     try:
-        rehearsal = rehearse_way_back(parts, plant, expected_generation)
+        rehearsal = rehearse_way_back(parts, plant, expected_generation, to_generation)
     except PointerMoved as error:
         if key is None:
             raise
@@ -69,22 +80,70 @@ def roll_back(
     def act(tx: Transaction) -> dict[str, Any]:
         if refusal is not None:
             raise refusal
-        move = roll_back_pointer(tx, plant, expected_generation, rehearsal, context)
+        move = roll_back_pointer(tx, plant, expected_generation, to_generation, rehearsal, context)
         return _moved(parts, tx, move, context)
 
-    request: Json = {"expected_generation": expected_generation}
+    request: dict[str, Json] = {"expected_generation": expected_generation}
+    if to_generation is not None:
+        request["to_generation"] = to_generation
     return run_once(parts, context, f"rollback/{plant}", key, request, act)
 
 
-def rehearse_way_back(parts: Parts, plant: str, expected_generation: int) -> dict[str, Any]:
-    """The record of the switchback test of what served before. Raises PointerMoved,
-    NothingToRollBackTo, SwitchbackFailed."""
+def rehearse_way_back(
+    parts: Parts, plant: str, expected_generation: int, to_generation: int | None = None
+) -> dict[str, Any]:
+    """The record of the switchback test of what served before, or at an older generation, with the
+    fallback beyond it.
+
+    Raises PointerMoved, NothingToRollBackTo, NotToRollBackTo, and SwitchbackFailed, which names the
+    next older artifact that passes its own test.
+    """
     from trueup_service.actions.switchback import rehearse_rollback  # noqa: PLC0415  (numpy: a server that only serves needs none)
 
     with reading(parts.database) as tx:
         plant_digest = find.plant_digest(tx, plant)
-        _, artifact = previous_artifact(tx, plant, expected_generation)
-    return rehearse_rollback(parts.blobs, artifact, plant_digest)
+        older = older_positions(tx, plant, expected_generation)
+    chosen, beyond = chosen_position(older, to_generation)
+    try:
+        record = rehearse_rollback(parts.blobs, chosen.artifact, plant_digest)
+    except SwitchbackFailed as error:
+        raise _with_next(parts, plant_digest, error, beyond) from error
+    return {**record, "from_generation": expected_generation, "fallback": _fallback(beyond)}
+
+
+def _with_next(
+    parts: Parts, plant_digest: str, failed: SwitchbackFailed, beyond: Sequence[Older]
+) -> SwitchbackFailed:
+    """The refusal, with the newest of the older artifacts that can serve."""
+    from trueup_service.actions.switchback import rehearse_rollback  # noqa: PLC0415
+
+    for older in beyond:
+        with suppress(SwitchbackFailed):
+            rehearse_rollback(parts.blobs, older.artifact, plant_digest)
+            position = older.position
+            return SwitchbackFailed(
+                failed.message,
+                hint=f"Version {position.version}, which served at generation "
+                f"{position.generation}, can serve: send `to_generation` {position.generation} "
+                f"(the command: --to-generation {position.generation}).",
+                **{**failed.facts, "next": _named(older)},
+            )
+    hint = "Nothing older can serve either: keep what serves, and promote a sound artifact."
+    return SwitchbackFailed(failed.message, hint=hint, **{**failed.facts, "next": None})
+
+
+def _fallback(beyond: Sequence[Older]) -> Json:
+    """What a robot and the next rollback fall back to if the artifact fails after the switch."""
+    return _named(beyond[0]) if beyond else None
+
+
+def _named(older: Older) -> dict[str, Json]:
+    position = older.position
+    return {
+        "generation": position.generation,
+        "version": position.version,
+        "artifact": position.artifact,
+    }
 
 
 def _rehearse_promotion(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import platform
 from collections.abc import Mapping
+from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
 from threading import BoundedSemaphore
@@ -10,6 +13,7 @@ from time import perf_counter
 from typing import Any
 
 from trueup.artifact.artifact import Artifact, unpack
+from trueup.artifact.session import session_state
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode_stream
@@ -18,11 +22,13 @@ from trueup.fit.score import Scoring, score
 from trueup.gate.decision import Gate
 from trueup.model.predictor import Predictor
 from trueup_service.actions.add_artifact import require_plant
+from trueup_service.code_identity import code_identity
 from trueup_service.errors import SwitchbackFailed
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ArtifactRecord
 
 AT_ONCE = BoundedSemaphore(2)  # tests: each reads two models and a recording
+LIBRARIES = ("numpy", "numba", "safetensors")  # that load and run a model
 HELD: dict[str, Json] = {
     "loads": True,
     "digests_hold": True,
@@ -40,10 +46,27 @@ def load_artifact(blobs: Blobs, record: ArtifactRecord) -> Artifact:
 
 def rehearse_rollback(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> dict[str, Json]:
     """The record of a switchback test that passed: the artifact loads, its digests hold, it answers
-    its recorded probe, and it was made for the plant as it is. Raises SwitchbackFailed."""
+    its recorded probe, and it was made for the plant as it is; and what the switch is compatible
+    with. Raises SwitchbackFailed."""
     with AT_ONCE:
-        _able(blobs, record, plant_digest)
-    return {**HELD, "artifact": record.digest}
+        predictor = _able(blobs, record, plant_digest)
+    return {**HELD, "artifact": record.digest, **_compatibility(record, predictor)}
+
+
+def _compatibility(record: ArtifactRecord, predictor: Predictor) -> dict[str, Json]:
+    """What a switch to an artifact was tried with: the code and libraries that loaded it and those
+    that made it, and the session state of a controller that runs it."""
+    provenance: Any = json.loads(record.manifest).get("provenance") or {}
+    made_by: Json = provenance.get("code") if isinstance(provenance, Mapping) else None
+    return {
+        "loaded_by": code_identity(),
+        "made_by": made_by,
+        "libraries": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in LIBRARIES},
+        },
+        "session": session_state(predictor),
+    }
 
 
 def _able(blobs: Blobs, record: ArtifactRecord, plant_digest: str) -> Predictor:
@@ -84,6 +107,7 @@ def rehearse(
     return {
         **HELD,
         "artifact": back.digest,
+        **_compatibility(back, predictor),
         "at": now,
         "seconds": seconds,
         "probe": probe.digest,

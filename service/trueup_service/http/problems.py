@@ -20,7 +20,7 @@ from trueup.canonical import NotCanonical
 from trueup.gate.evidence import BadEvidence
 from trueup.gate.policy import BadPolicy
 from trueup.ledger.archive_layout import BadArchive
-from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo
+from trueup.ledger.pointer import NotAccepted, NothingToRollBackTo, NotToRollBackTo
 from trueup.ledger.signed_note import BadKey
 from trueup_service import errors as service
 from trueup_service.http.pages.page import show, to_sign_in, wants_page
@@ -52,6 +52,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     NotCanonical: HTTPStatus.UNPROCESSABLE_ENTITY,
     NotAccepted: HTTPStatus.CONFLICT,
     NothingToRollBackTo: HTTPStatus.CONFLICT,
+    NotToRollBackTo: HTTPStatus.CONFLICT,
     BlobDamaged: HTTPStatus.INTERNAL_SERVER_ERROR,
     BlobMissing: HTTPStatus.INTERNAL_SERVER_ERROR,
     StoreAway: HTTPStatus.SERVICE_UNAVAILABLE,
@@ -77,6 +78,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.NotWhole: HTTPStatus.UNPROCESSABLE_ENTITY,
     BadArchive: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.UploadElsewhere: HTTPStatus.CONFLICT,
+    service.InTheFuture: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.MemoryFull: HTTPStatus.SERVICE_UNAVAILABLE,
     service.UploadsFull: HTTPStatus.TOO_MANY_REQUESTS,
     service.ApprovalMissing: HTTPStatus.CONFLICT,

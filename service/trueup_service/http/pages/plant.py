@@ -13,7 +13,7 @@ from trueup.errors import PointerMoved, TrueupError
 from trueup.ledger.pointer import NothingToRollBackTo
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import place
-from trueup_service.actions.move_pointer import previous_artifact
+from trueup_service.actions.move_pointer import older_positions
 from trueup_service.actions.promotion import rehearse_way_back, roll_back
 from trueup_service.actor_context import END_OF_TIME
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
@@ -89,11 +89,16 @@ async def rollback(
 ) -> Response:
     """Roll the pointer back, if it is at the generation that the form was shown for."""
     fields = await form(request)
-    text = fields.get("generation", "").strip()
-    generation = int(text) if text.isascii() and text.isdigit() and len(text) < 10 else NOT_A_NUMBER  # noqa: PLR2004
+    generation, to = (_generation(fields.get(name, "")) for name in ("generation", "to"))
     try:
         await run_in_threadpool(
-            roll_back, parts, context, plant, generation, fields.get("key") or None
+            roll_back,
+            parts,
+            context,
+            plant,
+            generation,
+            fields.get("key") or None,
+            to if fields.get("to") else None,
         )
     except TrueupError as error:
         if not wants_page(request):
@@ -103,27 +108,36 @@ async def rollback(
     return go(f"/plants/{plant}")
 
 
+def _generation(text: str) -> int:
+    """A generation that was typed; NOT_A_NUMBER where it is none."""
+    text = text.strip()
+    short = text.isascii() and text.isdigit() and len(text) < 10  # noqa: PLR2004
+    return int(text) if short else NOT_A_NUMBER
+
+
 def _offer(request: Request, parts: Parts, plant: str, refused: TrueupError | None) -> Response:
     with reading(parts.database) as tx:
         serving = find.serving(tx, plant)
         try:
-            back, _ = previous_artifact(tx, plant, serving.generation)
+            older = older_positions(tx, plant, serving.generation)
         except NothingToRollBackTo:
-            back = None
-    tested, fails = None, None
+            older = []
+    back = older[0].position if older else None
+    tested, fails, instead = None, None, None
     if back is not None:
         try:
             tested = rehearse_way_back(parts, plant, serving.generation)
         except PointerMoved:
             pass  # the pointer moved meanwhile; sending the form will report it
         except TrueupError as error:
-            fails = error
+            fails, instead = error, error.facts.get("next")
     values = {
         "name": plant,
         "serving": serving,
         "back": back,
         "tested": tested,
         "fails": fails,
+        "instead": instead,
         "refused": refused,
     }
     return show(

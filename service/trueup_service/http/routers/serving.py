@@ -12,6 +12,7 @@ from trueup.canonical import Json
 from trueup_service.actions import find, promotion
 from trueup_service.actions.move_pointer import position_document
 from trueup_service.actor_context import time_text
+from trueup_service.errors import InTheFuture
 from trueup_service.http.dependencies import (
     IdempotencyKey,
     Limit,
@@ -83,10 +84,12 @@ def history(
     after: Annotated[int, Query(ge=0, le=2**31 - 1, description="generation")] = 0,
     limit: Limit = 100,
 ) -> Page[Serving]:
-    """Every position of the pointer in order, or with `at` the one at that time."""
+    """Every position of the pointer in order, or with `at` the one at that time, which is not in
+    the future."""
     with reading(parts.database) as tx:
         find.plant_digest(tx, plant)
         if at is not None:
+            _require_past(_padded(at))
             live = tx.serving.at_time(plant, _padded(at))
             return Page(items=[Serving(**position_document(live))] if live else [])
         moves = tx.serving.history(plant, after, limit)
@@ -94,6 +97,17 @@ def history(
         items=[Serving(**position_document(m)) for m in moves],
         next=str(moves[-1].generation) if len(moves) == limit else None,
     )
+
+
+def _require_past(at: str) -> None:
+    """Raises InTheFuture for a time that has not come: nobody knows what will serve then."""
+    now = time_text(datetime.now(UTC))
+    if at > now:
+        raise InTheFuture(
+            f"{at} is in the future; it is {now} here, and what serves then is not known",
+            at=at,
+            now=now,
+        )
 
 
 def _padded(at: str) -> str:
@@ -129,9 +143,19 @@ async def rollback(
     key: IdempotencyKey = None,
 ) -> Serving:
     """The pointer moves after the switchback test: the artifact loads, its digests hold, it answers
-    its recorded probe, and it fits the plant."""
+    its recorded probe, and it fits the plant. Where it does not, the refusal names the next older
+    artifact that does (`next`), which `to_generation` reaches.
+
+    The audit entry of the move holds what the switch is compatible with: code and libraries, the
+    session state of a running controller, and the fallback."""
     moved = await run_in_threadpool(
-        promotion.roll_back, parts, context, plant, wanted.expected_generation, key
+        promotion.roll_back,
+        parts,
+        context,
+        plant,
+        wanted.expected_generation,
+        key,
+        wanted.to_generation,
     )
     request.app.state.answers.wake()
     return Serving(**moved)

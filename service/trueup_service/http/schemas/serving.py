@@ -61,6 +61,12 @@ class Rollback(RequestBody):
     """Serve what served before if the pointer is still at `expected_generation`."""
 
     expected_generation: int = Field(ge=1, le=2**31 - 1)
+    to_generation: int | None = Field(
+        None,
+        ge=1,
+        le=2**31 - 1,
+        description="an older generation whose artifact to serve, instead of what served before",
+    )
 
 
 class ChannelDeclaration(RequestBody):
