@@ -17,6 +17,7 @@ from trueup.collect.checklist import checks, command_table
 from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.excitation import (
     DETECTABLE,
+    RANDOM,
     Excitation,
     Setting,
     identification,
@@ -244,11 +245,25 @@ def _show(excitation: Excitation, first: list[str]) -> None:
     say("[bold]Check before you play it[/]")
     for number, line in enumerate(first, 1):
         say("  {}. {}", number, line)
-    others = dict(excitation.random.rows())
+    random = excitation.random
+    others = dict(random.information.rows())
     table(
         excitation.title,
-        ["", "designed", "random, same energy"],
-        [(name, value, others[name]) for name, value in excitation.information.rows()],
+        ["", "designed", "random, same bounds"],
+        [
+            *((name, value, others[name]) for name, value in excitation.information.rows()),
+            (
+                "leaves the envelope",
+                f"under {excitation.breaches} of {len(excitation.paths)} models",
+                f"{random.breaches} of {random.count}",
+            ),
+        ],
+    )
+    say(
+        "random ones of the same energy, which keep no bound but the command's limits: {} of {} "
+        "leave the envelope",
+        random.unbounded_breaches,
+        RANDOM,
     )
     length, models, share = (
         f"{len(excitation.t_s)} samples, {excitation.t_s[-1]:.4g} s",

@@ -23,18 +23,26 @@ from tests.support.case import write_recordings
 from tests.support.robots import ARM
 from tests.support.service import ADMIN, ROOT, Service
 from tests.support.storage import embedded
+from trueup.chapter.data import PLANT as CHAPTER
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.gate.decision import Gate
 from trueup.model.mjcf import resolved
 from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal
+from trueup.randomise.randomisation import Randomisation
 from trueup_cli.main import app
 from trueup_client import Client
 
 EXAMPLE = ROOT / "examples" / "emps"
 FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
-RUN_WHOLE = ("tutorial.md", "howto-engineer.md", "howto-operator.md", "howto-auditor.md")
+RUN_WHOLE = (
+    "tutorial.md",
+    "howto-engineer.md",
+    "howto-operator.md",
+    "howto-auditor.md",
+    "howto-chapter.md",
+)
 PAGES = [
     ROOT / "README.md",
     *sorted(p for p in (ROOT / "docs").rglob("*.md") if p.name != "commands.md"),
@@ -95,6 +103,7 @@ def test_every_snippet_is_of_a_kind_that_is_tested():
     assert {name for name, kind in kinds if kind == "json"} == {
         "continual.md",
         "gates.md",
+        "randomisation.md",
         "robots.md",
     }
 
@@ -248,6 +257,12 @@ def test_the_policy_of_a_page_is_one(world, tmp_path):
 def test_the_gate_of_a_page_is_one():
     (text,) = snippets(ROOT / "docs" / "gates.md", "json")
     assert len(Gate.from_document(json.loads(text)).rules) == 3
+
+
+def test_the_family_of_a_page_is_one():
+    (text,) = snippets(ROOT / "docs" / "randomisation.md", "json")
+    family = Randomisation.of(CHAPTER, json.loads(text))
+    assert family.names == ("k", "b", "coulomb_friction.level")
 
 
 def test_the_robot_of_a_page_is_one(tmp_path):

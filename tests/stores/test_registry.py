@@ -153,7 +153,7 @@ def test_the_pointer_goes_forward_and_back_like_a_stack(parts, plant):
         with parts.database.write() as connection:
             versions.append(
                 roll_back_pointer(
-                    Transaction(connection), plant, generation, {}, at(generation)
+                    Transaction(connection), plant, generation, None, {}, at(generation)
                 ).version
             )
     assert versions == [2, 1]

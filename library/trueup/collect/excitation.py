@@ -1,9 +1,9 @@
 """Excitation: the bounded command that serves a goal best and is safe under every model still in
 play.
 
-Of many waves, each as large as is safe, the one of greatest value for the goal is chosen, and then
-improved. The final one is checked under members drawn anew, and compared with random excitations of
-the same energy.
+Of many waves and of random excitations, each as large as is safe and ending at rest, the one of
+greatest value for the goal is chosen, and then improved. The final one is checked under members
+drawn anew, and compared with the random ones, which keep the same bounds.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from trueup.canonical import Json
 from trueup.collect.bounds import Bounds
 from trueup.collect.ensemble import Ensemble, InPlay
-from trueup.collect.goal import Evaluation, Goal, IdentificationGoal, SplittingGoal
-from trueup.collect.wave import AT_REST, LONG, LONGEST, STILL, Held, Maker, Wave
+from trueup.collect.goal import Evaluation, Goal, IdentificationGoal, Run, SplittingGoal
+from trueup.collect.wave import AT_REST, LONG, LONGEST, STILL, Held, Maker, Noise, Shape
 from trueup.errors import NotIdentifiable
 
 Array = NDArray[np.float64]
@@ -32,9 +32,8 @@ SHRINK = 0.97
 CHECKED = 1000  # members drawn anew, under each of which the final command must hold
 DETECTABLE = 4.0  # standard errors between two predictions, over the whole experiment
 ALONE = 0.3  # of the effort, to see whether anything parts an alternative
-RANDOM = 20  # random excitations of the same energy to compare with
-# of the limit: root mean square of a random excitation to compare with while designing
-SHARE = 0.45
+RANDOM = 20  # random excitations to compare with
+OF_RANDOM = 200  # members drawn anew, under each of which those are checked
 
 
 @dataclass(frozen=True)
@@ -54,6 +53,32 @@ class Setting:
         return Maker(self.play, self.bounds, self.start, self.hold, self.play.drawn(MEMBERS, rng))
 
 
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """Random excitations within the same bounds: their mean value for the goal, how many there are,
+    and under how many of them a member leaves the envelope (`breaches`). `unbounded_breaches` says
+    the latter of as many random ones that have the energy of the designed one, and no other bound
+    than the command's limits: they may tell more, and may not be played.
+    """
+
+    information: Evaluation
+    count: int
+    breaches: int
+    unbounded_breaches: int
+
+    def document(self) -> dict[str, Json]:
+        """The comparison as JSON."""
+        return {
+            **self.information.document(),
+            "excitations": self.count,
+            "breaches": self.breaches,
+            "of_same_energy_unbounded": {
+                "excitations": RANDOM,
+                "breaches": self.unbounded_breaches,
+            },
+        }
+
+
 @dataclass(frozen=True)
 class Excitation:
     """A designed command `(samples, joints)` at `t_s` [s], from the state `start`, with its
@@ -63,8 +88,8 @@ class Excitation:
     joints)` are the motions under members drawn anew; `central` says where those of each
     composition begin, its central one first. `breaches` is how many leave the envelope, `used` the
     largest part of the envelope that one takes, `rests` whether every one is at rest at the end.
-    `information` is the command's value for the goal, `random` that of random excitations of the
-    same energy.
+    `information` is the command's value for the goal, `random` that of random excitations within
+    the same bounds.
     """
 
     title: str
@@ -73,7 +98,7 @@ class Excitation:
     start: Array
     hold: Array
     information: Evaluation
-    random: Evaluation
+    random: Compared
     paths: Array
     central: dict[str, int]
     breaches: int
@@ -109,7 +134,7 @@ class Excitation:
             "rests": self.rests,
             "speed_at_end": float(self.speed_at_end.max()),
             "information": self.information.document(),
-            "random_of_same_energy": self.random.document(),
+            "random": self.random.document(),
         }
 
 
@@ -180,21 +205,17 @@ def identification(
 ) -> Excitation:
     """The excitation that determines the numbers of the first ensemble best; `effort` scales how
     many waves are tried. Raises NotIdentifiable where no wave is safe."""
-    maker, bounds, hold = setting.maker(rng), setting.bounds, setting.hold
-    t_s = np.asarray(
-        np.arange(round(bounds.duration_s / maker.period_s) + 1) * maker.period_s, np.float64
-    )
-    even = np.tile(hold + SHARE * np.minimum(bounds.high - hold, hold - bounds.low), (len(t_s), 1))
-    drawn = [bounds.random(hold, even, rng) for _ in range(RANDOM)]
+    maker = setting.maker(rng)
+    random = Random.drawn(maker, rng)
     goal = IdentificationGoal.of(
         setting.play.ensembles[0],
         setting.noise,
         setting.start,
         maker.members[0][:, :JUDGED],
-        t_s,
-        drawn,
+        random.runs,
     )
-    return _checked(maker, goal, _best(maker, goal, rng, progress, effort)[1], rng, progress)
+    _, wave = _best(maker, goal, rng, progress, effort, random.shapes)
+    return _checked(maker, goal, wave, random, rng, progress)
 
 
 def splitting(
@@ -213,6 +234,7 @@ def splitting(
         SplittingGoal(setting.play.ensembles, setting.noise, setting.start),
     )
     least, wave = _best(maker, every, rng, progress, effort)
+    random = Random.drawn(maker, rng)
     answer, *others = setting.play.ensembles
     if least < np.log(DETECTABLE) and len(others) > 1:
         alone = [
@@ -229,22 +251,57 @@ def splitting(
             wave = _best(maker, replace(every, ensembles=(answer, *parted)), rng, progress, effort)[
                 1
             ]
-    return _checked(maker, every, wave, rng, progress)
+    return _checked(maker, every, wave, random, rng, progress)
+
+
+@dataclass(frozen=True, slots=True)
+class Random:
+    """Random excitations that are as large as is safe, and end at rest: their `shapes`, and their
+    `runs`."""
+
+    shapes: tuple[Noise, ...]
+    runs: tuple[Run, ...]
+
+    @staticmethod
+    def drawn(maker: Maker, rng: np.random.Generator) -> Random:
+        """RANDOM of them; fewer where some are not safe at any size."""
+        pairs = [(shape, maker.made(shape)) for shape in (maker.noise(rng) for _ in range(RANDOM))]
+        safe = [(shape, made) for shape, made in pairs if made is not None]
+        return Random(tuple(shape for shape, _ in safe), tuple((t, u) for _, (t, u, _size) in safe))
+
+    def compared(self, maker: Maker, goal: Goal, to: Run, rng: np.random.Generator) -> Compared:
+        """Their value for a goal, and how many let a member that is drawn anew leave the envelope,
+        beside unbounded ones of the energy of the command that they are compared `to`."""
+        fresh, bounds = maker.play.drawn(OF_RANDOM, rng), maker.bounds
+        low, high = bounds.whole().T
+
+        def leaves(run: Run) -> bool:
+            paths = maker.play.responses(fresh, *run, maker.start)
+            return not bool(((paths >= low) & (paths <= high)).all())
+
+        unbounded = [(to[0], bounds.random(maker.hold, to[1], rng)) for _ in range(RANDOM)]
+        left, free = (sum(map(leaves, runs)) for runs in (self.runs, unbounded))
+        return Compared(goal.evaluate(self.runs), len(self.runs), left, free)
 
 
 def _best(
-    maker: Maker, goal: Goal, rng: np.random.Generator, progress: Progress, effort: float
-) -> tuple[float, Wave]:
-    """The value of the best wave for a goal, and the wave. Raises NotIdentifiable where none is
-    safe or has any value."""
-    best: tuple[float, Wave] | None = None
+    maker: Maker,
+    goal: Goal,
+    rng: np.random.Generator,
+    progress: Progress,
+    effort: float,
+    others: Sequence[Shape] = (),
+) -> tuple[float, Shape]:
+    """The value of the best shape for a goal, and the shape: of waves, and of `others`. Raises
+    NotIdentifiable where none is safe or has any value."""
+    best: tuple[float, Shape] | None = None
     tried, improved = max(1, round(effort * TRIED)), round(effort * IMPROVED)
-    for i in range(tried):
-        wave = maker.draw(rng)
+    drawn = [*others, *(maker.draw(rng) for _ in range(tried))]
+    for i, wave in enumerate(drawn):
         value = _worth(maker, goal, wave, best[0] if best else -np.inf)
         if best is None or value > best[0]:
             best = value, wave
-        progress("drawing waves", (i + 1) / tried)
+        progress("drawing waves", (i + 1) / len(drawn))
     assert best is not None
     for i in range(improved):
         wave = best[1].changed(rng, 0.5 * (1.0 - i / improved) + 0.05)
@@ -262,13 +319,18 @@ def _best(
     return best
 
 
-def _worth(maker: Maker, goal: Goal, wave: Wave, above: float) -> float:
+def _worth(maker: Maker, goal: Goal, wave: Shape, above: float) -> float:
     made = maker.made(wave)
     return -np.inf if made is None else goal.value(made[0], made[1], above)
 
 
 def _checked(
-    maker: Maker, goal: Goal, wave: Wave, rng: np.random.Generator, progress: Progress
+    maker: Maker,
+    goal: Goal,
+    wave: Shape,
+    others: Random,
+    rng: np.random.Generator,
+    progress: Progress,
 ) -> Excitation:
     """The wave as an excitation, made a little smaller until none of CHECKED members drawn anew
     breaches the envelope's margin. Those get as long a hold as they need to come to rest, if there
@@ -293,9 +355,9 @@ def _checked(
     middle, half = (high[bounded] + low[bounded]) / 2.0, (high[bounded] - low[bounded]) / 2.0
     used = float((np.abs(held.paths[:, :, bounded] - middle) / half).max())
     progress("comparing with random ones", 0.9)
-    others = [maker.bounds.random(maker.hold, held.command, rng) for _ in range(RANDOM)]
-    information = goal.evaluate(held.t_s, [held.command])
-    random = goal.evaluate(held.t_s, others)
+    final = held.t_s, held.command
+    information = goal.evaluate([final])
+    random = others.compared(maker, goal, final, rng)
     begins = np.cumsum([0, *(m.shape[1] for m in fresh)])
     central = {
         " + ".join(e.effects) or "no effect": int(first)

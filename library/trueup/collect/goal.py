@@ -22,6 +22,7 @@ from trueup.collect.ensemble import NUDGE, TWO_SIDED, Ensemble
 from trueup.model.rounding import rounded
 
 Array = NDArray[np.float64]
+Run = tuple[Array, Array]  # times `(samples,)` [s], and a command `(samples, joints)` at them
 SINGULAR = 1e-12  # of a scaled information matrix
 RANK = 1e-10
 GIVEN_WAY, TRIES = 30, 6  # steps in which a rival's numbers are refitted, and lengths of each
@@ -53,8 +54,8 @@ class Goal(ABC):
         is not `above` a bound, only that is exact."""
 
     @abstractmethod
-    def evaluate(self, t_s: Array, commands: Sequence[Array]) -> Evaluation:
-        """The mean value of commands, in the goal's own figures."""
+    def evaluate(self, runs: Sequence[Run]) -> Evaluation:
+        """The mean value of commands, each with its times, in the goal's own figures."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,11 +97,11 @@ class Information(Evaluation):
 
 @dataclass(frozen=True)
 class IdentificationGoal(Goal):
-    """To determine the numbers of an ensemble. The value is how many times fewer samples a command
-    needs than a random one.
+    """To determine the numbers of an ensemble. The value is how much more information a command
+    brings of the number that gains least than random ones bring.
 
     `judged` `(rows, members)` are the members that it is a mean over, `random` the widths of their
-    numbers from one sample of a random excitation.
+    numbers from a random excitation.
     """
 
     ensemble: Ensemble
@@ -116,15 +117,14 @@ class IdentificationGoal(Goal):
         noise: Array,
         start: Array,
         judged: Array,
-        t_s: Array,
-        commands: Sequence[Array],
+        runs: Sequence[Run],
     ) -> IdentificationGoal:
-        """The goal, compared with the random `commands`; noise `(observations,)` is a standard
+        """The goal, compared with random `runs`; noise `(observations,)` is a standard
         deviation."""
         goal = IdentificationGoal(
             ensemble, noise, start, judged, np.ones((judged.shape[1], len(ensemble.rows)))
         )
-        random = np.array([widths(goal._mean(m, t_s, commands) / len(t_s)) for m in judged.T])
+        random = np.array([widths(goal._mean(m, runs)) for m in judged.T])
         return IdentificationGoal(
             ensemble, noise, start, judged, np.where(np.isfinite(random), random, 1.0)
         )
@@ -132,18 +132,18 @@ class IdentificationGoal(Goal):
     def value(self, t_s: Array, command: Array, above: float = -np.inf) -> float:
         """The value for the number that gains least, on the mean over members."""
         ratios = [
-            widths(self._fisher(m, t_s, command) / len(t_s)) / by
+            widths(self._fisher(m, t_s, command)) / by
             for m, by in zip(self.judged.T, self.random, strict=True)
         ]
         return -2.0 * float(rounded(np.mean(np.log(np.max(ratios, axis=1)))))
 
-    def evaluate(self, t_s: Array, commands: Sequence[Array]) -> Information:
-        return Information.of(self.ensemble, self._mean(self.ensemble.centre, t_s, commands))
+    def evaluate(self, runs: Sequence[Run]) -> Information:
+        return Information.of(self.ensemble, self._mean(self.ensemble.centre, runs))
 
-    def _mean(self, member: Array, t_s: Array, commands: Sequence[Array]) -> Array:
+    def _mean(self, member: Array, runs: Sequence[Run]) -> Array:
         """The mean information of those commands under which the member does not run away,
         `(numbers, numbers)`."""
-        finite = [f for u in commands if np.isfinite(f := self._fisher(member, t_s, u)).all()]
+        finite = [f for t, u in runs if np.isfinite(f := self._fisher(member, t, u)).all()]
         return np.mean(finite, axis=0) if finite else np.zeros((len(self.ensemble.rows),) * 2)
 
     def _fisher(self, member: Array, t_s: Array, command: Array) -> Array:
@@ -193,9 +193,9 @@ class SplittingGoal(Goal):
                 break
         return float(np.log(max(least, NOTHING)))
 
-    def evaluate(self, t_s: Array, commands: Sequence[Array]) -> Separation:
+    def evaluate(self, runs: Sequence[Run]) -> Separation:
         distances = np.mean(
-            [[self._apart(t, r, t_s, u) for t, r in self._pairs()] for u in commands], axis=0
+            [[self._apart(t, r, t_s, u) for t, r in self._pairs()] for t_s, u in runs], axis=0
         )
         least = distances.reshape(-1, 2).min(axis=1)
         return Separation(tuple(e.effects for e in self.ensembles[1:]), tuple(map(float, least)))

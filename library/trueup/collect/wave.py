@@ -1,7 +1,7 @@
-"""Wave: a multisine made into a command that is bounded, safe under every model in play, and ends
-at rest.
+"""Wave: a multisine, or noise, made into a command that is bounded, safe under every model in play,
+and ends at rest.
 
-The multisine is clipped to the command's limits and slowed to its rate. The command rises from
+The shape is clipped to the command's limits and slowed to its rate. The command rises from
 rest, and ends in a brake that is fitted to the members and a hold until every one of them is at
 rest. It is as large as the envelope, less a margin, allows under every member. Source: J. Swevers
 et al., IEEE Transactions on Robotics and Automation 13 (1997), on periodic excitation of robots.
@@ -9,13 +9,14 @@ et al., IEEE Transactions on Robotics and Automation 13 (1997), on periodic exci
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from trueup.collect.bounds import Bounds
+from trueup.collect.bounds import SMOOTHED, Bounds
 from trueup.collect.ensemble import InPlay
 from trueup.model.rounding import rounded
 
@@ -37,21 +38,63 @@ LEAST = 1e-9  # of the room, to divide by: a machine that sticks takes none
 AT_REST, STILL = (0.05, 0.01)
 LONG, LONGEST = 1.0, 3.0  # times the excitation: how long a hold may be
 CHANGED = 0.3  # of the lines, at once
+RMS = float(np.sqrt(0.5))  # of a shape: that of a sine of size 1
 TOUCH = 1e-9  # of a command: it is the hold
 
 
+class Shape(ABC):
+    """The shape of a command, and where it is clipped, `cut`, in limits."""
+
+    cut: float
+
+    @abstractmethod
+    def form(self, t_s: Array) -> Array:
+        """The shape at times from 0 on, `(samples, joints)`, of about RMS in each joint."""
+
+    @abstractmethod
+    def changed(self, rng: np.random.Generator, by: float) -> Shape:
+        """A shape a little different from this one."""
+
+
 @dataclass(frozen=True)
-class Wave:
-    """A multisine of `(joints, LINES)` lines: frequencies [Hz], phases, sizes; and where it is
-    clipped, in limits."""
+class Noise(Shape):
+    """Smoothed noise, `(samples, joints)`: what people play who design nothing."""
+
+    series: Array
+    cut: float
+
+    @staticmethod
+    def drawn(samples: int, joints: int, rng: np.random.Generator) -> Noise:
+        """White noise through a first-order filter."""
+        x = np.zeros((samples, joints))
+        for i in range(1, samples):
+            x[i] = SMOOTHED * x[i - 1] + (1.0 - SMOOTHED) * rng.standard_normal(joints)
+        return Noise(_of_size(x), float(rng.choice(CUT)))
+
+    def form(self, t_s: Array) -> Array:
+        return self.series
+
+    def changed(self, rng: np.random.Generator, by: float) -> Noise:
+        samples, joints = self.series.shape
+        other = Noise.drawn(samples, joints, rng)
+        return Noise(_of_size(self.series + by * other.series), self.cut)
+
+
+@dataclass(frozen=True)
+class Wave(Shape):
+    """A multisine of `(joints, LINES)` lines: frequencies [Hz], phases, sizes."""
 
     hertz: Array
     phases: Array
     sizes: Array
     cut: float
 
+    def form(self, t_s: Array) -> Array:
+        lines = np.sin(2.0 * np.pi * self.hertz[:, :, None] * t_s + self.phases[:, :, None])
+        form = np.einsum("jl,jlt->tj", self.sizes, lines)
+        return np.asarray(form / np.linalg.norm(self.sizes, axis=1))
+
     def changed(self, rng: np.random.Generator, by: float) -> Wave:
-        """A wave a little different from this one."""
         some = rng.random(self.phases.shape) < CHANGED
         return Wave(
             self.hertz,
@@ -63,6 +106,11 @@ class Wave:
             ),
             float(rng.choice(CUT)) if rng.random() < by / 2.0 else self.cut,
         )
+
+
+def _of_size(series: Array) -> Array:
+    """A series `(samples, joints)` scaled to RMS in each joint."""
+    return np.asarray(RMS * series / np.sqrt(np.mean(series**2, axis=0) + LEAST**2))
 
 
 @njit(cache=True)
@@ -123,7 +171,16 @@ class Maker:
             float(rng.choice(CUT)),
         )
 
-    def made(self, wave: Wave) -> tuple[Array, Array, float] | None:
+    def noise(self, rng: np.random.Generator) -> Noise:
+        """A random excitation."""
+        return Noise.drawn(self.samples, len(self.hold), rng)
+
+    @property
+    def samples(self) -> int:
+        """Samples of an excitation without its hold."""
+        return round(self.bounds.duration_s / self.period_s) + 1
+
+    def made(self, wave: Shape) -> tuple[Array, Array, float] | None:
         """Times, the largest safe command, and its size; None where even the smallest leaves the
         envelope.
 
@@ -141,17 +198,14 @@ class Maker:
             size = guess if low < guess < high else (low + min(high, 1.0)) / 2.0
         return None if best is None else (best.t_s, best.command, low)
 
-    def sized(self, wave: Wave, size: float) -> Held:
+    def sized(self, wave: Shape, size: float) -> Held:
         """The command of one size with its brake and a hold."""
-        b, period = self.bounds, self.period_s
-        n = round(b.duration_s / period) + 1
+        b, period, n = self.bounds, self.period_s, self.samples
         active = n - round(BRAKE * n)
         t = np.asarray(np.arange(n) * period, np.float64)
-        lines = np.sin(2.0 * np.pi * wave.hertz[:, :, None] * t + wave.phases[:, :, None])
-        wave_form = np.einsum("jl,jlt->tj", wave.sizes, lines) / np.linalg.norm(wave.sizes, axis=1)
         rise = np.minimum(t / max(RISE * b.duration_s, period), 1.0)[:, None]
         reach = np.minimum(b.high - self.hold, self.hold - b.low)
-        shaped = np.clip(wave.cut * rise * wave_form, -1.0, 1.0) * size * reach
+        shaped = np.clip(wave.cut * rise * wave.form(t), -1.0, 1.0) * size * reach
         shaped[active:] = 0.0
         command = self._slowed(self.hold + shaped)
         return self.held(t, self._braked(t, command, active), self.members, AT_REST, LONG)

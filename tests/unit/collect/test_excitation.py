@@ -1,6 +1,7 @@
 """Designed excitations: bounded, safe under every model still in play, ending at rest, and worth
 more than a random one."""
 
+import inspect
 import json
 from dataclasses import replace
 from io import BytesIO
@@ -36,6 +37,10 @@ PLANT = Plant.from_document(DOCUMENT)
 NOISE = np.array([0.01, 0.02])
 
 
+# what the command assumes of each number where nobody says otherwise
+SPREAD = inspect.signature(excite).parameters["spread"].default
+
+
 def designed(plant=PLANT, spread=0.02, seed=0, duration_s=8.0, **bounds):
     ensemble = Ensemble.prior(plant, spread)
     setting = Setting(
@@ -66,11 +71,30 @@ def test_it_is_bounded_in_command_and_rate_and_returns_to_rest(design):
     assert speed[:, -1].max() <= AT_REST * speed.max()
 
 
-def test_it_tells_every_number_better_than_a_random_one_of_the_same_energy(design):
-    assert design.information.rank == 3
-    assert design.information.condition < 10.0
-    for name, width in design.information.half_widths.items():
-        assert width < design.random.half_widths[name]
+@pytest.mark.parametrize(
+    ("spread", "duration_s", "seed"),
+    [(0.02, 8.0, 0), (SPREAD, 6.0, 0), (SPREAD, 6.0, 1), (SPREAD, 12.0, 2), (SPREAD, 3.0, 3)],
+)
+def test_it_tells_every_number_better_than_random_ones_within_the_same_bounds(
+    spread, duration_s, seed
+):
+    made = designed(spread=spread, duration_s=duration_s, seed=seed)
+    assert made.information.rank == 3
+    assert made.information.condition < 10.0
+    random = made.random
+    assert set(made.information.half_widths) == {"k", "c", "b"}
+    for name, width in made.information.half_widths.items():
+        assert width < random.information.half_widths[name]
+    assert made.breaches == 0
+    assert random.breaches <= random.count <= 20
+    assert random.document()["breaches"] == random.breaches
+
+
+def test_unbounded_random_ones_of_its_energy_are_said_to_leave_the_envelope():
+    random = designed(spread=SPREAD, duration_s=6.0).random
+    assert random.unbounded_breaches > 5
+    said = random.document()["of_same_energy_unbounded"]
+    assert said == {"excitations": 20, "breaches": random.unbounded_breaches}
 
 
 def test_the_same_seed_gives_the_same_excitation(design):
