@@ -265,6 +265,8 @@ def _show(excitation: Excitation, first: list[str]) -> None:
         random.unbounded_breaches,
         RANDOM,
     )
+    for what in excitation.not_identified:
+        say("not identified: {}", what)
     length, models, share = (
         f"{len(excitation.t_s)} samples, {excitation.t_s[-1]:.4g} s",
         len(excitation.paths),

@@ -130,6 +130,16 @@ class InTheFuture(TrueupError):
     hint = "Ask for a time that has passed, or without `at` for everything up to now."
 
 
+class NotSafeguarded(TrueupError):
+    """The plant's policy requires safeguards that a recording does not show."""
+
+    code = "not-safeguarded"
+    hint = (
+        "Declare `safeguards` and `stop_criterion` in the recording's metadata as "
+        "docs/continual.md says, or leave the episode out."
+    )
+
+
 class MemoryFull(TrueupError):
     """The service holds as many bytes of other requests as it may."""
 

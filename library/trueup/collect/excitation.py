@@ -20,6 +20,7 @@ from trueup.collect.ensemble import Ensemble, InPlay
 from trueup.collect.goal import Evaluation, Goal, IdentificationGoal, Run, SplittingGoal
 from trueup.collect.wave import AT_REST, LONG, LONGEST, STILL, Held, Maker, Noise, Shape
 from trueup.errors import NotIdentifiable
+from trueup.model.limits import unsaturated
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -89,7 +90,8 @@ class Excitation:
     composition begin, its central one first. `breaches` is how many leave the envelope, `used` the
     largest part of the envelope that one takes, `rests` whether every one is at rest at the end.
     `information` is the command's value for the goal, `random` that of random excitations within
-    the same bounds.
+    the same bounds. `not_identified` says which limits the command does not reach: what is not
+    activated is not identified.
     """
 
     title: str
@@ -105,6 +107,7 @@ class Excitation:
     used: float
     rests: bool
     bounds: Bounds
+    not_identified: tuple[str, ...] = ()
 
     @property
     def speed_at_end(self) -> Array:
@@ -135,6 +138,7 @@ class Excitation:
             "speed_at_end": float(self.speed_at_end.max()),
             "information": self.information.document(),
             "random": self.random.document(),
+            "not_identified": list(self.not_identified),
         }
 
 
@@ -355,7 +359,8 @@ def _checked(
     middle, half = (high[bounded] + low[bounded]) / 2.0, (high[bounded] - low[bounded]) / 2.0
     used = float((np.abs(held.paths[:, :, bounded] - middle) / half).max())
     progress("comparing with random ones", 0.9)
-    final = held.t_s, held.command
+    final, plant = (held.t_s, held.command), maker.play.ensembles[0].plant
+    commands = plant.layout.commands
     information = goal.evaluate([final])
     random = others.compared(maker, goal, final, rng)
     begins = np.cumsum([0, *(m.shape[1] for m in fresh)])
@@ -377,6 +382,7 @@ def _checked(
         used=used,
         rests=held.rests,
         bounds=maker.bounds,
+        not_identified=unsaturated(plant, held.command[:, [plant.joint_of(c) for c in commands]]),
     )
 
 

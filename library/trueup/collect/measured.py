@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from trueup.canonical import Json
 from trueup.collect.coverage import Coverage, compared
+from trueup.collect.required import ON_A_MACHINE
+from trueup.collect.safeguards import held_against
 from trueup.collect.step_warning import off_step
 from trueup.episode.episode import Episode
 from trueup.episode.role import STAGES, Role
@@ -22,7 +24,6 @@ from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
-ON_A_MACHINE = ("HIL", "physical")
 CONDITIONS = ("stage", "envelope", "safeguards", "supervisor", "stop_criterion", "excitation")
 SINGULAR = 1e-6  # of the regressors with columns of unit length
 WEAK = 30.0  # condition number of a design that amplifies noise much
@@ -37,6 +38,7 @@ def measured(plant: Plant, episode: Episode, fitted_on: Sequence[Coverage] = ())
     warnings = [*([off] if off else []), *episode.clock_doubts]
     record: dict[str, Json] = {
         "conditions": _conditions(episode, warnings),
+        "safeguards": held_against(plant, episode, warnings),
         "envelope": _envelope(plant, episode, warnings),
         "excitation": _excitation(plant, episode, warnings),
         "applied": _applied(episode, warnings),
@@ -108,10 +110,15 @@ def _excitation(plant: Plant, episode: Episode, warnings: list[str]) -> dict[str
         warnings.append(
             f"{', '.join(still)} hardly moves: {100 * float(used.min()):.1f} % of the range"
         )
+    at_limit = ((episode.commands <= low) | (episode.commands >= high)).mean(axis=0)
     record: dict[str, Json] = {
         "range_used": {
             c.name: float(part) for c, part in zip(plant.layout.commands, used, strict=True)
-        }
+        },
+        # where it is 0, nothing was seen of the limit: it is not identified
+        "saturated": {
+            c.name: float(part) for c, part in zip(plant.layout.commands, at_limit, strict=True)
+        },
     }
     columns = plant.dynamics.own_regressors(smoothed_states(plant, episode), applied)
     if columns is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import singledispatch
 
 import numpy as np
@@ -16,6 +16,7 @@ from trueup.fit.base_parameters import directions, recorded_poses, regression
 from trueup.fit.least_squares import solve
 from trueup.fit.transitions import Transitions, transitions
 from trueup.model.dynamics import CompiledFamily, CompiledTree, Dynamics
+from trueup.model.limits import unsaturated
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified
 from trueup.model.tree import OFFSET
@@ -29,7 +30,8 @@ class Identification:
 
     `rank` is the rank of the regression, `condition` its condition number with columns of unit
     length; `residual_rms` is in acceleration units. `health` is empty, or says what speaks against
-    the result.
+    the result. `not_identified` says what the episodes could not have shown: the limit of a command
+    that never reached it.
     """
 
     parameters: dict[str, float]
@@ -39,6 +41,7 @@ class Identification:
     residual_rms: float
     rows: int
     health: tuple[str, ...]
+    not_identified: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Json]:
         """The identification as JSON."""
@@ -56,6 +59,7 @@ class Identification:
             "residual_rms": self.residual_rms,
             "rows": self.rows,
             "health": list(self.health),
+            "not_identified": list(self.not_identified),
         }
 
 
@@ -69,7 +73,9 @@ def identify(
     estimated enters over spans. Raises RoleRefused, and NotIdentifiable where the regression's rank
     is below the number of parameters.
     """
-    return _identify(plant.dynamics, plant, episodes, progress)
+    identified, report = _identify(plant.dynamics, plant, episodes, progress)
+    commands = np.concatenate([e.commands for e in episodes])
+    return identified, replace(report, not_identified=unsaturated(plant, commands))
 
 
 @singledispatch

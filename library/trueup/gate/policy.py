@@ -12,6 +12,7 @@ from trueup.gate.frozen import Frozen
 SCHEMA = "trueup.policy/1"
 ASK = "ask"
 APPROVAL, FORBID = "approval", "forbid"
+REQUIRE = "require"
 MOST_APPROVALS = 5
 LONGEST_H = 1e5  # eleven years
 CHOICES = {
@@ -19,7 +20,9 @@ CHOICES = {
     "on_diagnosis": (ASK, "judge"),
     "on_acceptance": (ASK, "promote"),
     "on_rejected": (APPROVAL, FORBID),
+    "safeguards": (ASK, REQUIRE),
 }
+ADDED = (("on_rejected", APPROVAL), ("safeguards", ASK))  # fields with defaults, later than others
 
 
 class BadPolicy(TrueupError):
@@ -40,7 +43,9 @@ class UpdatePolicy(Frozen):
     `on_alarm` ask or diagnose, `on_diagnosis` ask or judge, `on_acceptance` ask or promote. With
     `approvals` above one, a promotion takes that many people, and nothing is promoted without one.
     A candidate that was rejected before, and that no fresh episode speaks for, takes somebody
-    else's `approval` with a reason, or `on_rejected` says forbid. Raises BadPolicy.
+    else's `approval` with a reason, or `on_rejected` says forbid. Where `safeguards` says require,
+    a recording of a machine is fitted, diagnosed and judged on only if its declared safeguards and
+    stop criterion can be checked, and held. Raises BadPolicy.
     """
 
     gate: str
@@ -54,18 +59,15 @@ class UpdatePolicy(Frozen):
     validate_every_h: float | None = None
     approvals: int = 1  # people that a promotion takes
     on_rejected: str = APPROVAL
+    safeguards: str = ASK  # or require: what a recording of a machine must show to be used
 
     schema, refused, noun = SCHEMA, BadPolicy, "a policy"
 
     def document(self) -> dict[str, Json]:
-        """The policy as JSON. The default of `on_rejected` is left out, so that older policies keep
-        their digests."""
+        """The policy as JSON. Defaults of what older policies did not have are left out, so that
+        these keep their digests."""
         document = super().document()
-        return {
-            name: value
-            for name, value in document.items()
-            if (name, value) != ("on_rejected", APPROVAL)
-        }
+        return {name: value for name, value in document.items() if (name, value) not in ADDED}
 
     def __post_init__(self) -> None:
         for step, allowed in CHOICES.items():

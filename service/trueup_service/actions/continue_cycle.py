@@ -26,7 +26,7 @@ from trueup_service.actions import find
 from trueup_service.actions.alarms import close_alarm, follow_alarm
 from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actions.move_pointer import promote_decision
-from trueup_service.actions.submission import Submission
+from trueup_service.actions.submission import Submission, only_safeguarded
 from trueup_service.actions.submit_job import submit_calibration, submit_diagnosis, submit_watch
 from trueup_service.actions.submit_trial import submit_gate
 from trueup_service.actor_context import ActorContext
@@ -181,7 +181,8 @@ class Cycle:
     def _diagnose(self, alarm: AlarmRecord, policy: UpdatePolicy | None) -> None:
         """Diagnose the episodes recorded since the change began: at once, and again when there are
         AGAIN times as many."""
-        episodes = self.tx.episodes.of_roles(alarm.plant, DIAGNOSED, _since_ns(alarm))
+        recorded = self.tx.episodes.of_roles(alarm.plant, DIAGNOSED, _since_ns(alarm))
+        episodes = only_safeguarded(policy, recorded)
         if {e.role for e in episodes} != DIAGNOSED or not self._is_due(
             alarm, policy, len(episodes)
         ):
@@ -217,7 +218,7 @@ class Cycle:
         """
         gate: Any = find.gate(self.tx, alarm.plant, policy.gate).document
         cells: dict[tuple[str, ...], list[EpisodeRecord]] = {}
-        for episode in self.tx.episodes.of_roles(alarm.plant, HELD_OUT):
+        for episode in only_safeguarded(policy, self.tx.episodes.of_roles(alarm.plant, HELD_OUT)):
             if self.tx.jobs.count_uses(episode.digest, "gate") >= budget_of(gate):
                 continue
             declared: Any = episode.summary["conditions"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from trueup.gate.policy import FORBID, UpdatePolicy
+from trueup.gate.policy import FORBID, REQUIRE, UpdatePolicy
 from trueup_service.actions import find
 from trueup_service.actions.gate_line import require_in_force
 from trueup_service.actor_context import ActorContext
@@ -43,6 +43,11 @@ def declare_policy(
     if before is not None and before.on_rejected == FORBID != policy.on_rejected and not by_admin:
         raise Forbidden(
             "the policy that holds forbids to promote what was rejected",
+            hint="An admin may declare one that does not.",
+        )
+    if before is not None and before.safeguards == REQUIRE != policy.safeguards and not by_admin:
+        raise Forbidden(
+            "the policy that holds requires safeguards of a recording",
             hint="An admin may declare one that does not.",
         )
     record = PolicyRecord(

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from trueup.canonical import Json
+from trueup.collect.required import refusal_of
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable, RoleRefused
+from trueup.gate.policy import REQUIRE, UpdatePolicy
 from trueup_service.actions import find
+from trueup_service.actions.declare_policy import policy_of
 from trueup_service.actor_context import ActorContext
+from trueup_service.errors import NotSafeguarded
 from trueup_service.jobs import JobQueue
 from trueup_service.registry.records import EpisodeRecord, JobRecord, JobState
 from trueup_service.registry.transaction import Transaction
@@ -52,6 +57,20 @@ class Submission:
                 )
         return episodes
 
+    def safeguarded(self, episodes: list[EpisodeRecord]) -> list[EpisodeRecord]:
+        """The episodes that the plant's policy lets be used: all, or where it requires safeguards
+        those whose safeguards held. Raises NotSafeguarded for one that the request names."""
+        kept = only_safeguarded(policy_of(self.tx, self.plant), episodes)
+        refused = [e for e in episodes if e not in kept]
+        if refused and (self.names_episodes or not kept):
+            raise NotSafeguarded(
+                "the plant's policy requires safeguards, and of episode "
+                f"{refused[0].digest[:12]} {_refusal(refused[0])}",
+                digest=refused[0].digest,
+                refused=len(refused),
+            )
+        return kept
+
     @property
     def names_episodes(self) -> bool:
         """Whether the request says on which episodes."""
@@ -82,6 +101,22 @@ class Submission:
             facts={"kind": kind, "operation": record.operation, "request": frozen},
         )
         return record
+
+
+def only_safeguarded(
+    policy: UpdatePolicy | None, episodes: Sequence[EpisodeRecord]
+) -> list[EpisodeRecord]:
+    """The episodes that a policy lets be used: all, or where it requires safeguards those whose
+    safeguards held."""
+    if policy is None or policy.safeguards != REQUIRE:
+        return list(episodes)
+    return [e for e in episodes if _refusal(e) is None]
+
+
+def _refusal(episode: EpisodeRecord) -> str | None:
+    """Why an episode does not show safeguards that held, None where it does."""
+    summary: Any = episode.summary
+    return refusal_of(summary, summary.get("conditions") or {})
 
 
 def digests_of(episodes: Sequence[EpisodeRecord]) -> list[str]:

@@ -78,6 +78,7 @@ STATUS: dict[type[errors.TrueupError], HTTPStatus] = {
     service.NotWhole: HTTPStatus.UNPROCESSABLE_ENTITY,
     BadArchive: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.UploadElsewhere: HTTPStatus.CONFLICT,
+    service.NotSafeguarded: HTTPStatus.CONFLICT,
     service.InTheFuture: HTTPStatus.UNPROCESSABLE_ENTITY,
     service.MemoryFull: HTTPStatus.SERVICE_UNAVAILABLE,
     service.UploadsFull: HTTPStatus.TOO_MANY_REQUESTS,

@@ -1,0 +1,79 @@
+"""A policy that requires safeguards: what was recorded on a machine is used only where its declared
+safeguards can be checked, and held."""
+
+import json
+
+import pytest
+
+from tests.support.made import episode_bytes, plant_document
+from trueup.episode.role import Role
+from trueup_client import Client
+from trueup_client.problem import Problem
+
+BOUND = {"enforced_by": "limit switches", "independent_of": "the controller"}
+SAFE = {
+    "stage": "physical",
+    "safeguards": json.dumps([{"signal": "u", "low": -2.0, "high": 2.0, **BOUND}]),
+    "stop_criterion": json.dumps({"signal": "q", "high": 9.0, "within_s": 0.5, **BOUND}),
+}
+
+
+@pytest.fixture
+def client(service):
+    with Client(service.url) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def plant(service, tmp_path_factory):
+    """A plant whose policy requires safeguards, and its episodes: unsafe, broken, safe,
+    simulated."""
+    folder, name = tmp_path_factory.mktemp("safe"), "guarded"
+    broken = {**SAFE, "safeguards": json.dumps([{"signal": "u", "high": 0.01, **BOUND}])}
+    with Client(service.url) as client:
+        client.register_plant(plant_document(name))
+        digests = []
+        for seed, said in enumerate(({"stage": "physical"}, broken, SAFE, {"stage": "MIL"})):
+            path = folder / f"{seed}.mcap"
+            path.write_bytes(episode_bytes(seed, role=Role.ADAPTATION, **said))
+            digests.append(client.upload_episode(name, path)["digest"])
+        policy = {"schema": "trueup.policy/1", "gate": client.declare_gate(name)["digest"]}
+        client.declare_policy(name, {**policy, "safeguards": "require"})
+    return name, digests, policy
+
+
+def test_a_fit_of_all_episodes_leaves_out_what_shows_no_safeguards(client, plant):
+    name, (_, _, safe, simulated), _ = plant
+    job = client.submit(name, {"kind": "fit", "method": "identify"})
+    assert job["request"]["episodes"] == [safe, simulated]
+    client.wait(job["id"])
+
+
+def test_a_named_episode_that_shows_none_is_refused_with_the_reason(client, plant):
+    name, (unsafe, broken, safe, _), _ = plant
+    for digest, why in ((unsafe, "does not declare"), (broken, "breaks them")):
+        with pytest.raises(Problem, match=why) as refused:
+            client.submit(name, {"kind": "fit", "method": "identify", "episodes": [safe, digest]})
+        assert (refused.value.status, refused.value.code) == (409, "not-safeguarded")
+        assert refused.value.facts["digest"] == digest
+
+
+def test_the_summary_of_an_episode_says_what_its_safeguards_did(client, plant):
+    name, (_, broken, safe, _), _ = plant
+    held = {
+        digest: client.episode(name, digest)["summary"]["collection"]["safeguards"]["held"]
+        for digest in (broken, safe)
+    }
+    assert held == {broken: False, safe: True}
+
+
+def test_only_an_admin_may_take_the_requirement_away(service, client, plant):
+    name, _, policy = plant
+    token = client.issue_token("op", ["operator"])["token"]
+    with Client(service.url, token=token) as operator:
+        with pytest.raises(Problem) as refused:
+            operator.declare_policy(name, policy)
+        assert refused.value.code == "forbidden"
+    with pytest.raises(Problem) as wrong:
+        client.declare_policy(name, {**policy, "safeguards": "perhaps"})
+    assert wrong.value.code == "bad-policy"
