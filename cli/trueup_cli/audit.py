@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import base64
-import sys
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import Path
-from typing import Annotated, Any, NoReturn, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from cyclopts import App, Parameter
 
 from trueup.errors import TrueupError
 from trueup_cli.digests import resolve_digest
-from trueup_cli.exits import DISAGREES, VERIFIES, exit_codes
+from trueup_cli.exits import VERIFIES, exit_codes
 from trueup_cli.options import (
     DEFAULT_URL,
     Json,
@@ -24,10 +21,10 @@ from trueup_cli.options import (
     connect_witnessed,
     witness_file,
 )
+from trueup_cli.replay import Agreed, agreed_file, disagree, made_since, replayed
 from trueup_cli.show import as_json, err, lines, moment, progress, say, table
 from trueup_client import Client, Witness
 from trueup_client.problem import ClientError
-from trueup_client.records import Decision
 
 T = TypeVar("T")
 app = App(name="audit", help="Print or verify the audit log.", help_epilogue=exit_codes(VERIFIES))
@@ -121,12 +118,26 @@ def verify(
     replays: Annotated[
         bool, Parameter(negative="--no-replay", help="Recompute every decision from its bytes")
     ] = True,
+    again: Annotated[
+        bool,
+        Parameter(
+            negative=(), help="Recompute also what this user's earlier verifications found to agree"
+        ),
+    ] = False,
+    since: Annotated[
+        str | None,
+        Parameter(
+            help="Recompute only decisions made since then: UTC, such as 2026-11-01 or "
+            "2026-11-01T12:00; log, rows and bytes are verified whole"
+        ),
+    ] = None,
     url: Url = DEFAULT_URL,
     as_json_: Json = False,
 ) -> None:
     """Verify the service against its log: every entry, row, byte and decision.
 
-    If anything differs it is listed, and the exit code is 4.
+    A decision that agreed before is not recomputed by the same code, since everything that it was
+    made from is named by its digest. If anything differs it is listed, and the exit code is 4.
     """
     from trueup.ledger.gate_lines import GateLineCheck
     from trueup.ledger.verification import verify as verify_log
@@ -140,25 +151,30 @@ def verify(
             lambda entry: [*labels(entry), *gate_lines(entry)],
         )
         wrong = [(f.where, f.what) for f in verified.findings]
-        decisions = verified.decisions if replays and not wrong else []
-        for count, decision in enumerate(decisions, 1):
-            bar(0.5 + 0.5 * count / len(decisions), f"replaying decision {decision[:12]}")
-            wrong += [
-                (f"decisions/{decision}", difference)
-                for difference in _replay_differences(client, decision)
-            ]
+        decisions = made_since(client, verified.decisions, since) if replays and not wrong else []
+        kept = Agreed(agreed_file(url))
+        todo = [d for d in decisions if again or d not in kept]
+        for count, (decision, differences) in enumerate(replayed(url, todo), 1):
+            bar(0.5 + 0.5 * count / len(todo), f"replayed decision {decision[:12]}")
+            wrong += [(f"decisions/{decision}", difference) for difference in differences]
+            if not differences:
+                kept.add(decision)
     if as_json_:
         figures = {
             "entries": verified.size,
             "root": verified.root.hex(),
             "rows": verified.rows,
             "bytes": verified.bytes,
+            "decisions": len(decisions),
+            "recomputed": len(todo),
         }
         as_json({**figures, "findings": wrong, "notes": gate_lines.remarks})
     elif wrong:
         table("", ["where", "what does not agree"], wrong)
     else:
-        replayed = f", {len(verified.decisions)} decisions recomputed" if replays else ""
+        before = len(decisions) - len(todo)
+        agreed = f", {before} agreed before" if before else ""
+        of_decisions = f", {len(todo)} decisions recomputed{agreed}" if replays else ""
         say(
             (
                 "[bold green]holds[/]: {} entries under the signed root {}, {} rows, {:.1f} MB "
@@ -168,14 +184,14 @@ def verify(
             base64.b64encode(verified.root).decode(),
             verified.rows,
             verified.bytes / 1e6,
-            replayed,
+            of_decisions,
         )
     if gate_lines.remarks and not as_json_:
         say("[bold]notes[/]: gates and decisions that were made after candidates had been judged")
         for remark in gate_lines.remarks:
             say("  {}", remark)
     if wrong:
-        _disagree(f"{len(wrong)} things are not as the log says")
+        disagree(f"{len(wrong)} things are not as the log says")
 
 
 class _RemoteLog:
@@ -242,131 +258,3 @@ class _LabelCheck:
                 continue
             return []
         return [Finding(f"entry {entry.sequence}", "opens labels that nobody committed")]
-
-
-def _replay_differences(client: Client, decision: str) -> list[str]:
-    """Returns how a decision differs from the one that its bytes give."""
-    from trueup.gate.recompute import differences
-
-    record = client.find_decision(decision)
-    recorded = record["document"]
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            recomputed = recompute(client, record["plant"], recorded, Path(folder), lambda *_: None)
-            return differences(recorded, recomputed)
-    except (TrueupError, ClientError) as error:
-        return [f"cannot be recomputed: {error}"]
-
-
-def _disagree(what: str) -> NoReturn:
-    say("[bold red]disagrees[/] {}", what, to=err)
-    sys.exit(DISAGREES)
-
-
-def _consistent_document(record: Decision) -> dict[str, Any] | None:
-    """Returns a decision's document; None if its digest or its columns do not match it."""
-    from trueup.canonical import digest_of
-
-    document: dict[str, Any] = record["document"]
-    same = all(
-        record[name] == document[name]
-        for name in ("gate", "candidate", "incumbent", "generation", "accepted")
-    )
-    return document if same and digest_of(document) == record["digest"] else None
-
-
-def replay(decision: str, *, url: Url = DEFAULT_URL, as_json_: Json = False) -> None:
-    """Recompute a decision here from its gate, artifacts and episodes, and check that it agrees.
-
-    The exit code is 4 if it does not.
-
-    Parameters
-    ----------
-    decision
-        digest of the decision
-    """
-    from trueup.gate.recompute import differences
-
-    client = connect_witnessed(url)
-    record = client.find_decision(decision)
-    recorded = _consistent_document(record)
-    if recorded is None or record["digest"] != decision:
-        _disagree(
-            "the decision's document is not the one that its digest names, or its columns "
-            "say something else"
-        )
-    try:
-        with progress("replay") as bar, tempfile.TemporaryDirectory() as folder:
-            recomputed = recompute(client, record["plant"], recorded, Path(folder), bar)
-    except TrueupError as error:
-        _disagree(f"{error.code}: {error.message}")
-    wrong = differences(recorded, recomputed)
-    if as_json_:
-        as_json(
-            {
-                "decision": decision,
-                "agrees": not wrong,
-                "differences": wrong,
-                "recomputed": recomputed,
-            }
-        )
-    else:
-        _show(recorded, recomputed, wrong)
-    if wrong:
-        sys.exit(DISAGREES)
-
-
-def recompute(
-    client: Client, plant: str, recorded: dict[str, Any], folder: Path, progress: Any
-) -> dict[str, Any]:
-    """Recomputes a decision's document from verified bytes, which it fetches into `folder`."""
-    from trueup.artifact.model import load
-    from trueup.canonical import digest_of
-    from trueup.episode.mcap import read_episode
-    from trueup.gate import recompute as recomputation
-
-    predictors = {
-        name: load(client.fetch(plant, digest, folder / name), digest).predictor
-        for name, digest in recomputation.models(recorded).items()
-    }
-    layout = predictors["candidate"].plant.layout
-    episodes = []
-    for count, digest in enumerate(recorded["episodes"]):
-        path = folder / f"{digest}.mcap"
-        client.download_episode(plant, digest, path)
-        episodes.append(read_episode(path.read_bytes(), layout))
-        progress(0.5 * (count + 1) / len(recorded["episodes"]), "fetching episodes")
-    return recomputation.recompute(
-        recorded,
-        client.gate(plant, recorded["gate"])["document"],
-        predictors,
-        episodes,
-        digest_of(client.plant(plant)["document"]),
-        lambda share: progress(0.5 + 0.5 * share, "scoring"),
-    )
-
-
-def _show(recorded: dict[str, Any], recomputed: dict[str, Any], differences: list[str]) -> None:
-    from trueup.gate.line import disclosure
-
-    pairs = zip(recorded["verdicts"], recomputed["verdicts"], strict=True)
-    table(
-        "",
-        ["rule", "recorded", "recomputed", "threshold", "passed"],
-        [(a["rule"], a["value"], b["value"], b["threshold"], b["passed"]) for a, b in pairs],
-    )
-    say(
-        "[bold red]disagrees[/]"
-        if differences
-        else "[bold green]agrees[/]: every figure and the verdict"
-    )
-    for difference in differences:
-        say("{}", difference)
-    say(
-        "{}",
-        disclosure(recorded)
-        or (
-            "It does not say what was known when its gate was declared: trueup audit "
-            "verify works it out."
-        ),
-    )

@@ -21,10 +21,10 @@ from trueup.gate.recompute import differences
 from trueup.model.mjcf import resolved
 from trueup.model.predictor import Predictor, predict_episode
 from trueup.model.windows import starts_every
-from trueup_cli.audit import recompute
 from trueup_cli.embedded_service import embedded_service
 from trueup_cli.pictures.before_and_after import AFTER, BEFORE, Trace, before_and_after
 from trueup_cli.registry import result_of, run_job, show_decision
+from trueup_cli.replay import recompute
 from trueup_cli.serving import show_serving
 from trueup_cli.show import progress, say, show_diagnosis, table
 from trueup_client import Client

@@ -145,7 +145,7 @@ _COMMANDS = {
     "token": ("access:tokens", "Issue, list and revoke tokens.", CALLS_SERVICE),
     "project": ("access:projects", "Create and list projects.", CALLS_SERVICE),
     "audit": ("audit:app", "Print or verify the audit log.", VERIFIES),
-    "replay": ("audit:replay", "Recompute a decision, and check that it agrees.", VERIFIES),
+    "replay": ("replay:replay", "Recompute a decision, and check that it agrees.", VERIFIES),
     "backup": (
         "archives:backup",
         "Write a backup of the whole registry, while the service runs.",

@@ -39,7 +39,23 @@ def sentence(document: Mapping[str, Any]) -> str:
             f": single effects named exactly in {_share_text(single['exact'])}, the truth among "
             f"the answers in {_share_text(single['in_set'])}"
         )
-    return text + "."
+    return f"{text}. {_misses(document)}"
+
+
+def _misses(document: Mapping[str, Any]) -> str:
+    """Every machine that was not answered exactly, by what was hidden in it."""
+    missed: dict[str, list[int]] = {}
+    for row in document["rows"]:
+        if not row["exact"]:
+            missed.setdefault(row["label"]["kind"], []).append(row["index"])
+    if not missed:
+        return "None was missed."
+    parts = [
+        f"{len(indices)} of {document['kinds'][kind]['n']} with {KINDS[kind]} "
+        f"({', '.join(f'#{i}' for i in indices)})"
+        for kind, indices in missed.items()
+    ]
+    return f"Not named exactly: {'; '.join(parts)}."
 
 
 def _share_text(rate: Mapping[str, Any]) -> str:

@@ -148,7 +148,7 @@ def test_a_service_that_is_not_there_exits_3(service):
 def test_a_decision_that_was_tampered_with_is_not_reproduced(client, tmp_path):
     """The replay recomputes from bytes: a figure that was changed in the record is found."""
     from trueup.gate.recompute import differences
-    from trueup_cli.audit import recompute
+    from trueup_cli.replay import recompute
 
     name = "tampered"
     client.register_plant(plant_document(name))

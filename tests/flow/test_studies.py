@@ -9,6 +9,7 @@ import pytest
 from tests.support.service import ROOT, command
 from trueup.chapter.data import SHIFTED
 from trueup.chapter.published import PUBLISHED
+from trueup_cli.replay import Agreed
 from trueup_client import Client
 from trueup_client.problem import Problem
 
@@ -65,18 +66,64 @@ def models_of(fitted):
     return [x for digest in ("1", *chosen) for x in ("--model", digest)]
 
 
-def test_a_is_accepted_and_b_is_rejected_by_the_chapters_gate(service, fitted):
-    printed, verdicts = PUBLISHED["Gate"], {}
+@pytest.fixture(scope="module")
+def decided(service, fitted):
+    """The decisions on candidates A and B, by name."""
+    decisions = {}
     with Client(service.url) as client:
         for name, candidate in (("A", fitted["residual"]), ("B", fitted["b"])):
             job = {"kind": "gate", "candidate": candidate["artifact"], "gate": fitted["gate"]}
             result = client.wait(client.submit("chapter", job)["id"])["result"]
-            decision = client.decision("chapter", result["decision"])["document"]
-            verdicts[name] = decision["accepted"]
-            errors = decision["figures"]["candidate"]
-            assert f"{errors['one_step'][0]:.5f}" == printed[name]["one-step"]
-            assert f"{errors['rollout'][0]:.5f}" == printed[name]["rollout mean"]
-    assert verdicts == {"A": True, "B": False}
+            decisions[name] = client.decision("chapter", result["decision"])
+    return decisions
+
+
+def test_a_is_accepted_and_b_is_rejected_by_the_chapters_gate(decided):
+    for name, accepted in (("A", True), ("B", False)):
+        assert decided[name]["accepted"] is accepted
+        errors, printed = decided[name]["document"]["figures"]["candidate"], PUBLISHED["Gate"][name]
+        assert f"{errors['one_step'][0]:.5f}" == printed["one-step"]
+        assert f"{errors['rollout'][0]:.5f}" == printed["rollout mean"]
+
+
+def test_a_decision_is_replayed_by_its_first_digits(service, decided):
+    replayed = command(service, "replay", decided["B"]["digest"][:12]).stdout
+    assert "agrees" in replayed
+    refused = command(service, "replay", "0123", check=False)
+    assert refused.returncode == 1
+    assert "no decision begins with '0123'" in refused.stderr
+
+
+def verified(service, *options):
+    printed = json.loads(command(service, "audit", "verify", "--json", *options).stdout)
+    assert printed["findings"] == []
+    return printed["decisions"], printed["recomputed"]
+
+
+def test_a_verification_recomputes_at_once_and_only_what_did_not_agree_before(service, decided):
+    everything, _ = verified(service)
+    assert everything >= len(decided)
+    assert verified(service) == (everything, 0)
+    assert verified(service, "--again") == (everything, everything)
+    assert verified(service, "--again", "--since", "2999-01-01") == (0, 0)
+    assert verified(service, "--again", "--since", "2000-01-01T00:00") == (everything, everything)
+    assert "agreed before" in command(service, "audit", "verify").stdout
+    refused = command(service, "audit", "verify", "--since", "yesterday", check=False)
+    assert refused.returncode == 1
+    assert "not-a-time" in refused.stderr
+
+
+def test_agreements_of_other_code_do_not_count_and_a_broken_file_keeps_nothing(tmp_path):
+    file = tmp_path / "kept.json"
+    Agreed(file).add("a" * 64)
+    assert "a" * 64 in Agreed(file)
+    file.write_text(file.read_text().replace('"code": "', '"code": "0'))
+    assert "a" * 64 not in Agreed(file)
+    file.write_text("{")
+    assert "a" * 64 not in Agreed(file)
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    Agreed(blocked / "kept.json").add("a" * 64)  # where nothing can be written, nothing is kept
 
 
 def test_the_closed_loops_of_the_service_are_the_chapters_tables(service, fitted, tmp_path):

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 
 from trueup.canonical import Json, digest_of
-from trueup_service.code_identity import code_identity
+from trueup.code_identity import code_identity
 
 
 @cache

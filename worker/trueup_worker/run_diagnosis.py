@@ -7,6 +7,7 @@ from typing import Any
 
 from trueup.artifact.artifact import Artifact, pack
 from trueup.canonical import Json, canonical_bytes, digest_of, digest_of_bytes
+from trueup.code_identity import code_identity
 from trueup.collect.coverage import coverage_of
 from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.figures import FIGURES_FILE, figures
@@ -16,7 +17,6 @@ from trueup.episode.role import Role
 from trueup.randomise.supported import RANDOMISATION_FILE, supported_ranges
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actor_context import ActorContext
-from trueup_service.code_identity import code_identity
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts

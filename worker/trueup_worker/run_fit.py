@@ -8,6 +8,7 @@ from typing import Any
 
 from trueup.artifact.artifact import Artifact, pack
 from trueup.canonical import Json, digest_of, digest_of_bytes
+from trueup.code_identity import code_identity
 from trueup.collect.coverage import coverage_of
 from trueup.episode.episode import Episode
 from trueup.episode.role import Role
@@ -20,7 +21,6 @@ from trueup.randomise.randomisation import Randomisation
 from trueup.randomise.study import CONFIGURATION, Context, Randomised, fit_family
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actor_context import ActorContext
-from trueup_service.code_identity import code_identity
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import Transaction
 from trueup_service.wiring import Parts

@@ -9,6 +9,7 @@ import orjson
 
 from trueup.artifact.artifact import Artifact, pack
 from trueup.canonical import Json, digest_of, digest_of_bytes
+from trueup.code_identity import code_identity
 from trueup.episode.role import Role
 from trueup.randomise.randomisation import Randomisation
 from trueup.randomise.study import Randomised, randomise
@@ -17,7 +18,6 @@ from trueup.randomise.training import Draws
 from trueup_service.actions import find
 from trueup_service.actions.add_artifact import add_artifact
 from trueup_service.actor_context import ActorContext
-from trueup_service.code_identity import code_identity
 from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import Transaction, reading
 from trueup_service.wiring import Parts

@@ -15,6 +15,7 @@ from typing import Any
 from trueup.artifact.artifact import Artifact, unpack
 from trueup.artifact.session import session_state
 from trueup.canonical import Json
+from trueup.code_identity import code_identity
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode_stream
 from trueup.errors import TrueupError
@@ -22,7 +23,6 @@ from trueup.fit.score import Scoring, score
 from trueup.gate.decision import Gate
 from trueup.model.predictor import Predictor
 from trueup_service.actions.add_artifact import require_plant
-from trueup_service.code_identity import code_identity
 from trueup_service.errors import SwitchbackFailed
 from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ArtifactRecord
