@@ -1,9 +1,11 @@
-"""The identity of the code that computed a result."""
+"""The identity of the code that computed a result, and of the libraries that it runs on."""
 
 from __future__ import annotations
 
 import hashlib
+import platform
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 import trueup
@@ -20,3 +22,12 @@ def code_identity() -> dict[str, Json]:
             path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0"
         )
     return {"version": trueup.__version__, "sha256": hashed.hexdigest()}
+
+
+@cache
+def library_versions() -> dict[str, Json]:
+    """Returns the versions of Python and of the libraries that load and run a model."""
+    return {
+        "python": platform.python_version(),
+        **{name: version(name) for name in ("numpy", "numba", "safetensors")},
+    }

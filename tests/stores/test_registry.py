@@ -158,7 +158,7 @@ def test_the_pointer_goes_forward_and_back_like_a_stack(parts, plant):
             )
     assert versions == [2, 1]
     with pytest.raises(NothingToRollBackTo), parts.database.write() as connection:
-        roll_back_pointer(Transaction(connection), plant, 5, {}, at(9))
+        roll_back_pointer(Transaction(connection), plant, 5, None, {}, at(9))
     with read(parts) as connection:
         assert [m.version for m in ReadTransaction(connection).serving.history(plant, 0, 99)] == [
             1,

