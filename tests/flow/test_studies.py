@@ -131,6 +131,7 @@ def test_the_closed_loops_of_the_service_are_the_chapters_tables(service, fitted
     report = study(service, "closedloop", "chapter", tmp_path, *options)
     assert report["machine"]["model"] == "v2 identified"  # the newest identification stands in
     assert report["artifacts"]["v2 identified"] == fitted["identify"]["artifact"]
+    assert list(by_regime(report)) == list(REGIMES)
     for regime, errors in by_regime(report).items():
         assert {m: f"{x:.5f}" for m, x in errors.items()} == (
             PUBLISHED["Tracking error"][REGIMES[regime]]
@@ -143,6 +144,7 @@ def test_the_open_loops_of_the_service_are_the_chapters_table(service, fitted, t
     report = study(service, "openloop", "chapter", tmp_path, *models_of(fitted))
     (episode,) = report["episodes"]
     assert episode["role"] == "test"  # what no decision reads is rolled out by default
+    assert [m["model"].split()[-1] for m in report["models"]] == list(PUBLISHED["Open loop"])
     for model in report["models"]:
         printed = PUBLISHED["Open loop"][model["model"].split()[-1]]
         assert {str(e["steps"]): f"{e['mean']:.4f}" for e in model["errors"]} == printed

@@ -28,6 +28,7 @@ SCALES = Scales(0.6, 0.5, 0.7, 1.0)
 SYMMETRIC = Scheme(0.5, 2)
 ROUNDING = 1e-9
 VISIBLE = 1e-7  # of a channel: what a parameter must move
+OFF_GRID, GRID, ZOOMS = 0.013, 31, 4  # the first grid does not hold the value
 FOUND = 0.02  # of a value, or of its scale: how near a fit must come to it
 PLANT = Plant.from_document(
     {
@@ -167,7 +168,8 @@ def looks_only_back(effect: type[Effect]) -> None:
 
 
 def its_value_is_found_again(effect: type[Effect]) -> None:
-    """A fit that begins a fifth off recovers the value from a noise-free log."""
+    """A fit that begins a fifth off, on the side on which the effect acts, recovers the value from
+    a noise-free log."""
     values = _values(effect, _usual(effect))
     number, row = effect.params[0], PLANT.block.rows(effect.name)[0]
     log = _rolled(values, effect, SYMMETRIC, _commands())
@@ -181,18 +183,24 @@ def its_value_is_found_again(effect: type[Effect]) -> None:
         np.array([1e-3, 1e-3]),
     )
     begin = values.copy()
-    begin[row] = begin[row] * (1.02 if number.name in effect.threshold else 1.2) + 1e-3 * SCALES.of(
-        number.scale
-    )
+    begin[row] = begin[row] * (0.8 if effect.falls else 1.2) + 1e-3 * SCALES.of(number.scale)
     others = [(effect.name, n.name) for n in effect.params[1:]]
     family = [("", name) for name in PLANT.dynamics.parameter_names]
-    if effect.zoomed:  # the error is flat between corners: the best of a grid, as a search finds it
-        begins = [
-            np.where(np.arange(len(values)) == row, values[row] * factor, values)
-            for factor in np.linspace(0.9, 1.1, 81)
-        ]
-        tried = [fitter.fit([s], Hypothesis((effect.name,)), b, iterations=0) for b in begins]
-        fit = min(tried, key=lambda f: f.cost)
+    if effect.zoomed:  # the error is flat between corners: ever finer grids find it, as a search's
+        middle, half, fit = 1.0 + OFF_GRID, 0.2, None
+        for _ in range(ZOOMS):
+            tried = [
+                fitter.fit(
+                    [s],
+                    Hypothesis((effect.name,)),
+                    np.where(np.arange(len(values)) == row, values[row] * factor, values),
+                    iterations=0,
+                )
+                for factor in middle + half * np.linspace(-1.0, 1.0, GRID)
+            ]
+            fit = min(tried, key=lambda f: f.cost)
+            middle, half = float(fit.values[row] / values[row]), 2.0 * half / (GRID - 1)
+        assert fit is not None
     else:
         fit = fitter.fit(
             [s],

@@ -15,6 +15,10 @@ MOSTLY = (
     "New numbers in the nominal form explain most of the gap; no effect of the catalogue "
     "takes a material part of what remains"
 )
+AS_INTEGRATED = (
+    "No effect is missing and the nominal numbers hold: integrated and started as the diagnosis "
+    "does, they need no correction"
+)
 WORDS = {
     "no_gap": "The nominal model already predicts as well as the noise allows",
     "parameters_only": "New numbers in the nominal form explain the gap; no effect is missing",
@@ -27,8 +31,12 @@ def sentence(document: Mapping[str, Any]) -> str:
     verdict, gap = document["verdict"], document["gap"]
     if verdict == "effect":
         text = _effects(document)
+    elif verdict == "parameters_only" and is_above_floor(gap):
+        text = MOSTLY
+    elif verdict == "no_gap" and gap["closed"] is not None:
+        text = AS_INTEGRATED
     else:
-        text = MOSTLY if verdict == "parameters_only" and is_above_floor(gap) else WORDS[verdict]
+        text = WORDS[verdict]
     if gap["closed"] is not None:
         text += (
             f"; held-out error falls from {short(gap['before'])} to {short(gap['after'])}, "

@@ -51,7 +51,7 @@ def designed(plant=PLANT, spread=0.02, seed=0, duration_s=8.0, **bounds):
 
 @pytest.fixture(scope="module")
 def design():
-    return designed()
+    return designed(spread=SPREAD)
 
 
 def test_it_stays_inside_the_envelope_with_its_margin_under_a_thousand_models(design):
@@ -86,8 +86,8 @@ def test_it_tells_every_number_better_than_random_ones_within_the_same_bounds(
     for name, width in made.information.half_widths.items():
         assert width < random.information.half_widths[name]
     assert made.breaches == 0
-    assert random.breaches <= random.count <= 20
-    assert random.document()["breaches"] == random.breaches
+    assert 5 <= random.count <= 20
+    assert random.breaches <= random.count // 2  # they are made for fewer models than they meet
 
 
 def test_unbounded_random_ones_of_its_energy_are_said_to_leave_the_envelope():
@@ -98,7 +98,7 @@ def test_unbounded_random_ones_of_its_energy_are_said_to_leave_the_envelope():
 
 
 def test_the_same_seed_gives_the_same_excitation(design):
-    assert np.array_equal(designed().command, design.command)
+    assert np.array_equal(designed(spread=SPREAD).command, design.command)
 
 
 def test_a_slower_drive_and_a_narrower_envelope_are_kept():

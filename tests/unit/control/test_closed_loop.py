@@ -1,6 +1,7 @@
 """Closed loop: paired runs of two models on one machine, and a gate that can ask for no regression
 in tracking."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +19,10 @@ from trueup.episode.episode import Episode
 from trueup.episode.mcap import read_episode
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
-from trueup.fit.score import Scoring
+from trueup.fit.score import Score, Scoring
 from trueup.gate.decision import Gate
 from trueup.gate.judge import judge, run_trial
-from trueup.gate.rule import rules
+from trueup.gate.rule import Trial, rules
 from trueup.model.block import term
 from trueup.model.plant import Plant
 from trueup.model.predictor import Identified, Nominal
@@ -112,6 +113,7 @@ def test_a_gate_can_refuse_a_better_prediction_that_tracks_worse():
         tracking=replace(result.tracking, candidate=result.tracking.incumbent, breaches=(0.1, 0.0)),
     )
     for trial, passed in (
+        (result, True),
         (worse, False),
         (breaching, False),
         (replace(result, tracking=None), False),
@@ -265,5 +267,9 @@ def test_a_joint_that_nobody_commands_is_refused(arm):
 
 def test_runs_that_run_away_can_be_written_down_and_never_pass():
     tracking = Tracking(np.array([np.inf, 1.0]), np.ones(2), (0.0, 0.0), (1.0,))
-    assert tracking.document()["candidate"] is None
-    assert tracking.document()["change_ci95"] is None
+    document = tracking.document()
+    assert (document["candidate"], document["change_ci95"]) == (None, None)
+    json.dumps(document, allow_nan=False)
+    one = Score(np.ones(1), np.ones(1))
+    verdict = rules()["tracking_no_worse"]()(Trial(one, one, ("e",), ((),), (), tracking))
+    assert not verdict.passed

@@ -44,6 +44,7 @@ def chapter():
 
 def test_the_chapters_tracking_errors_come_out_digit_by_digit(chapter):
     table = PUBLISHED["Tracking error"]
+    assert [r["regime"] for r in chapter["regimes"]] == list(REGIMES)
     for regime in chapter["regimes"]:
         printed = table[REGIMES[regime["regime"]]]
         assert {m["model"]: f"{m['tracking']:.5f}" for m in regime["models"]} == printed

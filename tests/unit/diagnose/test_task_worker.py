@@ -16,6 +16,7 @@ from trueup.diagnose.task_batch import pack_answers, pack_tasks, unpack_answers,
 from trueup.diagnose.task_worker import TaskWorker
 from trueup.diagnose.tasks import Converge, Fit, Screen, in_threads
 from trueup.fit.rollout_fit import Start
+from trueup.model.block import kind
 from trueup.model.series import refined
 
 
@@ -124,6 +125,10 @@ def test_what_is_no_batch_is_refused(text):
 def test_tasks_are_answered_in_their_order_while_the_share_is_told(posed):
     problem, base = posed
     shares = []
-    answers = in_threads(problem, [Converge(base), Converge(base), Converge(base)], shares.append)
+    terms = ["backlash", "cubic_stiffness", "quadratic_drag"]
+    tasks = [Screen(base.fit, term, np.zeros(len(kind(term).starts))) for term in terms]
+    answers = in_threads(problem, tasks, shares.append)
+    assert [{fit.hypothesis.effects for fit in answer} for answer in answers] == [
+        {(term,)} for term in terms
+    ]
     assert shares == pytest.approx([1 / 3, 2 / 3, 1.0])
-    assert len({a.fit.cost for a in answers}) == 1

@@ -1,6 +1,7 @@
 """Predictors of a family from training episodes: where contexts come from, and what a wrong one
 costs."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -47,10 +48,13 @@ def test_contexts_are_those_recorded_else_identified_from_each_plants_own_episod
 
 
 def test_the_sample_box_is_what_was_drawn(episodes):
-    box = sample_box(pooled(PLANT, episodes))
+    drawn = [json.loads(e.conditions["context"]) for e in episodes]
+    assert sample_box(pooled(PLANT, episodes)) == {
+        name: (min(d[name] for d in drawn), max(d[name] for d in drawn)) for name in "kcb"
+    }
     for declared in FAMILY["numbers"]:
-        low, high = box[declared["number"]]
-        assert declared["low"] <= low < high <= declared["high"]
+        values = [d[declared["number"]] for d in drawn]
+        assert declared["low"] <= min(values) < max(values) <= declared["high"]
 
 
 def test_the_conditioned_map_holds_for_plants_it_was_not_fitted_on(episodes):

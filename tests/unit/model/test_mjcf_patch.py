@@ -286,7 +286,7 @@ def test_a_late_sensor_is_a_sensor_with_a_delay(tmp_path):
         past.append(data.qpos[1])
     late = round(0.012 / model.opt.timestep)
     mujoco.mj_forward(model, data)
-    assert data.sensordata[0] == pytest.approx(past[-1 - late], abs=2e-3)
+    assert data.sensordata[0] == pytest.approx(past[-1 - late], abs=1e-9)
 
 
 def test_a_stop_is_a_spring_with_room(tmp_path):

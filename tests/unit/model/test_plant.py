@@ -102,7 +102,7 @@ def test_stability_is_that_of_the_eigenvalues(parameters, stable):
     k, c, dt = parameters[0], parameters[1], plant.timestep_s
     by_hand = np.array([[1 - dt * dt * k, dt * (1 - dt * c)], [-dt * k, 1 - dt * c]])
     assert plant.is_stable(parameters) is stable
-    assert (np.abs(np.linalg.eigvals(by_hand)).max() < 1) is np.True_ if stable else True
+    assert bool(np.abs(np.linalg.eigvals(by_hand)).max() < 1) is stable
 
 
 def test_the_applied_command_is_the_issued_one_within_its_limits():

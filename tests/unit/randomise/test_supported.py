@@ -36,8 +36,12 @@ def test_every_interval_becomes_a_range():
     document = supported_ranges(FRICTION, report())
     family = Randomisation.of(PLANT, json.loads(json.dumps(document)))
     box = family.box()
-    assert box["k"] == pytest.approx((1.2, 1.3))
-    assert box["coulomb_friction.level"] == pytest.approx((0.18, 0.22))
+    assert {name: pytest.approx(ends) for name, ends in box.items()} == {
+        "k": (1.2, 1.3),
+        "c": (0.57, 0.67),
+        "b": (0.77, 0.87),
+        "coulomb_friction.level": (0.18, 0.22),
+    }
     model = family.model(family.draw(np.random.default_rng(0)))
     assert model.hypothesis.effects == ("coulomb_friction",)
     assert "95 % intervals" in document["because"]
@@ -65,6 +69,10 @@ def test_a_range_never_crosses_zero():
     family = Randomisation.of(PLANT, supported_ranges(FRICTION, wide))
     low, high = family.box()["coulomb_friction.level"]
     assert (low, high) == (0.0, pytest.approx(0.7))
+    against = corrected(PLANT, {"constant_force": {"level": -0.2}}, TRUE)
+    pushed = {"effect": "constant_force", "estimate": {"level": estimate(-0.2, 0.5)}}
+    family = Randomisation.of(PLANT, supported_ranges(against, {**wide, "effects": [pushed]}))
+    assert family.box()["constant_force.level"] == (pytest.approx(-0.7), 0.0)
 
 
 def test_an_unexplained_gap_is_said_and_nothing_without_an_interval_is_made_up():
