@@ -96,18 +96,17 @@ def test_it_uploads_lists_and_waits(service, plant, tmp_path):
 
 def test_a_watch_that_is_given_up_ends_at_once(service, plant):
     async def go():
-        began = time.monotonic()
         async with AsyncClient(service.url) as client:
             seen = client.watch(plant, wait_s=30.0)
             first = await anext(seen)
             with pytest.raises(TimeoutError):
                 await asyncio.wait_for(anext(seen), 0.5)
             after = await client.serving(plant)  # others go on
-        return first, after, time.monotonic() - began
+        return first, after
 
-    first, after, took_s = asyncio.run(go())
+    # a limit, so that it does not wait for the service, which holds the watch for half a minute
+    first, after = asyncio.run(asyncio.wait_for(go(), 25.0))
     assert first == after
-    assert took_s < 20.0  # and not the 30 that the service would have held it
 
 
 def test_whatever_asks_when_it_is_closed_ends(service, plant):
