@@ -8,8 +8,7 @@ velocity and applied command are compared.
     density  near enough to a recorded sample: a hole inside the hull is outside
 
 The declared envelope and limits are another box, of what may be visited; an episode can be inside
-that and outside all of these. Source: membership by conditional gradients: M. Frank, P. Wolfe,
-Naval Research Logistics Quarterly 3 (1956).
+that and outside all of these.
 """
 
 from __future__ import annotations
@@ -20,6 +19,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.spatial import ConvexHull, KDTree
 
 from trueup.canonical import Json
 from trueup.episode.episode import Episode
@@ -27,15 +28,16 @@ from trueup.model.plant import Plant
 from trueup.model.state import smoothed_states
 
 Array = NDArray[np.float64]
-DIRECTIONS = 160  # in which a hull's corners are looked for
 SAMPLES = 160  # of what was recorded, kept for the density
 ASKED = 240  # samples of an episode that are looked at
-STEPS = 120  # of the search for the nearest point of a hull
-TOUCH = 0.02  # of a range: as near to the hull is inside
+TOUCH = 0.02  # of a range: as near to the hull's faces is inside
 NEAR = 0.99  # of the recorded samples are as near to a kept one
 WARNED = 0.05  # of an episode outside: worth a warning
 LEAST = 1e-12  # of a range, to divide by
+HAIR = 1e-6  # of a range: thinner is flat
 DIGITS = 6  # of the numbers that are kept
+GRID = 0.004  # of a range: points are rounded to it before their hull, which keeps its corners few
+WHOLE = 1e3  # by so much the parts of a mixture must add up to one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +45,7 @@ class Coverage:
     """The region of one joint's recorded motion: ranges `(3,)`, corners of the hull `(corners, 3)`,
     samples `(samples, 3)`, and the distance `near` that counts as near.
 
-    Corners and samples are in units of the ranges.
+    Corners and samples are in units of the ranges, from 0 to 1.
     """
 
     joint: str
@@ -57,11 +59,11 @@ class Coverage:
         """The share of samples `(n, 3)` that is outside the box, the hull, and the density."""
         x = (triples - self.low) / np.maximum(self.high - self.low, LEAST)
         beyond = ((x < -TOUCH) | (x > 1.0 + TOUCH)).any(axis=1)
-        off = beyond | (_from_hull(self.corners, x) > TOUCH)
+        off = beyond | (_Hull.of(self.corners).away(x) > TOUCH)
         return {
             "box": float(beyond.mean()),
             "hull": float(off.mean()),
-            "density": float((_from_samples(self.samples, x) > self.near).mean()),
+            "density": float((KDTree(self.samples).query(x)[0] > self.near).mean()),
         }
 
     def document(self) -> dict[str, Json]:
@@ -93,11 +95,11 @@ def coverage_of(plant: Plant, episodes: Sequence[Episode]) -> list[Coverage]:
         triples = np.concatenate([_triples(plant, e, joint) for e in episodes])
         low, high = triples.min(axis=0), triples.max(axis=0)
         x = (triples - low) / np.maximum(high - low, LEAST)
-        corners = x[np.unique((x @ _directions().T).argmax(axis=0))]
+        corners = _Hull.of(np.round(x / GRID) * GRID).corners
         chosen = x[:: -(-len(x) // SAMPLES)]
         # as far from chosen ones as samples can be
         between = x[len(x) // (2 * SAMPLES) :: -(-len(x) // SAMPLES)]
-        near = float(np.quantile(_from_samples(chosen, between), NEAR)) + TOUCH
+        near = float(np.quantile(KDTree(chosen).query(between)[0], NEAR)) + TOUCH
         coverages.append(Coverage(plant.joint_name(joint), low, high, corners, chosen, near))
     return coverages
 
@@ -134,25 +136,40 @@ def _triples(plant: Plant, episode: Episode, joint: int) -> Array:
     return np.asarray(rows[np.isfinite(rows).all(axis=1)])
 
 
-def _directions() -> Array:
-    """Directions spread evenly over a sphere, `(DIRECTIONS, 3)`: a spiral of golden turns."""
-    i = np.arange(DIRECTIONS) + 0.5
-    z, turn = 1.0 - 2.0 * i / DIRECTIONS, np.pi * (1.0 + np.sqrt(5.0)) * i
-    flat = np.sqrt(1.0 - z**2)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hull:
+    """The convex hull of points: corners `(corners, 3)`, and faces `(faces, 4)` whose product with
+    (point, 1) is how far beyond the face a point is."""
 
+    corners: Array
+    faces: Array
 
-def _from_hull(corners: Array, x: Array) -> Array:
-    """Distance of points `(n, 3)` from the hull of corners, from above, `(n,)`."""
-    at = np.repeat(corners.mean(axis=0)[None, :], len(x), axis=0)
-    for _ in range(STEPS):
-        towards = corners[((x - at) @ corners.T).argmax(axis=1)] - at
-        length = np.maximum(np.einsum("ij,ij->i", towards, towards), LEAST)
-        part = np.clip(np.einsum("ij,ij->i", x - at, towards) / length, 0.0, 1.0)
-        at = at + part[:, None] * towards
-    return np.asarray(np.linalg.norm(x - at, axis=1))
+    @staticmethod
+    def of(points: Array) -> _Hull:
+        """The hull of points `(n, 3)`. They may lie in a plane or on a line, as where a joint
+        stood still."""
+        points = np.unique(points, axis=0)
+        middle = points.mean(axis=0)
+        axes = np.linalg.svd(points - middle, full_matrices=False)[2]
+        thick = np.ptp((points - middle) @ axes.T, axis=0) > HAIR
+        inside, across = (points - middle) @ axes[thick].T, axes[~thick]
+        if thick.sum() > 1:
+            hull = ConvexHull(inside)
+            ends, faces = hull.vertices, hull.equations
+        else:
+            ends = np.unique([inside.sum(axis=1).argmin(), inside.sum(axis=1).argmax()])
+            faces = np.array([[1.0, -inside.max(initial=0.0)], [-1.0, inside.min(initial=0.0)]])
+            faces = faces if thick.any() else faces[:, 1:]
+        normals = np.concatenate([faces[:, :-1] @ axes[thick], across, -across])
+        off = np.append(faces[:, -1], np.zeros(2 * len(across))) - normals @ middle
+        return _Hull(points[ends], np.column_stack([normals, off]))
 
-
-def _from_samples(samples: Array, x: Array) -> Array:
-    """Distance of points `(n, 3)` from the nearest sample, `(n,)`."""
-    return np.asarray(np.sqrt(((x[:, None, :] - samples[None, :, :]) ** 2).sum(axis=2).min(axis=1)))
+    def away(self, x: Array) -> Array:
+        """Distance of points `(n, 3)` from the hull, `(n,)`, no more than 0 inside. Beyond TOUCH it
+        is that from the plane of a face, which is no larger."""
+        away = np.asarray((x @ self.faces[:, :3].T + self.faces[:, 3]).max(axis=1))
+        mixed = np.vstack([self.corners.T, np.full(len(self.corners), WHOLE)])
+        for i in np.flatnonzero((away > 0.0) & (away <= TOUCH)):
+            # beyond a sharp edge the planes of both faces are nearer than the edge
+            away[i] = nnls(mixed, np.append(x[i], WHOLE))[1]
+        return away

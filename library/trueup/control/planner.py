@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from trueup.model.predictor import Predictor
 
@@ -91,12 +92,9 @@ class Linearised(Planner):
             columns = np.vstack([((off - moved) / inwards[:, None]).T, penalty])
             if not np.isfinite(columns).all():
                 break
-            to = _bounded(
-                columns,
-                np.append(off, penalty @ (-best / reach)),
-                (low - best) / reach,
-                (high - best) / reach,
-            )
+            target = np.append(off, penalty @ (-best / reach))
+            bounds = (low - best) / reach, (high - best) / reach
+            to = lsq_linear(columns, target, bounds, method="bvls").x
             tried = best + np.array(SHORTER)[:, None] * to * reach
             errors = self._off(state, tried, wanted)
             costs = np.nan_to_num((errors**2).sum(axis=1), nan=np.inf) + self.effort * (
@@ -117,18 +115,3 @@ class Linearised(Planner):
         held."""
         held = self.predictor.hold(states, commands, self.steps * self.hold)
         return np.asarray(held[:, self.hold - 1 :: self.hold, : len(self.scale)] / self.scale)
-
-
-def _bounded(columns: Array, target: Array, low: Array, high: Array) -> Array:
-    """Least squares `(commands,)` between bounds. Commands that leave them are fixed at the bound,
-    and the others are solved for again."""
-    solution, free = np.zeros(len(low)), np.ones(len(low), bool)
-    while free.any():
-        rest = target - columns[:, ~free] @ solution[~free]
-        solution[free] = np.linalg.lstsq(columns[:, free], rest, rcond=None)[0]
-        beyond = free & ((solution < low) | (solution > high))
-        if not beyond.any():
-            break
-        solution = np.clip(solution, low, high)
-        free &= ~beyond
-    return solution

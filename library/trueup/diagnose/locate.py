@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import periodogram
 
 from trueup.canonical import Json
 from trueup.diagnose.candidate import Candidate
@@ -279,16 +280,7 @@ def _bands(s: Strides, j: int) -> list[Json]:
     for count in np.unique(s.episode):
         rows = s.episode == count
         series = np.nan_to_num(np.stack([s.residual[rows, j], s.motion[rows, j]]))
-        n = series.shape[1]
-        rate = np.fft.rfftfreq(n, s.spacing_s[rows][0])
-        power = (
-            np.abs(
-                np.fft.rfft(
-                    (series - series.mean(axis=1, keepdims=True)) * np.hanning(n + 2)[1:-1], axis=1
-                )
-            )
-            ** 2
-        )
+        rate, power = periodogram(series, 1.0 / s.spacing_s[rows][0], "hann")
         for band in range(len(edges) - 1):
             energy[:, band] += power[:, (rate >= edges[band]) & (rate < edges[band + 1])].sum(
                 axis=1

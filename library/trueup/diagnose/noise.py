@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.special import ndtri
 
 from trueup.diagnose.tuning import DATA_QUALITY
@@ -48,11 +49,9 @@ class Noise:
     def drawn(self, rng: np.random.Generator, samples: int, columns: NDArray[np.int64]) -> Array:
         """Normal noise of that size and colour, `(samples, columns)`."""
         noise = rng.normal(size=(samples, len(columns)))
-        kept = self.correlation[columns]
-        if kept.any():
-            fresh = np.sqrt(1.0 - kept**2)
-            for k in range(1, samples):
-                noise[k] = kept * noise[k - 1] + fresh * noise[k]
+        for i, kept in enumerate(self.correlation[columns]):
+            noise[1:, i] *= np.sqrt(1.0 - kept**2)
+            noise[:, i] = lfilter([1.0], [1.0, -kept], noise[:, i])
         return noise * np.nan_to_num(self.sigma[columns])
 
 

@@ -5,7 +5,8 @@ A periodogram over position: the change of velocity over short spans, of a robot
 missing at the joint, regressed on the nominal form's own terms, and what they leave on a sine and
 cosine of position summed over the span, for one period after another. Rollouts cannot be
 scanned so: a wrong period leads them astray. Of a robot no other joint's effect comes into a
-joint's missing force. Source: N. R. Lomb, Astrophysics and Space Science 39 (1976), with the
+joint's missing force. By hand, since scipy.signal.lombscargle takes a constant for common term
+and nothing else. Source: N. R. Lomb, Astrophysics and Space Science 39 (1976), with the
 span's integral for the sampled wave.
 """
 

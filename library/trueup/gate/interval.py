@@ -4,9 +4,10 @@ block bootstrap.
 Windows of one recording follow each other, and what a model misses in one it tends to miss in the
 next. So blocks of neighbouring windows are drawn, around the end of a recording to its beginning,
 as many as it has; candidate and incumbent are drawn alike. Where every episode has one window only,
-the episodes themselves are drawn. Source: Künsch, "The jackknife and the bootstrap for general
-stationary observations" (1989); Politis and Romano, "A circular block resampling procedure for
-stationary data" (1992); block length n^(1/3): Hall, Horowitz and Jing (1995).
+the episodes themselves are drawn. By hand, since scipy.stats.bootstrap draws no blocks. Source:
+Künsch, "The jackknife and the bootstrap for general stationary observations" (1989); Politis and
+Romano, "A circular block resampling procedure for stationary data" (1992); block length n^(1/3):
+Hall, Horowitz and Jing (1995).
 """
 
 from __future__ import annotations

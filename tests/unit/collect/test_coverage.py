@@ -82,3 +82,46 @@ def test_a_real_run_of_the_same_kind_is_mostly_inside():
         [],
     )
     assert shares["joint"]["hull"] < 0.3
+
+
+def motion(n):
+    """A smooth motion of several frequencies, as a drive makes, `(n,)` each."""
+    t = np.linspace(0.0, 60.0, n)
+    q, v = (
+        sum(f(w * t + w) * w**power for w in (1.0, 2.3, 3.7, 5.1))
+        for f, power in ((np.sin, -1), (np.cos, 0))
+    )
+    return q, v, 0.01 * (np.gradient(v, t) + 2.0 * v + q)  # within the limits of the command
+
+
+STOOD = np.zeros(900)
+DROVE = RNG.uniform(-0.3, 0.3, size=900)
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        motion(2000),
+        motion(20000),
+        (STOOD, STOOD, STOOD),
+        (STOOD, STOOD, DROVE),
+        (DROVE, STOOD, 3.0 * DROVE),
+        (DROVE, np.roll(DROVE, 7), DROVE),
+    ],
+    ids=["motion", "a long motion", "at rest", "held", "a line", "a plane"],
+)
+def test_whatever_was_recorded_is_inside_its_own_hull(columns):
+    (been,) = coverage_of(PLANT, [made(*columns)])
+    assert been.outside(np.column_stack(columns))["hull"] == 0.0
+    assert len(been.corners) < 1000
+
+
+def test_beyond_a_thin_hull_is_outside_in_its_plane_too():
+    """A stiff drive: the command is nearly the position, and the hull a thin lens."""
+    turn = np.linspace(0.0, 40.0 * np.pi, 4000)
+    q, v = np.cos(turn), np.sin(turn)
+    (been,) = coverage_of(PLANT, [made(q, v, 0.3 * q + 0.003 * RNG.normal(size=4000))])
+    beyond = np.array([[0.8, 0.8, 0.24], [-0.9, 0.75, -0.27], [0.78, -0.78, 0.234]])
+    shares = been.outside(beyond)
+    assert (shares["box"], shares["hull"]) == (0.0, 1.0)
+    assert been.outside(0.85 * beyond)["hull"] == 0.0
