@@ -11,6 +11,7 @@ import multiprocessing
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -32,7 +33,8 @@ from trueup_client import Client
 from trueup_client.problem import ClientError
 from trueup_client.records import Decision
 
-FEWEST = 2  # decisions for which other processes are started
+WARM = 2  # decisions: the first one also loads the libraries and compiled kernels
+STARTING_S = 3.0  # what other processes take to start and to load the same, and as much again
 
 
 class Agreed:
@@ -75,16 +77,25 @@ def _code() -> str:
 
 
 def replayed(url: str, decisions: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yields each decision as it is recomputed, with how it differs from the recorded one; several
-    at once, each in a process of its own."""
-    if len(decisions) < FEWEST or cores() < FEWEST:
-        yield from ((d, replay_differences(url, d)) for d in decisions)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(cores(), len(decisions)), mp_context=context) as pool:
-        yield from zip(
-            decisions, pool.map(partial(replay_differences, url), decisions), strict=True
-        )
+    """Yields each decision as it is recomputed, with how it differs from the recorded one.
+
+    The first ones are recomputed here; once they say that the rest takes longer than other
+    processes take to start, those do several at once.
+    """
+    rest = decisions
+    while rest:
+        began = time.perf_counter()
+        differences = replay_differences(url, rest[0])
+        took_s = time.perf_counter() - began
+        yield rest[0], differences
+        rest = rest[1:]
+        warm = len(decisions) - len(rest) >= WARM
+        if warm and took_s * len(rest) > STARTING_S and min(cores(), len(rest)) > 1:
+            break
+    if rest:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(min(cores(), len(rest)), mp_context=context) as pool:
+            yield from zip(rest, pool.map(partial(replay_differences, url), rest), strict=True)
 
 
 def made_since(client: Client, decisions: Sequence[str], since: str | None) -> Sequence[str]:
