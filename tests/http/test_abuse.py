@@ -1,8 +1,12 @@
 """What nobody should send, and what happens at the same moment."""
 
 import json
+import threading
 import uuid
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import unquote
 
 import pytest
 
@@ -168,10 +172,25 @@ def test_a_wait_that_is_no_time_is_refused(service, plant, wait):
     )
 
 
-@pytest.mark.parametrize("name", ["a b", "a\nb", "ä", "a?b", "../x"])
+@pytest.mark.parametrize("name", ["a b", "a\nb", "ä", "a?b", "../x", "%2e%2e", "a#b"])
 def test_the_client_sends_any_name_as_one_segment(service, name):
-    client = Client(service.url)
-    with pytest.raises(Problem) as refused:
-        client.serving(name)
-    assert refused.value.status == 404
-    client.close()
+    asked = []
+
+    class Nowhere(BaseHTTPRequestHandler):
+        def do_GET(self):
+            asked.append(self.path)
+            self.send_error(404)
+
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Nowhere) as server:
+        threading.Thread(target=server.serve_forever).start()
+        for url in (f"http://127.0.0.1:{server.server_port}", service.url):
+            with closing(Client(url)) as client, pytest.raises(Problem) as refused:
+                client.serving(name)
+            assert refused.value.status == 404
+        server.shutdown()
+    assert [[unquote(part) for part in path.split("/")] for path in asked] == [
+        ["", "v1", "plants", name, "serving"]
+    ]

@@ -57,11 +57,19 @@ def test_predictions_and_residuals_stand_at_their_samples(made):
     )
 
 
-def test_applied_commands_are_what_the_limits_leave_where_nobody_recorded_them(made):
-    plant, _, episode, written = made
-    reader = make_reader(BytesIO(written), decoder_factories=[DecoderFactory()])
+def test_applied_commands_are_what_the_limits_leave_where_nobody_recorded_them():
+    document = plant_document()
+    (command,) = document["commands"]
+    plant = Plant.from_document(document | {"commands": [command | {"limits": [-0.2, 0.5]}]})
+    recorded = episode_bytes()
+    episode = read_episode(recorded, plant.layout)
+    written = BytesIO()
+    write_overlay(written, recorded, episode, {}, regions_of_samples(plant, episode))
+    reader = make_reader(BytesIO(written.getvalue()), decoder_factories=[DecoderFactory()])
     rows = [d for *_, d in reader.iter_decoded_messages(topics=["/trueup/applied"])]
-    np.testing.assert_allclose([d.effort[0] for d in rows], plant.applied(episode.commands)[:, 0])
+    efforts = [d.effort[0] for d in rows]
+    np.testing.assert_allclose(efforts, np.clip(episode.commands[:, 0], -0.2, 0.5))
+    assert (min(efforts), max(efforts)) == (-0.2, 0.5)
 
 
 def test_regions_are_told_whenever_they_change(made):
