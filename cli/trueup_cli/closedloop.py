@@ -18,13 +18,15 @@ from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.model.plant import Plant
 from trueup_cli.options import DEFAULT_URL, Json, Url
-from trueup_cli.show import as_json, progress, say, table
+from trueup_cli.show import progress, say, table
 from trueup_cli.study import (
+    Models,
+    Presentation,
+    folder_of,
     is_case,
     local_machine,
     local_models,
     remote_study,
-    write_study,
 )
 from trueup_pages.closed_loop import NAMES, report_page, sentence
 
@@ -35,13 +37,7 @@ def closedloop(
     target: str,
     *,
     out: Path | None = None,
-    model: Annotated[
-        tuple[str, ...],
-        Parameter(
-            help="Folder of a fetched or diagnosed model, NAME=FOLDER to name it; of a plant on "
-            "the service a version, or the first digits of its digest. Give it again for more"
-        ),
-    ] = (),
+    model: Models = (),
     machine: Annotated[
         str | None,
         Parameter(
@@ -132,16 +128,9 @@ def closedloop(
             },
             "closed loop",
         )
-    page = write_study(
-        document, out or Path(f"closedloop-{Path(target).resolve().name}"), report_page
+    Presentation(report_page, sentence, _show).tell(
+        document, out or folder_of(target, "closedloop"), in_json=as_json_
     )
-    if as_json_:
-        as_json(
-            {"sentence": sentence(document), "report": document, "files": {"report": str(page)}}
-        )
-        return
-    _show(document)
-    say("report: {}", page)
 
 
 def _run_locally(
@@ -188,7 +177,6 @@ def _courses(
 
 
 def _show(document: dict[str, Any]) -> None:
-    say("[bold]{}[/]", sentence(document))
     machine = document["machine"]
     why = f", because {machine['why']}" if machine["why"] else ""
     say("{} stands in for the machine: {}{}", machine["model"], machine["stands_in"], why)

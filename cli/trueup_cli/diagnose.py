@@ -8,6 +8,7 @@ from pathlib import Path
 
 import trueup
 from trueup.artifact.artifact import pack
+from trueup.artifact.model import save
 from trueup.diagnose.case import read_case
 from trueup.diagnose.diagnosis import Diagnosis, diagnose
 from trueup.diagnose.figures import figures
@@ -78,8 +79,6 @@ def run(case: Path, *, out: Path, seed: Seed = 0, as_json_: Json = False) -> Non
 def write(diagnosis: Diagnosis, episodes: list[Episode], out: Path) -> None:
     """Writes the report as JSON and as a page, the model, the randomisation ranges that it
     supports, and the next experiment's command."""
-    model = out / "model"
-    model.mkdir(parents=True, exist_ok=True)
     artifact = pack(
         diagnosis.predictor,
         {
@@ -88,8 +87,7 @@ def write(diagnosis: Diagnosis, episodes: list[Episode], out: Path) -> None:
             "verdict": str(diagnosis.document["verdict"]),
         },
     )
-    (model / "manifest.json").write_bytes(artifact.manifest)
-    (model / "arrays.safetensors").write_bytes(artifact.arrays)
+    save(artifact, out / "model")
     experiment, report = diagnosis.experiment, diagnosis.document
     if experiment is not None and experiment.command is not None:
         (out / COMMAND_FILE).write_text(experiment.csv(diagnosis.plant), newline="")

@@ -14,8 +14,16 @@ from trueup.episode.episode import Episode
 from trueup.episode.role import HELD_OUT, Role
 from trueup.errors import NotIdentifiable
 from trueup_cli.options import DEFAULT_URL, Json, Url
-from trueup_cli.show import as_json, progress, say, table
-from trueup_cli.study import is_case, local_machine, local_models, remote_study, write_study
+from trueup_cli.show import progress, table
+from trueup_cli.study import (
+    Models,
+    Presentation,
+    folder_of,
+    is_case,
+    local_machine,
+    local_models,
+    remote_study,
+)
 from trueup_pages.open_loop import PREMISES, report_page, sentence
 
 
@@ -23,13 +31,7 @@ def openloop(
     target: str,
     *,
     out: Path | None = None,
-    model: Annotated[
-        tuple[str, ...],
-        Parameter(
-            help="Folder of a fetched or diagnosed model, NAME=FOLDER to name it; of a plant on "
-            "the service a version, or the first digits of its digest. Give it again for more"
-        ),
-    ] = (),
+    model: Models = (),
     machine: Annotated[
         str | None,
         Parameter(
@@ -67,16 +69,9 @@ def openloop(
             "horizons_steps": list(steps),
         }
         document = remote_study(url, target, request, "open loop")
-    page = write_study(
-        document, out or Path(f"openloop-{Path(target).resolve().name}"), report_page
+    Presentation(report_page, sentence, _show).tell(
+        document, out or folder_of(target, "openloop"), in_json=as_json_
     )
-    if as_json_:
-        as_json(
-            {"sentence": sentence(document), "report": document, "files": {"report": str(page)}}
-        )
-        return
-    _show(document)
-    say("report: {}", page)
 
 
 def _run_locally(
@@ -103,7 +98,6 @@ def _kept_apart(episodes: list[Episode]) -> list[Episode]:
 
 
 def _show(document: dict[str, Any]) -> None:
-    say("[bold]{}[/]", sentence(document))
     table(
         "Error in units of the channels' reporting scales",
         ["model", "steps", "mean", "largest", "bound", "windows"],

@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from cyclopts.validators import Number
 
 from trueup.artifact.artifact import pack
+from trueup.artifact.model import save
 from trueup.canonical import digest_of
 from trueup.diagnose.case import read_episodes, read_plant
 from trueup.episode.episode import Episode
@@ -21,8 +22,8 @@ from trueup.randomise.study import Context, randomise
 from trueup.randomise.supported import RANDOMISATION_FILE
 from trueup.randomise.training import Draws
 from trueup_cli.options import DEFAULT_URL, Json, Seed, Url, read_json
-from trueup_cli.show import as_json, progress, say, table
-from trueup_cli.study import is_case, remote_report, write_study
+from trueup_cli.show import progress, table
+from trueup_cli.study import Presentation, folder_of, is_case, remote_report
 from trueup_pages.randomisation import report_page, sentence
 
 
@@ -76,7 +77,7 @@ def randomise_plants(
     """
     given = Context(context, measured)
     draws, declared = Draws(plants, steps, start_scale), _declared(family)
-    out = out or Path(f"randomised-{Path(target).resolve().name}")
+    out = out or folder_of(target, "randomised")
     if is_case(target):
         document = _run_locally(Path(target), declared, draws, seed, given, out)
     else:
@@ -90,14 +91,7 @@ def randomise_plants(
             "context": {"by": context, "parameters": measured},
         }
         document = remote_report(url, target, request, "randomise")
-    page = write_study(document, out, report_page)
-    if as_json_:
-        as_json(
-            {"sentence": sentence(document), "report": document, "files": {"report": str(page)}}
-        )
-        return
-    _show(document)
-    say("report: {}", page)
+    Presentation(report_page, sentence, _show).tell(document, out, in_json=as_json_)
 
 
 def _declared(family: Path | None) -> Any:
@@ -134,9 +128,7 @@ def _run_locally(
         artifact = pack(
             model, {"origin": "randomisation", "report": digest_of(dict(randomised.document))}
         )
-        (out / name).mkdir(parents=True, exist_ok=True)
-        (out / name / "manifest.json").write_bytes(artifact.manifest)
-        (out / name / "arrays.safetensors").write_bytes(artifact.arrays)
+        save(artifact, out / name)
     _write_training(training, out / "training")
     return dict(randomised.document)
 
@@ -158,7 +150,6 @@ def _write_training(episodes: list[Episode], folder: Path) -> None:
 
 
 def _show(document: dict[str, Any]) -> None:
-    say("[bold]{}[/]", sentence(document))
     boxes = document["membership"]
     table(
         "Parameters",

@@ -6,8 +6,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from cyclopts import Parameter
 
 from trueup.artifact.model import load
 from trueup.control.machine import stand_in
@@ -19,8 +22,16 @@ from trueup.model.plant import Plant
 from trueup.model.predictor import Nominal, Predictor
 from trueup_cli.options import connect
 from trueup_cli.registry import resolve_artifact, run_job
+from trueup_cli.show import as_json, say
 from trueup_client import Client
 
+Models = Annotated[
+    tuple[str, ...],
+    Parameter(
+        help="Folder of a fetched or diagnosed model, NAME=FOLDER to name it; of a plant on "
+        "the service a version, or the first digits of its digest. Give it again for more"
+    ),
+]
 NOMINAL, IDENTIFIED = "nominal", "identified"
 REPORT = "report.json"
 
@@ -95,11 +106,30 @@ def _report(client: Client, plant: str, request: dict[str, Any], what: str) -> d
     return report
 
 
-def write_study(
-    document: Mapping[str, Any], out: Path, page: Callable[[Mapping[str, Any]], str]
-) -> Path:
-    """Write the report as JSON and as a page, and return the page's path."""
-    out.mkdir(parents=True, exist_ok=True)
-    (out / REPORT).write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
-    (out / "report.html").write_text(page(document))
-    return out / "report.html"
+@dataclass(frozen=True, slots=True)
+class Presentation:
+    """How the report of one kind of study is told: as a page, in a sentence, on a terminal."""
+
+    page: Callable[[Mapping[str, Any]], str]
+    sentence: Callable[[Mapping[str, Any]], str]
+    show: Callable[[dict[str, Any]], None]
+
+    def tell(self, document: dict[str, Any], out: Path, *, in_json: bool) -> None:
+        """Write the report as JSON and as a page, and print it."""
+        out.mkdir(parents=True, exist_ok=True)
+        (out / REPORT).write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        page = out / "report.html"
+        page.write_text(self.page(document))
+        sentence = self.sentence(document)
+        if in_json:
+            files = {"report": str(page)}
+            as_json({"sentence": sentence, "report": document, "files": files})
+            return
+        say("[bold]{}[/]", sentence)
+        self.show(document)
+        say("report: {}", page)
+
+
+def folder_of(target: str, study: str) -> Path:
+    """The folder to write to where none is named."""
+    return Path(f"{study}-{Path(target).resolve().name}")

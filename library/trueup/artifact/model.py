@@ -33,6 +33,7 @@ from trueup.model.step_function import StepFunction
 
 Array = NDArray[np.float64]
 TWO = 2
+MANIFEST, ARRAYS = "manifest.json", "arrays.safetensors"
 
 
 @dataclass(frozen=True)
@@ -135,14 +136,21 @@ def _columns(what: str, values: ArrayLike, samples: int, width: int) -> Array:
 def load(folder: str | PathLike[str], digest: str | None = None) -> Model:
     """The model in a folder that `trueup fetch` wrote, after every digest and its probe were
     checked. Raises BadArtifact."""
-    manifest, arrays = Path(folder) / "manifest.json", Path(folder) / "arrays.safetensors"
+    manifest, arrays = Path(folder) / MANIFEST, Path(folder) / ARRAYS
     if not manifest.is_file():
         raise BadArtifact(
-            f"{folder} holds no manifest.json",
+            f"{folder} holds no {MANIFEST}",
             hint="Fetch a model with `trueup fetch PLANT FOLDER`.",
         )
     artifact = Artifact(manifest.read_bytes(), arrays.read_bytes() if arrays.is_file() else b"")
     return Model(unpack(artifact, digest), artifact.digest)
+
+
+def save(artifact: Artifact, folder: Path) -> None:
+    """Write an artifact as `load` reads it; the folder is made."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / MANIFEST).write_bytes(artifact.manifest)
+    (folder / ARRAYS).write_bytes(artifact.arrays)
 
 
 @singledispatch

@@ -6,16 +6,14 @@ from typing import Any
 
 import orjson
 from fastapi import Request, Response
-from starlette.responses import HTMLResponse
 
 from trueup_pages.diagnosis import report_page, view
-from trueup_service.actions import find
-from trueup_service.errors import NotFound
 from trueup_service.http.dependencies import PlantName, RequestParts
 from trueup_service.http.guard import guarded
+from trueup_service.http.pages.job_page import as_file, job_of, require_report, until_it_succeeds
 from trueup_service.http.pages.page import show
 from trueup_service.http.routers.jobs import JobId
-from trueup_service.registry.records import FINAL, JobRecord, JobState
+from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
@@ -26,17 +24,9 @@ FIGURES, COMMAND = "figures.json", "next_experiment.csv"
 @router.get("/plants/{plant}/diagnoses/{job}")
 def diagnosis(request: Request, parts: RequestParts, plant: PlantName, job: JobId) -> Response:
     """The progress of a diagnosis, why it failed, or its report."""
-    record = _job(parts, plant, job)
-    if record.state not in FINAL:
-        return show(request, "running.html", job=record, study="diagnosis")
-    if record.state != JobState.SUCCEEDED:
-        return show(
-            request,
-            "failed.html",
-            job=record,
-            study="diagnosis",
-            problem=(record.result or {}).get("problem"),
-        )
+    record = job_of(parts, plant, job, ["diagnose"], "diagnosis")
+    if (page := until_it_succeeds(request, record, "diagnosis")) is not None:
+        return page
     report, figures, command = _results(parts, record)
     values = view(
         report,
@@ -50,25 +40,10 @@ def diagnosis(request: Request, parts: RequestParts, plant: PlantName, job: JobI
 @router.get("/plants/{plant}/diagnoses/{job}/report.html")
 def report(parts: RequestParts, plant: PlantName, job: JobId) -> Response:
     """The report of a diagnosis as one file that needs no other."""
-    record = _job(parts, plant, job)
-    if record.state != JobState.SUCCEEDED:
-        raise NotFound(
-            f"diagnosis {job} has found nothing",
-            noun="report",
-            name=job,
-            hint="Wait for it to succeed.",
-        )
+    record = job_of(parts, plant, job, ["diagnose"], "diagnosis")
+    require_report(record, "diagnosis")
     document, figures, command = _results(parts, record)
-    headers = {"Content-Disposition": f'attachment; filename="{plant}-{job[:12]}.html"'}
-    return HTMLResponse(report_page(document, figures, command), headers=headers)
-
-
-def _job(parts: Parts, plant: str, job: str) -> JobRecord:
-    with reading(parts.database) as tx:
-        record = find.job(tx, job)
-    if record.plant != plant or record.kind != "diagnose":
-        raise find.not_found("diagnosis", job)
-    return record
+    return as_file(record, report_page(document, figures, command))
 
 
 def _results(

@@ -9,13 +9,12 @@ from typing import Any, Literal
 
 import orjson
 from fastapi import Request, Response
-from starlette.responses import HTMLResponse
 
 from trueup_pages import closed_loop, open_loop, randomisation
 from trueup_service.actions import find
-from trueup_service.errors import NotFound
 from trueup_service.http.dependencies import PlantName, RequestContext, RequestParts
 from trueup_service.http.guard import guarded
+from trueup_service.http.pages.job_page import as_file, job_of, require_report, until_it_succeeds
 from trueup_service.http.pages.page import begin_job, go, show
 from trueup_service.http.routers.jobs import JobId
 from trueup_service.http.schemas.jobs import (
@@ -23,7 +22,7 @@ from trueup_service.http.schemas.jobs import (
     OpenloopRequest,
     RandomisationRequest,
 )
-from trueup_service.registry.records import FINAL, JobRecord, JobState
+from trueup_service.registry.records import JobRecord
 from trueup_service.registry.transaction import reading
 from trueup_service.wiring import Parts
 
@@ -72,13 +71,10 @@ Kind = Literal["openloop", "closedloop", "randomise"]
 @router.get("/plants/{plant}/studies/{job}")
 def study(request: Request, parts: RequestParts, plant: PlantName, job: JobId) -> Response:
     """The progress of a study, why it failed, or its report."""
-    record = _job(parts, plant, job)
+    record = job_of(parts, plant, job, STUDIES, "study")
     of = STUDIES[record.kind]
-    if record.state not in FINAL:
-        return show(request, "running.html", job=record, study=of.name)
-    if record.state != JobState.SUCCEEDED:
-        problem = (record.result or {}).get("problem")
-        return show(request, "failed.html", job=record, study=of.name, problem=problem)
+    if (page := until_it_succeeds(request, record, of.name)) is not None:
+        return page
     values = of.view(_report(parts, record))
     title = f"{of.name.capitalize()} of {plant}"
     return show(
@@ -89,17 +85,9 @@ def study(request: Request, parts: RequestParts, plant: PlantName, job: JobId) -
 @router.get("/plants/{plant}/studies/{job}/report.html")
 def report(parts: RequestParts, plant: PlantName, job: JobId) -> Response:
     """The report of a study as one file that needs no other."""
-    record = _job(parts, plant, job)
-    if record.state != JobState.SUCCEEDED:
-        raise NotFound(
-            f"study {job} has found nothing",
-            noun="report",
-            name=job,
-            hint="Wait for it to succeed.",
-        )
-    headers = {"Content-Disposition": f'attachment; filename="{plant}-{job[:12]}.html"'}
-    page = STUDIES[record.kind].report_page(_report(parts, record))
-    return HTMLResponse(page, headers=headers)
+    record = job_of(parts, plant, job, STUDIES, "study")
+    require_report(record, "study")
+    return as_file(record, STUDIES[record.kind].report_page(_report(parts, record)))
 
 
 @router.post("/plants/{plant}/studies/{kind}")
@@ -108,14 +96,6 @@ def begin(parts: RequestParts, context: RequestContext, plant: PlantName, kind: 
     asked = STUDIES[kind].request.model_dump(exclude={"kind"}, exclude_none=True)
     job = begin_job(parts, context, plant, kind, asked)
     return go(f"/plants/{plant}/studies/{job}")
-
-
-def _job(parts: Parts, plant: str, job: str) -> JobRecord:
-    with reading(parts.database) as tx:
-        record = find.job(tx, job)
-    if record.plant != plant or record.kind not in STUDIES:
-        raise find.not_found("study", job)
-    return record
 
 
 def _report(parts: Parts, job: JobRecord) -> dict[str, Any]:
