@@ -16,8 +16,8 @@ MOSTLY = (
     "takes a material part of what remains"
 )
 AS_INTEGRATED = (
-    "No effect is missing and the nominal numbers hold: integrated and started as the diagnosis "
-    "does, they need no correction"
+    "No effect is missing and no number has to change; what helps is to integrate the same model "
+    "more accurately, from a better estimate of its start"
 )
 WORDS = {
     "no_gap": "The nominal model already predicts as well as the noise allows",

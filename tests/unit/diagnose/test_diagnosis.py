@@ -111,8 +111,8 @@ def test_nominal_numbers_that_hold_are_told_from_the_steps_they_are_integrated_o
     assert (found.document["verdict"], named(found)) == ("no_gap", [])
     assert found.document["gap"]["closed"] > 0.9
     assert sentence(found.document).startswith(
-        "No effect is missing and the nominal numbers hold: integrated and started as the "
-        "diagnosis does, they need no correction; held-out error falls from "
+        "No effect is missing and no number has to change; what helps is to integrate the same "
+        "model more accurately, from a better estimate of its start; held-out error falls from "
     )
 
 
