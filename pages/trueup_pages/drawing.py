@@ -160,6 +160,7 @@ def waterfall(parts: Sequence[Mapping[str, Any]]) -> Markup:
         begin = 0.0 if i == 0 else at - share
         kind = {
             "nominal model": "nominal",
+            "integration and start": "same",
             "new numbers": "refitted",
             "noise floor": "floor",
             "not explained": "left",

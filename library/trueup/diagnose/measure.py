@@ -38,11 +38,12 @@ RAN_AWAY = 1e6  # standard deviations: no error is larger
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Errors before, with parameters only, after, and the floor; `closed` is None where there was
-    nothing to close."""
+    """Errors before, with the same numbers in the answer's integration and from its start, with
+    parameters only, after, and the floor; `closed` is None where there was nothing to close."""
 
     horizon_s: float
     before: float
+    same_numbers: float
     parameters_only: float
     after: float
     floor: float
@@ -67,6 +68,7 @@ class Gap:
             "metric": "normalised rollout RMS, held out",
             "horizon_s": self.horizon_s,
             "before": self.before,
+            "same_numbers": self.same_numbers,
             "parameters_only": self.parameters_only,
             "after": self.after,
             "floor": self.floor,
@@ -163,21 +165,23 @@ def _of_episode(predictor: Predictor, windows: Windows, motion: Array) -> Array:
 
 def measure(
     nominal: Predictor,
+    same_numbers: Predictor,
     refitted: Predictor,
     corrected: Predictor,
     episodes: Sequence[Episode],
     noise: Noise,
     seed: int,
 ) -> Gap:
-    """The gap on held-out episodes."""
+    """The gap on held-out episodes; `same_numbers` is the nominal model integrated and started as
+    the corrected one is."""
     plant: Plant = corrected.plant
     rng = np.random.default_rng(seed)
     motion = _motion(plant, episodes)
     horizon = plant.horizon_s
     begun = knows_beginnings(corrected)
     windows = windows_of(plant, episodes, horizon, beginnings=begun)
-    tables = [_by_channel(p, windows, motion) for p in (nominal, refitted, corrected)]
-    before, parameters, after = (t.mean(axis=1) for t in tables)
+    tables = [_by_channel(p, windows, motion) for p in (nominal, same_numbers, refitted, corrected)]
+    before, same, parameters, after = (t.mean(axis=1) for t in tables)
     floor = np.concatenate(
         [_floor(corrected, e, horizon, motion, noise, rng, begun) for e in episodes]
     )
@@ -198,13 +202,20 @@ def measure(
             else None
         )
     names = [c.name for c in plant.layout.observations]
-    channels = {
-        n: (float(np.sqrt(tables[0][:, i].mean())), float(np.sqrt(tables[2][:, i].mean())))
-        for i, n in enumerate(names)
-    }
-    rms = [float(np.sqrt(x.mean())) for x in (before, parameters, after, least)]
+    channels = {n: (_root(tables[0][:, i]), _root(tables[-1][:, i])) for i, n in enumerate(names)}
     counted = all(w.first[0] == 0 for w in windows)
-    return Gap(horizon, rms[0], rms[1], rms[2], rms[3], closed, interval, channels, counted)
+    return Gap(
+        horizon,
+        before=_root(before),
+        same_numbers=_root(same),
+        parameters_only=_root(parameters),
+        after=_root(after),
+        floor=_root(least),
+        closed=closed,
+        ci95=interval,
+        by_channel=channels,
+        beginnings=counted,
+    )
 
 
 def closed_on(corrected: Predictor, episodes: Sequence[Episode], sigma: Array) -> float | None:
@@ -229,6 +240,11 @@ def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:
         for i in range(len(plant.scales))
     ]
     return motion
+
+
+def _root(squares: Array) -> float:
+    """Root of a mean of squares."""
+    return float(np.sqrt(squares.mean()))
 
 
 def _closed(before: float, after: float, floor: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from trueup.collect.step_warning import off_step
@@ -15,10 +16,8 @@ MOSTLY = (
     "New numbers in the nominal form explain most of the gap; no effect of the catalogue "
     "takes a material part of what remains"
 )
-AS_INTEGRATED = (
-    "No effect is missing and no number has to change; what helps is to integrate the same model "
-    "more accurately, from a better estimate of its start"
-)
+SAME_NUMBERS = "integration and start"
+NEW_NUMBERS = "new numbers"
 WORDS = {
     "no_gap": "The nominal model already predicts as well as the noise allows",
     "parameters_only": "New numbers in the nominal form explain the gap; no effect is missing",
@@ -34,7 +33,7 @@ def sentence(document: Mapping[str, Any]) -> str:
     elif verdict == "parameters_only" and is_above_floor(gap):
         text = MOSTLY
     elif verdict == "no_gap" and gap["closed"] is not None:
-        text = AS_INTEGRATED
+        text = _as_integrated(document)
     else:
         text = WORDS[verdict]
     if gap["closed"] is not None:
@@ -48,26 +47,44 @@ def sentence(document: Mapping[str, Any]) -> str:
     return text + "."
 
 
+def _as_integrated(document: Mapping[str, Any]) -> str:
+    """What helps a nominal model whose numbers hold."""
+    shares, text = _shares(document), "No effect is missing and no number has to change"
+    if SAME_NUMBERS in shares:
+        text += (
+            ": the same model, integrated more accurately and from a filtered start, explains "
+            f"{percent(shares[SAME_NUMBERS])} of the gap"
+        )
+    if shares[NEW_NUMBERS] >= EVIDENCE.worth_naming:
+        text += f"; new numbers, not certain to be better, {percent(shares[NEW_NUMBERS])}"
+    return text
+
+
 def _effects(document: Mapping[str, Any]) -> str:
     """What acts, and how much of the gap it explains; new numbers first where they explain most."""
-    parts, effects = waterfall(document), document["effects"]
-    named = [_with_estimate(e) for e in effects]
+    shares, named = _shares(document), [_with_estimate(e) for e in document["effects"]]
     joined = " and ".join(named)
-    if parts and parts[0]["share"] > EVIDENCE.most_of_it:
+    if not shares:
+        text = joined.rstrip(",")
+    elif shares[NEW_NUMBERS] > EVIDENCE.most_of_it:
         text = (
-            f"New numbers in the nominal form explain {percent(parts[0]['share'])} of the "
+            f"New numbers in the nominal form explain {percent(shares[NEW_NUMBERS])} of the "
             f"gap; what they leave is {joined.rstrip(',')}"
         )
-    elif parts:
-        explained = sum(p["share"] for p in parts[1:] if p["effect"])
-        text = (
-            f"{joined} {'explains' if len(named) == 1 else 'explain'} {percent(explained)} "
-            "of the gap"
-        )
-        if parts[0]["share"] >= EVIDENCE.worth_naming:
-            text += f" and new numbers {percent(parts[0]['share'])}"
     else:
-        text = joined.rstrip(",")
+        others = [
+            f"{words} {percent(shares[what])}"
+            for what, words in (
+                (NEW_NUMBERS, NEW_NUMBERS),
+                (SAME_NUMBERS, "a more accurate integration and a filtered start"),
+            )
+            if shares.get(what, 0.0) >= EVIDENCE.worth_naming
+        ]
+        explained = sum(p["share"] for p in waterfall(document) if p["effect"])
+        text = (
+            f"{joined} {'explains' if len(named) == 1 else 'explain'} {percent(explained)} of the "
+            "gap" + "".join(f" and {other}" for other in others)
+        )
     return text[0].upper() + text[1:]
 
 
@@ -77,8 +94,8 @@ def is_above_floor(gap: Mapping[str, Any]) -> bool:
 
 
 def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The parts of the held-out squared error, the nominal model's being 1: what new numbers take,
-    each effect, what is left, the noise.
+    """The parts of the held-out squared error, the nominal model's being 1: what the answer's
+    integration and start take, what new numbers take, each effect, what is left, the noise.
 
     What all effects take together is measured; it is split between several as each one's removal
     brings back. Empty where there is no gap.
@@ -86,24 +103,27 @@ def waterfall(document: Mapping[str, Any]) -> list[dict[str, Any]]:
     gap = document["gap"]
     if gap["closed"] is None or not gap["before"] > 0.0:
         return []
-    whole = gap["before"] ** 2
-    numbers, after, floor = (
-        min(gap[name] ** 2 / whole, 1.0) for name in ("parameters_only", "after", "floor")
-    )
-    after, floor = min(after, numbers), min(floor, after)
-    parts = [{"what": "new numbers", "effect": False, "share": 1.0 - numbers}]
     effects = document["effects"]
+    same = gap.get("same_numbers", gap["before"])
+    numbers = gap["parameters_only"] if effects else gap["after"]
+    levels = [1.0]
+    for error in (same, numbers, gap["after"], gap["floor"]):
+        levels.append(min((error / gap["before"]) ** 2, levels[-1]))
+    taken = [high - low for high, low in pairwise(levels)]
     back = sum(e["share"] for e in effects)
+    # a report of before does not tell its integration and start from its new numbers
+    parts = [(SAME_NUMBERS, False, taken[0])] if "same_numbers" in gap else []
+    parts.append((NEW_NUMBERS, False, taken[1]))
     for e in effects:
         part = e["share"] / back if back else 1.0 / len(effects)
-        parts.append({"what": name(e), "effect": True, "share": (numbers - after) * part})
-    if not effects and numbers > after:
-        parts[0]["share"] = 1.0 - after
-    return [
-        *parts,
-        {"what": "not explained", "effect": False, "share": after - floor},
-        {"what": "noise floor", "effect": False, "share": floor},
-    ]
+        parts.append((name(e), True, taken[2] * part))
+    parts += [("not explained", False, taken[3]), ("noise floor", False, levels[-1])]
+    return [{"what": what, "effect": is_effect, "share": share} for what, is_effect, share in parts]
+
+
+def _shares(document: Mapping[str, Any]) -> dict[str, float]:
+    """The share of each part of the gap that is no effect, by its name."""
+    return {p["what"]: p["share"] for p in waterfall(document) if not p["effect"]}
 
 
 def _with_estimate(entry: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ from trueup.diagnose.diagnosis import diagnose
 from trueup.diagnose.figures import figures
 from trueup.diagnose.problem_setup import Recordings, Setup
 from trueup.diagnose.search import Search
-from trueup.diagnose.summary_text import sentence
+from trueup.diagnose.summary_text import percent, sentence, waterfall
 from trueup.episode.role import Role
 from trueup.errors import NotIdentifiable
 from trueup.fit.fitter import Fitter
@@ -110,9 +110,13 @@ def test_nominal_numbers_that_hold_are_told_from_the_steps_they_are_integrated_o
     found = diagnose(plant, episodes)
     assert (found.document["verdict"], named(found)) == ("no_gap", [])
     assert found.document["gap"]["closed"] > 0.9
+    integration, numbers, *_, noise = waterfall(found.document)
+    assert (integration["what"], numbers["what"]) == ("integration and start", "new numbers")
+    assert integration["share"] > 0.95 * (1.0 - noise["share"])
+    assert numbers["share"] < 0.01
     assert sentence(found.document).startswith(
-        "No effect is missing and no number has to change; what helps is to integrate the same "
-        "model more accurately, from a better estimate of its start; held-out error falls from "
+        "No effect is missing and no number has to change: the same model, integrated more "
+        f"accurately and from a filtered start, explains {percent(integration['share'])} of the gap"
     )
 
 

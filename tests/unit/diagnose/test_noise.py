@@ -96,6 +96,7 @@ def test_nothing_is_claimed_against_the_floor():
     gap = Gap(
         2.0,
         before=0.1,
+        same_numbers=0.1,
         parameters_only=0.05,
         after=0.0101,
         floor=0.01,

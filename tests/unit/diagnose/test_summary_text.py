@@ -18,6 +18,7 @@ def report(
     *,
     verdict="effect",
     before=0.21,
+    same=0.21,
     numbers=0.12,
     after=0.013,
     floor=0.012,
@@ -30,6 +31,7 @@ def report(
         "indistinguishable": list(rivals),
         "gap": {
             "before": before,
+            "same_numbers": same,
             "parameters_only": numbers,
             "after": after,
             "floor": floor,
@@ -94,9 +96,10 @@ def test_other_verdicts_have_their_words(verdict, said):
 
 
 def test_the_waterfall_adds_up_to_the_whole():
-    two = report([friction(0.3), {**friction(0.1), "effect": "backlash"}])
+    two = report([friction(0.3), {**friction(0.1), "effect": "backlash"}], same=0.2)
     parts = waterfall(two)
     assert [p["what"] for p in parts] == [
+        "integration and start",
         "new numbers",
         "Coulomb friction",
         "backlash",
@@ -104,13 +107,44 @@ def test_the_waterfall_adds_up_to_the_whole():
         "noise floor",
     ]
     assert sum(p["share"] for p in parts) == pytest.approx(1.0)
-    assert parts[1]["share"] == pytest.approx(3.0 * parts[2]["share"])
-    assert parts[0]["share"] == pytest.approx(1.0 - (0.12 / 0.21) ** 2)
+    assert parts[2]["share"] == pytest.approx(3.0 * parts[3]["share"])
+    assert parts[0]["share"] == pytest.approx(1.0 - (0.2 / 0.21) ** 2)
+    assert parts[1]["share"] == pytest.approx((0.2**2 - 0.12**2) / 0.21**2)
+
+
+def test_what_the_answers_integration_takes_is_not_told_as_new_numbers():
+    text = sentence(report([friction()], same=0.12))
+    assert "and a more accurate integration and a filtered start 67 %;" in text
+    assert "new numbers" not in text
+
+
+def test_a_model_that_only_integrates_badly_keeps_its_numbers():
+    text = sentence(report(verdict="no_gap", same=0.014, numbers=0.013, after=0.013))
+    assert text == (
+        "No effect is missing and no number has to change: the same model, integrated more "
+        "accurately and from a filtered start, explains 100 % of the gap; held-out error falls "
+        "from 0.21 to 0.013, the noise floor is 0.012."
+    )
+
+
+def test_a_report_of_before_tells_integration_and_numbers_as_one():
+    old = report([friction()])
+    del old["gap"]["same_numbers"]
+    assert [p["what"] for p in waterfall(old)][:2] == ["new numbers", "Coulomb friction"]
+    assert sentence(old) == sentence(report([friction()]))
+    old = report(verdict="no_gap", after=0.205)
+    del old["gap"]["same_numbers"]
+    assert sentence(old).startswith("No effect is missing and no number has to change; held-out")
 
 
 def test_shares_are_never_negative_however_the_errors_lie():
-    for numbers, after, floor in ((0.3, 0.1, 0.2), (0.1, 0.2, 0.05), (0.21, 0.21, 0.21)):
-        parts = waterfall(report([friction()], numbers=numbers, after=after, floor=floor))
+    for same, numbers, after, floor in (
+        (0.21, 0.3, 0.1, 0.2),
+        (0.4, 0.1, 0.2, 0.05),
+        (0.05, 0.21, 0.21, 0.21),
+    ):
+        errors = {"same": same, "numbers": numbers, "after": after, "floor": floor}
+        parts = waterfall(report([friction()], **errors))
         assert min(p["share"] for p in parts) >= 0.0
         assert sum(p["share"] for p in parts) == pytest.approx(1.0)
 
