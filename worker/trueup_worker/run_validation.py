@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.bootstrap import interval
 from trueup.canonical import Json
 from trueup.episode.role import HELD_OUT
 from trueup.fit.score import EVERY, Scoring, score
@@ -27,6 +28,7 @@ from trueup_worker.progress import Progress
 
 WORSE = 1.25  # ratio to the error at promotion, at the lower end of its interval
 RESAMPLES = 1000
+LEAST = 1e-300  # of an error, to divide by
 READING = 0.5  # of the job's time
 
 Array = NDArray[np.float64]
@@ -64,8 +66,8 @@ def compute(parts: Parts, job: JobRecord, progress: Progress) -> dict[str, Json]
 
 
 def _compared(before: Array, now: Array) -> dict[str, Json]:
-    """Returns mean errors, their ratio with a bootstrap interval over episodes, and a verdict."""
-    rng = np.random.default_rng(0)
+    """Mean errors, their ratio with a bootstrap interval over episodes, and whether it is worse: at
+    the lower end of the interval, or as it is where a single episode allows none."""
     errors: dict[str, Json] = {
         "episodes": len(now),
         "error": float(now.mean()) if np.isfinite(now).all() else None,
@@ -74,15 +76,18 @@ def _compared(before: Array, now: Array) -> dict[str, Json]:
     if errors["error"] is None or not errors["error_before"]:
         diverges = errors["error"] is None
         return {**errors, "ratio": None, "ratio_ci95": None, "worse": diverges}
-    drawn = [x[rng.integers(0, len(x), (RESAMPLES, len(x)))].mean(axis=1) for x in (now, before)]
-    ratios = drawn[0] / np.maximum(drawn[1], 1e-300)
-    low, high = (float(np.quantile(ratios, q)) for q in (0.025, 0.975))
+    ends = interval([now, before], _ratio, RESAMPLES, np.random.default_rng(0))
+    ratio = float(now.mean() / before.mean())
     return {
         **errors,
-        "ratio": float(now.mean() / before.mean()),
-        "ratio_ci95": [low, high],
-        "worse": low > WORSE,
+        "ratio": ratio,
+        "ratio_ci95": None if ends is None else list(ends),
+        "worse": (ratio if ends is None else ends[0]) > WORSE,
     }
+
+
+def _ratio(now: Array, before: Array, axis: int) -> Array:
+    return np.asarray(now.mean(axis=axis) / np.maximum(before.mean(axis=axis), LEAST))
 
 
 def effects(

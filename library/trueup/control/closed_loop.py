@@ -15,6 +15,7 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.bootstrap import interval
 from trueup.canonical import Json
 from trueup.control.courses import Courses
 from trueup.control.loop import run_loop
@@ -73,13 +74,14 @@ class Tracking:
 
 def change_ci95(candidate: Array, incumbent: Array) -> tuple[float, float] | None:
     """The 95 % bootstrap interval of the difference of paired runs `(runs,)`, relative to the
-    incumbent's mean; None where runs ran away."""
-    rng = np.random.default_rng(0)
-    drawn = rng.integers(0, len(candidate), (RESAMPLES, len(candidate)))
-    with np.errstate(invalid="ignore"):
-        change = (candidate - incumbent)[drawn].mean(axis=1) / max(float(incumbent.mean()), 1e-300)
-        low, high = (float(np.quantile(change, q)) for q in (0.025, 0.975))
-    return (low, high) if isfinite(low) and isfinite(high) else None
+    incumbent's mean; None where runs ran away, or of a single run."""
+    base = max(float(incumbent.mean()), 1e-300)
+    return interval(
+        [candidate - incumbent],
+        lambda more, axis: more.mean(axis=axis) / base,
+        RESAMPLES,
+        np.random.default_rng(0),
+    )
 
 
 def compare(

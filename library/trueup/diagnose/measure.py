@@ -186,21 +186,11 @@ def measure(
         [_floor(corrected, e, horizon, motion, noise, rng, begun) for e in episodes]
     )
     least = np.nan_to_num(floor.mean(axis=1))
-    drawn = rng.integers(0, len(before), (EVIDENCE.resamples, len(before)))
-    closed, interval = None, None
     base = float(least.mean())
+    closed, ends = None, None
     if before.mean() > EVIDENCE.at_the_floor * base:
         closed = _closed(before.mean(), after.mean(), base)
-        spread = [
-            _closed(b, a, base)
-            for b, a in zip(before[drawn].mean(axis=1), after[drawn].mean(axis=1), strict=True)
-            if b > base
-        ]
-        interval = (
-            (float(np.quantile(spread, 0.025)), float(np.quantile(spread, 0.975)))
-            if spread
-            else None
-        )
+        ends = _closed_ci95(before, after, base, rng)
     names = [c.name for c in plant.layout.observations]
     channels = {n: (_root(tables[0][:, i]), _root(tables[-1][:, i])) for i, n in enumerate(names)}
     counted = all(w.first[0] == 0 for w in windows)
@@ -212,7 +202,7 @@ def measure(
         after=_root(after),
         floor=_root(least),
         closed=closed,
-        ci95=interval,
+        ci95=ends,
         by_channel=channels,
         beginnings=counted,
     )
@@ -240,6 +230,25 @@ def _motion(plant: Plant, episodes: Sequence[Episode]) -> Array:
         for i in range(len(plant.scales))
     ]
     return motion
+
+
+def _closed_ci95(
+    before: Array, after: Array, base: float, rng: np.random.Generator
+) -> tuple[float, float] | None:
+    """The 95 % bootstrap interval over windows, candidate and nominal model drawn alike; None of a
+    single window.
+
+    By hand, since scipy.stats.bootstrap keeps draws in which there is no gap to close.
+    """
+    if len(before) == 1:
+        return None
+    drawn = rng.integers(0, len(before), (EVIDENCE.resamples, len(before)))
+    pairs = zip(before[drawn].mean(axis=1), after[drawn].mean(axis=1), strict=True)
+    spread = [_closed(b, a, base) for b, a in pairs if b > base]
+    if not spread:
+        return None
+    low, high = np.quantile(spread, [0.025, 0.975])
+    return float(low), float(high)
 
 
 def _root(squares: Array) -> float:

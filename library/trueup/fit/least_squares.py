@@ -6,15 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 Array = NDArray[np.float64]
-NORMAL_95 = 1.959963984540054  # two-sided 95 % point of the normal distribution
+UPPER = 0.975  # probability below the upper end of a 95 % interval
 
 
 @dataclass(frozen=True, slots=True)
 class LinearFit:
-    """`values` `(columns,)`; their 95 % half-widths `(columns,)`; rank and condition number of the
-    scaled design."""
+    """`values` `(columns,)`; their 95 % half-widths `(columns,)`, by Student's distribution; rank
+    and condition number of the scaled design."""
 
     values: Array
     half_widths: Array
@@ -41,7 +42,7 @@ def solve(design: Array, target: Array, correlated_rows: int = 1) -> LinearFit:
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
     return LinearFit(
         values / divisor,
-        NORMAL_95 * np.sqrt(np.diag(covariance)) / divisor,
+        stdtrit(freedom, UPPER) * np.sqrt(np.diag(covariance)) / divisor,
         int(rank),
         condition,
         float(np.sqrt(np.mean(residual**2))),

@@ -10,6 +10,7 @@ from math import exp, log
 import numpy as np
 from numpy.typing import NDArray
 
+from trueup.bootstrap import interval
 from trueup.canonical import Json
 from trueup.monitor.detector import Detector
 from trueup.monitor.residuals import Residuals
@@ -38,7 +39,7 @@ def achieved(
         state, alarms = followed.state, alarms + (followed.alarm is not None)
     low, high = poisson_interval(alarms)
     shares = np.array([detector.exceedance(r) for r in fresh])
-    drawn = shares[rng.integers(0, len(shares), (RESAMPLES, len(shares)))].mean(axis=1)
+    ends = interval([shares], np.mean, RESAMPLES, rng)
     return {
         "promised_per_h": 1.0 / promise_h,
         "held_out_h": hours,
@@ -46,7 +47,7 @@ def achieved(
         "alarms_per_h": alarms / hours,
         "alarms_per_h_ci95": [low / hours, high / hours],
         "exceedance": float(shares.mean()),
-        "exceedance_ci95": [float(np.quantile(drawn, q)) for q in (0.025, 0.975)],
+        "exceedance_ci95": None if ends is None else list(ends),
         "delays": {
             name: _delay(detector, fresh, drift, rng)
             for name, drift in INJECTED[detector.follows].items()

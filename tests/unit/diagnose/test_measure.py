@@ -120,3 +120,13 @@ def test_where_there_was_no_gap_none_is_closed(case):
     found = measure(*[Nominal(plant)] * 4, episodes, Noise(np.full(2, 1e-3), np.zeros(2)), seed=0)
     assert (found.closed, found.ci95, found.was_at_the_floor) == (None, None, True)
     assert closed_on(Nominal(plant), episodes, np.full(2, 1e-3)) is None
+
+
+def test_of_a_single_window_no_interval_is_given(case):
+    plant, episodes = case
+    true = Identified(plant, (1.5 * plant.parameters[0], *plant.parameters[1:]))
+    whole = replace(plant, horizon_s=1e3)
+    quiet = Noise(np.full(2, 1e-9), np.zeros(2))
+    models = [Nominal(whole)] * 2 + [replace(true, plant=whole)] * 2
+    found = measure(*models, [said_by(true, episodes[0])], quiet, seed=0)
+    assert (found.closed, found.ci95) == (pytest.approx(1.0, abs=1e-3), None)

@@ -1,0 +1,32 @@
+"""Bootstrap: a 95 % percentile interval of a statistic of observations that do not hang together.
+
+Source: B. Efron, R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapter 13.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+LEAST = 2  # observations: of one, nothing can be drawn
+
+
+def interval(
+    samples: Sequence[Array],
+    statistic: Callable[..., Array],
+    resamples: int,
+    rng: np.random.Generator,
+) -> tuple[float, float] | None:
+    """The interval of `statistic(*samples, axis)` of samples `(observations,)`, each drawn for
+    itself; None where one has a single observation, or one that is not finite."""
+    from scipy.stats import bootstrap  # noqa: PLC0415 - takes half a second to load
+
+    if not all(len(sample) >= LEAST and np.isfinite(sample).all() for sample in samples):
+        return None
+    low, high = bootstrap(
+        samples, statistic, n_resamples=resamples, method="percentile", rng=rng
+    ).confidence_interval
+    return float(low), float(high)
